@@ -1,0 +1,12 @@
+"""Recorded runs: reading, checking, describing and writing them. Imports no JAX."""
+
+from ._channels import Channel as Channel, parse_column as parse_column
+from ._read import (
+    parse_rename as parse_rename,
+    read_run as read_run,
+    read_sidecar as read_sidecar,
+    sidecar_path as sidecar_path,
+)
+from ._run import Run as Run
+from ._vocabulary import Definition as Definition
+from ._write import write_files as write_files, write_run as write_run

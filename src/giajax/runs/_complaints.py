@@ -1,0 +1,127 @@
+"""Turns what pydantic has to say about a definition into one sentence about one key."""
+
+import difflib
+from collections.abc import Mapping
+from typing import Any, get_args
+
+import numpy as np
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
+
+from .._errors import InputError
+from ._toml import key_path
+
+
+def complaint(cls: type[BaseModel], error: ValidationError, source: str) -> InputError:
+    """The first complaint of `error`, raised by `cls`, as an `InputError`.
+
+    What a key must be is what its declaration says, not the wording of pydantic.
+    """
+    first = error.errors(include_url=False)[0]
+    path, owner, field = _locate(cls, first["loc"])
+    name = key_path(path)
+    if first["type"] == "extra_forbidden":
+        return InputError(f"{source}: unknown key {name}{_remedy(cls, owner, path)}")
+    if first["type"] == "value_error":  # raised by a validator of the vocabulary, in full
+        said = str(first["ctx"]["error"])
+        where = f"[{name}]" if field is None or said.startswith("key ") else name
+        return InputError(f"{source}: {where} {said}" if name else f"{source}: {said}")
+    if field is None:
+        return InputError(f"{source}: [{name}] must be a table of keys: write it as one")
+    # One bad number in a table of numbers is not the whole table.
+    in_table = _is_dict(field) and owner is None and len(path) > 2
+    must = "a finite number" if in_table else _declared(field)
+    return InputError(
+        f"{source}: {name} = {shown(first['input'])} must be {must}: correct or remove it"
+    )
+
+
+def _declared(field: FieldInfo) -> str:
+    extra = field.json_schema_extra
+    return str(extra["must"]) if isinstance(extra, dict) else "legal"
+
+
+def plain(value: Any) -> Any:
+    """Mappings, sequences and arrays as dicts, lists and Python numbers, as TOML would give."""
+    if isinstance(value, Mapping):
+        return {name: plain(item) for name, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    return value
+
+
+def shown(value: Any, longest: int = 60) -> str:
+    """A value as its author wrote it, on one line and not longer than a line."""
+    text = repr(value) if not isinstance(value, bool) else str(value).lower()
+    return text if len(text) <= longest else f"{text[: longest - 3]}..."
+
+
+def _locate(
+    cls: type[BaseModel], location: tuple[int | str, ...]
+) -> tuple[tuple[str, ...], type[BaseModel] | None, FieldInfo | None]:
+    """Dotted path, owning section, and field (None for a whole section) of an error's place.
+
+    What pydantic adds behind the key (the branch of a union, the place in a list) is left out.
+    """
+    path: list[str] = []
+    owner: type[BaseModel] | None = cls
+    field: FieldInfo | None = None
+    in_dict = False
+    for part in location:
+        if not isinstance(part, str):
+            break
+        if in_dict:
+            path.append(part)
+            if owner is None:
+                break
+            in_dict, field = False, None
+            continue
+        if owner is None:
+            break
+        path.append(part)
+        field = owner.model_fields.get(part)
+        if field is None:  # an unknown key, or a column in [noise]
+            if location[-1] == part and owner.model_config.get("extra") == "allow":
+                field = next(iter(owner.model_fields.values()))
+            break
+        inner = _section_of(field)
+        in_dict = _is_dict(field)
+        owner = inner
+        if inner is not None and not in_dict:
+            field = None
+    return tuple(path), owner, field
+
+
+def _is_dict(field: FieldInfo) -> bool:
+    annotation = field.annotation
+    return any(
+        getattr(item, "__origin__", None) is dict for item in (annotation, *get_args(annotation))
+    )
+
+
+def _section_of(field: FieldInfo) -> type[BaseModel] | None:
+    annotation = field.annotation
+    for item in (annotation, *get_args(annotation)):
+        if isinstance(item, type) and not get_args(item) and issubclass(item, BaseModel):
+            return item
+    return None
+
+
+def _remedy(cls: type[BaseModel], owner: type[BaseModel] | None, path: tuple[str, ...]) -> str:
+    known = list(owner.model_fields) if owner is not None else []
+    unknown = path[-1]
+    near = difflib.get_close_matches(unknown, known, n=1, cutoff=0.7)
+    if near:
+        return f": did you mean {key_path((*path[:-1], near[0]))}?"
+    homes = []
+    for name, field in cls.model_fields.items():
+        section = _section_of(field)
+        if section is not None and not _is_dict(field) and unknown in section.model_fields:
+            homes.append(f"[{name}]")
+    if unknown in cls.model_fields and len(path) > 1:
+        return ": it belongs at the top of the file, so move it there"
+    if homes:
+        return f": it belongs in {' or '.join(homes)}, so move it there"
+    return f": correct or remove it (known here: {', '.join(known)})"

@@ -1,0 +1,99 @@
+"""Reading a run: CSV or Parquet, with its sidecar."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from .._errors import InputError
+from ._checks import Wording
+from ._run import Run, build_run
+from ._table import Table, read_table
+from ._vocabulary import Definition
+
+# What a definition may say about a run; the rest of it (data, checksum, [fit]) is not the run's.
+_ABOUT_RUNS = ("model", "free_motion", "arm", "initial", "command", "wind", "noise")
+
+
+def read_run(
+    path: str | Path,
+    *,
+    rename: Mapping[str, str] | None = None,
+    definition: Definition | None = None,
+) -> Run:
+    """Read one run and the sidecar beside it, `<stem>.toml`, if there is one.
+
+    - `path`: a `.csv` file (UTF-8, commas, one header line; an empty cell, `NaN` or `NA` is not
+      measured) or a `.parquet` file.
+    - `rename`: the file's column name -> the name it has in the column table.
+    - `definition`: a fit definition, whose `[arm]`, `[initial]`, `[command]`, `[wind]`,
+      `[noise]`, `model` and `free_motion` win over the sidecar's.
+
+    Raises `InputError` for whatever keeps the file from being a run: one sentence that names the
+    file, the column and the row (in a CSV file, its line).
+    """
+    path = Path(path)
+    table = read_table(path, rename)
+    stated = read_sidecar(path)
+    if stated.sha256 is not None and stated.sha256 != table.sha256:
+        raise InputError(
+            f"{path} has the SHA-256 {table.sha256[:12]}..., but {sidecar_path(path)} says "
+            f"{stated.sha256[:12]}...: get the file again, or correct sha256 there"
+        )
+    if definition is not None:
+        given = {key: item for key, item in definition.given().items() if key in _ABOUT_RUNS}
+        stated = stated.merged_with(Definition.parse(given))
+    return run_of(table, path, stated)
+
+
+def run_of(table: Table, path: Path, definition: Definition) -> Run:
+    """The run that a table and a definition make together, checked."""
+    return build_run(
+        name=path.stem,
+        times=table.times,
+        values=dict(table.values),
+        channels=dict(table.channels),
+        definition=definition,
+        wording=Wording(str(path), "row", table.first_row, columns=True),
+        path=path,
+        sha256=table.sha256,
+    )
+
+
+def sidecar_path(path: str | Path) -> Path:
+    """Where the sidecar of a run lies, whether or not there is one."""
+    return Path(path).with_suffix(".toml")
+
+
+def read_sidecar(path: str | Path) -> Definition:
+    """The sidecar of the run at `path`; an empty definition if there is none.
+
+    Raises `InputError` if it is not legal, or holds `[fit]` or `[figures]`, which a fit of the
+    run would silently ignore.
+    """
+    sidecar = sidecar_path(path)
+    if not sidecar.exists():
+        return Definition()
+    definition = Definition.load(sidecar)
+    for section in ("fit", "figures"):
+        if section in definition.model_fields_set:
+            raise InputError(
+                f"{sidecar} is the sidecar of {path}, where [{section}] must not be: move it to "
+                "a fit definition, a TOML file of another name"
+            )
+    return definition
+
+
+def parse_rename(pairs: list[str]) -> dict[str, str]:
+    """`["OLD=NEW", ...]` of the command line as a mapping. Raises `InputError`."""
+    rename: dict[str, str] = {}
+    for pair in pairs:
+        # No name of the column table holds an equals sign; a foreign one may.
+        old, equals, new = pair.rpartition("=")
+        if not equals or not old or not new:
+            raise InputError(
+                f"--rename {pair!r} must be OLD=NEW: give the file's name of the column and its "
+                "name in the column table"
+            )
+        if old in rename:
+            raise InputError(f"--rename gives {old!r} twice, but must give it once: remove one")
+        rename[old] = new
+    return rename

@@ -1,0 +1,217 @@
+"""A run: the recorded, commanded and stated facts of one experiment, in SI units."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from .._errors import InputError
+from ._channels import TEXTS, Channel, parse_column
+from ._checks import Wording, check_content
+from ._model import GIVEN, PREDICTED, decide_model
+from ._units import from_si, to_si
+from ._vocabulary import Definition
+
+# Key of [noise] by quantity -> (kinds it holds for, quantity, unit).
+_NOISE_KEYS: dict[str, tuple[tuple[str, ...], str, str]] = {
+    "position_m": (("link_position", "tip_position"), "length", "m"),
+    "angle_deg": (("joint_angle",), "angle", "deg"),
+    "rate_deg_per_s": (("joint_rate",), "angular_velocity", "deg_per_s"),
+}
+_NOISE_QUANTITIES = {"position": "position_m", "angle": "angle_deg", "rate": "rate_deg_per_s"}
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One experiment, in SI units.
+
+    - `name`: the file's stem, or as given.
+    - `model`: `arm`, `hysteresis`, `joint` or `muscle`.
+    - `times`: float64, shape (T,), s, strictly increasing; None for a static run.
+    - `values`: channel name -> float64, shape (T,), SI; NaN = not measured. A text channel
+      (`side`, `phase`) is an object array of str or None. Time is not among them.
+    - `channels`: channel name -> `Channel`, the same keys as `values`.
+    - `definition`: what the sidecar says, with the fit definition's word on top.
+    - `path`, `sha256`: the file and its checksum; None for a run made from arrays.
+
+    Made by `read_run` and `Run.from_arrays`, which both check the content. The arrays are
+    read-only.
+    """
+
+    name: str
+    model: str
+    times: npt.NDArray[np.float64] | None
+    values: dict[str, npt.NDArray[Any]]
+    channels: dict[str, Channel]
+    definition: Definition = field(default_factory=Definition)
+    path: Path | None = None
+    sha256: str | None = None
+
+    @classmethod
+    def from_arrays(
+        cls,
+        times: npt.ArrayLike | None,
+        values: Mapping[str, npt.ArrayLike],
+        *,
+        name: str = "run",
+        noise: Mapping[str, float] | None = None,
+        definition: Definition | Mapping[str, Any] | None = None,
+    ) -> "Run":
+        """A run from arrays, with the same checks as a file.
+
+        - `times`: shape (T,), s; None for a static run.
+        - `values`: channel name (`joint01_command`, `link06_z`: no unit) -> shape (T,), SI
+          units: rad, rad/s, m, m/s, N, N m, Pa. NaN = not measured.
+        - `noise`: standard deviations, SI: by quantity (`position`, `angle`, `rate`) or by
+          channel name.
+        - `definition`: what a sidecar would say, as a `Definition` or a dict.
+
+        Raises `InputError`.
+
+            run = Run.from_arrays(
+                [0.0, 1.0, 2.0],
+                {"joint01_command": [0.0, 0.5, 0.5], "link20_z": [0.0, 0.4, 2.0]},
+                noise={"position": 0.01},
+            )
+        """
+        if not isinstance(definition, Definition):
+            definition = Definition.parse(definition or {}, f"{name}: definition")
+        channels = {channel: Channel.named(channel) for channel in values}
+        if "time" in channels:
+            raise InputError(f"{name}: 'time' is among the values: give it as the first argument")
+        if noise:
+            stated = {"noise": _noise_section(noise, channels)}
+            definition = definition.merged_with(Definition.parse(stated, f"{name}: noise"))
+        arrays = {
+            channel: _text(item, f"{name}: {channel}")
+            if channel in TEXTS
+            else _numbers(item, f"{name}: {channel}")
+            for channel, item in values.items()
+        }
+        return build_run(
+            name=name,
+            times=None if times is None else _numbers(times, f"{name}: times"),
+            values=arrays,
+            channels=channels,
+            definition=definition,
+            wording=Wording(name, "sample", 0, columns=False),
+        )
+
+    @property
+    def commands(self) -> dict[str, npt.NDArray[Any]]:
+        """The channels that the model is given, wind apart: name -> (T,), SI."""
+        return self._of_kinds(GIVEN[self.model])
+
+    @property
+    def winds(self) -> dict[str, npt.NDArray[Any]]:
+        """The recorded air velocity: `wind_x`, ... -> (T,), m/s."""
+        return self._of_kinds(("wind",))
+
+    @property
+    def observations(self) -> dict[str, npt.NDArray[Any]]:
+        """The channels that a fit compares with its prediction: name -> (T,), SI."""
+        return self._of_kinds(PREDICTED[self.model])
+
+    def noise(self, name: str) -> float | None:
+        """Stated standard deviation of channel `name`, SI; None if nothing was stated.
+
+        What is stated for the column wins over what is stated for its quantity.
+        """
+        channel = self.channels[name]
+        stated = self.definition.noise
+        for column, deviation in stated.columns.items():
+            if column.startswith(name):
+                recorded = parse_column(column)
+                if recorded.name == name:
+                    return float(recorded.to_si(deviation))
+        for key, (kinds, quantity, unit) in _NOISE_KEYS.items():
+            deviation = getattr(stated, key)
+            if channel.kind in kinds and deviation is not None:
+                return float(to_si(quantity, unit, deviation))
+        return None
+
+    def require_observations(self) -> None:
+        """Raise `InputError` if the run holds nothing that a fit could compare."""
+        if not self.observations:
+            examples = {
+                "arm": "linkNN_z_m or jointNN_angle_deg",
+                "hysteresis": "output or angle_deg",
+                "joint": "contraction or force_N",
+                "muscle": "force_N",
+            }
+            raise InputError(
+                f"{self.path or self.name} holds no measured channel to fit: it must have at least "
+                f"one, such as {examples[self.model]}, so add its column"
+            )
+
+    def _of_kinds(self, kinds: tuple[str, ...]) -> dict[str, npt.NDArray[Any]]:
+        return {
+            name: self.values[name]
+            for name, channel in self.channels.items()
+            if channel.kind in kinds
+        }
+
+
+def build_run(
+    *,
+    name: str,
+    times: npt.NDArray[np.float64] | None,
+    values: dict[str, npt.NDArray[Any]],
+    channels: dict[str, Channel],
+    definition: Definition,
+    wording: Wording,
+    path: Path | None = None,
+    sha256: str | None = None,
+) -> Run:
+    """Decide the model, check the content, freeze the arrays. Raises `InputError`."""
+    if not channels:
+        raise InputError(
+            f"{wording.source} has only a time column: it must also have a channel, "
+            "such as joint01_command_deg and link06_z_m"
+        )
+    model = decide_model(channels.values(), definition.model, wording.source)
+    check_content(model, times, values, channels, definition, wording)
+    for array in (*values.values(), *(() if times is None else (times,))):
+        array.setflags(write=False)
+    return Run(name, model, times, values, channels, definition, path, sha256)
+
+
+def _noise_section(noise: Mapping[str, float], channels: Mapping[str, Channel]) -> dict[str, Any]:
+    section: dict[str, Any] = {}
+    for name, deviation in noise.items():
+        if name in _NOISE_QUANTITIES:
+            key = _NOISE_QUANTITIES[name]
+            _, quantity, unit = _NOISE_KEYS[key]
+            section[key] = float(from_si(quantity, unit, deviation))
+        elif name in channels:
+            section[channels[name].column] = float(channels[name].from_si(deviation))
+        else:
+            raise InputError(
+                f"noise of {name!r} is given, but it must be of {', '.join(_NOISE_QUANTITIES)} "
+                "or of a channel of the run: correct the name"
+            )
+    return section
+
+
+def _numbers(values: npt.ArrayLike, what: str) -> npt.NDArray[np.float64]:
+    # A copy: the run is frozen, and the caller's array stays the caller's.
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{what} must be numbers: convert the values to float") from None
+    if array.ndim != 1:
+        raise InputError(
+            f"{what} has the shape {array.shape}, but must have one dimension, the samples: "
+            "give one array for each channel"
+        )
+    return array
+
+
+def _text(values: npt.ArrayLike, what: str) -> npt.NDArray[Any]:
+    array = np.array(values, dtype=object)
+    if array.ndim != 1:
+        raise InputError(f"{what} must be a list of {' or '.join(TEXTS[what.split()[-1]])}")
+    return array

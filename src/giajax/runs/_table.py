@@ -1,0 +1,218 @@
+"""A data file as columns of numbers in SI units, with bad cells named by column and row."""
+
+import csv
+import difflib
+import hashlib
+import io
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import polars as pl
+
+from .._errors import InputError
+from ._channels import Channel, parse_column, parse_columns
+from ._complaints import shown
+
+_MISSING = ("", "nan", "na")
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?inf(inity)?", re.IGNORECASE)
+_SUFFIXES = (".csv", ".parquet")
+
+
+@dataclass(frozen=True)
+class Table:
+    """The content of a data file, before anything is known about its model.
+
+    `times` (T,) s or None; `values` channel name -> (T,) SI, NaN = not measured, or an object
+    array of text; `first_row` is what errors call the first sample.
+    """
+
+    times: npt.NDArray[np.float64] | None
+    values: dict[str, npt.NDArray[Any]]
+    channels: dict[str, Channel]
+    sha256: str
+    first_row: int
+
+
+def read_table(path: Path, rename: Mapping[str, str] | None = None) -> Table:
+    """Read a `.csv` or `.parquet` file. Raises `InputError` for what is not such a table."""
+    data = _bytes(path)
+    if path.suffix.lower() == ".csv":
+        header, columns, first_row = _split_csv(data, path)
+    else:
+        header, columns, first_row = _split_parquet(data, path)
+    named = parse_columns(_renamed(header, rename or {}, path))
+    if not columns or len(columns[0]) == 0:
+        raise InputError(f"{path} has a header but no rows: it must have samples, so add them")
+    times = None
+    values: dict[str, npt.NDArray[Any]] = {}
+    for (column, channel), series in zip(named.items(), columns, strict=True):
+        where = f"{path}: column {column!r}"
+        if channel.quantity == "text":
+            values[channel.name] = _texts(series)
+            continue
+        numbers = channel.to_si(_numbers(series, where, first_row))
+        if channel.kind == "time":
+            times = numbers
+        else:
+            values[channel.name] = numbers
+    channels = {c.name: c for c in named.values() if c.kind != "time"}
+    return Table(times, values, channels, hashlib.sha256(data).hexdigest(), first_row)
+
+
+def _bytes(path: Path) -> bytes:
+    if path.suffix.lower() not in _SUFFIXES:
+        raise InputError(
+            f"{path} must be a run, a file whose name ends in .csv or .parquet: give or convert one"
+        )
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(f"{path} does not exist: give the path of a recorded run") from None
+    except IsADirectoryError:
+        raise InputError(f"{path} is a directory: give the path of one run in it") from None
+    except OSError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror}): give a readable run") from None
+    if not data.strip():
+        raise InputError(f"{path} is empty: it must have a header line and samples")
+    return data
+
+
+def _split_csv(data: bytes, path: Path) -> tuple[list[str], list[pl.Series], int]:
+    """Header, columns of text (null = empty cell), and the line of the first sample."""
+    data = data.removeprefix(b"\xef\xbb\xbf")
+    try:
+        if b"\0" in data:
+            raise UnicodeDecodeError("utf-8", data, 0, 1, "NUL")
+        data.decode("utf-8")
+    except UnicodeDecodeError:
+        raise InputError(
+            f"{path} is not text: it must be CSV in UTF-8, so export it again"
+        ) from None
+    if b"\r" in data:
+        data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    head, _, body = data.rstrip(b"\n").partition(b"\n")
+    header = [name.strip() for name in next(csv.reader([head.decode("utf-8")]), [])]
+    if not any(header):
+        raise InputError(
+            f"{path}: the first line must name the columns, but is empty: add a header"
+        )
+    if len(header) == 1:
+        for separator, called in ((";", "semicolons"), ("\t", "tabs")):
+            if separator in header[0]:
+                raise InputError(
+                    f"{path} separates its cells with {called}, but must do so with commas "
+                    "(and write numbers with a decimal point): export it again"
+                )
+    if not body:
+        return header, [], 2
+    if b'"' in body:
+        return header, _quoted(body, header, path), 2
+    _check_widths(body, len(header), path)
+    frame = pl.read_csv(
+        io.BytesIO(body), has_header=False, infer_schema=False, quote_char=None, glob=False
+    )
+    return header, frame.get_columns(), 2
+
+
+def _check_widths(body: bytes, width: int, path: Path) -> None:
+    # Polars pads short rows in silence, so the commas of each line are counted here.
+    characters = np.frombuffer(body, dtype=np.uint8)
+    ends = np.append(np.flatnonzero(characters == ord("\n")), len(characters))
+    commas = np.flatnonzero(characters == ord(","))
+    cells = np.diff(np.searchsorted(commas, ends), prepend=0) + 1
+    bad = np.flatnonzero(cells != width)
+    if bad.size:
+        _ragged(path, int(bad[0]) + 2, int(cells[bad[0]]), width)
+
+
+def _quoted(body: bytes, header: Sequence[str], path: Path) -> list[pl.Series]:
+    # Quotes may hide commas and line ends; such files are small enough for the slow way.
+    reader = csv.reader(io.StringIO(body.decode("utf-8"), newline=""))
+    rows: list[list[str]] = []
+    for cells in reader:
+        row = len(rows) + 2
+        if reader.line_num + 1 != row:
+            raise InputError(
+                f"{path}: a cell in row {row} has a line break, which no cell may have: remove it"
+            )
+        if len(cells) != len(header):
+            _ragged(path, row, len(cells), len(header))
+        rows.append(cells)
+    return [pl.Series("", list(column), dtype=pl.String) for column in zip(*rows, strict=True)]
+
+
+def _ragged(path: Path, row: int, cells: int, width: int) -> None:
+    raise InputError(
+        f"{path}: row {row} has {cells} cell{'s' * (cells != 1)}, but the header names {width} "
+        "columns: give every row one cell for each column, empty where not measured"
+    )
+
+
+def _split_parquet(data: bytes, path: Path) -> tuple[list[str], list[pl.Series], int]:
+    try:
+        frame = pl.read_parquet(io.BytesIO(data))
+    except (pl.exceptions.PolarsError, OSError):
+        raise InputError(
+            f"{path} is not a Parquet file: it must be one, so export it again"
+        ) from None
+    for name, dtype in frame.schema.items():
+        if not (dtype.is_numeric() or dtype in (pl.String, pl.Null, pl.Categorical)):
+            raise InputError(
+                f"{path}: column {name!r} is of type {dtype}, but must hold numbers: convert it"
+            )
+    return frame.columns, frame.get_columns(), 1
+
+
+def _renamed(header: Sequence[str], rename: Mapping[str, str], path: Path) -> list[str]:
+    for old, new in rename.items():
+        if old not in header:
+            near = difflib.get_close_matches(old, header, n=1, cutoff=0.6)
+            hint = f"did you mean {near[0]!r}?" if near else f"it has {', '.join(header[:8])}"
+            raise InputError(f"--rename {old}={new}: {path} has no column {old!r}: {hint}")
+        parse_column(new)
+    names = [rename.get(name, name) for name in header]
+    for position, name in enumerate(names, start=1):
+        if not name:
+            raise InputError(
+                f"{path}: column {position} has no name, but must have one of the column table: "
+                "name or remove it"
+            )
+        try:
+            parse_column(name)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+    return names
+
+
+def _numbers(series: pl.Series, where: str, first_row: int) -> npt.NDArray[np.float64]:
+    """Numbers of a column, NaN where nothing was measured."""
+    if series.dtype == pl.Categorical:
+        series = series.cast(pl.String)
+    numbers = series.cast(pl.Float64, strict=False)
+    array = np.array(numbers.to_numpy(), dtype=np.float64)
+    if series.dtype != pl.String:
+        return array
+    for index in (series.is_not_null() & numbers.is_null()).arg_true():
+        text = str(series[int(index)]).strip()
+        if text.lower() in _MISSING:
+            array[index] = np.nan
+        elif _NUMBER.fullmatch(text):
+            array[index] = float(text)
+        else:
+            raise InputError(
+                f"{where} has {shown(text, 40)} in row {int(index) + first_row}, but must have a "
+                "number or an empty cell: correct it"
+            )
+    return array
+
+
+def _texts(series: pl.Series) -> npt.NDArray[Any]:
+    texts = [None if text is None else str(text).strip() or None for text in series]
+    array = np.empty(len(texts), dtype=object)
+    array[:] = texts
+    return array
