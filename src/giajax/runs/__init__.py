@@ -1,6 +1,7 @@
 """Recorded runs: reading, checking, describing and writing them. Imports no JAX."""
 
 from ._channels import Channel as Channel, parse_column as parse_column
+from ._describe import describe as describe
 from ._read import (
     parse_rename as parse_rename,
     read_run as read_run,
@@ -8,5 +9,6 @@ from ._read import (
     sidecar_path as sidecar_path,
 )
 from ._run import Run as Run
+from ._template import sidecar_template as sidecar_template
 from ._vocabulary import Definition as Definition
 from ._write import write_files as write_files, write_run as write_run

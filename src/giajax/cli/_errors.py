@@ -1,0 +1,84 @@
+"""How every command ends: one sentence on standard error, and an exit status."""
+
+import os
+import re
+import sys
+from typing import Any
+
+import typer
+from typer.core import TyperGroup
+
+from .._errors import InputError
+
+BAD_INPUT = 2
+INTERRUPTED = 130
+BROKEN_PIPE = 141
+
+# Typer brings its own click since 0.16 or so, and used the installed one before: what it raises
+# for a wrong option is a base of its BadParameter in both.
+UsageError: Any = typer.BadParameter.__mro__[1]
+
+
+class Ended(Exception):  # noqa: N818
+    """A command that was stopped from outside, with the exit status that says so."""
+
+    def __init__(self, status: int) -> None:
+        super().__init__(status)
+        self.status = status
+
+
+class Commands(TyperGroup):
+    """Typer's group, without its own endings for Ctrl-C and a closed pipe."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command that the context names."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            raise Ended(INTERRUPTED) from None
+        except BrokenPipeError:
+            raise Ended(BROKEN_PIPE) from None
+
+
+def run(command: Any, arguments: list[str]) -> int:
+    """Run the command line; returns its exit status.
+
+    0, or what the command gives with `typer.Exit(status)`; 2 for bad input or usage; 130 when
+    interrupted. An `InputError` and a usage error are one line on standard error.
+    """
+    try:
+        result = command.main(args=arguments, prog_name="giajax", standalone_mode=False)
+        sys.stdout.flush()
+    except InputError as error:
+        return _say(str(error), BAD_INPUT)
+    except UsageError as error:
+        return _say(_usage(error), BAD_INPUT)
+    except Ended as ended:
+        if ended.status == INTERRUPTED:
+            return _say("interrupted", INTERRUPTED)
+        return _close_quietly()
+    except (KeyboardInterrupt, typer.Abort):
+        return _say("interrupted", INTERRUPTED)
+    except BrokenPipeError:
+        return _close_quietly()
+    # Without standalone mode typer returns the status of `typer.Exit`, else what the command did.
+    return result if isinstance(result, int) else 0
+
+
+def _say(sentence: str, status: int) -> int:
+    print(f"giajax: {' '.join(sentence.split())}", file=sys.stderr)
+    return status
+
+
+def _usage(error: Any) -> str:
+    sentence = " ".join(error.format_message().split()).rstrip(".")
+    # Click says two sentences where it has a suggestion, each with its capital.
+    sentence = re.sub(r"(^|\. )([A-Z])", lambda m: (m[1] and ": ") + m[2].lower(), sentence)
+    command = error.ctx.command_path if error.ctx is not None else "giajax"
+    return f"{sentence}; '{command} --help' shows what there is"
+
+
+def _close_quietly() -> int:
+    # The reader has gone. Python flushes standard output once more at exit: into nothing.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return BROKEN_PIPE

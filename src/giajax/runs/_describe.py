@@ -1,0 +1,156 @@
+"""What a run holds, as plain data for a person to check."""
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ._checks import DEFAULT_PRESET
+from ._model import GIVEN, PREDICTED
+from ._read import sidecar_path
+from ._run import Run
+
+
+def describe(run: Run) -> dict[str, Any]:
+    """What a run holds: plain data (dicts, lists, str, int, float, bool, None).
+
+    `name`, `path`, `model`, `rows`, `time` (s), `command`, `wind`, `channels` (each in its
+    recorded unit), `sidecar` and `notes`, sentences on what is assumed because it is not stated.
+    """
+    rows = len(run.times) if run.times is not None else len(next(iter(run.values.values())))
+    return {
+        "name": run.name,
+        "path": None if run.path is None else str(run.path),
+        "model": run.model,
+        "rows": rows,
+        "time": None if run.times is None else _time(run.times),
+        "command": _command(run),
+        "wind": _wind(run),
+        "channels": [_channel(run, name) for name in run.channels],
+        "sidecar": _sidecar(run),
+        "notes": _notes(run),
+    }
+
+
+def _time(times: npt.NDArray[np.float64]) -> dict[str, float]:
+    steps = np.diff(times)
+    return {
+        "start_s": float(times[0]),
+        "end_s": float(times[-1]),
+        "duration_s": float(times[-1] - times[0]),
+        "interval_median_s": float(np.median(steps)),
+        "interval_min_s": float(steps.min()),
+        "interval_max_s": float(steps.max()),
+    }
+
+
+def _command(run: Run) -> dict[str, Any] | None:
+    commands = {
+        name: array
+        for name, array in run.commands.items()
+        if run.channels[name].kind in ("joint_command", "input", "command")
+    }
+    if not commands:
+        return None
+    interpolation = run.definition.command.interpolation
+    steps = np.arange(len(next(iter(commands.values())))) if run.times is None else run.times
+    return {
+        "channels": list(commands),
+        "joints": [run.channels[name].index for name in commands if run.channels[name].index],
+        "moving": [name for name, array in commands.items() if np.ptp(array) > 0],
+        "interpolation": interpolation,
+        "corners": _corners(steps, np.stack(list(commands.values()), axis=1), interpolation),
+    }
+
+
+def _corners(times: npt.NDArray[Any], values: npt.NDArray[Any], interpolation: str) -> int:
+    """Number of rows at which a command jumps (zoh) or changes its slope (linear)."""
+    if interpolation == "zoh":
+        return int(np.any(np.diff(values, axis=0) != 0, axis=1).sum())
+    slopes = np.diff(values, axis=0) / np.diff(times)[:, None]
+    # Recorded ramps are rounded: a change of slope below one part in a million is no corner.
+    bends = np.abs(np.diff(slopes, axis=0)) > 1e-6 * np.abs(slopes).max(initial=0.0)
+    return int(np.any(bends, axis=1).sum())
+
+
+def _wind(run: Run) -> dict[str, Any] | None:
+    constant = run.definition.wind.velocity_m_per_s
+    if constant is not None:
+        return {"source": "constant", "velocity_m_per_s": list(constant)}
+    if run.winds:
+        return {
+            "source": "columns",
+            "channels": list(run.winds),
+            "interpolation": run.definition.wind.interpolation,
+        }
+    return None
+
+
+def _channel(run: Run, name: str) -> dict[str, Any]:
+    channel, values = run.channels[name], run.values[name]
+    facts: dict[str, Any] = {
+        "name": name,
+        "column": channel.column,
+        "unit": channel.unit,
+        "part": _part(run, channel.kind),
+    }
+    if channel.quantity == "text":
+        counts = {text: int((values == text).sum()) for text in sorted(set(values))}
+        return {**facts, "count": len(values), "missing_percent": 0.0, "texts": counts}
+    measured = values[~np.isnan(values)]
+    noise = run.noise(name)
+    return {
+        **facts,
+        "count": len(measured),
+        "missing_percent": 100.0 * (1.0 - len(measured) / len(values)),
+        "min": float(channel.from_si(measured.min())),
+        "max": float(channel.from_si(measured.max())),
+        "noise": None if noise is None else float(channel.from_si(noise)),
+    }
+
+
+def _part(run: Run, kind: str) -> str:
+    if kind in PREDICTED[run.model]:
+        return "measured"
+    return "command" if kind in GIVEN[run.model] else "wind"
+
+
+def _sidecar(run: Run) -> dict[str, Any] | None:
+    if run.path is None or not sidecar_path(run.path).is_file():
+        return None
+    keys = []
+    for name, value in run.definition.given().items():
+        if isinstance(value, dict) and name != "truth":
+            keys += [f"{name}.{key}" for key in value]
+        else:
+            keys.append(name)
+    return {
+        "path": str(sidecar_path(run.path)),
+        "keys": keys,
+        "checksum": "not stated" if run.definition.sha256 is None else "matches",
+    }
+
+
+def _notes(run: Run) -> list[str]:
+    notes = []
+    definition = run.definition
+    if run.model == "arm":
+        where = "no sidecar" if _sidecar(run) is None else "no [arm] in the sidecar"
+        if not definition.arm.given():
+            notes.append(f"{where}: the constants of the preset {DEFAULT_PRESET} are assumed")
+        if not definition.initial.given():
+            notes.append("initial state not stated: the arm starts straight and at rest")
+        if run.commands and "interpolation" not in definition.command.given():
+            notes.append("command interpolation not stated: linear between two rows")
+        if not run.winds and definition.wind.velocity_m_per_s is None:
+            notes.append("wind not stated: still air is assumed")
+        absent = [f"wind_{c}" for c in "xyz" if run.winds and f"wind_{c}" not in run.winds]
+        if absent:
+            notes.append(f"{' and '.join(absent)} not recorded: taken as zero")
+    if not run.observations:
+        notes.append("no measured channel: the run can be simulated, but not fitted")
+    silent = [name for name in run.observations if run.noise(name) is None]
+    if silent:
+        which = "" if len(silent) == len(run.observations) else f" of {', '.join(silent)}"
+        notes.append(f"noise{which} not stated: a fit estimates it")
+    return notes
