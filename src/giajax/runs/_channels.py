@@ -9,9 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from .._errors import InputError
-from ._units import QUANTITIES, QUANTITY_OF_SUFFIX, from_si, one_of, to_si
+from ._units import QUANTITIES, QUANTITY_OF_SUFFIX, from_si, to_si
+from ._words import one_of, shown
 
-_NUMBER = r"(?P<index>\d+)"
+_NUMBER = r"(?P<index>[0-9]+)"
 _COMPONENT = r"(?P<component>[xyz])"
 
 # kind: (pattern of the name, how the documentation writes it, quantity; None means any quantity)
@@ -195,37 +196,38 @@ def _bad_suffix(name: str, kind: str, suffix: str | None, what: str) -> str:
     units = _units_of(kind)
     if units == [""]:
         return (
-            f"{what} {name!r} ends in {suffix!r}, but {_TABLE[kind][1]} has no unit: "
+            f"{what} {shown(name)} ends in {suffix!r}, but {_TABLE[kind][1]} has no unit: "
             f"rename it with --rename {name}={_TABLE[kind][1]}"
         )
     of = "it" if quantity is None else f"its {quantity.replace('_', ' ')}"
     units = [unit for unit in units if unit]
     if suffix is None:
-        given = f"{what} {name!r} does not say its unit"
+        given = f"{what} {shown(name)} does not say its unit"
         remedy = f"rename it, for example with --rename {name}={name}_{units[0]}"
     else:
-        given = f"{what} {name!r} has the unknown unit {suffix!r}"
+        given = f"{what} {shown(name)} has the unknown unit {suffix!r}"
         remedy = "convert the values and rename the column"
     return f"{given}: {of} must be in {one_of(units)}, so {remedy}"
 
 
 def _unknown(name: str, what: str) -> str:
     near = _nearest(name, suffixes=what == "column")
-    rename = "--rename OLD=NEW" if "=" in name or not name else f"--rename {name}={near or 'NEW'}"
+    old = "OLD" if not 0 < len(name) <= 40 or not name.isprintable() else name
+    rename = f"--rename {old}={near or 'NEW'}"
     if near is not None:
-        given = f"{what} {name!r} is not in the column table: did you mean {near!r}"
+        given = f"{what} {shown(name)} is not in the column table: did you mean {near!r}"
         return f"{given} ({rename})?" if what == "column" else f"{given}?"
     known = ", ".join(row[1] for row in _TABLE.values())
     remedy = f"rename it with {rename}, or remove it" if what == "column" else "correct the name"
-    return f"{what} {name!r} is not in the column table ({known}): {remedy}"
+    return f"{what} {shown(name)} is not in the column table ({known}): {remedy}"
 
 
 def _nearest(name: str, *, suffixes: bool) -> str | None:
-    numbers = re.findall(r"\d+", name)
+    numbers = re.findall(r"[0-9]+", name)
     number = f"{int(numbers[0]) or 1:02d}" if numbers and len(numbers[0]) < 5 else "01"
     candidates = []
-    for kind, (_, shown, _) in _TABLE.items():
-        plain = shown.replace("NN", number)
+    for kind, (_, called, _) in _TABLE.items():
+        plain = called.replace("NN", number)
         for channel in [plain[:-1] + c for c in "xyz"] if "_x" in plain else [plain]:
             candidates += [
                 f"{channel}_{unit}" if unit and suffixes else channel for unit in _units_of(kind)

@@ -10,6 +10,7 @@ from pydantic.fields import FieldInfo
 
 from .._errors import InputError
 from ._toml import key_path
+from ._words import shown
 
 
 def complaint(cls: type[BaseModel], error: ValidationError, source: str) -> InputError:
@@ -50,12 +51,6 @@ def plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]
     return value
-
-
-def shown(value: Any, longest: int = 60) -> str:
-    """A value as its author wrote it, on one line and not longer than a line."""
-    text = repr(value) if not isinstance(value, bool) else str(value).lower()
-    return text if len(text) <= longest else f"{text[: longest - 3]}..."
 
 
 def _locate(

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 from .._errors import InputError
 from ._channels import Channel
-from ._units import one_of
+from ._words import one_of
 
 MODELS = ("arm", "hysteresis", "joint", "muscle")
 

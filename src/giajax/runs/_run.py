@@ -213,5 +213,5 @@ def _numbers(values: npt.ArrayLike, what: str) -> npt.NDArray[np.float64]:
 def _text(values: npt.ArrayLike, what: str) -> npt.NDArray[Any]:
     array = np.array(values, dtype=object)
     if array.ndim != 1:
-        raise InputError(f"{what} must be a list of {' or '.join(TEXTS[what.split()[-1]])}")
+        raise InputError(f"{what} must be a list of text, one a sample: give it as such")
     return array

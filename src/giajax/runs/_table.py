@@ -16,10 +16,12 @@ import polars as pl
 
 from .._errors import InputError
 from ._channels import Channel, parse_column, parse_columns
-from ._complaints import shown
+from ._words import shown
 
 _MISSING = ("", "nan", "na")
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?inf(inity)?", re.IGNORECASE)
+_NUMBER = re.compile(
+    r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?|[+-]?inf(inity)?", re.IGNORECASE
+)
 _SUFFIXES = (".csv", ".parquet")
 
 
@@ -169,6 +171,10 @@ def _split_parquet(data: bytes, path: Path) -> tuple[list[str], list[pl.Series],
 
 
 def _renamed(header: Sequence[str], rename: Mapping[str, str], path: Path) -> list[str]:
+    if all(_NUMBER.fullmatch(name) for name in header):
+        raise InputError(
+            f"{path}: the first line must name the columns, but holds numbers: add a header"
+        )
     for old, new in rename.items():
         if old not in header:
             near = difflib.get_close_matches(old, header, n=1, cutoff=0.6)

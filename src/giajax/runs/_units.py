@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .._errors import InputError
+from ._words import one_of
 
 
 @dataclass(frozen=True)
@@ -76,29 +77,9 @@ def si_factor(quantity: str, suffix: str) -> float:
 
 def to_si(quantity: str, suffix: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
     """`values` in the unit of `suffix`, any shape, as float64 in SI."""
-    return _scaled(values, si_factor(quantity, suffix))
+    return np.asarray(np.asarray(values, dtype=np.float64) * si_factor(quantity, suffix))
 
 
 def from_si(quantity: str, suffix: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
     """`values` in SI, any shape, as float64 in the unit of `suffix`."""
-    return _scaled(values, si_factor(quantity, suffix), inverse=True)
-
-
-def one_of(names: Any) -> str:
-    """`a`, `a or b`, `a, b or c`."""
-    listed = [str(name) for name in names]
-    if len(listed) < 2:
-        return "".join(listed)
-    return f"{', '.join(listed[:-1])} or {listed[-1]}"
-
-
-def _scaled(
-    values: npt.ArrayLike, factor: float, *, inverse: bool = False
-) -> npt.NDArray[np.float64]:
-    array = np.asarray(values, dtype=np.float64)
-    if factor == 1.0:
-        return array
-    # 1/0.01 is exactly 100 where 0.01 itself is rounded: 12.3 cm becomes 0.123 m to the last bit.
-    if factor < 1.0:
-        factor, inverse = 1.0 / factor, not inverse
-    return np.asarray(array / factor if inverse else array * factor, dtype=np.float64)
+    return np.asarray(np.asarray(values, dtype=np.float64) / si_factor(quantity, suffix))

@@ -304,7 +304,9 @@ class Definition(_Section):
         """
         merged = self.given()
         for name, value in other.given().items():
-            merged[name] = _merge(merged.get(name), value, depth=2)
+            # An entry of [figures] says one thing, and is replaced as a whole.
+            depth = 1 if name == "figures" else 2
+            merged[name] = _merge(merged.get(name), value, depth)
         return Definition.parse(merged, "definitions taken together")
 
     def to_toml(self) -> str:
