@@ -142,7 +142,7 @@ def test_the_upper_definition_wins_key_by_key():
 
 def test_two_definitions_that_contradict_each_other_are_refused():
     lists = Definition.parse({"arm": {"link_mass_kg": [0.1, 0.2]}})
-    with pytest.raises(InputError, match="link_mass_kg has 2 values.*links is 3"):
+    with pytest.raises(InputError, match=r"link_mass_kg has 2 values.*links is 3"):
         lists.merged_with(Definition.parse({"arm": {"links": 3}}))
 
 

@@ -211,7 +211,7 @@ def _bad_suffix(name: str, kind: str, suffix: str | None, what: str) -> str:
 
 
 def _unknown(name: str, what: str) -> str:
-    near = _nearest(name, suffixes=what == "column")
+    near = nearest(name, suffixes=what == "column")
     old = "OLD" if not 0 < len(name) <= 40 or not name.isprintable() else name
     rename = f"--rename {old}={near or 'NEW'}"
     if near is not None:
@@ -222,7 +222,8 @@ def _unknown(name: str, what: str) -> str:
     return f"{what} {shown(name)} is not in the column table ({known}): {remedy}"
 
 
-def _nearest(name: str, *, suffixes: bool) -> str | None:
+def nearest(name: str, *, suffixes: bool = True) -> str | None:
+    """The column (without `suffixes`: the channel) whose name is most like `name`, or None."""
     numbers = re.findall(r"[0-9]+", name)
     number = f"{int(numbers[0]) or 1:02d}" if numbers and len(numbers[0]) < 5 else "01"
     candidates = []

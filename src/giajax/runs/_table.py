@@ -15,7 +15,7 @@ import numpy.typing as npt
 import polars as pl
 
 from .._errors import InputError
-from ._channels import Channel, parse_column, parse_columns
+from ._channels import Channel, nearest, parse_column, parse_columns
 from ._words import shown
 
 _MISSING = ("", "nan", "na")
@@ -47,7 +47,11 @@ def read_table(path: Path, rename: Mapping[str, str] | None = None) -> Table:
         header, columns, first_row = _split_csv(data, path)
     else:
         header, columns, first_row = _split_parquet(data, path)
-    named = parse_columns(_renamed(header, rename or {}, path))
+    names = _renamed(header, rename or {}, path)
+    try:
+        named = parse_columns(names)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
     if not columns or len(columns[0]) == 0:
         raise InputError(f"{path} has a header but no rows: it must have samples, so add them")
     times = None
@@ -178,9 +182,19 @@ def _renamed(header: Sequence[str], rename: Mapping[str, str], path: Path) -> li
     for old, new in rename.items():
         if old not in header:
             near = difflib.get_close_matches(old, header, n=1, cutoff=0.6)
-            hint = f"did you mean {near[0]!r}?" if near else f"it has {', '.join(header[:8])}"
-            raise InputError(f"--rename {old}={new}: {path} has no column {old!r}: {hint}")
-        parse_column(new)
+            hint = f"did you mean {near[0]!r}?" if near else "give a name that is there"
+            there = ", ".join(header[:8]) + (", ..." if len(header) > 8 else "")
+            raise InputError(
+                f"--rename {old}={new}: {path} has no column {old!r}, but {there}: {hint}"
+            )
+        try:
+            parse_column(new)
+        except InputError:
+            closest = nearest(new)
+            hint = f"did you mean {closest!r}?" if closest else "give one such as link06_z_m"
+            raise InputError(
+                f"--rename {old}={new}: {new!r} is not in the column table: {hint}"
+            ) from None
     names = [rename.get(name, name) for name in header]
     for position, name in enumerate(names, start=1):
         if not name:
@@ -188,10 +202,6 @@ def _renamed(header: Sequence[str], rename: Mapping[str, str], path: Path) -> li
                 f"{path}: column {position} has no name, but must have one of the column table: "
                 "name or remove it"
             )
-        try:
-            parse_column(name)
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from None
     return names
 
 

@@ -1,0 +1,142 @@
+"""`giajax check`, and the grammar that all commands share."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from giajax.cli import main
+
+CSV = "time_s,joint01_command_deg,link06_z_m\n0,0,0.1\n0.1,30,\n0.2,30,-0.3\n"
+
+
+@pytest.fixture
+def run(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text(CSV)
+    return path
+
+
+def test_check_says_what_a_file_holds(run, capsys):
+    assert main(["check", str(run)]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    lines = out.splitlines()
+    assert lines == [line.rstrip() for line in lines]
+    assert "link06_z         measured  m          2       33.3  -0.3  0.1      -" in lines
+    for part in [str(run), "arm", "0 to 0.2 s, every 0.1 s", "joint01_command; linear", "none",
+                 "note: noise not stated"]:  # fmt: skip
+        assert part in out
+
+
+def test_check_prints_json(run, capsys):
+    assert main(["check", str(run), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert (facts["model"], facts["rows"]) == ("arm", 3)
+
+
+def test_check_renames(run, capsys):
+    run.write_text(CSV.replace("time_s", "t=s").replace("link06_z_m", "z"))
+    arguments = ["check", str(run), "--rename", "t=s=time_s", "--rename", "z=link07_z_m"]
+    assert main(arguments) == 0
+    assert "link07_z" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "parts"),
+    [
+        ([], ["missing argument"]),
+        (["{run}", "extra"], ["extra"]),
+        (["{run}", "--jsn"], ["--jsn"]),
+        (["{run}", "--rename"], ["--rename"]),
+        (["{run}", "--rename", "z"], ["'z'", "OLD=NEW"]),
+        (["{run}", "--rename", "=z"], ["'=z'", "OLD=NEW"]),
+        (["{run}", "--rename", "q=tip_x_m"], ["no column 'q'"]),
+        (["{run}", "--rename", "link06_z_m=tip_x_m", "--rename", "link06_z_m=tip_y_m"], ["twice"]),
+        (["{run}", "--rename", "link06_z_m=time_s"], ["'time_s' is given twice"]),
+        (["{run}", "--rename", "link06_z_m=hight"], ["'hight' is not in the column table"]),
+    ],
+)
+def test_wrong_usage_is_one_line(run, capsys, arguments, parts):
+    assert main(["check", *(item.format(run=run) for item in arguments)]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("giajax: ")
+    assert err.count("\n") == 1
+    for part in parts:
+        assert part in err
+
+
+def test_an_unknown_command_is_one_line_with_a_suggestion(capsys):
+    assert main(["chek", "run.csv"]) == 2
+    out, err = capsys.readouterr()
+    assert (out, err.count("\n")) == ("", 1)
+    assert err.startswith("giajax: no such command 'chek': did you mean 'check'?")
+
+
+@pytest.mark.parametrize("arguments", [[], ["--help"], ["check", "--help"], ["init", "-h"]])
+def test_help_has_examples(capsys, arguments):
+    assert main(arguments) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    assert "Example" in out
+    assert "giajax check" in out
+
+
+def test_version(capsys, monkeypatch):
+    monkeypatch.setattr("importlib.metadata.version", lambda name: f"1.2.3 of {name}")
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == "giajax 1.2.3 of giajax\n"
+
+
+def test_an_interruption_has_its_own_status(run, capsys, monkeypatch):
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("giajax.runs.read_run", interrupt)
+    assert main(["check", str(run)]) == 130
+    assert capsys.readouterr().err == "giajax: interrupted\n"
+
+
+def test_a_bug_is_not_dressed_as_bad_input(run, monkeypatch):
+    def fail(*_, **__):
+        raise ZeroDivisionError
+
+    monkeypatch.setattr("giajax.runs.read_run", fail)
+    with pytest.raises(ZeroDivisionError):
+        main(["check", str(run)])
+
+
+WITHOUT_JAX = """
+import sys
+from giajax.cli import main
+status = main(sys.argv[1:])
+heavy = {"jax", "equinox", "diffrax", "matplotlib"} & set(sys.modules)
+sys.exit(f"imported {heavy}" if heavy else status)
+"""
+
+
+@pytest.mark.parametrize("command", ["--help", "check", "init"])
+def test_no_command_on_files_imports_jax(run, command):
+    arguments = [command] if command == "--help" else [command, str(run)]
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_JAX, *arguments], capture_output=True, text=True, check=False
+    )
+    assert (done.stderr, done.returncode) == ("", 0)
+
+
+def test_a_closed_pipe_is_no_complaint(run):
+    # The reading end is closed before anything is written.
+    code = "import sys, time; time.sleep(0.3); from giajax.cli import main; sys.exit(main())"
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, "check", str(run)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    assert process.stdout is not None
+    assert process.stderr is not None
+    process.stdout.close()
+    assert process.stderr.read() == b""
+    process.stderr.close()
+    assert process.wait() == 141

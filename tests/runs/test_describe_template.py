@@ -1,0 +1,114 @@
+"""What `giajax check` and `giajax init` are made of."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+from giajax.runs import Definition, Run, describe, read_run, sidecar_template
+
+CSV = (
+    "time_s,joint01_command_deg,joint02_command_deg,link06_z_m,link12_z_cm,wind_x_m_per_s\n"
+    "0,0,0,0.5,,0.2\n"
+    "1,0,0,0.25,,0.2\n"
+    "2,30,0,,150,0.2\n"
+    "3,30,0,-1,200,0.2\n"
+    "5,30,0,0,,0.2\n"
+)
+
+
+def test_description_of_a_run(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text(CSV)
+    (tmp_path / "run.toml").write_text(
+        'origin = "x"\n[arm]\nlinks = 12\n[noise]\nlink12_z_cm = 2\n[truth]\na = 1\n'
+    )
+    facts = describe(read_run(path))
+    assert json.loads(json.dumps(facts, allow_nan=False)) == facts
+    assert (facts["model"], facts["rows"], facts["path"]) == ("arm", 5, str(path))
+    assert facts["time"] == {
+        "start_s": 0.0, "end_s": 5.0, "duration_s": 5.0, "interval_median_s": 1.0,
+        "interval_min_s": 1.0, "interval_max_s": 2.0,
+    }  # fmt: skip
+    assert facts["command"] == {
+        "channels": ["joint01_command", "joint02_command"], "joints": [1, 2],
+        "moving": ["joint01_command"], "interpolation": "linear", "corners": 2,
+    }  # fmt: skip
+    assert facts["wind"]["channels"] == ["wind_x"]
+    assert facts["sidecar"]["keys"] == ["origin", "arm.links", "noise.link12_z_cm", "truth"]
+    assert facts["sidecar"]["checksum"] == "not stated"
+    by_name = {channel["name"]: channel for channel in facts["channels"]}
+    assert by_name["link12_z"] == {
+        "name": "link12_z", "column": "link12_z_cm", "unit": "cm", "part": "measured", "count": 2,
+        "missing_percent": pytest.approx(60.0), "min": 150.0, "max": 200.0, "noise": 2.0,
+    }  # fmt: skip
+    assert by_name["link06_z"]["noise"] is None
+    assert by_name["joint01_command"]["max"] == pytest.approx(30.0)
+    notes = "\n".join(facts["notes"])
+    assert "noise of link06_z not stated" in notes
+    assert "wind_y and wind_z not recorded" in notes
+    assert "preset" not in notes
+
+
+def test_held_commands_have_a_corner_at_each_jump():
+    definition = {"command": {"interpolation": "zoh"}}
+    run = Run.from_arrays(
+        np.arange(6.0), {"joint01_command": [0, 1, 1, 1, 2, 2]}, definition=definition
+    )
+    assert describe(run)["command"]["corners"] == 2
+
+
+def test_notes_say_what_is_assumed():
+    facts = describe(Run.from_arrays([0.0, 1.0], {"joint01_command": [0.0, 1.0]}))
+    notes = "\n".join(facts["notes"])
+    for part in ["preset takeichi_20m", "straight and at rest", "still air", "linear",
+                 "can be simulated, but not fitted"]:  # fmt: skip
+        assert part in notes
+    assert (facts["sidecar"], facts["wind"]) == (None, None)
+
+
+def test_text_channels_are_counted():
+    run = Run.from_arrays(None, {"side": ["inner", "outer", "inner"], "force": [1, 2, 3]})
+    facts = describe(run)
+    assert facts["channels"][0]["texts"] == {"inner": 2, "outer": 1}
+    assert facts["command"] is None
+
+
+def offered(text):
+    """The template with every key that it offers stated."""
+    return re.sub(r"^# (\w+ = )", r"\1", text, flags=re.MULTILINE)
+
+
+@pytest.mark.parametrize(
+    ("text", "stated", "keys"),
+    [
+        (CSV, {"model": "arm"}, {"arm", "initial", "command", "wind", "noise"}),
+        (
+            "time_s,joint01_angle_deg,joint22_rate_rad_per_s\n0,1,2\n1,1,2\n",
+            {"model": "arm", "free_motion": True, "arm": {"links": 22}},
+            {"arm", "initial", "wind", "noise", "free_motion"},
+        ),
+        ("command_deg,angle_deg\n0,1\n", {"model": "hysteresis"}, {"noise"}),
+        ("force_N,angle_deg\n0,1\n", {}, set()),
+    ],
+    ids=["commanded", "free", "hysteresis", "unclear"],
+)
+def test_every_line_of_the_template_is_legal(tmp_path, text, stated, keys):
+    path = tmp_path / "run.csv"
+    path.write_text(text)
+    template = sidecar_template(path)
+    sidecar = tmp_path / "run.toml"
+    sidecar.write_text(template)
+    given = Definition.load(sidecar).given()
+    # Of the file's own facts nothing is left to fill in; of the rest nothing is claimed.
+    assert len(given.pop("sha256")) == 64
+    assert given.pop("schema_version") == 1
+    assert {name: value for name, value in given.items() if value != {}} == stated
+    sidecar.write_text(offered(template))
+    everything = Definition.load(sidecar).given()
+    common = {"schema_version", "model", "origin", "licence", "sha256"}
+    assert set(everything) == common | keys
+    if "arm" in keys:
+        assert set(everything["arm"]) == set(type(Definition().arm).model_fields)
+        read_run(path)
