@@ -45,7 +45,7 @@ CASES = {
     "two points": (GOOD.replace("0.2\n", "0.2.1\n"), None, ["'0.2.1' in row 3"]),
     "underscore": (GOOD.replace("0.2\n", "1_0\n"), None, ["'1_0' in row 3"]),
     "text in time": (GOOD.replace("0.1,30", "noon,30"), None, ["'time_s' has 'noon' in row 3"]),
-    "time repeats": (GOOD.replace("0.2,30", "0.1,30"), None, ["row 4", "0.1 s after 0.1 s"]),
+    "time repeats": (GOOD.replace("0.2,30", "0.1,30"), None, ["row 4", "from 0.1 s to 0.1 s"]),
     "time falls": (GOOD.replace("0.2,30", "-5,30"), None, ["row 4", "increase"]),
     "time empty": (GOOD.replace("0.2,30", ",30"), None, ["time in row 4 is empty"]),
     "one row": (HEAD + "0,0,0\n", None, ["1 sample,", "at least 2"]),

@@ -125,8 +125,8 @@ def test_static_runs_have_no_times():
 COMMAND = {"joint01_command": [0.0, 0.1, 0.2, 0.3]}
 # times, values, definition, and what the sentence must contain
 WRONG = {
-    "time repeats": ([0, 1, 1, 2], COMMAND, {}, ["sample 2", "1 s after 1 s", "increase"]),
-    "time falls": ([0, 1, 0.5, 2], COMMAND, {}, ["sample 2", "0.5 s after 1 s"]),
+    "time repeats": ([0, 1, 1, 2], COMMAND, {}, ["sample 2", "from 1 s to 1 s", "increase"]),
+    "time falls": ([0, 1, 0.5, 2], COMMAND, {}, ["sample 2", "from 1 s to 0.5 s"]),
     "time missing": ([0, NAN, 1, 2], COMMAND, {}, ["sample 1", "empty"]),
     "time infinite": ([0, 1, 2, math.inf], COMMAND, {}, ["sample 3", "infinite"]),
     "no times": (None, COMMAND, {}, ["no times", "arm run"]),

@@ -2,6 +2,7 @@
 
 import difflib
 import re
+import shlex
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -213,7 +214,8 @@ def _bad_suffix(name: str, kind: str, suffix: str | None, what: str) -> str:
 def _unknown(name: str, what: str) -> str:
     near = nearest(name, suffixes=what == "column")
     old = "OLD" if not 0 < len(name) <= 40 or not name.isprintable() else name
-    rename = f"--rename {old}={near or 'NEW'}"
+    pair = shlex.quote(f"{old}={near or 'NEW'}")
+    rename = f"--rename {pair}"
     if near is not None:
         given = f"{what} {shown(name)} is not in the column table: did you mean {near!r}"
         return f"{given} ({rename})?" if what == "column" else f"{given}?"

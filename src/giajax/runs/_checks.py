@@ -86,9 +86,9 @@ def check_times(times: npt.NDArray[np.float64], wording: Wording) -> None:
     if bad.size:
         at = bad[0] + 1
         raise InputError(
-            f"{wording.source}: time in {wording.at(at)} is {times[at]:.9g} s after "
-            f"{times[at - 1]:.9g} s, but time must strictly increase: sort the samples and remove "
-            "repeated ones"
+            f"{wording.source}: time goes from {times[at - 1]:.9g} s to {times[at]:.9g} s in "
+            f"{wording.at(at)}, but must strictly increase: sort the samples and remove repeated "
+            "ones"
         )
 
 
