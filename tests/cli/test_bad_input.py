@@ -21,6 +21,7 @@ CASES = {
     "only a time column": ("time_s\n0\n1\n", None, ["only a time column"]),
     "no time column": ("joint01_command_deg,tip_x_m\n0,1\n0,2\n", None, ["no time column"]),
     "binary file": (b"\x89PNG\r\n\x1a\n\x00\x00", None, ["not text"]),
+    "NUL": (GOOD.replace("0.2", "\0"), None, ["not text"]),
     "latin-1": (GOOD.replace("joint01", "j\xfc").encode("latin-1"), None, ["not text", "UTF-8"]),
     "utf-16": (GOOD.encode("utf-16"), None, ["not text"]),
     "semicolons": (GOOD.replace(",", ";"), None, ["semicolons", "commas"]),

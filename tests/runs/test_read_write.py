@@ -117,6 +117,16 @@ def test_what_cannot_be_written(tmp_path, name, values, message):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_write_that_fails_leaves_nothing_behind(tmp_path, monkeypatch):
+    def fail(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.replace", fail)
+    with pytest.raises(InputError, match="No space left on device"):
+        write_run(tmp_path / "run.csv", [0, 1], {"tip_x": [0, 1]}, definition={})
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_unit_of_another_quantity_is_refused(tmp_path):
     with pytest.raises(InputError, match="m, cm or mm"):
         write_run(tmp_path / "run.csv", [0, 1], {"tip_x": [0, 1]}, units={"tip_x": "deg"})
