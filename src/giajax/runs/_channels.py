@@ -44,6 +44,8 @@ _PATTERNS = {
 # Columns are written in this order: the order of the table.
 KINDS: tuple[str, ...] = tuple(_TABLE)
 
+_ARTICLE = {"angle": "an", "angular_velocity": "an"}
+
 TEXTS: dict[str, tuple[str, ...]] = {"side": ("inner", "outer"), "phase": ("fill", "exhaust")}
 
 
@@ -200,7 +202,7 @@ def _bad_suffix(name: str, kind: str, suffix: str | None, what: str) -> str:
             f"{what} {shown(name)} ends in {suffix!r}, but {_TABLE[kind][1]} has no unit: "
             f"rename it with --rename {name}={_TABLE[kind][1]}"
         )
-    of = "it" if quantity is None else f"its {quantity.replace('_', ' ')}"
+    of = "it" if quantity is None else f"{_ARTICLE.get(quantity, 'a')} {quantity.replace('_', ' ')}"
     units = [unit for unit in units if unit]
     if suffix is None:
         given = f"{what} {shown(name)} does not say its unit"

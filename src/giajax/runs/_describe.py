@@ -103,8 +103,9 @@ def _channel(run: Run, name: str) -> dict[str, Any]:
         **facts,
         "count": len(measured),
         "missing_percent": 100.0 * (1.0 - len(measured) / len(values)),
-        "min": float(channel.from_si(measured.min())),
-        "max": float(channel.from_si(measured.max())),
+        # Adding zero turns -0.0 into 0.0.
+        "min": float(channel.from_si(measured.min())) + 0.0,
+        "max": float(channel.from_si(measured.max())) + 0.0,
         "noise": None if noise is None else float(channel.from_si(noise)),
     }
 
