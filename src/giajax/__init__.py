@@ -1,0 +1,1 @@
+"""A differentiable simulator of very long, very light, air-dominated robot arms."""

@@ -1,0 +1,73 @@
+"""The few functions that several rooms need.
+
+Vectors of a chain are stored component first, `(3, link)`: every operation below then works on
+whole rows, which is what makes one evaluation of the dynamics a few microseconds.
+"""
+
+import jax.numpy as jnp
+
+from ._typing import Array, Float
+
+
+def dot(a: Float[Array, "3 *shape"], b: Float[Array, "3 *shape"]) -> Float[Array, "*shape"]:
+    """Scalar product over the first axis."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def cross(a: Float[Array, "3 *shape"], b: Float[Array, "3 *shape"]) -> Float[Array, "3 *shape"]:
+    """Vector product over the first axis."""
+    return jnp.stack(
+        [
+            a[1] * b[2] - a[2] * b[1],
+            a[2] * b[0] - a[0] * b[2],
+            a[0] * b[1] - a[1] * b[0],
+        ]
+    )
+
+
+def scaled(
+    factor: Float[Array, "*shape"], vector: Float[Array, "3 *shape"]
+) -> Float[Array, "3 *shape"]:
+    """Each vector times its own number."""
+    return factor[None] * vector
+
+
+def safe_norm(x: Float[Array, "3 *shape"]) -> Float[Array, "*shape"]:
+    """Euclidean norm over the first axis, with the derivative 0 at 0.
+
+    `sqrt` has an infinite slope at 0, so that `norm(v) * v` differentiates to NaN for an arm at
+    rest, although its derivative there is 0. The inner `where` keeps `sqrt` away from 0; the
+    outer one puts the true value back.
+    """
+    square = dot(x, x)
+    zero = square == 0
+    return jnp.where(zero, 0, jnp.sqrt(jnp.where(zero, 1, square)))
+
+
+def quaternion_product(
+    a: Float[Array, "4 *shape"], b: Float[Array, "4 *shape"]
+) -> Float[Array, "4 *shape"]:
+    """Hamilton product of quaternions stored `(w, x, y, z)` along the first axis."""
+    return jnp.stack(
+        [
+            a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
+            a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+            a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
+            a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
+        ]
+    )
+
+
+def rotate(
+    quaternion: Float[Array, "4 *shape"], vector: Float[Array, "3 *shape"]
+) -> Float[Array, "3 *shape"]:
+    """Turn vectors by unit quaternions."""
+    twice = 2 * cross(quaternion[1:], vector)
+    return vector + scaled(quaternion[0], twice) + cross(quaternion[1:], twice)
+
+
+def rotation_vector_to_quaternion(rotation: Float[Array, "3"]) -> Float[Array, "4"]:
+    """Unit quaternion of a rotation vector (axis times angle, rad), differentiable at 0."""
+    half = safe_norm(rotation) / 2
+    # sin(half) / (2 half) = sinc(half / pi) / 2, which numpy defines at 0.
+    return jnp.concatenate([jnp.cos(half)[None], rotation * jnp.sinc(half / jnp.pi) / 2])

@@ -1,0 +1,118 @@
+"""Where the links are and how they move, all in the base frame.
+
+With every vector in one frame, each recursion along the chain is a cumulative sum; only the
+rotations need a scan. Rows are `(3, link)` inside and `(link, 3)` in public functions.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .._maths import cross, quaternion_product, rotate, rotation_vector_to_quaternion, scaled
+from .._typing import Array, Float
+from ._chain import Arm
+
+Rows = Float[Array, "3 link"]
+
+
+class Pose(NamedTuple):
+    """Configuration of the chain in the base frame, component first.
+
+    Attributes:
+        direction: unit vector along each link.
+        axis: unit vector of each joint's axis.
+        joint: position of each link's joint, m.
+        centre: position of each link's geometric centre, m.
+        mass_centre: position of each link's centre of mass, m.
+    """
+
+    direction: Rows
+    axis: Rows
+    joint: Rows
+    centre: Rows
+    mass_centre: Rows
+
+
+def sum_from_base(x: Float[Array, "*row link"]) -> Float[Array, "*row link"]:
+    """Sum over this link and all links before it.
+
+    A product with a constant triangle: for tens of links one small matrix product is faster
+    than the tree of slices that a cumulative sum compiles to.
+    """
+    return x @ np.triu(np.ones((x.shape[-1],) * 2, x.dtype))
+
+
+def sum_from_tip(x: Float[Array, "*row link"]) -> Float[Array, "*row link"]:
+    """Sum over this link and all links after it."""
+    return x @ np.tril(np.ones((x.shape[-1],) * 2, x.dtype))
+
+
+def pose(arm: Arm, angles: Float[Array, " joint"]) -> Pose:
+    """Forward kinematics."""
+    axes = np.asarray(arm.joints.axes, dtype=angles.dtype).T
+    turns = jnp.concatenate([jnp.cos(angles / 2)[None], scaled(jnp.sin(angles / 2), axes)])
+
+    def compose(before: Array, turn: Array) -> tuple[Array, Array]:
+        after = quaternion_product(before, turn)
+        return after, after
+
+    base = rotation_vector_to_quaternion(arm.base_rotation)
+    _, orientations = jax.lax.scan(compose, base, turns.T)
+    w, x, y, z = orientations.T
+    direction = jnp.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)])
+    span = scaled(arm.links.length, direction)
+    joint = sum_from_base(span) - span
+    return Pose(
+        direction=direction,
+        axis=rotate(orientations.T, axes),
+        joint=joint,
+        centre=joint + span / 2,
+        mass_centre=joint + scaled(arm.links.centre_of_mass, direction),
+    )
+
+
+def angular_velocities(pose: Pose, rates: Float[Array, " joint"]) -> Rows:
+    """Angular velocity of each link."""
+    return sum_from_base(scaled(rates, pose.axis))
+
+
+def centre_velocities(arm: Arm, pose: Pose, angular_velocity: Rows) -> Rows:
+    """Velocity of each link's geometric centre: V_Gi of eq. (1)."""
+    span = cross(angular_velocity, scaled(arm.links.length, pose.direction))
+    return sum_from_base(span) - span / 2
+
+
+def link_centres(arm: Arm, angles: Float[Array, " joint"]) -> Float[Array, "link 3"]:
+    """Positions of the links' geometric centres in the base frame, m.
+
+    Arguments:
+        arm: the arm.
+        angles: joint angles, rad.
+    """
+    return pose(arm, angles).centre.T
+
+
+def tip_position(arm: Arm, angles: Float[Array, " joint"]) -> Float[Array, "3"]:
+    """Position of the end of the last link in the base frame, m.
+
+    Arguments:
+        arm: the arm.
+        angles: joint angles, rad.
+    """
+    return scaled(arm.links.length, pose(arm, angles).direction).sum(axis=-1)
+
+
+def link_velocities(
+    arm: Arm, angles: Float[Array, " joint"], rates: Float[Array, " joint"]
+) -> Float[Array, "link 3"]:
+    """Velocities of the links' geometric centres in the base frame, m/s.
+
+    Arguments:
+        arm: the arm.
+        angles: joint angles, rad.
+        rates: joint rates, rad/s.
+    """
+    here = pose(arm, angles)
+    return centre_velocities(arm, here, angular_velocities(here, rates)).T
