@@ -59,6 +59,14 @@ def test_held_commands_have_a_corner_at_each_jump():
     assert describe(run)["command"]["corners"] == 2
 
 
+def test_a_rounded_ramp_has_corners_only_at_its_ends():
+    times = np.linspace(0.0, 4.0, 41)
+    ramp = np.interp(times, [1.0, 2.5], [0.0, 40.0])
+    rounded = np.array([float(f"{value:.6g}") for value in ramp])
+    run = Run.from_arrays(times, {"joint01_command": np.radians(rounded)})
+    assert describe(run)["command"]["corners"] == 2
+
+
 def test_notes_say_what_is_assumed():
     facts = describe(Run.from_arrays([0.0, 1.0], {"joint01_command": [0.0, 1.0]}))
     notes = "\n".join(facts["notes"])
