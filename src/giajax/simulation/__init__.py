@@ -1,0 +1,18 @@
+"""Motion over time: inputs, integration by diffrax, and its result."""
+
+from ._signal import (
+    Signal as Signal,
+    constant as constant,
+    joint_ramps as joint_ramps,
+    joint_steps as joint_steps,
+    logged as logged,
+    ramps as ramps,
+    steps as steps,
+)
+from ._simulate import MAX_STEPS as MAX_STEPS, integrate as integrate, simulate as simulate
+from ._solvers import SOLVERS as SOLVERS
+from ._trajectory import (
+    RESULTS as RESULTS,
+    SimulationError as SimulationError,
+    Trajectory as Trajectory,
+)

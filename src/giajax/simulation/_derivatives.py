@@ -1,0 +1,60 @@
+"""Which way a simulation can be differentiated, and a sentence for the way it cannot."""
+
+from typing import Any, Literal, TypeVar
+
+import diffrax
+import equinox as eqx
+import equinox.internal as eqxi
+import jax
+
+from .._errors import InputError
+
+T = TypeVar("T")
+
+Derivatives = Literal["forward", "reverse"]
+
+
+def adjoint(derivatives: str) -> diffrax.AbstractAdjoint:
+    """The diffrax adjoint that offers a mode of differentiation.
+
+    Raises:
+        InputError: neither "forward" nor "reverse".
+    """
+    if derivatives == "forward":
+        return diffrax.ForwardMode()
+    if derivatives == "reverse":
+        return diffrax.RecursiveCheckpointAdjoint()
+    raise InputError(
+        f"derivatives={derivatives!r} is unknown; use 'forward' (few parameters: jax.jvp, "
+        "jax.jacfwd) or 'reverse' (many parameters: jax.grad, jax.vjp)"
+    )
+
+
+def guarded(tree: T, derivatives: str) -> T:
+    """The same values; differentiating through them in the other mode raises a sentence."""
+    if derivatives == "forward":
+        return eqxi.nondifferentiable_backward(
+            tree,
+            msg="simulate(derivatives='forward') was differentiated in reverse mode (jax.grad, "
+            "jax.vjp); call it with derivatives='reverse', or use jax.jvp or jax.jacfwd",
+            # A cotangent that is zero without being known as such does no harm.
+            symbolic=True,
+        )
+    arrays, rest = eqx.partition(tree, eqx.is_inexact_array)
+    try:
+        arrays = _reverse_only(arrays)
+    except TypeError:
+        raise TypeError(
+            "simulate(derivatives='reverse') was differentiated in forward mode (jax.jvp, "
+            "jax.jacfwd); call it with derivatives='forward', or use jax.grad or jax.vjp"
+        ) from None
+    return eqx.combine(arrays, rest)
+
+
+@jax.custom_vjp
+def _reverse_only(tree: Any) -> Any:
+    return tree
+
+
+# JAX refuses to push a tangent through a function with a custom vjp: that is the guard.
+_reverse_only.defvjp(lambda tree: (tree, None), lambda _, cotangent: (cotangent,))

@@ -1,0 +1,181 @@
+"""Inputs over time: commands of the joints and the velocity of the wind.
+
+Both are piecewise linear, with jumps allowed at the knots, so one class serves steps, ramps and
+logged rows. The knots are the corners that the step-size controller must not step over.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from .._errors import InputError
+from .._typing import Array, Float, Scalar
+
+# A comparison with every knot is one vector instruction or a few; beyond this many knots a
+# binary search, which compiles to a loop, is faster.
+_COMPARE_ALL = 512
+
+
+class Signal(eqx.Module):
+    """Piecewise linear function of time with values of a fixed width.
+
+    From knot i on, until the next knot, the value is `values[i] + slopes[i] * (t - times[i])`;
+    before the first knot it is `values[0]`.
+    """
+
+    times: Float[Array, " knot"]
+    values: Float[Array, "knot width"]
+    slopes: Float[Array, "knot width"]
+
+    def __call__(self, time: Scalar) -> Float[Array, " width"]:
+        """Value at a time (s)."""
+        method = "compare_all" if self.times.shape[0] <= _COMPARE_ALL else "scan_unrolled"
+        after = jnp.searchsorted(self.times, time, side="right", method=method)
+        knot = jnp.maximum(after - 1, 0)
+        elapsed = jnp.maximum(time - self.times[knot], 0)
+        return self.values[knot] + self.slopes[knot] * elapsed
+
+    @property
+    def width(self) -> int:
+        """Number of values at one time."""
+        return self.values.shape[1]
+
+
+def constant(value: Any) -> Signal:
+    """A signal that never changes; `value` has shape (width,)."""
+    value = np.atleast_1d(np.asarray(value, dtype=float))
+    return _signal(np.zeros(1), value[None], np.zeros((1, value.size)))
+
+
+def steps(times: Any, values: Any) -> Signal:
+    """A signal that takes each value at its time and holds it (zero-order hold).
+
+    Arguments:
+        times: strictly increasing, shape (row,), s.
+        values: shape (row, width).
+    """
+    times, values = _rows(times, values)
+    changes = np.concatenate([[True], np.any(values[1:] != values[:-1], axis=1)])
+    return _signal(times[changes], values[changes], np.zeros_like(values[changes]))
+
+
+def ramps(times: Any, values: Any, *, tolerance: float = 1e-5) -> Signal:
+    """A signal that is linear between the given values and holds the last one.
+
+    Rows that lie on a straight line between their neighbours are merged, so that a log at
+    10 Hz of one ramp leaves two corners, not fifty.
+
+    Arguments:
+        times: strictly increasing, shape (row,), s.
+        values: shape (row, width).
+        tolerance: how far a merged row may lie off the line, as a fraction of the largest value;
+            the default merges rows that were rounded to six digits.
+    """
+    times, values = _rows(times, values)
+    allowed = tolerance * max(np.abs(values).max(), 1e-300)
+    kept = _corners(times, values, allowed)
+    times, values = times[kept], values[kept]
+    slopes = np.zeros_like(values)
+    slopes[:-1] = np.diff(values, axis=0) / np.diff(times)[:, None]
+    return _signal(times, values, slopes)
+
+
+def logged(times: Any, values: Any, interpolation: str = "linear") -> Signal:
+    """A signal through logged rows: `zoh` holds each row until the next, `linear` joins them.
+
+    Raises:
+        InputError: another interpolation, or times that do not increase.
+    """
+    if interpolation == "zoh":
+        return steps(times, values)
+    if interpolation == "linear":
+        return ramps(times, values)
+    raise InputError(f"the interpolation {interpolation!r} is unknown; use 'zoh' or 'linear'")
+
+
+def joint_steps(joints: int, angles: Mapping[int, float], *, time: float = 0.0) -> Signal:
+    """A command that steps at one time from the straight arm to the given angles.
+
+    Arguments:
+        joints: number of joints of the arm.
+        angles: commanded angle by joint number (1 is the base joint), rad.
+        time: of the step, s.
+
+    Example:
+        >>> import giajax
+        >>> command = giajax.joint_steps(20, {1: 0.5236}, time=0.5)
+    """
+    target = _target(joints, angles)
+    return steps([min(0.0, time) - 1.0, time], [np.zeros(joints), target])
+
+
+def joint_ramps(
+    joints: int, angles: Mapping[int, float], *, start: float = 0.0, duration: float = 1.0
+) -> Signal:
+    """A command that moves linearly from the straight arm to the given angles.
+
+    Arguments:
+        joints: number of joints of the arm.
+        angles: commanded angle at the end by joint number (1 is the base joint), rad.
+        start, duration: of the movement, s.
+    """
+    if not duration > 0:
+        raise InputError(f"a ramp of {duration} s is no ramp; use joint_steps for a step")
+    return ramps([start, start + duration], [np.zeros(joints), _target(joints, angles)])
+
+
+def _target(joints: int, angles: Mapping[int, float]) -> np.ndarray:
+    target = np.zeros(joints)
+    for joint, angle in angles.items():
+        if not 1 <= joint <= joints:
+            raise InputError(f"the arm has joints 1 to {joints}; joint {joint} is not one of them")
+        target[joint - 1] = angle
+    return target
+
+
+def _signal(times: np.ndarray, values: np.ndarray, slopes: np.ndarray) -> Signal:
+    return Signal(
+        *(jnp.asarray(x, dtype=jnp.result_type(float)) for x in (times, values, slopes))
+    )
+
+
+def _rows(times: Any, values: Any) -> tuple[np.ndarray, np.ndarray]:
+    times, values = np.asarray(times, dtype=float), np.asarray(values, dtype=float)
+    if times.ndim != 1 or values.ndim != 2 or len(times) != len(values) or len(times) == 0:
+        raise InputError(
+            f"a signal needs times of shape (row,) and values of shape (row, width); "
+            f"given {times.shape} and {values.shape}"
+        )
+    if not (np.all(np.isfinite(times)) and np.all(np.isfinite(values))):
+        raise InputError("a signal needs finite times and values; fill or drop the missing rows")
+    if np.any(np.diff(times) <= 0):
+        raise InputError("the times of a signal must increase strictly; sort them and drop doubles")
+    return times, values
+
+
+def _corners(times: np.ndarray, values: np.ndarray, allowed: float) -> np.ndarray:
+    """Rows that remain when those on a straight line between their neighbours are merged.
+
+    From each kept row the band of slopes that pass within `allowed` of every row seen so far
+    narrows until it is empty; the row before that is the next corner.
+    """
+    kept = [0]
+    lowest, highest = np.full(values.shape[1], -np.inf), np.full(values.shape[1], np.inf)
+    for row in range(1, len(times)):
+        elapsed = times[row] - times[kept[-1]]
+        rise = values[row] - values[kept[-1]]
+        slope = rise / elapsed
+        if np.any(slope < lowest) or np.any(slope > highest):
+            kept.append(row - 1)
+            elapsed = times[row] - times[row - 1]
+            rise = values[row] - values[row - 1]
+            lowest, highest = (rise - allowed) / elapsed, (rise + allowed) / elapsed
+            continue
+        lowest = np.maximum(lowest, (rise - allowed) / elapsed)
+        highest = np.minimum(highest, (rise + allowed) / elapsed)
+    if len(times) > 1:
+        kept.append(len(times) - 1)
+    return np.asarray(kept)

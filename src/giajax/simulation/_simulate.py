@@ -1,0 +1,196 @@
+"""Motion of an arm over time, on diffrax."""
+
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from .._errors import InputError
+from .._typing import Array, Float, Scalar
+from ..arm import Arm, acceleration
+from ..parameters import is_concrete
+from ._derivatives import Derivatives, adjoint, guarded
+from ._signal import Signal, constant
+from ._solvers import solver as solver_named
+from ._trajectory import RESULTS, SimulationError, Trajectory
+
+MAX_STEPS = 100_000
+"""Step limit of a simulation when nothing is said."""
+
+
+def simulate(
+    arm: Arm,
+    command: Signal,
+    times: Any,
+    *,
+    wind: Signal | Any | None = None,
+    initial: tuple[Any, Any] | None = None,
+    solver: str = "tsit5",
+    rtol: Any = 1e-6,
+    atol: Any = 1e-6,
+    max_steps: int = MAX_STEPS,
+    derivatives: Derivatives = "forward",
+    throw: bool = True,
+) -> Trajectory:
+    """Simulate the motion of an arm.
+
+    The arm starts at the first time, straight and at rest unless `initial` says otherwise. The
+    integrator never steps over a corner of the command or the wind.
+
+    Arguments:
+        arm: the arm.
+        command: commanded angles over time, rad; width = number of joints.
+        times: increasing times at which the motion is wanted, s, shape (sample,).
+        wind: velocity of the air in the base frame, m/s: a signal of width 3, three numbers, or
+            None for still air.
+        initial: angles (rad) and rates (rad/s) at the first time, each of shape (joint,).
+        solver: one of `giajax.SOLVERS`.
+        rtol, atol: relative and absolute tolerance of a step, on angles (rad) and rates (rad/s).
+            The default keeps the tip of the 20 m arm within about 1e-4 m.
+        max_steps: step limit.
+        derivatives: "forward" for few parameters (`jax.jvp`, `jax.jacfwd`); "reverse" for many
+            (`jax.grad`), which keeps about the square root of the number of steps in memory.
+        throw: raise when the simulation fails; otherwise read `Trajectory.result`.
+
+    Raises:
+        InputError: shapes that do not fit the arm, times that do not increase, an unknown
+            solver or mode.
+        SimulationError: the simulation failed and `throw` is true.
+        RuntimeError, TypeError: differentiated in the mode that was not asked for.
+
+    Example:
+        >>> import giajax, jax.numpy as jnp
+        >>> arm = giajax.takeichi_20m()
+        >>> command = giajax.joint_ramps(20, {1: 0.5236}, start=0.5, duration=1.0)
+        >>> motion = giajax.simulate(arm, command, jnp.linspace(0.0, 25.0, 251))
+        >>> motion.tip.shape
+        (251, 3)
+    """
+    dtype = jnp.result_type(float)
+    times = jnp.asarray(times, dtype=dtype)
+    if wind is not None and not isinstance(wind, Signal):
+        wind = constant(wind)
+    state = _initial_state(arm, initial)
+    _check(arm, command, times, wind)
+    solver_named(solver)  # refuse a wrong name before anything is compiled
+    adjoint(derivatives)
+    arm, command, wind, state = guarded((arm, command, wind, state), derivatives)
+    trajectory = integrate(
+        arm,
+        command,
+        times,
+        wind,
+        state,
+        (jnp.asarray(rtol, dtype=dtype), jnp.asarray(atol, dtype=dtype)),
+        solver=solver,
+        max_steps=max_steps,
+        derivatives=derivatives,
+    )
+    if throw:
+        if is_concrete(trajectory.result):
+            if not trajectory.successful:
+                raise SimulationError(trajectory.message)
+        else:
+            trajectory = trajectory.result.error_if(trajectory, ~trajectory.successful)
+    return trajectory
+
+
+def _initial_state(arm: Arm, initial: tuple[Any, Any] | None) -> Float[Array, "2 joint"]:
+    dtype = jnp.result_type(float)
+    if initial is None:
+        return jnp.zeros((2, arm.count), dtype=dtype)
+    angles, rates = (jnp.asarray(part, dtype=dtype) for part in initial)
+    if angles.shape != (arm.count,) or rates.shape != (arm.count,):
+        raise InputError(
+            f"the initial angles and rates have shapes {angles.shape} and {rates.shape}; "
+            f"give one value for each of the {arm.count} joints"
+        )
+    return jnp.stack([angles, rates])
+
+
+def _check(arm: Arm, command: Signal, times: Array, wind: Signal | None) -> None:
+    if command.width != arm.count:
+        raise InputError(
+            f"the command drives {command.width} joints and the arm has {arm.count}; "
+            "give one column per joint"
+        )
+    if wind is not None and wind.width != 3:
+        raise InputError(f"the wind has {wind.width} components; give x, y and z")
+    if times.ndim != 1 or times.shape[0] < 2:
+        raise InputError(f"times has shape {times.shape}; give at least two times in one row")
+    if is_concrete(times) and not np.all(np.diff(np.asarray(times)) > 0):
+        raise InputError("times must increase strictly; sort them and drop doubles")
+
+
+@eqx.filter_jit
+def integrate(
+    arm: Arm,
+    command: Signal,
+    times: Float[Array, " sample"],
+    wind: Signal | None,
+    state: Float[Array, "2 joint"],
+    tolerances: tuple[Scalar, Scalar],
+    *,
+    solver: str,
+    max_steps: int,
+    derivatives: str,
+) -> Trajectory:
+    """The compiled core of `simulate`: no checks, never raises."""
+    corners = command.times if wind is None else jnp.concatenate([command.times, wind.times])
+    rtol, atol = tolerances
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(_motion),
+        solver_named(solver),
+        t0=times[0],
+        t1=times[-1],
+        dt0=None,
+        y0=state,
+        args=(arm, command, wind),
+        saveat=diffrax.SaveAt(ts=times),
+        stepsize_controller=diffrax.ClipStepSizeController(
+            diffrax.PIDController(rtol=rtol, atol=atol), jump_ts=corners
+        ),
+        adjoint=adjoint(derivatives),
+        max_steps=max_steps,
+        throw=False,
+    )
+    assert solution.ys is not None
+    angles, rates = solution.ys[:, 0], solution.ys[:, 1]
+    steps = jnp.stack(
+        [
+            jnp.asarray(solution.stats["num_accepted_steps"]),
+            jnp.asarray(solution.stats["num_rejected_steps"]),
+        ]
+    )
+    return Trajectory(
+        times=times,
+        angles=angles,
+        rates=rates,
+        arm=arm,
+        command=command,
+        wind=wind,
+        result=_result(solution, jnp.all(jnp.isfinite(solution.ys))),
+        steps=steps,
+    )
+
+
+def _motion(time: Scalar, state: Float[Array, "2 joint"], args: Any) -> Float[Array, "2 joint"]:
+    arm, command, wind = args
+    angles, rates = state
+    air = None if wind is None else wind(time)
+    return jnp.stack([rates, acceleration(arm, angles, rates, command(time), air)])
+
+
+def _result(solution: diffrax.Solution, finite: Array) -> RESULTS:
+    def where(condition: Any, code: RESULTS, otherwise: RESULTS) -> RESULTS:
+        return RESULTS.where(condition, code, otherwise)
+
+    ended = solution.result
+    code = where(finite, RESULTS.successful, RESULTS.not_finite)
+    code = where(ended == diffrax.RESULTS.successful, code, RESULTS.not_finite)
+    code = where(ended == diffrax.RESULTS.dt_min_reached, RESULTS.step_too_small, code)
+    return where(ended == diffrax.RESULTS.max_steps_reached, RESULTS.max_steps_reached, code)
+
+

@@ -1,0 +1,79 @@
+"""The result of a simulation."""
+
+import equinox as eqx
+import jax
+
+from .._typing import Array, Bool, Float, Int
+from ..arm import Arm, link_centres, tip_position
+from ._signal import Signal
+
+
+class RESULTS(eqx.Enumeration):
+    """How a simulation ended; the text names the next action."""
+
+    successful = ""
+    max_steps_reached = (
+        "the simulation reached its step limit before the last time; raise max_steps, loosen "
+        "rtol and atol, or choose an implicit solver (solver='kvaerno5') for a stiff arm"
+    )
+    not_finite = (
+        "the simulation became infinite or NaN; check the parameters and the initial state"
+    )
+    step_too_small = (
+        "the simulation needs steps smaller than floating point resolves; loosen rtol and atol, "
+        "or check the parameters"
+    )
+
+
+class SimulationError(RuntimeError):
+    """A simulation that failed while `throw=True`; the message is that of its result code."""
+
+
+class Trajectory(eqx.Module):
+    """Motion of an arm at given times.
+
+    Attributes:
+        times: s, shape (sample,).
+        angles: joint angles, rad, shape (sample, joint).
+        rates: joint rates, rad/s, shape (sample, joint).
+        arm: the arm that moved.
+        command: its command.
+        wind: the wind it moved in, or None for still air.
+        result: how the simulation ended (`RESULTS`); after a failure the samples that were not
+            reached are infinite or NaN.
+        steps: accepted and rejected steps of the integrator.
+    """
+
+    times: Float[Array, " sample"]
+    angles: Float[Array, "sample joint"]
+    rates: Float[Array, "sample joint"]
+    arm: Arm
+    command: Signal
+    wind: Signal | None
+    result: RESULTS
+    steps: Int[Array, "2"]
+
+    @property
+    def successful(self) -> Bool[Array, ""]:
+        """Whether the simulation reached the last time with finite values."""
+        return self.result == RESULTS.successful
+
+    @property
+    def message(self) -> str:
+        """What went wrong and what to do next; empty after a success."""
+        return RESULTS[self.result]
+
+    @property
+    def link_centres(self) -> Float[Array, "sample link 3"]:
+        """Positions of the links' centres in the base frame, m."""
+        return jax.vmap(link_centres, in_axes=(None, 0))(self.arm, self.angles)
+
+    @property
+    def tip(self) -> Float[Array, "sample 3"]:
+        """Position of the end of the last link in the base frame, m."""
+        return jax.vmap(tip_position, in_axes=(None, 0))(self.arm, self.angles)
+
+    @property
+    def commands(self) -> Float[Array, "sample joint"]:
+        """Commanded angles at the samples, rad."""
+        return jax.vmap(self.command)(self.times)
