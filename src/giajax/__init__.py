@@ -1,1 +1,116 @@
-"""A differentiable simulator of very long, very light, air-dominated robot arms."""
+"""A differentiable simulator of very long, very light, air-dominated robot arms.
+
+The public names are imported from their rooms when they are first used, so that what needs no
+JAX (reading runs, the command line's help) starts without it.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from ._errors import InputError as InputError
+    from .arm import (
+        Arm as Arm,
+        acceleration as acceleration,
+        chain as chain,
+        damping_power as damping_power,
+        drag_force as drag_force,
+        drag_power as drag_power,
+        forward_dynamics as forward_dynamics,
+        inverse_dynamics as inverse_dynamics,
+        joint_torque as joint_torque,
+        kinetic_energy as kinetic_energy,
+        link_centres as link_centres,
+        link_velocities as link_velocities,
+        mass_matrix as mass_matrix,
+        potential_energy as potential_energy,
+        preset as preset,
+        takeichi_20m as takeichi_20m,
+        tip_position as tip_position,
+    )
+    from .fitting import (
+        FitResult as FitResult,
+        Marquardt as Marquardt,
+        fit as fit,
+        load_result as load_result,
+        predict as predict,
+    )
+    from .models import (
+        AbstractModel as AbstractModel,
+        ArmModel as ArmModel,
+        arm_from_definition as arm_from_definition,
+        model_for as model_for,
+    )
+    from .parameters import declared as declared, get as get, replace as replace
+    from .runs import (
+        Definition as Definition,
+        Run as Run,
+        read_run as read_run,
+        write_run as write_run,
+    )
+    from .simulation import (
+        RESULTS as RESULTS,
+        SOLVERS as SOLVERS,
+        Signal as Signal,
+        SimulationError as SimulationError,
+        Trajectory as Trajectory,
+        joint_ramps as joint_ramps,
+        joint_steps as joint_steps,
+        logged as logged,
+        simulate as simulate,
+    )
+
+_ROOMS = {
+    "_errors": ("InputError",),
+    "arm": (
+        "Arm",
+        "acceleration",
+        "chain",
+        "damping_power",
+        "drag_force",
+        "drag_power",
+        "forward_dynamics",
+        "inverse_dynamics",
+        "joint_torque",
+        "kinetic_energy",
+        "link_centres",
+        "link_velocities",
+        "mass_matrix",
+        "potential_energy",
+        "preset",
+        "takeichi_20m",
+        "tip_position",
+    ),
+    "fitting": ("FitResult", "Marquardt", "fit", "load_result", "predict"),
+    "models": ("AbstractModel", "ArmModel", "arm_from_definition", "model_for"),
+    "parameters": ("declared", "get", "replace"),
+    "runs": ("Definition", "Run", "read_run", "write_run"),
+    "simulation": (
+        "RESULTS",
+        "SOLVERS",
+        "Signal",
+        "SimulationError",
+        "Trajectory",
+        "joint_ramps",
+        "joint_steps",
+        "logged",
+        "simulate",
+    ),
+}
+_HOME = {name: room for room, names in _ROOMS.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("giajax")
+    if name not in _HOME:
+        raise AttributeError(f"module 'giajax' has no attribute '{name}'")
+    value = getattr(import_module(f".{_HOME[name]}", __name__), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_HOME])

@@ -1,0 +1,51 @@
+"""What the data cannot tell: parameters without response, and combinations that go together."""
+
+import numpy as np
+
+# In the free coordinate (a relative change, for a positive parameter) and in units of the noise:
+# a parameter alone would have a standard error of a million times itself.
+_NO_RESPONSE = 1e-6
+
+# Column-normalised singular value below which a combination of parameters is not determined.
+_COLLINEAR = 1e-6
+
+
+def responds(jacobian: np.ndarray) -> np.ndarray:
+    """Which parameters any channel responds to, from the weighted Jacobian at the start.
+
+    Arguments:
+        jacobian: shape (residual, parameter).
+    """
+    return np.linalg.norm(jacobian, axis=0) > _NO_RESPONSE
+
+
+def undetermined_groups(jacobian: np.ndarray) -> list[list[int]]:
+    """Groups of parameters of which only combinations are determined.
+
+    Each right singular vector of the column-normalised Jacobian with a vanishing singular value
+    is a direction that leaves every channel unchanged; the parameters in it belong together.
+
+    Arguments:
+        jacobian: columns of the parameters that respond, shape (residual, parameter).
+    """
+    if jacobian.shape[1] < 2:
+        return []
+    norms = np.linalg.norm(jacobian, axis=0)
+    _, singular, right = np.linalg.svd(np.linalg.qr(jacobian / norms, mode="r"))
+    groups = []
+    for value, vector in zip(singular, right, strict=True):
+        if value < _COLLINEAR * singular[0]:
+            members = [i for i, part in enumerate(vector) if abs(part) > 0.01]
+            groups.append(members)
+    return groups
+
+
+def largest_correlations(correlation: np.ndarray, limit: float) -> dict[int, tuple[int, float]]:
+    """For each parameter, the partner it is most correlated with, where that exceeds a limit."""
+    found = {}
+    off = np.abs(correlation - np.diag(np.diag(correlation)))
+    for i in range(len(correlation)):
+        j = int(np.argmax(off[i]))
+        if off[i, j] > limit:
+            found[i] = (j, float(correlation[i, j]))
+    return found

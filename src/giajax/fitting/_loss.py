@@ -1,0 +1,52 @@
+"""Loss functions of the weighted residual, as transformations that keep least squares.
+
+The cost is half the sum of rho(r). With t(r) = sign(r) sqrt(rho(r)) it is half the sum of t^2,
+and a least-squares solver needs to know nothing else.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+
+from .._errors import InputError
+from .._typing import Array, Float
+
+LOSSES = ("linear", "huber", "soft_l1")
+
+
+def check_loss(loss: str) -> None:
+    """Refuse an unknown loss.
+
+    Raises:
+        InputError: naming the known ones.
+    """
+    if loss not in LOSSES:
+        raise InputError(f"there is no loss '{loss}'; use one of: {', '.join(LOSSES)}")
+
+
+def transform(loss: str, r: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """t(r): `huber` is quadratic up to |r| = 1, `soft_l1` is 2 (sqrt(1 + r^2) - 1)."""
+    if loss == "linear":
+        return r
+    if loss == "soft_l1":
+        # r sqrt(2 / (1 + sqrt(1 + r^2))) is the same without the cancellation near 0.
+        return r * jnp.sqrt(2 / (1 + jnp.sqrt(1 + r * r)))
+    outside = jnp.maximum(jnp.abs(r), 1)
+    return jnp.where(jnp.abs(r) <= 1, r, jnp.sign(r) * jnp.sqrt(2 * outside - 1))
+
+
+def influence(loss: str, r: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """psi = rho'/2, its derivative, and t', each at the residuals: what a covariance needs."""
+    if loss == "linear":
+        return r, np.ones_like(r), np.ones_like(r)
+    if loss == "soft_l1":
+        root = np.sqrt(1 + r * r)
+        psi = r / root
+        t = r * np.sqrt(2 / (1 + root))
+    else:
+        root = np.ones_like(r)
+        psi = np.clip(r, -1, 1)
+        t = np.where(np.abs(r) <= 1, r, np.sign(r) * np.sqrt(2 * np.maximum(np.abs(r), 1) - 1))
+    # rho = t^2, so psi = t t'; at 0 every loss is quadratic with t' = 1.
+    slope = np.where(t == 0, 1.0, psi / np.where(t == 0, 1.0, t))
+    curvature = root**-3 if loss == "soft_l1" else (np.abs(r) <= 1).astype(float)
+    return psi, curvature, slope

@@ -1,0 +1,251 @@
+"""From the end of a fit to its result: errors, remarks and checks."""
+
+import dataclasses
+import platform
+import time
+from collections.abc import Sequence
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..parameters import Parameter
+from ..runs import Run
+from ._identifiability import largest_correlations, responds, undetermined_groups
+from ._problem import Sigmas, predictions_by_run
+from ._result import Estimate, FitResult, Status, finite_or_none, held_estimates
+from ._uncertainty import correlation_matrix, uncertainty
+
+if TYPE_CHECKING:
+    from ._fit import Fitter
+
+# Central differences in the free coordinate, at a tolerance where the steps of the integrator
+# do not show: truncation and noise are then both near 1e-8.
+_DIFFERENCE = 1e-4
+_FINER = 1e-3
+
+_NEARLY_THE_SAME = 0.98
+
+
+@dataclasses.dataclass
+class Outcome:
+    """How the loop ended, and what it was asked."""
+
+    status: Status
+    message: str
+    parameters: list[Parameter]
+    sigmas: Sigmas
+    noise_estimated: bool
+    history: list[dict[str, Any]]
+    began: float
+    config: dict[str, Any]
+
+
+def report(fitter: "Fitter", runs: Sequence[Run], outcome: Outcome, *, check: bool) -> FitResult:
+    """Everything that is known at the end."""
+    problem, state = fitter.problem, fitter.state
+    model = problem.at(fitter.coordinate)
+    active = np.asarray(fitter.active)
+    predictions = predictions_by_run(problem, state.aux, runs)
+    errors = _Errors(fitter, outcome)
+    estimates = {
+        parameter.path: _estimate(parameter, errors, index, bool(active[index]))
+        for index, parameter in enumerate(outcome.parameters)
+    }
+    gradient = tolerance = None
+    if check and active.any():
+        gradient = _gradient_check(fitter)
+        tolerance = _tolerance_effect(fitter, errors)
+    paths = list(problem.paths)
+    determined = [paths[i] for i in errors.determined]
+    elapsed = time.perf_counter() - outcome.began
+    compiling = fitter.step_seconds[0] - float(np.median(fitter.step_seconds[1:] or [0.0]))
+    compiling = max(compiling, 0.0)
+    return FitResult(
+        status=outcome.status,
+        message=outcome.message + errors.note(outcome.noise_estimated),
+        model=model,
+        parameters={**estimates, **held_estimates(model, paths)},
+        correlation={"parameters": determined, "matrix": errors.correlation.tolist()},
+        runs=[
+            _run_record(run, predicted, sigma)
+            for run, predicted, sigma in zip(runs, predictions, outcome.sigmas, strict=True)
+        ],
+        cost=finite_or_none(float(state.cost)),
+        reduced_chi_square=finite_or_none(errors.reduced_chi_square),
+        iterations=outcome.history[-1]["number"] if outcome.history else 0,
+        gradient_check=gradient,
+        tolerance_effect=tolerance,
+        conditions=model.conditions([paths[i] for i in range(len(paths)) if active[i]]),
+        seconds={"compile": compiling, "run": elapsed - compiling},
+        versions=_versions(),
+        config=outcome.config,
+        history=outcome.history,
+        predictions=predictions,
+    )
+
+
+class _Errors:
+    """Standard errors of the free parameters, and which of them there are."""
+
+    def __init__(self, fitter: "Fitter", outcome: Outcome) -> None:
+        problem, state = fitter.problem, fitter.state
+        self.paths = problem.paths
+        self.values = list(fitter.parameters().values())
+        self.slope = problem.bijector.slope(np.asarray(fitter.coordinate))
+        jacobian = np.asarray(state.jacobian)
+        self.active = np.asarray(fitter.active)
+        alive = np.flatnonzero(self.active & responds(jacobian))
+        self.at_bound = set(np.flatnonzero(self.active)) - set(alive)
+        groups = undetermined_groups(jacobian[:, alive])
+        self.together = [[int(alive[i]) for i in group] for group in groups]
+        loose = {index for group in self.together for index in group}
+        self.determined = [int(i) for i in alive if i not in loose]
+        # Holding the strongest member of each loose group fixes that direction, and changes
+        # nothing for the others.
+        held = {group[-1] for group in self.together}
+        kept = [int(i) for i in alive if i not in held]
+        weights = np.concatenate([np.asarray(g.weight).ravel() for g in problem.groups])
+        observed = np.concatenate([np.asarray(g.observed).ravel() for g in problem.groups])
+        predicted = np.concatenate([np.asarray(p).ravel() for p in state.aux.channels])
+        measured = weights > 0
+        weighted = np.where(measured, (predicted - observed) * weights, 0.0)
+        found = uncertainty(weighted, jacobian[:, kept], loss=problem.loss, measured=measured)
+        rows = [kept.index(i) for i in self.determined]
+        covariance = found.covariance[np.ix_(rows, rows)]
+        self.covariance = covariance
+        self.correlation = correlation_matrix(covariance)
+        self.reduced_chi_square = found.reduced_chi_square
+        self.scale = found.scale
+        deviations = np.sqrt(np.diag(covariance)) * self.slope[self.determined]
+        self.standard = dict(zip(self.determined, deviations, strict=True))
+        self.partners = largest_correlations(self.correlation, _NEARLY_THE_SAME)
+
+    def note(self, noise_estimated: bool) -> str:
+        """What to add to the message about the residuals."""
+        if noise_estimated:
+            return "; the noise was estimated from the residuals where it was not stated"
+        if self.scale > 1.5:
+            return (
+                f"; the residuals are {np.sqrt(self.reduced_chi_square):.3g} times the stated "
+                "noise, and the standard errors are scaled by that"
+            )
+        return ""
+
+
+def _estimate(parameter: Parameter, errors: _Errors, index: int, active: bool) -> Estimate:
+    declaration = parameter.declaration
+    value = errors.values[index]
+    error = finite_or_none(errors.standard.get(index))
+    return Estimate(
+        value=value,
+        standard_error=error,
+        unit=declaration.unit,
+        lower=finite_or_none(declaration.lower),
+        upper=finite_or_none(declaration.upper),
+        free=True,
+        remark=_remark(errors, index, value, error, active),
+    )
+
+
+def _remark(errors: _Errors, index: int, value: float, error: float | None, active: bool) -> str:
+    if not active:
+        return "not determined: no channel responds to it; left at its start"
+    if index in errors.at_bound:
+        return "ran to its bound: the data do not determine it"
+    for group in errors.together:
+        if index in group:
+            others = ", ".join(errors.paths[i] for i in group if i != index)
+            return f"not determined alone: only a combination with {others} is"
+    if error is None:
+        return "no standard error: the Jacobian is singular here"
+    if error > abs(value):
+        return "barely determined: the standard error exceeds the value"
+    if index in errors.determined:
+        row = errors.determined.index(index)
+        if row in errors.partners:
+            partner, correlation = errors.partners[row]
+            other = errors.paths[errors.determined[partner]]
+            return f"correlation {correlation:+.3f} with {other}"
+    return ""
+
+
+def _run_record(
+    run: Run, predicted: dict[str, np.ndarray], sigmas: dict[str, float]
+) -> dict[str, Any]:
+    channels = {}
+    for name, values in run.observations.items():
+        channel = run.channels[name]
+        difference = (predicted[name] - values)[~np.isnan(values)]
+        rmse = float(np.sqrt(np.mean(difference**2)))
+        channels[name] = {
+            "unit": channel.unit,
+            "rmse": finite_or_none(float(channel.from_si(rmse))),
+            "n": len(difference),
+            "noise": float(channel.from_si(sigmas[name])),
+        }
+    return {
+        "name": run.name,
+        "path": None if run.path is None else str(run.path),
+        "sha256": run.sha256,
+        "channels": channels,
+    }
+
+
+def _gradient_check(fitter: "Fitter") -> dict[str, Any] | None:
+    """The Jacobian against a central difference at the optimum, at a finer tolerance.
+
+    One direction in which every parameter has the same weight in the residual: a wrong column
+    of any of them shows.
+    """
+    problem = dataclasses.replace(fitter.problem, model=fitter.problem.model.refined(_FINER))
+    centre = np.asarray(fitter.coordinate)
+    jacobian = np.asarray(fitter.evaluate(centre, problem).jacobian)
+    norms = np.linalg.norm(jacobian, axis=0)
+    direction = np.where(norms > 0, np.min(norms[norms > 0], initial=np.inf), 0.0)
+    direction = np.divide(direction, norms, out=np.zeros_like(norms), where=norms > 0)
+    # The strongest response gets the smallest offset; the weakest parameter moves by the step.
+    ahead, behind = (
+        np.asarray(fitter.evaluate(centre + sign * _DIFFERENCE * direction, problem).residual)
+        for sign in (1, -1)
+    )
+    by_difference = (ahead - behind) / (2 * _DIFFERENCE)
+    by_autodiff = jacobian @ direction
+    relative = np.linalg.norm(by_autodiff - by_difference) / np.linalg.norm(by_autodiff)
+    if not np.isfinite(relative):
+        return None
+    return {
+        "relative_difference": float(relative),
+        "direction": dict(zip(problem.paths, direction.tolist(), strict=True)),
+        "step": _DIFFERENCE,
+    }
+
+
+def _tolerance_effect(fitter: "Fitter", errors: _Errors) -> dict[str, Any] | None:
+    """How far the optimum moves, to first order, when the solver tolerance is halved."""
+    if not errors.determined:
+        return None
+    problem = dataclasses.replace(fitter.problem, model=fitter.problem.model.refined(0.5))
+    finer = np.asarray(fitter.evaluate(fitter.coordinate, problem).residual)
+    change = finer - np.asarray(fitter.state.residual)
+    jacobian = np.asarray(fitter.state.jacobian)[:, errors.determined]
+    shift = -np.linalg.lstsq(jacobian, change, rcond=None)[0]
+    parameters = {}
+    for row, index in enumerate(errors.determined):
+        moved = float(shift[row] * errors.slope[index])
+        error = float(errors.standard[index])
+        parameters[errors.paths[index]] = {
+            "shift": finite_or_none(moved),
+            "standard_errors": finite_or_none(abs(moved) / error if error else np.inf),
+        }
+    largest = [entry["standard_errors"] for entry in parameters.values()]
+    return {
+        "factor": 0.5,
+        "largest_in_standard_errors": None if None in largest else max(largest),
+        "by_parameter": parameters,
+    }
+
+
+def _versions() -> dict[str, str]:
+    names = ("giajax", "jax", "jaxlib", "equinox", "diffrax", "optimistix", "lineax", "numpy")
+    return {"python": platform.python_version(), **{name: version(name) for name in names}}

@@ -1,0 +1,70 @@
+"""Standard errors and correlations from the Jacobian at the optimum."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ._loss import influence
+
+
+class Uncertainty(NamedTuple):
+    """Covariance of the free coordinates and what scaled it.
+
+    Attributes:
+        covariance: shape (parameter, parameter).
+        reduced_chi_square: sum of squared weighted residuals per degree of freedom.
+        scale: factor on the covariance, 1 unless the residuals exceed the stated noise.
+    """
+
+    covariance: np.ndarray
+    reduced_chi_square: float
+    scale: float
+
+
+def uncertainty(
+    residual: np.ndarray, jacobian: np.ndarray, *, loss: str, measured: np.ndarray
+) -> Uncertainty:
+    """Covariance of least-squares and M-estimates.
+
+    Linear loss: (J^T J)^-1, times the reduced chi-square where that is above 1, because then the
+    stated noise does not cover the residuals (the scale factor of the Particle Data Group).
+    Robust losses: the sandwich A^-1 B A^-1 with A = sum psi' j j^T and B = sum psi^2 j j^T
+    (Huber 1981, ch. 6), which needs no further scale.
+
+    Arguments:
+        residual: weighted residuals before the loss transforms them, shape (residual,).
+        jacobian: derivative of the transformed residuals, shape (residual, parameter).
+        loss: name of the loss.
+        measured: which residuals stand for a measured cell, shape (residual,).
+    """
+    residual, jacobian = residual[measured], jacobian[measured]
+    count, size = jacobian.shape
+    freedom = max(count - size, 1)
+    reduced = float(np.sum(residual**2) / freedom)
+    psi, curvature, slope = influence(loss, residual)
+    plain = jacobian / slope[:, None]
+    if loss == "linear":
+        scale = max(1.0, reduced)
+        return Uncertainty(_inverse_gram(plain) * scale, reduced, scale)
+    # A residual at a corner of the loss has no curvature; the mean keeps A positive.
+    bread = _inverse_gram(plain * np.sqrt(np.mean(curvature)))
+    filling = (plain * psi[:, None]).T @ (plain * psi[:, None])
+    return Uncertainty(bread @ filling @ bread * count / freedom, reduced, 1.0)
+
+
+def correlation_matrix(covariance: np.ndarray) -> np.ndarray:
+    """Correlations of a covariance; NaN where a variance is not finite."""
+    deviations = np.sqrt(np.diag(covariance))
+    with np.errstate(all="ignore"):
+        correlation = covariance / np.outer(deviations, deviations)
+    return np.clip(correlation, -1, 1)
+
+
+def _inverse_gram(jacobian: np.ndarray) -> np.ndarray:
+    """(J^T J)^-1 through QR with scaled columns, which does not square the condition."""
+    if jacobian.shape[1] == 0:
+        return np.zeros((0, 0))
+    norms = np.linalg.norm(jacobian, axis=0)
+    factor = np.linalg.qr(jacobian / norms, mode="r")
+    inverse = np.linalg.inv(factor) / norms[:, None]
+    return inverse @ inverse.T

@@ -1,0 +1,13 @@
+"""What predicts channels for a run."""
+
+from ._arm import ArmInputs as ArmInputs, ArmModel as ArmModel
+from ._build import (
+    build_model as build_model,
+    model_for as model_for,
+    parameter_values as parameter_values,
+)
+from ._definition import (
+    arm_from_definition as arm_from_definition,
+    arm_to_definition as arm_to_definition,
+)
+from ._protocol import AbstractModel as AbstractModel, Channels as Channels
