@@ -23,8 +23,8 @@ def mjcf(arm: Arm) -> str:
     """The arm as MJCF: one body, one hinge and one site (the link's centre) for each link."""
     links = arm.links
     quaternion = Rotation.from_rotvec(np.array(arm.base_rotation)).as_quat(scalar_first=True)
-    stiffness = np.asarray(arm.joints.stiffness)
-    damping = np.broadcast_to(np.asarray(arm.joints.damping), (arm.count,))
+    stiffness = np.asarray(arm.joints.stiffness).tolist()
+    damping = np.broadcast_to(np.asarray(arm.joints.damping), (arm.count,)).tolist()
     opening, closing = "", ""
     before = 0.0
     for i in range(arm.count):
@@ -35,7 +35,7 @@ def mjcf(arm: Arm) -> str:
             f'<body name="link{i + 1}" pos="{_numbers(before, 0, 0)}"{turn}>'
             f'<joint name="joint{i + 1}" type="hinge" axis="{_numbers(*arm.joints.axes[i])}" '
             f'stiffness="{_numbers(stiffness[i])}" damping="{_numbers(damping[i])}"/>'
-            f'<inertial pos="{_numbers(along, 0, 0)}" mass="{_numbers(links.mass[i])}" '
+            f'<inertial pos="{_numbers(along, 0, 0)}" mass="{_numbers(float(links.mass[i]))}" '
             f'diaginertia="{_numbers(axial, transverse, transverse)}"/>'
             f'<site name="centre{i + 1}" pos="{_numbers(length / 2, 0, 0)}"/>\n'
         )
@@ -77,12 +77,15 @@ class MujocoChain:
 
     @contextmanager
     def _forces(self) -> Iterator[None]:
-        # The callback is global to MuJoCo: leave it as it was found.
+        # Callbacks are global to MuJoCo: leave them as they were found. Its warnings are counted
+        # in `data.warning`, and would else go to a file in the working directory.
         mujoco.set_mjcb_passive(self._passive)
+        mujoco.set_mju_user_warning(lambda _: None)
         try:
             yield
         finally:
             mujoco.set_mjcb_passive(None)
+            mujoco.set_mju_user_warning(None)
 
     def _passive(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """Add k * command, and the drag of eq. (1), to the passive torques.
@@ -145,6 +148,9 @@ class MujocoChain:
                 self._command_now = self.command.piece(middle)
                 self._wind_now = None if self.wind is None else self.wind.piece(middle)
                 mujoco.mj_step(model, data)
+                # MuJoCo starts again from the initial state after an overflow, and goes on.
+                if data.warning.number.any():
+                    raise FloatingPointError(f"MuJoCo is unstable with a step of {step:g} s")
                 if done + 1 == counts[sample]:
                     found[sample] = data.qpos, data.qvel
                     sample += 1

@@ -9,6 +9,7 @@ where giajax adds spatial inertias about the base origin; rotations are matrices
 """
 
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -55,9 +56,9 @@ def pieces(
     """Split a span at the corners of the signals: start, end and the straight line of each."""
     corners = np.unique(np.concatenate([[t0, t1], *(signal.times for signal in signals)]))
     corners = corners[(corners >= t0) & (corners <= t1)]
-    for start, end in zip(corners[:-1], corners[1:], strict=True):
+    for start, end in pairwise(corners.tolist()):
         middle = (start + end) / 2
-        yield float(start), float(end), tuple(signal.piece(middle) for signal in signals)
+        yield start, end, tuple(signal.piece(middle) for signal in signals)
 
 
 class ScipyChain:
@@ -94,9 +95,9 @@ class ScipyChain:
         )
         self.damping = np.broadcast_to(np.asarray(arm.joints.damping), (self.count,))
         # 1/2 rho C_D L d
-        self.drag_factor = (
-            0.5 * float(arm.air.density) * float(arm.air.drag_coefficient)
-        ) * (self.length * self.diameter)
+        self.drag_factor = (0.5 * float(arm.air.density) * float(arm.air.drag_coefficient)) * (
+            self.length * self.diameter
+        )
         self._before = np.tril(np.ones((self.count, self.count)))[:, :, None]
         # Rodrigues' formula, with the fixed part of each axis worked out once.
         self._skew = np.zeros((self.count, 3, 3))
@@ -198,9 +199,7 @@ class ScipyChain:
             ) -> Array:
                 angles, rates = state[:n], state[n:]
                 air = None if wind is None else wind(time)
-                return np.concatenate(
-                    [rates, self.acceleration(angles, rates, command(time), air)]
-                )
+                return np.concatenate([rates, self.acceleration(angles, rates, command(time), air)])
 
             inside = (times > start) & (times <= end)
             wanted = np.unique(np.append(times[inside], end))
