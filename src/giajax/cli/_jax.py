@@ -1,0 +1,40 @@
+"""How the command line uses JAX: in 64-bit, with compiled programs kept between processes."""
+
+import os
+from pathlib import Path
+
+_MIN_COMPILE_SECONDS = 0.5
+
+
+def configure() -> None:
+    """Switch on 64-bit numbers and the persistent compilation cache.
+
+    To be called before anything is computed. A library must not set either; a process that
+    belongs to the command line may. The cache is what `JAX_COMPILATION_CACHE_DIR` says, else
+    `giajax` in the user's cache directory, where that can be written.
+    """
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    if "JAX_COMPILATION_CACHE_DIR" in os.environ:
+        return
+    directory = cache_directory()
+    if directory is None:
+        return
+    jax.config.update("jax_compilation_cache_dir", str(directory))
+    # JAX's own threshold of a second leaves out most of what a short command compiles.
+    if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", _MIN_COMPILE_SECONDS)
+
+
+def cache_directory() -> Path | None:
+    """The user's cache directory of giajax, made where it is missing; None where it cannot be."""
+    base = os.environ.get("XDG_CACHE_HOME", "")
+    try:
+        # A relative XDG_CACHE_HOME is to be ignored, by the XDG specification.
+        parent = Path(base) if os.path.isabs(base) else Path.home() / ".cache"
+        directory = parent / "giajax"
+        directory.mkdir(parents=True, exist_ok=True)
+    except (OSError, RuntimeError):
+        return None
+    return directory if os.access(directory, os.W_OK | os.X_OK) else None
