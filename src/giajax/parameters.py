@@ -99,8 +99,10 @@ class Parameter:
         """The model with this parameter replaced; differentiable in `value`."""
         old = self.getter(model)
         value = jnp.asarray(value, dtype=old.dtype)
-        new = jnp.broadcast_to(value, old.shape) if self.index is None else (
-            old.at[self.index].set(value)
+        new = (
+            jnp.broadcast_to(value, old.shape)
+            if self.index is None
+            else (old.at[self.index].set(value))
         )
         return eqx.tree_at(self.getter, model, new)
 
@@ -112,9 +114,7 @@ def declared(model: eqx.Module) -> dict[str, Parameter]:
     }
 
 
-def _walk(
-    node: eqx.Module, prefix: str, getter: Callable[[Any], Any]
-) -> Iterable[Parameter]:
+def _walk(node: eqx.Module, prefix: str, getter: Callable[[Any], Any]) -> Iterable[Parameter]:
     for field in dataclasses.fields(node):
         reach = _attribute(getter, field.name)
         if _KEY in field.metadata:

@@ -186,7 +186,7 @@ def named_axes(axes: str | Sequence[str | Sequence[float]], count: int) -> tuple
         return tuple(YAW if joint % 2 else PITCH for joint in range(count))
     if isinstance(axes, str) or len(axes) != count:
         raise InputError(
-            f"joint_axes is {axes!r}; give \"pitch_yaw\" or a list of {count} axes, "
+            f'joint_axes is {axes!r}; give "pitch_yaw" or a list of {count} axes, '
             'each "pitch", "yaw" or [x, y, z]'
         )
     return tuple(_unit_axis(axis) for axis in axes)

@@ -160,9 +160,8 @@ def forward_dynamics(
 
 
 def _factor_and_solve(
-    arm: Arm, angles: Array, rates: Array, torques: Array, wind: Array
+    arm: Arm, here: Pose, rates: Array, torques: Array, wind: Array
 ) -> tuple[Array, Array]:
-    here = pose(arm, angles)
     # LAPACK reads the lower triangle only, so the upper one need not be copied there.
     factor = jax.lax.linalg.cholesky(_mass_matrix_upper(arm, here).T, symmetrize_input=False)
     load = _required_torque(arm, here, rates, None, wind)
@@ -178,27 +177,27 @@ def _solve(factor: Float[Array, "joint joint"], b: Float[Array, " joint"]) -> Ar
 
 @eqx.filter_custom_jvp
 def _accelerations(arm: Arm, angles: Array, rates: Array, torques: Array, wind: Array) -> Array:
-    return _factor_and_solve(arm, angles, rates, torques, wind)[1]
+    return _factor_and_solve(arm, pose(arm, angles), rates, torques, wind)[1]
 
 
 @_accelerations.def_jvp
-def _accelerations_jvp(
-    primals: tuple[Any, ...], tangents: tuple[Any, ...]
-) -> tuple[Array, Array]:
+def _accelerations_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Array, Array]:
     """Differentiate M a + h = tau at fixed a, and reuse the factor of M.
 
     Differentiating the Cholesky factorisation itself costs twice as much.
     """
     arm, angles, rates, torques, wind = primals
-    factor, accelerations = _factor_and_solve(arm, angles, rates, torques, wind)
     t_arm, t_angles, t_rates, t_torques, t_wind = tangents
+    here, t_here = eqx.filter_jvp(pose, (arm, angles), (t_arm, t_angles))
+    factor, accelerations = _factor_and_solve(arm, here, rates, torques, wind)
 
-    def unbalanced(arm: Arm, angles: Array, rates: Array, torques: Array, wind: Array) -> Array:
-        here = pose(arm, angles)
+    def unbalanced(arm: Arm, here: Pose, rates: Array, torques: Array, wind: Array) -> Array:
         return torques - _required_torque(arm, here, rates, accelerations, wind)
 
     _, tangent = eqx.filter_jvp(
-        unbalanced, primals, (t_arm, t_angles, t_rates, t_torques, t_wind)
+        unbalanced,
+        (arm, here, rates, torques, wind),
+        (t_arm, t_here, t_rates, t_torques, t_wind),
     )
     return accelerations, _solve(factor, tangent)
 

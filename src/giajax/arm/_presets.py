@@ -48,7 +48,8 @@ def chain(
     """
     if links < 1:
         raise InputError(f"an arm of {links} links cannot be built; give at least 1")
-    def per_link(name: str, value: Any, fallback: Any = None) -> np.ndarray:
+
+    def per_link(name: str, value: Any, fallback: Any = None) -> Any:
         declared = declaration(Links, name)
         if value is None:
             value = declared.default if fallback is None else fallback

@@ -64,10 +64,13 @@ class Fitter:
     """The state of one fit between the steps of its host loop."""
 
     def __init__(self, problem: Problem, start: np.ndarray) -> None:
-        """Begin at free coordinates; nothing is evaluated yet."""
+        """Begin at values of the free parameters; nothing is evaluated yet."""
         self.problem = problem
+        self.start = start
         self.solver = Marquardt()
-        self.coordinate: Array = jnp.asarray(start, dtype=jnp.result_type(float))
+        self.coordinate: Array = jnp.asarray(
+            problem.bijector.inverse(start), dtype=jnp.result_type(float)
+        )
         self.active = jnp.ones(len(problem.paths), bool)
         self.state = self.fresh_state()
         self.step_seconds: list[float] = []
@@ -93,9 +96,9 @@ class Fitter:
         self.coordinate, self.state, done, converged = _step(
             self.solver, self.coordinate, self.problem, self.state, self.active
         )
-        done, self.converged = bool(done), bool(converged)  # waits for the result
+        self.converged = bool(converged)  # waits for the result
         self.step_seconds.append(time.perf_counter() - began)
-        return done
+        return bool(done)
 
     def evaluate(self, coordinate: Any, problem: Problem | None = None) -> MarquardtState:
         """Residual and Jacobian at a point, by the same compiled program as a step."""
@@ -108,6 +111,8 @@ class Fitter:
     def parameters(self) -> dict[str, float]:
         """Values of the free parameters at the best point."""
         values = np.asarray(self.problem.bijector.forward(self.coordinate))
+        # What is held keeps its start exactly, not as it comes back from its coordinate.
+        values = np.where(np.asarray(self.active), values, self.start)
         return {path: float(v) for path, v in zip(self.problem.paths, values, strict=True)}
 
 
@@ -193,7 +198,7 @@ def fit(
         loss=loss,
     )
     values = np.asarray([float(p.value(model)) for p in parameters])
-    fitter = Fitter(problem, bijector.inverse(values))
+    fitter = Fitter(problem, values)
     estimated = any(sigma is None for noise in stated for sigma in noise.values())
     began = time.perf_counter()
     history: list[dict[str, Any]] = []

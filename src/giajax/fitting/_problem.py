@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .._typing import Array, Bool, Float
+from .._typing import Array, Float
 from ..models import AbstractModel
 from ..parameters import replace
 from ..runs import Run
@@ -53,10 +53,15 @@ class Problem(eqx.Module):
 
 
 class Prediction(eqx.Module):
-    """What comes out beside the residual: predictions by group, and whether all succeeded."""
+    """What comes out beside the residual.
 
-    channels: tuple[Float[Array, "run sample channel"], ...]
-    successful: Bool[Array, ""]
+    Attributes:
+        channels: predictions of each group (SI), shape (run, sample, channel).
+        successful: whether all simulations succeeded.
+    """
+
+    channels: tuple[Any, ...]
+    successful: Any
 
 
 def residual(

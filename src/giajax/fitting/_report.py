@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..parameters import Parameter
+from ..parameters import Parameter, replace
 from ..runs import Run
 from ._identifiability import largest_correlations, responds, undetermined_groups
 from ._problem import Sigmas, predictions_by_run
@@ -44,8 +44,8 @@ class Outcome:
 def report(fitter: "Fitter", runs: Sequence[Run], outcome: Outcome, *, check: bool) -> FitResult:
     """Everything that is known at the end."""
     problem, state = fitter.problem, fitter.state
-    model = problem.at(fitter.coordinate)
     active = np.asarray(fitter.active)
+    model = replace(problem.model, fitter.parameters())
     predictions = predictions_by_run(problem, state.aux, runs)
     errors = _Errors(fitter, outcome)
     estimates = {
@@ -231,17 +231,19 @@ def _tolerance_effect(fitter: "Fitter", errors: _Errors) -> dict[str, Any] | Non
     jacobian = np.asarray(fitter.state.jacobian)[:, errors.determined]
     shift = -np.linalg.lstsq(jacobian, change, rcond=None)[0]
     parameters = {}
+    largest = 0.0
     for row, index in enumerate(errors.determined):
         moved = float(shift[row] * errors.slope[index])
         error = float(errors.standard[index])
+        relative = abs(moved) / error if error else np.inf
+        largest = max(largest, relative)
         parameters[errors.paths[index]] = {
             "shift": finite_or_none(moved),
-            "standard_errors": finite_or_none(abs(moved) / error if error else np.inf),
+            "standard_errors": finite_or_none(relative),
         }
-    largest = [entry["standard_errors"] for entry in parameters.values()]
     return {
         "factor": 0.5,
-        "largest_in_standard_errors": None if None in largest else max(largest),
+        "largest_in_standard_errors": finite_or_none(largest),
         "by_parameter": parameters,
     }
 

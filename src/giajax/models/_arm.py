@@ -66,8 +66,8 @@ class ArmModel(AbstractModel):
         dtype = jnp.result_type(float)
         return ArmInputs(
             times=jnp.asarray(run.times, dtype=dtype),
-            command=self._command(run),
-            wind=_wind(run),
+            command=self._command(run, run.times),
+            wind=_wind(run, run.times),
             state=jnp.stack(
                 [
                     self._initial(run, definition.initial.angle_deg),
@@ -76,16 +76,16 @@ class ArmModel(AbstractModel):
             ),
         )
 
-    def _command(self, run: Run) -> Signal:
-        commands = np.zeros((len(run.times), self.arm.count))
+    def _command(self, run: Run, times: np.ndarray) -> Signal:
+        commands = np.zeros((len(times), self.arm.count))
         for name, values in run.commands.items():
-            joint = run.channels[name].index
+            joint = run.channels[name].index or 0
             if joint > self.arm.count:
                 raise InputError(
                     f"'{run.name}' commands joint {joint} of an arm of {self.arm.count} joints"
                 )
             commands[:, joint - 1] = values
-        return logged(run.times, commands, run.definition.command.interpolation)
+        return logged(times, commands, run.definition.command.interpolation)
 
     def _initial(self, run: Run, degrees: float | Sequence[float] | None) -> Array:
         values = np.asarray(0.0 if degrees is None else degrees, dtype=float)
@@ -174,13 +174,13 @@ class ArmModel(AbstractModel):
         }
 
 
-def _wind(run: Run) -> Signal | None:
+def _wind(run: Run, times: np.ndarray) -> Signal | None:
     stated = run.definition.wind
     if stated.velocity_m_per_s is not None:
         return constant(stated.velocity_m_per_s)
     if not run.winds:
         return None
-    velocity = np.zeros((len(run.times), 3))
+    velocity = np.zeros((len(times), 3))
     for name, values in run.winds.items():
         velocity[:, run.channels[name].component] = values
-    return logged(run.times, velocity, stated.interpolation)
+    return logged(times, velocity, stated.interpolation)

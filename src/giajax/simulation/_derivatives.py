@@ -30,16 +30,21 @@ def adjoint(derivatives: str) -> diffrax.AbstractAdjoint:
     )
 
 
-def guarded(tree: T, derivatives: str) -> T:
-    """The same values; differentiating through them in the other mode raises a sentence."""
-    if derivatives == "forward":
-        return eqxi.nondifferentiable_backward(
-            tree,
-            msg="simulate(derivatives='forward') was differentiated in reverse mode (jax.grad, "
-            "jax.vjp); call it with derivatives='reverse', or use jax.jvp or jax.jacfwd",
-            # A cotangent that is zero without being known as such does no harm.
-            symbolic=True,
-        )
+def guard_outputs(tree: T, derivatives: str) -> T:
+    """The same values; a cotangent that enters a forward-mode simulation raises a sentence."""
+    if derivatives != "forward":
+        return tree
+    return eqxi.nondifferentiable_backward(
+        tree,
+        msg="simulate(derivatives='forward') was differentiated in reverse mode (jax.grad, "
+        "jax.vjp); call it with derivatives='reverse', or use jax.jvp or jax.jacfwd",
+    )
+
+
+def guard_inputs(tree: T, derivatives: str) -> T:
+    """The same values; a tangent that enters a reverse-mode simulation raises a sentence."""
+    if derivatives != "reverse":
+        return tree
     arrays, rest = eqx.partition(tree, eqx.is_inexact_array)
     try:
         arrays = _reverse_only(arrays)

@@ -137,9 +137,7 @@ def _target(joints: int, angles: Mapping[int, float]) -> np.ndarray:
 
 
 def _signal(times: np.ndarray, values: np.ndarray, slopes: np.ndarray) -> Signal:
-    return Signal(
-        *(jnp.asarray(x, dtype=jnp.result_type(float)) for x in (times, values, slopes))
-    )
+    return Signal(*(jnp.asarray(x, dtype=jnp.result_type(float)) for x in (times, values, slopes)))
 
 
 def _rows(times: Any, values: Any) -> tuple[np.ndarray, np.ndarray]:

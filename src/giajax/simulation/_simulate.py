@@ -11,7 +11,7 @@ from .._errors import InputError
 from .._typing import Array, Float, Scalar
 from ..arm import Arm, acceleration
 from ..parameters import is_concrete
-from ._derivatives import Derivatives, adjoint, guarded
+from ._derivatives import Derivatives, adjoint, guard_inputs, guard_outputs
 from ._signal import Signal, constant
 from ._solvers import solver as solver_named
 from ._trajectory import RESULTS, SimulationError, Trajectory
@@ -76,7 +76,7 @@ def simulate(
     _check(arm, command, times, wind)
     solver_named(solver)  # refuse a wrong name before anything is compiled
     adjoint(derivatives)
-    arm, command, wind, state = guarded((arm, command, wind, state), derivatives)
+    arm, command, wind, state = guard_inputs((arm, command, wind, state), derivatives)
     trajectory = integrate(
         arm,
         command,
@@ -88,6 +88,7 @@ def simulate(
         max_steps=max_steps,
         derivatives=derivatives,
     )
+    trajectory = guard_outputs(trajectory, derivatives)
     if throw:
         if is_concrete(trajectory.result):
             if not trajectory.successful:
@@ -176,7 +177,7 @@ def integrate(
     )
 
 
-def _motion(time: Scalar, state: Float[Array, "2 joint"], args: Any) -> Float[Array, "2 joint"]:
+def _motion(time: Any, state: Float[Array, "2 joint"], args: Any) -> Float[Array, "2 joint"]:
     arm, command, wind = args
     angles, rates = state
     air = None if wind is None else wind(time)
@@ -184,7 +185,7 @@ def _motion(time: Scalar, state: Float[Array, "2 joint"], args: Any) -> Float[Ar
 
 
 def _result(solution: diffrax.Solution, finite: Array) -> RESULTS:
-    def where(condition: Any, code: RESULTS, otherwise: RESULTS) -> RESULTS:
+    def where(condition: Any, code: Any, otherwise: Any) -> Any:
         return RESULTS.where(condition, code, otherwise)
 
     ended = solution.result
@@ -192,5 +193,3 @@ def _result(solution: diffrax.Solution, finite: Array) -> RESULTS:
     code = where(ended == diffrax.RESULTS.successful, code, RESULTS.not_finite)
     code = where(ended == diffrax.RESULTS.dt_min_reached, RESULTS.step_too_small, code)
     return where(ended == diffrax.RESULTS.max_steps_reached, RESULTS.max_steps_reached, code)
-
-

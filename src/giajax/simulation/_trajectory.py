@@ -16,9 +16,7 @@ class RESULTS(eqx.Enumeration):
         "the simulation reached its step limit before the last time; raise max_steps, loosen "
         "rtol and atol, or choose an implicit solver (solver='kvaerno5') for a stiff arm"
     )
-    not_finite = (
-        "the simulation became infinite or NaN; check the parameters and the initial state"
-    )
+    not_finite = "the simulation became infinite or NaN; check the parameters and the initial state"
     step_too_small = (
         "the simulation needs steps smaller than floating point resolves; loosen rtol and atol, "
         "or check the parameters"
@@ -61,7 +59,7 @@ class Trajectory(eqx.Module):
     @property
     def message(self) -> str:
         """What went wrong and what to do next; empty after a success."""
-        return RESULTS[self.result]
+        return RESULTS[self.result]  # type: ignore[misc]
 
     @property
     def link_centres(self) -> Float[Array, "sample link 3"]:
