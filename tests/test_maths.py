@@ -1,0 +1,71 @@
+"""Vectors and quaternions against numpy and scipy, with derivatives where these are delicate."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+
+from giajax import _maths
+
+RANDOM = np.random.default_rng(0)
+A, B = RANDOM.normal(size=(2, 3, 5))
+
+
+def quaternions(rotation):
+    return jnp.asarray(rotation.as_quat(scalar_first=True).T)
+
+
+def test_products_are_those_of_numpy():
+    assert_allclose(_maths.dot(jnp.asarray(A), jnp.asarray(B)), (A * B).sum(axis=0), rtol=1e-14)
+    expected = np.cross(A, B, axis=0)
+    assert_allclose(_maths.cross(jnp.asarray(A), jnp.asarray(B)), expected, atol=1e-15)
+    factor = RANDOM.normal(size=5)
+    assert_allclose(_maths.scaled(jnp.asarray(factor), jnp.asarray(A)), factor * A, rtol=1e-15)
+
+
+def test_safe_norm_is_the_norm():
+    assert_allclose(_maths.safe_norm(jnp.asarray(A)), np.linalg.norm(A, axis=0), rtol=1e-15)
+
+
+@pytest.mark.parametrize("transform", [jax.jacfwd, jax.jacrev])
+def test_safe_norm_times_its_vector_has_the_derivative_zero_at_rest(transform):
+    def drag(v):
+        return _maths.safe_norm(v) * v
+
+    assert_allclose(jax.jit(transform(drag))(jnp.zeros(3)), np.zeros((3, 3)), atol=0)
+    # d(|v| v)/dv = |v| I + v v' / |v|
+    v = jnp.array([1.0, -2.0, 2.0])
+    expected = 3.0 * np.eye(3) + np.outer(v, v) / 3.0
+    assert_allclose(transform(drag)(v), expected, rtol=1e-14)
+
+
+def test_safe_norm_of_a_batch_is_safe_for_its_zero_rows_only():
+    rows = jnp.asarray(np.stack([[0.0, 0.0, 0.0], [3.0, 0.0, 4.0]], axis=1))
+    gradient = jax.grad(lambda x: _maths.safe_norm(x).sum())(rows)
+    assert_allclose(gradient, np.stack([[0.0, 0.0, 0.0], [0.6, 0.0, 0.8]], axis=1), rtol=1e-15)
+
+
+def test_quaternions_compose_and_turn_as_rotations_do():
+    first, second = Rotation.random(5, rng=3), Rotation.random(5, rng=4)
+    product = _maths.quaternion_product(quaternions(first), quaternions(second))
+    composed = Rotation.from_quat(np.array(product).T, scalar_first=True)
+    assert_allclose(composed.as_matrix(), (first * second).as_matrix(), atol=1e-14)
+    turned = _maths.rotate(quaternions(first), jnp.asarray(A))
+    assert_allclose(turned, first.apply(A.T).T, atol=1e-14)
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-9, 1e-4, 1.0, 3.0])
+def test_a_rotation_vector_turns_by_its_length_about_itself(size):
+    vector = size * np.array([2.0, -1.0, 2.0]) / 3.0
+    quaternion = _maths.rotation_vector_to_quaternion(jnp.asarray(vector))
+    expected = Rotation.from_rotvec(vector).as_quat(scalar_first=True)
+    assert_allclose(quaternion, expected, rtol=1e-14, atol=1e-24)
+
+
+@pytest.mark.parametrize("transform", [jax.jacfwd, jax.jacrev])
+def test_no_rotation_still_has_a_derivative(transform):
+    derivative = transform(_maths.rotation_vector_to_quaternion)(jnp.zeros(3))
+    # q = (cos(|r|/2), r sin(|r|/2)/|r|) = (1, r/2) to first order.
+    assert_allclose(derivative, np.vstack([np.zeros(3), np.eye(3) / 2]), atol=1e-16)
