@@ -40,6 +40,9 @@ MAX_ITERATIONS = 50
 _NOISE_CHANGE = 0.05
 _NOISE_ROUNDS = 4
 
+# What a sidecar says about a run that a fit depends on; [arm] is in the model.
+_ABOUT_RUNS = ("free_motion", "initial", "command", "wind", "noise")
+
 
 @dataclasses.dataclass(frozen=True)
 class Iteration:
@@ -172,11 +175,7 @@ def fit(
     _warn_once_in_32_bit()
     runs = [runs] if isinstance(runs, Run) else list(runs)
     start, fix = dict(start or {}), dict(fix or {})
-    check_loss(loss)
-    if not runs:
-        raise InputError("no run was given; a fit needs at least one")
-    for run in runs:
-        run.require_observations()
+    config = configuration(model, runs, free=free, start=start, fix=fix, loss=loss)
     model, parameters = _set_up(model, free, start, fix)
     stated = stated_sigmas(runs)
     sigmas: Sigmas = [
@@ -211,16 +210,46 @@ def fit(
         noise_estimated=estimated,
         history=history,
         began=began,
-        config={
-            "definition": model.definition(),
-            "free": list(problem.paths),
-            "start": {path: float(value) for path, value in start.items()},
-            "fix": {path: float(value) for path, value in fix.items()},
-            "loss": loss,
-            "max_iterations": max_iterations,
-        },
+        config={**config, "max_iterations": max_iterations},
     )
     return report(fitter, runs, outcome, check=check and status != "interrupted")
+
+
+def configuration(
+    model: AbstractModel,
+    runs: Sequence[Run],
+    *,
+    free: Sequence[str] | None = None,
+    start: Mapping[str, float] | None = None,
+    fix: Mapping[str, float] | None = None,
+    loss: str = "linear",
+) -> dict[str, Any]:
+    """What a fit with these arguments is asked, resolved: `config` of its result.
+
+    Checks the arguments without evaluating the model; two fits of the same data with the same
+    configuration have the same result.
+
+    Raises:
+        InputError: as `fit` does, apart from a start that cannot be evaluated.
+    """
+    start, fix = dict(start or {}), dict(fix or {})
+    check_loss(loss)
+    if not runs:
+        raise InputError("no run was given; a fit needs at least one")
+    for run in runs:
+        run.require_observations()
+    model, parameters = _set_up(model, free, start, fix)
+    for run in runs:
+        model.prepare(run)
+    stated = [run.definition.given() for run in runs]
+    return {
+        "definition": model.definition(),
+        "runs": [{key: said[key] for key in _ABOUT_RUNS if key in said} for said in stated],
+        "free": [parameter.path for parameter in parameters],
+        "start": {path: float(value) for path, value in start.items()},
+        "fix": {path: float(value) for path, value in fix.items()},
+        "loss": loss,
+    }
 
 
 def _set_up(

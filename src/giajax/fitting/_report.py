@@ -54,8 +54,12 @@ def report(fitter: "Fitter", runs: Sequence[Run], outcome: Outcome, *, check: bo
     }
     gradient = tolerance = None
     if check and active.any():
-        gradient = _gradient_check(fitter)
-        tolerance = _tolerance_effect(fitter, errors)
+        try:
+            gradient = _gradient_check(fitter)
+            tolerance = _tolerance_effect(fitter, errors)
+        except KeyboardInterrupt:  # the fit itself is done, and worth keeping
+            outcome.status = "interrupted"
+            outcome.message += ", then interrupted before its result was checked"
     paths = list(problem.paths)
     determined = [paths[i] for i in errors.determined]
     elapsed = time.perf_counter() - outcome.began
