@@ -10,4 +10,6 @@ from ._definition import (
     arm_from_definition as arm_from_definition,
     arm_to_definition as arm_to_definition,
 )
+from ._drive import Drive as Drive, Move as Move, joint_moves as joint_moves, sampled as sampled
 from ._protocol import AbstractModel as AbstractModel, Channels as Channels
+from ._synthesise import synthesise as synthesise

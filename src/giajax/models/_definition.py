@@ -6,6 +6,7 @@ import numpy as np
 
 from .._errors import InputError
 from ..arm import Arm, chain, preset
+from ..arm._chain import named_axes
 from ..runs import Definition
 
 _ARRAYS = {
@@ -64,8 +65,14 @@ def arm_to_definition(arm: Arm) -> dict[str, Any]:
     return {
         "links": arm.count,
         **{key: plain(getattr(arm.links, name)) for key, name in _ARRAYS.items()},
-        "joint_axes": [list(axis) for axis in arm.joints.axes],
+        "joint_axes": _axes(arm),
         "base_rotation_deg": np.rad2deg(np.asarray(arm.base_rotation, dtype=float)).tolist(),
         "air_density_kg_per_m3": float(arm.air.density),
         "gravity_m_per_s2": float(arm.gravity),
     }
+
+
+def _axes(arm: Arm) -> str | list[list[float]]:
+    if arm.joints.axes == named_axes("pitch_yaw", arm.count):
+        return "pitch_yaw"
+    return [list(axis) for axis in arm.joints.axes]
