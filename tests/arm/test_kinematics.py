@@ -1,5 +1,6 @@
 """Where the links are and how they move."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,9 +8,14 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
+import giajax.arm
 from arms import general_arm, random_states
-from giajax.arm import chain, link_centres, link_velocities, takeichi_20m, tip_position
+from giajax.arm import chain, takeichi_20m
 from scipy_chain import ScipyChain
+
+link_centres = eqx.filter_jit(giajax.arm.link_centres)
+link_velocities = eqx.filter_jit(giajax.arm.link_velocities)
+tip_position = eqx.filter_jit(giajax.arm.tip_position)
 
 
 def test_the_straight_arm_lies_along_x():

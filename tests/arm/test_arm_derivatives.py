@@ -1,0 +1,142 @@
+"""jvp and vjp of every public function of the arm, moving and at rest, under jit and vmap."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import giajax.arm as mechanics
+from arms import general_arm, random_states
+from giajax.arm import takeichi_20m
+from giajax.parameters import replace
+
+LINKS = 3
+
+# The arguments after the arm, by their names in `states`.
+FUNCTIONS = {
+    "link_centres": ("angles",),
+    "tip_position": ("angles",),
+    "link_velocities": ("angles", "rates"),
+    "drag_force": ("angles", "rates", "wind"),
+    "mass_matrix": ("angles",),
+    "inverse_dynamics": ("angles", "rates", "torques", "wind"),
+    "forward_dynamics": ("angles", "rates", "torques", "wind"),
+    "joint_torque": ("angles", "rates", "command"),
+    "acceleration": ("angles", "rates", "command", "wind"),
+    "kinetic_energy": ("angles", "rates"),
+    "potential_energy": ("angles", "command"),
+    "drag_power": ("angles", "rates", "wind"),
+    "damping_power": ("rates",),
+}
+
+
+def states():
+    """Two large movements, and an arm that is straight and at rest in still air."""
+    moving = random_states(LINKS, 2)
+    moving["torques"] = random_states(LINKS, 2, seed=3)["command"]
+    return {
+        name: jnp.concatenate([value, jnp.zeros_like(value[:1])]) for name, value in moving.items()
+    }
+
+
+def test_no_public_function_is_left_out():
+    functions = {
+        name
+        for name in dir(mechanics)
+        if callable(getattr(mechanics, name)) and name[0].islower() and name[0] != "_"
+    }
+    assert functions - {"chain", "preset", "takeichi_20m"} == set(FUNCTIONS)
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_both_modes_agree_with_differences(name):
+    """One random direction over every number of the arm, of the state and of the wind at once."""
+    function = getattr(mechanics, name)
+    arm = general_arm(LINKS)
+    known = states()
+    state = tuple(known[argument] for argument in FUNCTIONS[name])
+    random = np.random.default_rng(7)
+
+    def like(x):
+        return jnp.asarray(random.normal(size=x.shape)) * jnp.maximum(jnp.abs(x), 0.05)
+
+    d_arm = jax.tree.map(like, arm)
+    d_state = tuple(jnp.asarray(random.normal(size=part.shape)) for part in state)
+
+    @jax.jit
+    def values(arm, state):
+        return jax.vmap(function, (None,) + (0,) * len(state))(arm, *state)
+
+    def shifted(step):
+        return jax.tree.map(lambda x, dx: x + step * dx, (arm, state), (d_arm, d_state))
+
+    @jax.jit
+    @jax.vmap
+    def derivatives(state, d_state):
+        out, push = jax.linearize(function, arm, *state)
+        tangent = push(d_arm, *d_state)
+        # A linear map is known by <c, J d> = <J' c, d>, with any c.
+        cotangent = jnp.cos(jnp.arange(out.size, dtype=out.dtype)).reshape(out.shape)
+        gradient = jax.linear_transpose(push, arm, *state)(cotangent)
+        pairs = zip(jax.tree.leaves(gradient), jax.tree.leaves((d_arm, *d_state)), strict=True)
+        return tangent, jnp.vdot(cotangent, tangent), sum(jnp.vdot(g, d) for g, d in pairs)
+
+    tangent, forward, reverse = derivatives(state, d_state)
+    # |V| V has no third derivative at rest: a difference there is off by its step, not its square.
+    step = 1e-7
+    expected = (values(*shifted(step)) - values(*shifted(-step))) / (2 * step)
+    scale = np.abs(expected).max()
+    assert scale > 0
+    assert_allclose(tangent, expected, rtol=1e-6, atol=2e-7 * scale)
+    assert_allclose(reverse, forward, rtol=1e-10, atol=1e-12 * scale)
+
+
+def test_drag_of_a_resting_arm_has_no_slope_but_that_of_moving_air_has():
+    arm, still = takeichi_20m(LINKS), jnp.zeros(LINKS)
+
+    @jax.jit
+    def slope(wind):
+        return jax.jacfwd(lambda rates: mechanics.drag_force(arm, still, rates, wind))(still)
+
+    assert_allclose(slope(jnp.zeros(3)), np.zeros((LINKS, 3, LINKS)), atol=0)
+    # Across a wind U, dF/dV = -K U (normal component); along it, -2 K U.
+    force = 0.5 * 1.204 * 1.2 * 0.99 * 0.3
+    across = slope(jnp.array([0.2, 0.0, 0.0]))[0, 2, 0]
+    along = slope(jnp.array([0.0, 0.0, 0.2]))[0, 2, 0]
+    assert_allclose([across, along], [-force * 0.2 * 0.495, -2 * force * 0.2 * 0.495], rtol=1e-12)
+
+
+def test_acceleration_from_rest_is_that_of_the_springs():
+    """At rest d(acceleration)/d(command) = M^-1 K, and of the arm only gravity would move it."""
+    arm, still = takeichi_20m(LINKS), jnp.zeros(LINKS)
+
+    @jax.jit
+    def slopes(arm, command):
+        return jax.jacrev(mechanics.acceleration, argnums=(0, 3))(arm, still, still, command)
+
+    by_arm, by_command = slopes(arm, still)
+    matrix = mechanics.mass_matrix(arm, still)
+    expected = np.linalg.inv(matrix) * np.asarray(arm.joints.stiffness)
+    assert_allclose(by_command, expected, rtol=1e-10)
+    for path, leaf in jax.tree.leaves_with_path(by_arm):
+        falls = jax.tree_util.keystr(path) == ".gravity"
+        assert np.any(leaf != 0) == falls, path
+        assert np.all(np.isfinite(leaf)), path
+
+
+def test_batches_of_arms_are_batches_of_derivatives():
+    arm, state = general_arm(LINKS), {name: value[0] for name, value in states().items()}
+    coefficients = jnp.array([0.0, 0.5, 1.5])
+
+    def first(coefficient, wind):
+        changed = replace(arm, {"air.drag_coefficient": coefficient})
+        arguments = (state[name] for name in ("angles", "rates", "command"))
+        return mechanics.acceleration(changed, *arguments, wind)[0]
+
+    both = eqx.filter_jit(jax.vmap(jax.value_and_grad(first), (0, None)))
+    values, slopes = both(coefficients, state["wind"])
+    # Acceleration is linear in the drag coefficient.
+    assert_allclose(np.diff(values) / np.diff(coefficients), slopes[1:], rtol=1e-10)
+    assert_allclose(slopes, slopes[0], rtol=1e-10)
