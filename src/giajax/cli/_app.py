@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from . import _check, _init
+from . import _check, _fit, _init
 from ._errors import Commands, run
 
 app = typer.Typer(
@@ -21,6 +21,8 @@ app = typer.Typer(
 Examples:
   giajax check run.csv      what a recording holds
   giajax init run.csv       write a sidecar for it, to fill in
+  giajax fit --data run.csv
+                            fit drag, stiffness and damping to it
 
 A run is a CSV file with one column a channel (time_s, joint01_command_deg,
 link06_z_m, ...) and, beside it, an optional sidecar of the same name ending .toml.""",
@@ -31,6 +33,7 @@ link06_z_m, ...) and, beside it, an optional sidecar of the same name ending .to
 )
 
 app.command("check", epilog=_check.EXAMPLES)(_check.check)
+app.command("fit", epilog=_fit.EXAMPLES)(_fit.fit)
 app.command("init", epilog=_init.EXAMPLES)(_init.init)
 
 

@@ -10,5 +10,5 @@ from ._read import (
 )
 from ._run import Run as Run
 from ._template import sidecar_template as sidecar_template
-from ._vocabulary import Definition as Definition
+from ._vocabulary import Definition as Definition, Figure as Figure
 from ._write import write_files as write_files, write_run as write_run

@@ -1,0 +1,14 @@
+"""What a person sees of a fit: tables, figures and files. Made from a result alone."""
+
+from ._figures import (
+    correlation_figure as correlation_figure,
+    recorded_figure as recorded_figure,
+    residuals_figure as residuals_figure,
+)
+from ._files import check_folder as check_folder, write_result as write_result
+from ._reached import Reached as Reached, check_figures as check_figures, reached as reached
+from ._text import (
+    format_estimate as format_estimate,
+    parameter_table as parameter_table,
+    summary as summary,
+)

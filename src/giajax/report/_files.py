@@ -1,0 +1,237 @@
+"""A result as a folder of files, and whether a folder may take it."""
+
+import hashlib
+import json
+import os
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .._errors import InputError
+from ..fitting import FitResult
+from ..runs import Definition, Run, write_files
+from ._figures import correlation_figure, recorded_figure, residuals_figure
+from ._style import SIGNATURE, to_png
+
+RESULT = "result.json"
+
+# What makes two fits the same fit; the iterations allowed and the folder do not.
+_SAME = ("definition", "runs", "free", "start", "fix", "loss")
+_WORDS = {"definition": "the model's constants", "runs": "what the sidecar states", "loss": "loss"}
+_KEPT = ("free_motion", "initial", "command", "wind")
+
+
+def check_folder(
+    folder: str | Path, runs: Sequence[Run], config: Mapping[str, Any], *, force: bool = False
+) -> None:
+    """Refuse a folder that cannot take a result, or holds one of something else.
+
+    To be called before the fit: nobody wants to hear this after it.
+
+    Arguments:
+        folder: where `write_result` is to write; need not exist.
+        runs: the runs to be fitted.
+        config: what `giajax.fitting.configuration` says of the fit.
+        force: write over any result that is there.
+
+    Raises:
+        InputError: the folder is a file, cannot be written, or (without `force`) holds the
+            result of other data, of another configuration, or of another program.
+    """
+    folder = Path(folder)
+    _check_writable(folder)
+    path = folder / RESULT
+    if force or not path.exists():
+        return
+    remedy = "give another --out, or --force to write over it"
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+        checksums = [run["sha256"] for run in record["runs"]]
+        before = record["config"]
+        differing = [key for key in _SAME if before.get(key) != _as_json(config.get(key))]
+    except OSError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror}); {remedy}") from None
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise InputError(f"{path} is not a result of giajax; {remedy}") from None
+    if checksums != [run.sha256 for run in runs]:
+        names = ", ".join(str(run.get("name")) for run in record["runs"])
+        raise InputError(f"{folder} holds the result of other data ({names}); {remedy}")
+    if differing:
+        what = ", ".join(_WORDS.get(key, key) for key in differing)
+        raise InputError(
+            f"{folder} holds the result of another configuration (it differs in {what}); {remedy}"
+        )
+
+
+def write_result(result: FitResult, runs: Run | Sequence[Run], folder: str | Path) -> list[Path]:
+    """Write a result to a folder, which is made if it is missing; returns the files.
+
+    `result.json` is the result itself (`giajax.load_result`). `prediction.csv` has the columns of
+    the recording with the fitted in place of the recorded values, at every time; for one run it is
+    a run itself, with its sidecar, and for several it has a leading column `run`. Figures show
+    recorded against fitted values of each run, the residuals and the correlations. Each file
+    appears whole or not at all, `result.json` last. Figures of an earlier fit are removed.
+
+    Arguments:
+        result: the result of `fit` or `load_result`.
+        runs: the runs that were fitted, in the same order.
+        folder: written over without asking; `check_folder` asks.
+
+    Raises:
+        InputError: other runs than those of the result, or the folder cannot be written.
+
+    Example:
+        >>> write_result(result, runs, "giajax-out/base_step")  # doctest: +SKIP
+    """
+    folder = Path(folder)
+    runs = [runs] if isinstance(runs, Run) else list(runs)
+    if [run.sha256 for run in runs] != [record["sha256"] for record in result.runs]:
+        raise InputError("the runs are not those of the result; give the same ones in their order")
+    # A result that was loaded has no predictions with it.
+    predictions = result.predictions or [result.predict(run) for run in runs]
+    names = _unique_names(runs)
+    contents = _prediction_files(result, runs, names, predictions)
+    interrupted = None
+    try:
+        contents.update(_figure_files(result, runs, names, predictions))
+    except KeyboardInterrupt as error:  # figures can be made again; a fit takes longer
+        interrupted = error
+    contents[RESULT] = result.to_json().encode()
+    _check_writable(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder} cannot be made ({error.strerror}); give another one") from None
+    _remove_stale_figures(folder, contents)
+    paths = {folder / name: data for name, data in contents.items()}
+    write_files(paths, force=True)
+    if interrupted is not None:
+        raise interrupted
+    return list(paths)
+
+
+def _check_writable(folder: Path) -> None:
+    """Refuse a folder that could not be made or written to."""
+    existing = folder
+    # A name that is a broken link exists for mkdir, but not for `exists`.
+    while not existing.exists() and not existing.is_symlink() and existing != existing.parent:
+        existing = existing.parent
+    if not existing.is_dir():
+        said = "is a file" if existing.exists() else "is a broken link"
+        raise InputError(f"{existing} {said}, but the result goes into a folder; give another one")
+    if not os.access(existing, os.W_OK | os.X_OK):
+        raise InputError(f"{existing} cannot be written; give another folder for the result")
+
+
+def _as_json(value: Any) -> Any:
+    """What becomes of a value that is written as JSON and read again."""
+    return json.loads(json.dumps(value))
+
+
+def _unique_names(runs: Sequence[Run]) -> list[str]:
+    """A name for each run that no other has and any file system takes."""
+    names: list[str] = []
+    for run in runs:
+        stem = name = re.sub(r"[^\w.-]+", "_", run.name).strip(".") or "run"
+        number = 1
+        while name.lower() in (other.lower() for other in names):
+            number += 1
+            name = f"{stem}_{number}"
+        names.append(name)
+    return names
+
+
+def _figure_files(
+    result: FitResult,
+    runs: Sequence[Run],
+    names: Sequence[str],
+    predictions: Sequence[Mapping[str, np.ndarray]],
+) -> dict[str, bytes]:
+    files = {}
+    for run, name, predicted, record in zip(runs, names, predictions, result.runs, strict=True):
+        file = "recorded.png" if len(runs) == 1 else f"recorded_{name}.png"
+        files[file] = to_png(recorded_figure(result, run, predicted, record))
+    files["residuals.png"] = to_png(residuals_figure(result, runs, predictions))
+    files["correlation.png"] = to_png(correlation_figure(result))
+    return files
+
+
+def _remove_stale_figures(folder: Path, contents: Mapping[str, bytes]) -> None:
+    """Remove figures that an earlier fit wrote and this one does not."""
+    for pattern in ("recorded.png", "recorded_*.png", "residuals.png", "correlation.png"):
+        for path in folder.glob(pattern):
+            try:
+                # A person's own figure of such a name does not carry the signature.
+                ours = SIGNATURE.encode() in path.read_bytes()[:200]
+                if path.name not in contents and ours:
+                    path.unlink()
+            except OSError:
+                continue
+
+
+def _prediction_files(
+    result: FitResult,
+    runs: Sequence[Run],
+    names: Sequence[str],
+    predictions: Sequence[Mapping[str, np.ndarray]],
+) -> dict[str, bytes]:
+    tables = [_table(run, predicted) for run, predicted in zip(runs, predictions, strict=True)]
+    if len(runs) == 1:
+        data = _csv(tables[0])
+        checksum = hashlib.sha256(data).hexdigest()
+        return {
+            "prediction.csv": data,
+            "prediction.toml": _sidecar(result, runs[0], checksum).to_toml().encode(),
+        }
+    columns = list(dict.fromkeys(column for table in tables for column in table))
+    together: dict[str, list[str]] = {"run": []}
+    together |= {column: [] for column in columns}
+    for name, table in zip(names, tables, strict=True):
+        count = len(next(iter(table.values())))
+        together["run"] += [name] * count
+        for column in columns:
+            together[column] += table.get(column, [""] * count)
+    return {"prediction.csv": _csv(together)}
+
+
+def _table(run: Run, predicted: Mapping[str, np.ndarray]) -> dict[str, list[str]]:
+    """Cells by column: those of the recording, with predictions in place of measurements."""
+    columns = {}
+    if run.times is not None:
+        columns["time_s"] = _cells(run.times, 12)
+    for name, channel in run.channels.items():
+        values = predicted.get(name, run.values[name])
+        if channel.quantity == "text":
+            columns[channel.column] = ["" if text is None else str(text) for text in values]
+        else:
+            columns[channel.column] = _cells(channel.from_si(values), 9)
+    return columns
+
+
+def _cells(values: np.ndarray, digits: int) -> list[str]:
+    # Adding zero turns -0.0 into 0.0.
+    return [f"{v:.{digits}g}" if np.isfinite(v) else "" for v in (values + 0.0).tolist()]
+
+
+def _csv(columns: Mapping[str, list[str]]) -> bytes:
+    lines = [",".join(columns), *map(",".join, zip(*columns.values(), strict=True))]
+    return ("\n".join(lines) + "\n").encode()
+
+
+def _sidecar(result: FitResult, run: Run, checksum: str) -> Definition:
+    """What the prediction was made with, so that it can be read, checked and fitted as a run."""
+    stated = run.definition.given()
+    model = {key: value for key, value in result.model.definition().items() if key == "arm"}
+    return Definition.parse(
+        {
+            "model": run.model,
+            "origin": f"predicted by giajax from a fit to {run.name}",
+            "sha256": checksum,
+            **model,
+            **{key: stated[key] for key in _KEPT if key in stated},
+        },
+        "prediction.toml",
+    )

@@ -1,0 +1,60 @@
+"""Whether a result reaches the figures that a fit definition asks for."""
+
+import dataclasses
+
+from ..fitting import Estimate, FitResult
+from ..models import AbstractModel
+from ..parameters import find
+from ..runs import Definition, Figure
+from ._text import format_estimate
+
+
+@dataclasses.dataclass(frozen=True)
+class Reached:
+    """One figure of a definition: whether the result reaches it, and a sentence that says so."""
+
+    path: str
+    reached: bool
+    sentence: str
+
+
+def check_figures(model: AbstractModel, definition: Definition) -> None:
+    """Refuse `[figures]` of parameters that the model does not have, before anything is fitted.
+
+    Raises:
+        InputError: naming the path and the nearest one.
+    """
+    for path in definition.figures:
+        find(model, path)
+
+
+def reached(result: FitResult, definition: Definition) -> list[Reached]:
+    """Compare a result with the `[figures]` of a fit definition."""
+    return [
+        Reached(path, *_compare(result.parameters.get(path), figure))
+        for path, figure in definition.figures.items()
+    ]
+
+
+def _compare(estimate: Estimate | None, figure: Figure) -> tuple[bool, str]:
+    value, allowed, relative = figure.value, figure.standard_errors, figure.relative_error
+    if estimate is None or not estimate.free:
+        return False, "was not fitted"
+    error = estimate.standard_error
+    # An error beyond the value is what the result itself calls barely determined.
+    determined = error is not None and error <= abs(estimate.value)
+    if figure.determined is False:
+        return not determined, "is not determined" if not determined else "is determined"
+    if error is None or not error > 0:
+        return False, "has no standard error"
+    shown = " +- ".join(format_estimate(estimate.value, error))
+    sentences, good = [], True
+    if value is not None and allowed is not None:
+        away = abs(estimate.value - value) / error
+        good &= away <= allowed
+        sentences.append(f"{away:.2g} standard errors from {value:g} (at most {allowed:g})")
+    if relative is not None:
+        achieved = error / abs(estimate.value) if estimate.value else float("inf")
+        good &= achieved <= relative
+        sentences.append(f"standard error {achieved:.2%} (at most {relative:.2%})")
+    return good, f"{shown}: {', '.join(sentences)}"
