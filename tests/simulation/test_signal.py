@@ -1,0 +1,144 @@
+"""Inputs over time: their values against numpy, which rows are merged, and what is refused."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from giajax._errors import InputError
+from giajax.simulation import constant, joint_ramps, joint_steps, logged, ramps, steps
+
+RANDOM = np.random.default_rng(0)
+
+
+def evaluate(signal, times):
+    return np.asarray(jax.jit(jax.vmap(signal))(jnp.asarray(times)))
+
+
+def a_log(rows, width=3):
+    times = np.cumsum(RANDOM.uniform(0.05, 0.2, rows))
+    return times, RANDOM.normal(size=(rows, width))
+
+
+@pytest.mark.parametrize("rows", [1, 2, 30, 700])
+def test_ramps_are_numpys_interp(rows):
+    """Beyond some hundred knots the search for the knot is another one."""
+    times, values = a_log(rows)
+    wanted = np.concatenate([np.linspace(times[0] - 1, times[-1] + 1, 400), times])
+    expected = np.stack([np.interp(wanted, times, column) for column in values.T], axis=1)
+    assert_allclose(evaluate(ramps(times, values), wanted), expected, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("rows", [1, 2, 30, 700])
+def test_steps_hold_each_row_from_its_time_on(rows):
+    times, values = a_log(rows)
+    wanted = np.concatenate([np.linspace(times[0] - 1, times[-1] + 1, 400), times])
+    row = np.maximum(np.searchsorted(times, wanted, side="right") - 1, 0)
+    assert_array_equal(evaluate(steps(times, values), wanted), values[row])
+
+
+def test_a_constant_is_the_same_at_all_times():
+    signal = constant([0.1, 0.2, 0.3])
+    assert signal.width == 3
+    assert_array_equal(evaluate(signal, [-5.0, 0.0, 1e6]), [[0.1, 0.2, 0.3]] * 3)
+    assert constant(2.0).width == 1
+
+
+def test_interpolation_is_chosen_by_name():
+    times, values = [0.0, 1.0, 2.0], [[0.0], [1.0], [0.0]]
+    assert_allclose(evaluate(logged(times, values, "zoh"), [0.5, 1.0, 1.5]), [[0.0], [1.0], [1.0]])
+    assert_allclose(evaluate(logged(times, values), [0.5, 1.0, 1.5]), [[0.5], [1.0], [0.5]])
+    with pytest.raises(InputError, match="'cubic' is unknown; use 'zoh' or 'linear'"):
+        logged(times, values, "cubic")
+
+
+def test_a_step_and_a_ramp_by_joint():
+    step = joint_steps(3, {2: 0.5}, time=0.5)
+    expected = [[0, 0, 0], [0, 0, 0], [0, 0.5, 0], [0, 0.5, 0]]
+    assert_array_equal(evaluate(step, [-9.0, 0.4999, 0.5, 9.0]), expected)
+    early = joint_steps(3, {1: 0.5}, time=-2.0)
+    assert_array_equal(evaluate(early, [-2.001, -2.0, 0.0])[:, 0], [0.0, 0.5, 0.5])
+    ramp = joint_ramps(3, {1: 0.4, 3: -0.2}, start=0.5, duration=2.0)
+    expected = [[0, 0, 0], [0, 0, 0], [0.2, 0, -0.1], [0.4, 0, -0.2], [0.4, 0, -0.2]]
+    assert_allclose(evaluate(ramp, [0.0, 0.5, 1.5, 2.5, 9.0]), expected, atol=1e-15)
+
+
+@pytest.mark.parametrize("joint", [0, 4])
+def test_a_joint_that_the_arm_has_not_is_refused(joint):
+    for make in (joint_steps, joint_ramps):
+        with pytest.raises(InputError, match=f"joints 1 to 3; joint {joint} is not one"):
+            make(3, {joint: 0.5})
+
+
+@pytest.mark.parametrize("duration", [0.0, -1.0, np.nan])
+def test_a_ramp_takes_time(duration):
+    with pytest.raises(InputError, match="is no ramp; use joint_steps"):
+        joint_ramps(3, {1: 0.5}, duration=duration)
+
+
+@pytest.mark.parametrize(
+    ("times", "values", "sentence"),
+    [
+        ([0.0, 1.0], [1.0, 2.0], "values of shape \\(row, width\\)"),
+        ([0.0], [[1.0], [2.0]], "given \\(1,\\) and \\(2, 1\\)"),
+        ([], np.zeros((0, 2)), "given \\(0,\\)"),
+        ([0.0, 0.0], [[1.0], [2.0]], "must increase strictly"),
+        ([1.0, 0.0], [[1.0], [2.0]], "must increase strictly"),
+        ([0.0, np.nan], [[1.0], [2.0]], "finite times and values"),
+        ([0.0, 1.0], [[1.0], [np.inf]], "finite times and values"),
+    ],
+)
+@pytest.mark.parametrize("make", [steps, ramps])
+def test_rows_that_make_no_signal_are_refused(make, times, values, sentence):
+    with pytest.raises(InputError, match=sentence):
+        make(times, values)
+
+
+def a_ramp(rate, digits=None):
+    """A 25 s log of the benchmark's command, in degrees as people record it."""
+    times = np.arange(0, 25 + 0.5 / rate, 1 / rate)
+    values = np.interp(times, [0.5, 1.5], [0.0, 40 / 3])[:, None]
+    return times, values if digits is None else np.round(values, digits)
+
+
+@pytest.mark.parametrize("rate", [10, 100])
+@pytest.mark.parametrize("digits", [None, 6, 4])
+def test_rows_on_a_line_are_merged(rate, digits):
+    """Also those that were rounded as a file rounds them, such as 13.3333."""
+    times, values = a_ramp(rate, digits)
+    signal = ramps(times, values)
+    assert_allclose(signal.times, [0.0, 0.5, 1.5, 25.0], atol=1e-12)
+    expected = np.interp(times, [0.5, 1.5], [0.0, 40 / 3])[:, None]
+    assert_allclose(evaluate(signal, times), expected, atol=1e-4)
+
+
+def test_corners_that_count_are_kept():
+    times = np.arange(0, 10, 0.1)
+    bend = np.where(times < 5, times, 5 + 1.01 * (times - 5))[:, None]
+    assert_allclose(ramps(times, bend).times, [0.0, 5.0, 9.9], atol=1e-12)
+
+
+def test_what_is_merged_stays_within_the_tolerance():
+    times = np.sort(RANDOM.uniform(0, 10, 300))
+    values = np.stack([np.sin(times), np.cos(3 * times)], axis=1)
+    for tolerance in (1e-1, 1e-2, 1e-3):
+        signal = ramps(times, values, tolerance=tolerance)
+        assert 2 < len(signal.times) < 300
+        assert np.abs(evaluate(signal, times) - values).max() <= tolerance * (1 + 1e-9)
+
+
+def test_repeated_rows_of_a_step_are_merged():
+    times = np.arange(100) / 10
+    values = np.where(times < 3, 0.0, 0.5)[:, None]
+    assert_array_equal(steps(times, values).times, [0.0, times[times >= 3][0]])
+    assert len(ramps(times, np.zeros((100, 2))).times) == 2
+
+
+def test_a_signal_is_strongly_typed_and_has_a_derivative():
+    signal = ramps([0, 1], [[0, 0], [1, 3]])
+    for leaf in jax.tree.leaves(signal):
+        assert leaf.dtype == jnp.float64
+        assert not leaf.weak_type
+    slope = jax.jacfwd(signal)(jnp.asarray(0.25))
+    assert_allclose(slope, [1.0, 3.0])
