@@ -1,0 +1,116 @@
+"""`giajax examples`: the runs and fit definitions that ship with giajax."""
+
+from collections.abc import Iterator
+from importlib import resources
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+EXAMPLES = """\b
+Examples:
+  giajax examples
+  giajax examples --copy work
+  giajax fit work/fits/base_step.toml"""
+
+_FOLDERS = ("fits", "data/synthetic")
+_COPIED = (".csv", ".toml", ".md")
+
+
+def examples(
+    copy: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Copy them all to this folder.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Write over files.")] = False,
+) -> None:
+    """List the runs and fit definitions that ship with giajax, or copy them to start from."""
+    root = examples_root()
+    if copy is None:
+        _show(root)
+        return
+    files = list(_files(root))
+    _copy(root, files, copy, force)
+    typer.echo(f"copied {len(files)} files to {copy}; see: giajax fit {copy}/fits/base_step.toml")
+
+
+def examples_root() -> Path:
+    """The folder that holds `fits/` and `data/synthetic/`.
+
+    In an installed package it is `giajax/_examples`; in a checkout (an editable install) the
+    root of the repository.
+
+    Raises:
+        InputError: neither is there.
+    """
+    package = Path(str(resources.files("giajax")))
+    checkout = package.parents[1]
+    for root in (package / "_examples", checkout):
+        if all((root / folder).is_dir() for folder in _FOLDERS):
+            return root
+    raise _wrong(
+        f"the examples are not part of this installation ({package}); install giajax again"
+    )
+
+
+def _show(root: Path) -> None:
+    from ._output import print_table
+
+    fits = sorted((root / "fits").glob("*.toml"))
+    print_table(["fit definition", "fits", "to"], [_fit(path, root) for path in fits], left=3)
+    print()
+    runs = sorted((root / "data/synthetic").glob("*.csv"))
+    headings = ["run", "driven", "rows", "seconds", "channels", "missing %"]
+    print_table(headings, [_run(path, root) for path in runs], left=2)
+    print(f"\nThey are in {root}; to start from them: giajax examples --copy DIR")
+
+
+def _fit(path: Path, root: Path) -> list[str | None]:
+    from ..runs import Definition
+
+    fit = Definition.load(path).fit
+    data = ", ".join(Path(name).name for name in fit.data or [])
+    free = "the default parameters" if fit.free is None else ", ".join(fit.free)
+    return [path.relative_to(root).as_posix(), free, data]
+
+
+def _run(path: Path, root: Path) -> list[str | int | float | None]:
+    from ..runs import describe, read_run
+
+    facts = describe(read_run(path))
+    measured = [channel for channel in facts["channels"] if channel["part"] == "measured"]
+    gaps = sum(channel["missing_percent"] for channel in measured) / max(len(measured), 1)
+    names = [name.removesuffix("_command") for name in (facts["command"] or {}).get("channels", [])]
+    windy = [] if facts["wind"] is None else ["wind"]
+    seconds = facts["time"]["end_s"] - facts["time"]["start_s"]
+    driven = ", ".join([*names, *windy])
+    return [path.relative_to(root).as_posix(), driven, facts["rows"], seconds, len(measured), gaps]
+
+
+def _files(root: Path) -> Iterator[Path]:
+    for folder in _FOLDERS:
+        for path in sorted((root / folder).rglob("*")):
+            if path.is_file() and path.suffix in _COPIED:
+                yield path
+
+
+def _copy(root: Path, files: list[Path], target: Path, force: bool) -> None:
+    from ..runs import write_files
+
+    contents = {target / path.relative_to(root): path.read_bytes() for path in files}
+    taken = [path for path in contents if path.exists()]
+    if taken and not force:
+        raise _wrong(f"{taken[0]} exists and is not written over; give another folder or --force")
+    for folder in {path.parent for path in contents}:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise _wrong(
+                f"the folder {folder} cannot be made ({error.strerror}); give another one"
+            ) from None
+    write_files(contents, force=force)
+
+
+def _wrong(sentence: str) -> Exception:
+    from .._errors import InputError
+
+    return InputError(sentence)
