@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from . import _check, _fit, _init
+from . import _check, _examples, _fit, _init, _parameters, _simulate
 from ._errors import Commands, run
 
 app = typer.Typer(
@@ -21,6 +21,10 @@ app = typer.Typer(
 Examples:
   giajax check run.csv      what a recording holds
   giajax init run.csv       write a sidecar for it, to fill in
+  giajax parameters         what a fit can find, with unit and bounds
+  giajax simulate --ramp 1=30 --out run.csv
+                            a run made by the model
+  giajax examples           runs and fit definitions to start from
   giajax fit --data run.csv
                             fit drag, stiffness and damping to it
 
@@ -35,6 +39,9 @@ link06_z_m, ...) and, beside it, an optional sidecar of the same name ending .to
 app.command("check", epilog=_check.EXAMPLES)(_check.check)
 app.command("fit", epilog=_fit.EXAMPLES)(_fit.fit)
 app.command("init", epilog=_init.EXAMPLES)(_init.init)
+app.command("parameters", epilog=_parameters.EXAMPLES)(_parameters.parameters)
+app.command("simulate", epilog=_simulate.EXAMPLES)(_simulate.simulate)
+app.command("examples", epilog=_examples.EXAMPLES)(_examples.examples)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
