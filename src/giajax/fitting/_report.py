@@ -5,19 +5,17 @@ import platform
 import time
 from collections.abc import Sequence
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ..parameters import Parameter, replace
 from ..runs import Run
+from ._fitter import Fitter
 from ._identifiability import largest_correlations, responds, undetermined_groups
 from ._problem import Sigmas, predictions_by_run
 from ._result import Estimate, FitResult, Status, finite_or_none, held_estimates
 from ._uncertainty import correlation_matrix, uncertainty
-
-if TYPE_CHECKING:
-    from ._fit import Fitter
 
 # Central differences in the free coordinate, at a tolerance where the steps of the integrator
 # do not show: truncation and noise are then both near 1e-8.
@@ -41,7 +39,7 @@ class Outcome:
     config: dict[str, Any]
 
 
-def report(fitter: "Fitter", runs: Sequence[Run], outcome: Outcome, *, check: bool) -> FitResult:
+def report(fitter: Fitter, runs: Sequence[Run], outcome: Outcome, *, check: bool) -> FitResult:
     """Everything that is known at the end."""
     problem, state = fitter.problem, fitter.state
     active = np.asarray(fitter.active)
@@ -92,7 +90,7 @@ def report(fitter: "Fitter", runs: Sequence[Run], outcome: Outcome, *, check: bo
 class _Errors:
     """Standard errors of the free parameters, and which of them there are."""
 
-    def __init__(self, fitter: "Fitter", outcome: Outcome) -> None:
+    def __init__(self, fitter: Fitter, outcome: Outcome) -> None:
         problem, state = fitter.problem, fitter.state
         self.paths = problem.paths
         self.values = list(fitter.parameters().values())
@@ -196,7 +194,7 @@ def _run_record(
     }
 
 
-def _gradient_check(fitter: "Fitter") -> dict[str, Any] | None:
+def _gradient_check(fitter: Fitter) -> dict[str, Any] | None:
     """The Jacobian against a central difference at the optimum, at a finer tolerance.
 
     One direction in which every parameter has the same weight in the residual: a wrong column
@@ -225,7 +223,7 @@ def _gradient_check(fitter: "Fitter") -> dict[str, Any] | None:
     }
 
 
-def _tolerance_effect(fitter: "Fitter", errors: _Errors) -> dict[str, Any] | None:
+def _tolerance_effect(fitter: Fitter, errors: _Errors) -> dict[str, Any] | None:
     """How far the optimum moves, to first order, when the solver tolerance is halved."""
     if not errors.determined:
         return None

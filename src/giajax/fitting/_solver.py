@@ -60,12 +60,16 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         rtol, atol: converged when a step changes no parameter by more than `atol + rtol |y|`.
         distance: converged when the full Gauss-Newton step would change the parameters by less
             than this many standard errors (with the noise that the residual itself shows).
+        largest_step: no coordinate moves by more than this in one step. Where coordinates are
+            logarithms it keeps a trial point within a factor, so that an early, poor model of
+            the cost does not send a parameter to its bound or a chain into stiffness.
         norm: unused by this solver; required by optimistix.
     """
 
     rtol: float = 1e-9
     atol: float = 1e-9
     distance: float = 1e-2
+    largest_step: float = float("inf")
     norm: Callable[[Any], Scalar] = optx.max_norm
 
     def init(
@@ -152,14 +156,27 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         return jnp.where(accepted, trial, y), state, state.aux
 
     def _trial_step(self, state: MarquardtState, active: Array) -> Array:
-        """Minimise |R s + Q^T r|^2 + lambda |D s|^2 as one small least-squares problem."""
+        """Minimise |R s + Q^T r|^2 + lambda |D s|^2 over the box of the largest step.
+
+        Coordinates that want to leave the box stay on its side, and the others are solved for
+        again: to shorten the whole step would let one weak parameter hold up all of them.
+        """
         # A column that is zero (a parameter that is held) must not make the system singular.
         scale = jnp.where(state.scale > 0, state.scale, 1)
-        matrix = jnp.concatenate([state.factor, jnp.diag(jnp.sqrt(state.damping) * scale)])
-        vector = jnp.concatenate([-state.projected, jnp.zeros_like(state.projected)])
-        operator = lx.MatrixLinearOperator(matrix)
-        step = lx.linear_solve(operator, vector, solver=lx.QR(), throw=False).value
-        return jnp.where(active, step, 0)
+        damping = jnp.diag(jnp.sqrt(state.damping) * scale)
+
+        def solve(given: Array, held: Array) -> Array:
+            matrix = jnp.concatenate([jnp.where(held[None], 0, state.factor), damping])
+            load = state.projected + state.factor @ given
+            vector = jnp.concatenate([-load, jnp.zeros_like(load)])
+            operator = lx.MatrixLinearOperator(matrix)
+            return lx.linear_solve(operator, vector, solver=lx.QR(), throw=False).value + given
+
+        free = solve(jnp.zeros_like(scale), ~active)
+        far = jnp.abs(free) > self.largest_step
+        boxed = jnp.clip(free, -self.largest_step, self.largest_step)
+        again = solve(jnp.where(far, boxed, 0), far | ~active)
+        return jnp.clip(again, -self.largest_step, self.largest_step)
 
     def terminate(
         self,

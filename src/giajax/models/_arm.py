@@ -19,9 +19,9 @@ from ._protocol import AbstractModel, Channels
 # Positions of the 20 m arm are then right to about 1e-6 m, far below the noise of a camera.
 _TOLERANCE = 1e-7
 
-# Ten times what the paper's arm needs for 25 s. A trial step of a fit that makes the chain
+# Fifty times what the paper's arm needs for 25 s. A trial step of a fit that makes the chain
 # stiffer than that is given up, which costs seconds instead of minutes.
-_MAX_STEPS = 20_000
+_MAX_STEPS = 50_000
 
 
 class ArmInputs(eqx.Module):

@@ -1,0 +1,84 @@
+"""What a fit is asked: checked and resolved before anything is evaluated."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from .._errors import InputError
+from ..models import AbstractModel
+from ..parameters import Parameter, check_within_bounds, default_free, elements, find, replace
+from ..runs import Run
+from ._loss import check_loss
+
+# What a sidecar says about a run that a fit depends on; [arm] is in the model.
+_ABOUT_RUNS = ("free_motion", "initial", "command", "wind", "noise")
+
+
+def configuration(
+    model: AbstractModel,
+    runs: Sequence[Run],
+    *,
+    free: Sequence[str] | None = None,
+    start: Mapping[str, float] | None = None,
+    fix: Mapping[str, float] | None = None,
+    loss: str = "linear",
+) -> dict[str, Any]:
+    """What a fit with these arguments is asked, resolved: `config` of its result.
+
+    Checks the arguments without evaluating the model; two fits of the same data with the same
+    configuration have the same result.
+
+    Raises:
+        InputError: as `fit` does, apart from a start that cannot be evaluated.
+    """
+    start, fix = dict(start or {}), dict(fix or {})
+    check_loss(loss)
+    if not runs:
+        raise InputError("no run was given; a fit needs at least one")
+    for run in runs:
+        run.require_observations()
+    model, parameters = set_up(model, free, start, fix)
+    for run in runs:
+        model.prepare(run)
+    stated = [run.definition.given() for run in runs]
+    return {
+        "definition": model.definition(),
+        "runs": [{key: said[key] for key in _ABOUT_RUNS if key in said} for said in stated],
+        "free": [parameter.path for parameter in parameters],
+        "start": {path: float(value) for path, value in start.items()},
+        "fix": {path: float(value) for path, value in fix.items()},
+        "loss": loss,
+    }
+
+
+def set_up(
+    model: AbstractModel,
+    free: Sequence[str] | None,
+    start: Mapping[str, float],
+    fix: Mapping[str, float],
+) -> tuple[AbstractModel, list[Parameter]]:
+    """The model at its start, and the scalar parameters to fit."""
+    for path in (*start, *fix):
+        find(model, path)
+    for path in set(start) & set(fix):
+        raise InputError(f"'{path}' is given a start and a fixed value; give one of them")
+    model = replace(model, {**start, **fix})
+    wanted = default_free(model) if free is None else free
+    fixed = {element.path for path in fix for element in elements(model, path)}
+    parameters: dict[str, Parameter] = {}
+    for path in wanted:
+        for element in elements(model, path):
+            if element.path not in fixed:
+                parameters[element.path] = element
+            elif free is not None:
+                raise InputError(f"'{element.path}' is both free and fixed; give one of them")
+    if not parameters:
+        raise InputError("no parameter is free; free at least one")
+    for path in fix:
+        for element in elements(model, path):
+            check_within_bounds(element, float(element.value(model)), free=False)
+    for element in parameters.values():
+        check_within_bounds(element, float(element.value(model)), free=True)
+    for path in start:
+        for element in elements(model, path):
+            check_within_bounds(element, float(element.value(model)), free=False)
+    return model, list(parameters.values())
