@@ -1,5 +1,6 @@
 """`giajax fit`: parameters of an arm from recordings of it."""
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -23,9 +24,9 @@ Parameters are called as `giajax parameters` lists them, in the units that it li
 The table and the summary go to standard output, progress to standard error.
 
 \b
-Exit status: 0 converged; 1 ended without convergence (the result is written
-and says so); 2 bad input or usage; 130 interrupted (the best point so far is
-written)."""
+Exit status: 0 converged; 1 ended without convergence (the result is
+written and says so); 2 bad input or usage; 130 interrupted (the best point
+so far is written)."""
 
 
 def fit(
@@ -131,12 +132,12 @@ def fit(
 def _values(pairs: list[str] | None, option: str) -> dict[str, float]:
     values: dict[str, float] = {}
     for pair in pairs or []:
-        path, equals, text = pair.partition("=")
+        path, _, text = pair.partition("=")
         try:
             value = float(text)
         except ValueError:
-            equals = ""
-        if not equals or not path:
+            value = math.nan
+        if not path or not math.isfinite(value):
             raise typer.BadParameter(f"{option} '{pair}' must be PATH=VALUE, VALUE a number")
         if path in values:
             raise typer.BadParameter(f"{option} gives '{path}' twice: give it once")

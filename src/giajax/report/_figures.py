@@ -113,12 +113,18 @@ def correlation_figure(result: FitResult) -> Figure:
         axes.add_patch(Rectangle((i - 0.5, i - 0.5), 1, 1, facecolor=LIGHT, edgecolor="white"))
         for j in range(i if len(paths) <= _MOST_NUMBERS else 0):
             colour = "white" if abs(below[i, j]) > 0.6 else INK
-            text = "?" if np.isnan(below[i, j]) else f"{below[i, j]:.2f}".replace("-", MINUS)
-            axes.text(j, i, text, ha="center", va="center", fontsize=8, color=colour)
+            number = _correlation(below[i, j])
+            axes.text(j, i, number, ha="center", va="center", fontsize=8, color=colour)
     bar = figure.colorbar(image, ax=axes, shrink=0.8, ticks=[-1, -0.5, 0, 0.5, 1])
     bar.ax.tick_params(labelsize=8, length=0, labelcolor=INK)
     bar.outline.set_visible(False)
     return figure
+
+
+def _correlation(value: float) -> str:
+    # Three digits where two would round to one, which no correlation here is.
+    digits = 3 if abs(value) >= 0.995 else 2
+    return "?" if np.isnan(value) else f"{value:.{digits}f}".replace("-", MINUS)
 
 
 def _unfinished(result: FitResult) -> str:

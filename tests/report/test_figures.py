@@ -1,0 +1,140 @@
+"""The figures: what they draw, that they are not blank, and that nothing global changes."""
+
+import dataclasses
+import subprocess
+import sys
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from giajax.report import correlation_figure, recorded_figure, residuals_figure
+from giajax.report._style import to_png
+from giajax.runs import Run
+
+PNG = b"\x89PNG\r\n\x1a\n"
+
+
+def ink(figure):
+    """Part of the pixels that are not white."""
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return float(np.mean(np.asarray(canvas.buffer_rgba())[..., :3].min(axis=-1) < 200))
+
+
+def panels(figure):
+    return [axes for axes in figure.axes if axes.get_visible()]
+
+
+def many(links, components="xyz", samples=30):
+    """A run with all components of many links, its prediction, and its record."""
+    times = np.linspace(0, 3, samples)
+    values = {"joint01_command": np.zeros(samples)}
+    for link in range(1, links + 1):
+        for component in components:
+            values[f"link{link:02d}_{component}"] = np.sin(times + link)
+    run = Run.from_arrays(times, values, definition={"arm": {"links": links}})
+    predicted = {name: array * 0.9 for name, array in run.observations.items()}
+    record = {
+        "name": "many",
+        "channels": {n: {"unit": "m", "rmse": 0.1, "n": samples, "noise": 0.05} for n in predicted},
+    }
+    return run, predicted, record
+
+
+def test_one_panel_a_channel_in_the_units_of_the_file(result, run):
+    figure = recorded_figure(result, run, result.predictions[0], result.runs[0])
+    titles = [axes.get_title(loc="left") for axes in panels(figure)]
+    assert titles == ["link02_y (m)", "link04_y (m)", "link04_z (m)"]
+    dots, line = panels(figure)[2].lines
+    assert np.array_equal(dots.get_ydata(), run.observations["link04_z"], equal_nan=True)
+    assert np.array_equal(line.get_ydata(), result.predictions[0]["link04_z"])
+    assert np.isnan(dots.get_ydata()).sum() == 5  # the gap is a gap
+    assert ink(figure) > 0.01
+
+
+def test_units_of_the_file_are_those_of_the_axis(result):
+    angles = {"joint01_command": np.zeros(3), "joint01_angle": np.array([0.0, 0.1, 0.2])}
+    run = Run.from_arrays([0.0, 1.0, 2.0], angles)
+    channel = dataclasses.replace(run.channels["joint01_angle"], unit="deg")
+    run = dataclasses.replace(run, channels={**run.channels, "joint01_angle": channel})
+    record = {"channels": {"joint01_angle": {"unit": "deg", "rmse": 0.0, "n": 3, "noise": 1.0}}}
+    figure = recorded_figure(result, run, {"joint01_angle": angles["joint01_angle"]}, record)
+    (axes,) = panels(figure)
+    assert axes.get_title(loc="left") == "joint01_angle (deg)"
+    assert axes.lines[0].get_ydata()[1] == pytest.approx(np.rad2deg(0.1))
+
+
+@pytest.mark.parametrize(
+    ("links", "components", "count"), [(1, "z", 1), (8, "xyz", 24), (20, "xyz", 20), (60, "z", 24)]
+)
+def test_there_are_never_too_many_panels(result, links, components, count):
+    run, predicted, record = many(links, components)
+    figure = recorded_figure(result, run, predicted, record)
+    assert len(panels(figure)) == count
+    left_out = links * len(components) - sum(len(axes.lines) // 2 for axes in panels(figure))
+    assert (f"{left_out} more channels" in figure.get_suptitle()) == (left_out > 0)
+    # Every column of panels ends in a time axis.
+    columns = panels(figure)[0].get_gridspec().ncols
+    assert sum(axes.get_xlabel() == "time (s)" for axes in panels(figure)) == columns
+    assert ink(figure) > 0.01
+
+
+def test_residuals_are_in_units_of_the_noise(result, run):
+    figure = residuals_figure(result, [run], result.predictions)
+    over_time, distribution, by_channel = figure.axes
+    values = over_time.lines[0].get_ydata()
+    assert 0.8 < np.nanstd(values) < 1.2
+    assert distribution.patches
+    assert [label.get_text() for label in by_channel.get_xticklabels()] == list(run.observations)
+    assert ink(figure) > 0.01
+
+
+def test_residuals_of_many_runs_and_of_a_bad_fit(result):
+    run, predicted, record = many(20)
+    record["channels"] = {n: {**c, "noise": 1e-3} for n, c in record["channels"].items()}
+    bad = dataclasses.replace(result, status="not_converged", runs=[record] * 8)
+    figure = residuals_figure(bad, [run] * 8, [predicted] * 8)
+    assert "first 6 of 8 runs" in figure.get_suptitle()
+    assert "not converged" in figure.get_suptitle()
+    assert "beyond 8" in "".join(t.get_text() for axes in figure.axes for t in axes.texts)
+    assert ink(figure) > 0.01
+
+
+def test_the_correlations_are_written_into_the_cells(result):
+    figure = correlation_figure(result)
+    axes = figure.axes[0]
+    matrix = np.array(result.correlation["matrix"])
+    assert len(axes.texts) == 6
+    shown = float(axes.texts[0].get_text().replace("\N{MINUS SIGN}", "-"))
+    assert shown == pytest.approx(matrix[1, 0], abs=0.006)
+    assert ink(figure) > 0.01
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 30])
+def test_correlations_of_any_number_of_parameters(result, count):
+    matrix = np.where(np.eye(count, dtype=bool), 1.0, -0.9985).tolist()
+    correlation = {"parameters": [f"links.mass[{i}]" for i in range(count)], "matrix": matrix}
+    figure = correlation_figure(dataclasses.replace(result, correlation=correlation))
+    text = [item.get_text() for item in figure.axes[0].texts]
+    wanted = {0: ["no parameter is determined"], 2: ["\N{MINUS SIGN}0.999"]}
+    assert text == wanted.get(count, [])
+    assert to_png(figure).startswith(PNG)
+
+
+def test_a_figure_is_the_same_file_each_time(result):
+    first, second = to_png(correlation_figure(result)), to_png(correlation_figure(result))
+    assert first == second
+    assert b"giajax" in first[:200]
+
+
+def test_nothing_global_of_matplotlib_is_touched(result, run):
+    before = dict(mpl.rcParams)
+    to_png(residuals_figure(result, [run], result.predictions))
+    assert dict(mpl.rcParams) == before
+    code = (
+        "import sys, giajax.report; sys.exit('pyplot' if 'matplotlib.pyplot' in sys.modules else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.stderr, done.returncode) == ("", 0)

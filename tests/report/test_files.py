@@ -1,0 +1,217 @@
+"""The folder of a result: whole, readable, and never over something else."""
+
+import dataclasses
+import json
+import os
+
+import numpy as np
+import pytest
+
+from giajax._errors import InputError
+from giajax.fitting import configuration, fit, load_result
+from giajax.models import model_for
+from giajax.report import check_folder, write_result
+from giajax.runs import Run, read_run
+from small_arm import START, make_run, small_run
+
+NAMES = [
+    "prediction.csv",
+    "prediction.toml",
+    "recorded.png",
+    "residuals.png",
+    "correlation.png",
+    "result.json",
+]
+
+
+@pytest.fixture
+def config(run):
+    return configuration(model_for([run]), [run], start=START)
+
+
+def test_what_is_written(result, run, tmp_path):
+    folder = tmp_path / "some" / "where"
+    files = write_result(result, run, folder)
+    assert [path.name for path in files] == NAMES
+    assert sorted(os.listdir(folder)) == sorted(NAMES)  # and no half-written file
+    assert (folder / "result.json").read_text() == result.to_json()
+    for name in NAMES[2:5]:
+        assert (folder / name).stat().st_size > 5_000
+
+
+def test_the_prediction_is_a_run_with_the_columns_of_the_recording(result, run, tmp_path):
+    write_result(result, run, tmp_path)
+    predicted = read_run(tmp_path / "prediction.csv")
+    recorded = (run.path.read_text(), (tmp_path / "prediction.csv").read_text())
+    assert recorded[0].splitlines()[0] == recorded[1].splitlines()[0]
+    assert np.array_equal(predicted.times, run.times)
+    assert np.allclose(predicted.commands["joint01_command"], run.commands["joint01_command"])
+    for name, values in load_result(tmp_path).predict(run).items():
+        assert np.allclose(predicted.observations[name], values, rtol=1e-8, atol=1e-12)
+    # Also where nothing was measured.
+    assert not np.isnan(predicted.observations["link04_z"]).any()
+    assert predicted.definition.arm.links == 4
+
+
+def test_a_free_motion_and_its_initial_state_are_in_the_prediction(result, tmp_path):
+    times = np.linspace(0, 1, 5)
+    definition = {"arm": {"links": 4}, "initial": {"angle_deg": [10.0, 0, 0, 0]}}
+    swing = Run.from_arrays(times, {"link04_z": np.zeros(5)}, definition=definition)
+    free = fit(model_for([swing]), swing, free=["joints.damping"], max_iterations=1, check=False)
+    write_result(free, swing, tmp_path)
+    predicted = read_run(tmp_path / "prediction.csv")
+    assert predicted.definition.initial.angle_deg == [10.0, 0, 0, 0]
+    again = load_result(tmp_path).predict(predicted)["link04_z"]
+    assert np.allclose(again, predicted.observations["link04_z"], rtol=1e-8, atol=1e-12)
+
+
+def test_several_runs_are_in_one_file_and_have_a_figure_each(tmp_path):
+    (tmp_path / "a").mkdir()
+    first = small_run(tmp_path, channels=("link02_y", "link04_z"))
+    other = small_run(tmp_path / "a", seed=1, channels=("link04_z",), units={"length": "cm"})
+    runs = [first, other]
+    both = fit(model_for(runs), runs, start=START, max_iterations=1, check=False)
+    folder = tmp_path / "out"
+    files = [path.name for path in write_result(both, runs, folder)]
+    # Two runs of one name are told apart.
+    assert files == [
+        "prediction.csv", "recorded_run.png", "recorded_run_2.png", "residuals.png",
+        "correlation.png", "result.json",
+    ]  # fmt: skip
+    lines = (folder / "prediction.csv").read_text().splitlines()
+    head = "run,time_s,joint01_command_deg,joint02_command_deg,link02_y_m,link04_z_m,link04_z_cm"
+    assert lines[0] == head
+    assert len(lines) == 1 + 41 + 41
+    assert lines[-1].split(",")[0] == "run_2"
+    assert lines[-1].split(",")[4:6] == ["", ""]
+    assert float(lines[-1].split(",")[6]) == pytest.approx(
+        both.predictions[1]["link04_z"][-1] * 100
+    )
+
+
+def test_stale_figures_go_and_a_persons_own_stay(result, run, tmp_path):
+    write_result(result, run, tmp_path)
+    (tmp_path / "recorded.png").rename(tmp_path / "recorded_old.png")
+    (tmp_path / "recorded_mine.png").write_bytes(b"\x89PNG mine")
+    (tmp_path / "notes.txt").write_text("mine")
+    write_result(result, run, tmp_path)
+    assert sorted(os.listdir(tmp_path)) == sorted([*NAMES, "recorded_mine.png", "notes.txt"])
+
+
+def test_a_loaded_result_writes_the_same_files(result, run, tmp_path):
+    write_result(result, run, tmp_path / "a")
+    write_result(load_result(tmp_path / "a"), run, tmp_path / "b")
+    for name in ("result.json", "prediction.csv"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_an_interruption_of_the_drawing_keeps_the_result(result, run, tmp_path, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("giajax.report._files.residuals_figure", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        write_result(result, run, tmp_path)
+    assert sorted(os.listdir(tmp_path)) == ["prediction.csv", "prediction.toml", "result.json"]
+
+
+def test_a_failed_write_leaves_what_was_there(result, run, tmp_path, monkeypatch):
+    write_result(result, run, tmp_path)
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+
+    def fail(self, data):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("pathlib.Path.write_bytes", fail)
+    with pytest.raises(InputError, match="No space left"):
+        write_result(result, run, tmp_path)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_other_runs_than_those_of_the_result_are_refused(result, tmp_path):
+    other = small_run(tmp_path, seed=5)
+    with pytest.raises(InputError, match="not those of the result"):
+        write_result(result, other, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_same_fit_may_be_written_again(result, run, config, tmp_path):
+    check_folder(tmp_path / "new" / "folder", [run], config)
+    (tmp_path / "notes.txt").write_text("mine")
+    check_folder(tmp_path, [run], config)
+    write_result(result, run, tmp_path)
+    check_folder(tmp_path, [run], config)
+    assert not (tmp_path / "new").exists()
+
+
+CHANGES = {
+    "definition": {"fix": {"links.mass": 0.05}},
+    "free": {"free": ["air.drag_coefficient"], "start": {"air.drag_coefficient": 0.9}},
+    "start": {"start": {**START, "air.drag_coefficient": 0.91}},
+    "loss": {"loss": "huber"},
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_another_configuration_is_refused(result, run, config, tmp_path, change):
+    write_result(result, run, tmp_path)
+    arguments = {"start": START, **CHANGES[change]}
+    other = configuration(model_for([run]), [run], **arguments)
+    words = {"definition": "model's constants"}
+    with pytest.raises(InputError, match=rf"another configuration.*{words.get(change, change)}"):
+        check_folder(tmp_path, [run], other)
+    check_folder(tmp_path, [run], other, force=True)
+
+
+def test_another_noise_in_the_sidecar_is_another_configuration(result, run, tmp_path):
+    write_result(result, run, tmp_path / "out")
+    sidecar = (
+        run.path.with_suffix(".toml").read_text().replace("position_m = 0.01", "position_m = 0.02")
+    )
+    (tmp_path / "run.csv").write_bytes(run.path.read_bytes())
+    (tmp_path / "run.toml").write_text(sidecar)
+    louder = read_run(tmp_path / "run.csv")
+    other = configuration(model_for([louder]), [louder], start=START)
+    with pytest.raises(InputError, match="what the sidecar states"):
+        check_folder(tmp_path / "out", [louder], other)
+
+
+def test_other_data_are_refused(result, run, tmp_path):
+    write_result(result, run, tmp_path / "out")
+    other = read_run(make_run(tmp_path, seed=3))
+    config = configuration(model_for([other]), [other], start=START)
+    with pytest.raises(InputError, match=r"other data \(run\).*--force"):
+        check_folder(tmp_path / "out", [other], config)
+    check_folder(tmp_path / "out", [other], config, force=True)
+
+
+@pytest.mark.parametrize("content", ["", "{}", "[1]", "3", '{"runs": 3, "config": 1}', "\x00"])
+def test_a_result_of_another_program_is_refused(run, config, tmp_path, content):
+    (tmp_path / "result.json").write_text(content)
+    with pytest.raises(InputError, match="not a result of giajax"):
+        check_folder(tmp_path, [run], config)
+    check_folder(tmp_path, [run], config, force=True)
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_a_folder_that_cannot_be_is_refused(run, config, tmp_path, force):
+    (tmp_path / "file").write_text("mine")
+    (tmp_path / "link").symlink_to(tmp_path / "nowhere")
+    for folder in ("file", "file/below", "link"):
+        with pytest.raises(InputError, match="give another one"):
+            check_folder(tmp_path / folder, [run], config, force=force)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_without_permission_is_refused(run, config, tmp_path):
+    tmp_path.chmod(0o500)
+    with pytest.raises(InputError, match="cannot be written"):
+        check_folder(tmp_path / "out", [run], config)
+
+
+def test_what_is_not_finite_is_null(result, run, tmp_path):
+    odd = dataclasses.replace(result, cost=float("nan"), reduced_chi_square=float("inf"))
+    write_result(odd, run, tmp_path)
+    record = json.loads((tmp_path / "result.json").read_text())
+    assert record["cost"] is None
+    assert record["reduced_chi_square"] is None

@@ -1,0 +1,50 @@
+"""A short run of a short arm, made by the model: quick to fit, and the truth is known."""
+
+import numpy as np
+
+from giajax.arm import chain
+from giajax.fitting import predict
+from giajax.models import ArmModel
+from giajax.parameters import replace
+from giajax.runs import Run, read_run, write_run
+
+LINKS = 4
+TRUTH = {
+    "air.drag_coefficient": 1.1,
+    "joints.pitch_stiffness": 2.5,
+    "joints.yaw_stiffness": 4.0,
+    "joints.damping": 0.1,
+}
+START = {
+    "air.drag_coefficient": 0.9,
+    "joints.pitch_stiffness": 3.0,
+    "joints.yaw_stiffness": 5.0,
+    "joints.damping": 0.07,
+}
+STARTS = [part for path, value in START.items() for part in ("--start", f"{path}={value}")]
+NOISE = 0.01
+
+
+def make_run(
+    folder, name="run", *, seed=0, channels=("link02_y", "link04_y", "link04_z"), **written
+):
+    """Write NAME.csv and its sidecar: noise 0.01 m, a gap in every channel; returns its path."""
+    times = np.linspace(0.0, 4.0, 41)
+    ramp = np.clip(times / 0.5, 0, 1)
+    commands = {"joint01_command": 0.6 * ramp, "joint02_command": -0.5 * ramp}
+    definition = {"arm": {"links": LINKS}, "noise": {"position_m": NOISE}}
+    dummy = {channels[0]: np.zeros_like(times)}
+    model = replace(ArmModel(chain(LINKS)), TRUTH)
+    clean = Run.from_arrays(times, {**commands, **dummy}, definition=definition)
+    predicted = predict(model, clean, channels)
+    noise = np.random.default_rng(seed)
+    recorded = {key: value + NOISE * noise.normal(size=41) for key, value in predicted.items()}
+    for values in recorded.values():
+        values[15:20] = np.nan
+    path = folder / f"{name}.csv"
+    return write_run(path, times, {**commands, **recorded}, definition=definition, **written)
+
+
+def small_run(folder, name="run", **options):
+    """The same, read."""
+    return read_run(make_run(folder, name, **options))
