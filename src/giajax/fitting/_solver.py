@@ -121,8 +121,10 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
 
         linear = state.projected + state.factor @ step
         expected = (jnp.sum(state.projected**2) - jnp.sum(linear**2)) / 2
-        ratio = jnp.where(first, 1, (state.cost - cost) / expected)
-        accepted = sound & (ratio > 1e-4)
+        # A step that the box has bent may promise nothing; then only a lower cost counts.
+        gain = jnp.where(first, 1, state.cost - cost)
+        ratio = jnp.where(first, 1, gain / jnp.where(expected > 0, expected, jnp.inf))
+        accepted = sound & (gain > 0) & ((ratio > 1e-4) | (expected <= 0))
 
         q, r = jnp.linalg.qr(jnp.where(sound, jacobian, 0))
         # Nielsen's rule: a good step lowers the damping smoothly, failures raise it ever faster.
