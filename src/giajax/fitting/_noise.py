@@ -22,7 +22,7 @@ def from_differences(values: np.ndarray) -> float:
     if len(second) < 8:
         second = np.diff(measured, 2)
     estimate = _MAD * float(np.median(np.abs(second))) / np.sqrt(6) if len(second) else 0.0
-    span = float(np.ptp(measured))
+    span = float(np.ptp(np.quantile(measured, [0.05, 0.95])))  # an outlier is no range
     return max(estimate, 1e-3 * span) or 1.0
 
 

@@ -1,0 +1,239 @@
+"""The fit of any model: recovery, honesty, masks, weights, several runs."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+import giajax
+from giajax import InputError, Run
+from giajax.fitting import configuration, fit
+from toy_model import TRUTH, Decay, height, run
+
+START = {"amplitude": 0.5, "decay": 3.0, "offset": -1.0}
+
+
+def pulls(result):
+    return {
+        path: (estimate.value - TRUTH[path]) / estimate.standard_error
+        for path, estimate in result.free.items()
+    }
+
+
+def test_the_truth_is_recovered_with_honest_errors():
+    result = fit(Decay(), run(), start=START)
+    assert result.status == "converged"
+    assert max(abs(pull) for pull in pulls(result).values()) < 3
+    assert result.reduced_chi_square == pytest.approx(1, abs=0.5)
+    assert result.conditions == ["about amplitude", "about decay", "about offset"]
+    assert result.gradient_check["relative_difference"] < 1e-7
+    assert [entry["number"] for entry in result.history] == list(range(result.iterations + 1))
+
+
+def test_intervals_cover_the_truth_as_often_as_they_claim():
+    """200 recordings: the pulls of each parameter must have mean 0 and deviation 1."""
+    all_pulls = np.array(
+        [list(pulls(fit(Decay(), run(seed=seed), check=False)).values()) for seed in range(200)]
+    )
+    np.testing.assert_allclose(all_pulls.mean(axis=0), 0, atol=0.25)
+    np.testing.assert_allclose(all_pulls.std(axis=0), 1, atol=0.15)
+    assert np.mean(np.abs(all_pulls) < 1) == pytest.approx(0.683, abs=0.06)
+
+
+def test_noise_that_nobody_stated_is_estimated():
+    stated = fit(Decay(), run(sigma=0.05, samples=400))
+    guessed = fit(Decay(), run(sigma=0.05, samples=400, state_noise=False))
+    assert guessed.runs[0]["channels"]["tip_z"]["noise"] == pytest.approx(0.05, rel=0.1)
+    for path in TRUTH:
+        assert guessed.parameters[path].standard_error == pytest.approx(
+            stated.parameters[path].standard_error, rel=0.15
+        )
+    assert "estimated" in guessed.message
+
+
+def test_residuals_beyond_the_stated_noise_widen_the_errors():
+    """Ten times the stated noise: the claim is scaled, and said."""
+    recording = run(sigma=0.1, samples=200)
+    lying = Run.from_arrays(
+        recording.times,
+        recording.observations,
+        noise={"position": 0.01},
+        definition={"free_motion": True},
+    )
+    honest, scaled = fit(Decay(), recording), fit(Decay(), lying)
+    assert scaled.reduced_chi_square == pytest.approx(100, rel=0.3)
+    assert scaled.parameters["decay"].standard_error == pytest.approx(
+        honest.parameters["decay"].standard_error, rel=0.1
+    )
+    assert "times the stated noise" in scaled.message
+
+
+def test_missing_cells_do_not_count():
+    full = run()
+    values = np.array(full.observations["tip_z"])
+    gaps = values.copy()
+    gaps[10:30] = np.nan
+    with_gaps = dataclasses.replace(full, values={"tip_z": gaps})
+    kept = ~np.isnan(gaps)
+    without = Run.from_arrays(
+        full.times[kept],
+        {"tip_z": values[kept]},
+        noise={"position": 0.01},
+        definition={"free_motion": True},
+    )
+    ours, theirs = fit(Decay(), with_gaps), fit(Decay(), without)
+    assert ours.runs[0]["channels"]["tip_z"]["n"] == 40
+    for path in TRUTH:
+        assert ours.parameters[path].value == pytest.approx(theirs.parameters[path].value, rel=1e-6)
+
+
+@pytest.mark.parametrize("loss", ["huber", "soft_l1"])
+def test_robust_losses_survive_outliers(loss):
+    full = run(samples=200)
+    values = np.array(full.observations["tip_z"])
+    values[::20] += 1.0
+    spoiled = dataclasses.replace(full, values={"tip_z": values})
+    robust = fit(Decay(), spoiled, loss=loss)
+    plain = fit(Decay(), spoiled)
+    assert abs(robust.parameters["offset"].value - 0.3) < 0.01
+    assert abs(plain.parameters["offset"].value - 0.3) > 0.03
+    assert max(abs(pull) for pull in pulls(robust).values()) < 4
+
+
+def test_several_runs_of_several_lengths_are_one_fit():
+    runs = [run(seed=1, samples=60), run(seed=2, samples=47)]
+    together = fit(Decay(), runs)
+    alone = [fit(Decay(), one).parameters["decay"] for one in runs]
+    weights = np.array([1 / one.standard_error**2 for one in alone])
+    mean = np.sum(weights * [one.value for one in alone]) / weights.sum()
+    # One parameter of a joint fit is not quite the weighted mean, but within a fraction of it.
+    joint = together.parameters["decay"]
+    assert joint.standard_error == pytest.approx(weights.sum() ** -0.5, rel=0.1)
+    assert abs(joint.value - mean) < joint.standard_error
+    assert [entry["channels"]["tip_z"]["n"] for entry in together.runs] == [60, 47]
+    for one, predicted in zip(runs, together.predictions, strict=True):
+        values = {path: together.parameters[path].value for path in TRUTH}
+        np.testing.assert_allclose(predicted["tip_z"], height(one.times, **values), rtol=1e-9)
+
+
+def test_a_parameter_without_response_is_named_before_the_first_step():
+    seen = []
+    result = fit(Decay(), run(), free=["decay", "idle"], progress=seen.append)
+    idle = result.parameters["idle"]
+    assert "no channel responds" in idle.remark
+    assert idle.value == 4.0
+    assert idle.standard_error is None
+    assert all(iteration.parameters["idle"] == 4.0 for iteration in seen)
+    assert result.correlation["parameters"] == ["decay"]
+
+
+def test_nothing_responds_is_no_convergence():
+    result = fit(Decay(), run(), free=["idle"])
+    assert result.status == "not_converged"
+    assert "no channel responds" in result.message
+
+
+def test_parameters_that_only_count_together_have_no_error_of_their_own():
+    result = fit(Decay(), run(), free=["amplitude", "twin", "decay", "offset"])
+    for path, other in (("amplitude", "twin"), ("twin", "amplitude")):
+        assert result.parameters[path].standard_error is None
+        assert other in result.parameters[path].remark
+    product = result.parameters["amplitude"].value * result.parameters["twin"].value
+    assert product == pytest.approx(2.0, rel=0.02)
+    alone = fit(Decay(), run())
+    assert result.parameters["decay"].standard_error == pytest.approx(
+        alone.parameters["decay"].standard_error, rel=1e-6
+    )
+
+
+def test_a_parameter_driven_against_its_bound_comes_back():
+    """From here the first steps want no decay at all; the optimum is at 0.7."""
+    start = {"amplitude": 40.0, "decay": 1e-9, "offset": 5.0}
+    result = fit(Decay(), run(), start=start)
+    assert result.status == "converged"
+    assert result.parameters["decay"].value == pytest.approx(0.7, rel=0.05)
+
+
+def test_a_failing_trial_is_not_the_end():
+    result = fit(Decay(), run(), start={"decay": 7.99, "amplitude": 30.0})
+    assert result.status == "converged"
+    assert result.parameters["decay"].value == pytest.approx(0.7, rel=0.05)
+
+
+def test_a_start_that_fails_is_bad_input():
+    with pytest.raises(InputError, match="cannot be evaluated at the start"):
+        fit(Decay(), run(), start={"decay": 8.5})
+
+
+def test_what_is_fixed_does_not_move():
+    result = fit(Decay(), run(), fix={"offset": 0.25})
+    assert result.parameters["offset"].value == 0.25
+    assert not result.parameters["offset"].free
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ({"free": ["amplitud"]}, "did you mean 'amplitude'"),
+        ({"start": {"decay": 10.0}}, "between 0 and 9"),
+        ({"start": {"decay": 0.0}}, "strictly between"),
+        ({"fix": {"decay": -1.0}}, "outside its bounds"),
+        ({"start": {"decay": 1.0}, "fix": {"decay": 1.0}}, "a start and a fixed value"),
+        ({"free": ["decay"], "fix": {"decay": 1.0}}, "both free and fixed"),
+        ({"free": []}, "no parameter is free"),
+        ({"loss": "l2"}, "there is no loss"),
+    ],
+)
+def test_wrong_questions_are_one_sentence(arguments, sentence):
+    with pytest.raises(InputError, match=sentence):
+        fit(Decay(), run(), **arguments)
+    with pytest.raises(InputError, match=sentence):
+        configuration(Decay(), [run()], **arguments)
+
+
+def test_an_interrupted_fit_keeps_the_best():
+    def interrupt(iteration):
+        if iteration.number == 2:
+            raise KeyboardInterrupt
+
+    result = fit(Decay(), run(), start=START, progress=interrupt)
+    assert result.status == "interrupted"
+    assert result.cost < fit(Decay(), run(), start=START, max_iterations=1).cost
+    assert result.gradient_check is None
+
+
+def test_too_few_iterations_is_no_convergence():
+    result = fit(Decay(), run(), start=START, max_iterations=1)
+    assert result.status == "not_converged"
+    assert result.iterations == 1
+
+
+def test_the_result_is_json_without_nan():
+    record = json.loads(fit(Decay(), run(), free=["decay", "idle"]).to_json())
+    assert record["model"] == "decay"
+    assert record["parameters"]["idle"]["standard_error"] is None
+    assert record["parameters"]["amplitude"]["free"] is False
+    assert record["config"]["free"] == ["decay", "idle"]
+
+
+def test_the_same_fit_compiles_once():
+    fit(Decay(), run(), check=False)
+    again = fit(Decay(), run(seed=9), check=False)
+    assert again.seconds["compile"] < 0.1
+
+
+def test_32_bit_is_warned_once(monkeypatch):
+    import jax
+
+    from giajax.fitting import _fit
+
+    monkeypatch.setattr(_fit, "_warned", False)
+    monkeypatch.setattr(jax.config, "read", lambda name: False)
+    with pytest.warns(UserWarning, match="32-bit"):
+        _fit._warn_once_in_32_bit()
+    _fit._warn_once_in_32_bit()  # a second warning would be an error here
+
+
+def test_the_public_name_is_the_function():
+    assert giajax.fit is fit

@@ -1,0 +1,114 @@
+"""Bijectors, losses, noise and identifiability, each against what is known of it."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from giajax import InputError
+from giajax.fitting._bijector import Bijector
+from giajax.fitting._identifiability import responds, undetermined_groups
+from giajax.fitting._loss import LOSSES, check_loss, influence, transform
+from giajax.fitting._noise import from_differences, from_residuals
+from giajax.fitting._uncertainty import uncertainty
+
+INF = float("inf")
+BOUNDS = Bijector((0.0, -INF, -2.0, -INF), (INF, 3.0, 5.0, INF))
+INSIDE = np.array([1e-3, -40.0, 4.9, -7.0])
+
+
+def test_a_bijector_comes_back():
+    np.testing.assert_allclose(BOUNDS.forward(jnp.asarray(BOUNDS.inverse(INSIDE))), INSIDE)
+
+
+@pytest.mark.parametrize("far", [-30.0, 30.0])
+def test_a_bijector_stays_within_bounds_and_increases(far):
+    values = np.asarray(BOUNDS.forward(jnp.full(4, far)))
+    assert np.all(values >= np.asarray(BOUNDS.lower))
+    assert np.all(values <= np.asarray(BOUNDS.upper))
+    slopes = jax.jacfwd(BOUNDS.forward)(jnp.asarray(BOUNDS.inverse(INSIDE)))
+    np.testing.assert_allclose(np.diag(slopes), BOUNDS.slope(BOUNDS.inverse(INSIDE)), rtol=1e-12)
+    assert np.all(np.diag(slopes) > 0)
+
+
+def rho(loss, r):
+    """Textbook losses of z = r^2, as scipy states them."""
+    z = r * r
+    if loss == "huber":
+        return np.where(z <= 1, z, 2 * np.sqrt(z) - 1)
+    return {"linear": z, "soft_l1": 2 * (np.sqrt(1 + z) - 1)}[loss]
+
+
+@pytest.mark.parametrize("loss", LOSSES)
+def test_a_loss_is_the_square_of_its_transformation(loss):
+    r = np.linspace(-6.0, 6.0, 241)
+    t = np.asarray(transform(loss, jnp.asarray(r)))
+    np.testing.assert_allclose(t**2, rho(loss, r), atol=1e-14)
+    np.testing.assert_array_equal(np.sign(t), np.sign(r))
+    psi, curvature, slope = influence(loss, r)
+    numeric = jax.vmap(jax.grad(lambda x: transform(loss, x)))(jnp.asarray(r))
+    np.testing.assert_allclose(slope, numeric, atol=1e-12)
+    # psi = rho' / 2, and its derivative, by differences away from the corners of huber.
+    smooth = np.abs(np.abs(r) - 1) > 0.01
+    h = 1e-5
+    np.testing.assert_allclose(psi, (rho(loss, r + h) - rho(loss, r - h)) / (4 * h), atol=1e-5)
+    ahead, behind = influence(loss, r + h)[0], influence(loss, r - h)[0]
+    np.testing.assert_allclose(curvature[smooth], ((ahead - behind) / (2 * h))[smooth], atol=1e-6)
+
+
+def test_an_unknown_loss_is_refused():
+    with pytest.raises(InputError, match="soft_l1"):
+        check_loss("cauchy")
+
+
+def test_noise_is_seen_through_the_motion():
+    rng = np.random.default_rng(0)
+    times = np.linspace(0.0, 25.0, 501)
+    values = np.sin(times) + rng.normal(scale=0.02, size=times.size)
+    values[rng.random(times.size) < 0.1] = np.nan
+    values[40] = 50.0  # an outlier
+    assert from_differences(values) == pytest.approx(0.02, rel=0.15)
+    assert from_differences(np.linspace(0.0, 2.0, 50)) == pytest.approx(2e-3)
+    assert from_differences(np.zeros(5)) > 0
+
+
+def test_noise_from_residuals_counts_degrees_of_freedom():
+    residuals = np.array([1.0, -1.0, 1.0, -1.0])
+    assert from_residuals(residuals, 2.0, robust=False) == pytest.approx(np.sqrt(2.0))
+    assert from_residuals(np.append(residuals, 1e3), 0.0, robust=True) == pytest.approx(1.4826)
+
+
+def test_dead_and_collinear_columns_are_named():
+    rng = np.random.default_rng(0)
+    jacobian = rng.normal(size=(50, 4))
+    jacobian[:, 1] = 0
+    np.testing.assert_array_equal(responds(jacobian), [True, False, True, True])
+    jacobian[:, 1] = 3 * jacobian[:, 3] - jacobian[:, 0]
+    assert undetermined_groups(jacobian) == [[0, 1, 3]]
+    assert undetermined_groups(jacobian[:, [0, 1, 2]]) == []
+
+
+@pytest.mark.parametrize("loss", LOSSES)
+def test_standard_errors_are_the_spread_of_repeated_fits(loss):
+    """A straight line fitted 400 times: the errors must be those that the estimates show."""
+    rng = np.random.default_rng(3)
+    x = np.linspace(-1.0, 1.0, 80)
+    design = np.stack([np.ones_like(x), x], axis=1)
+    estimates, claimed = [], []
+    for _ in range(400):
+        y = design @ [1.0, 2.0] + rng.standard_t(4, size=x.size) / np.sqrt(2)
+        beta = np.zeros(2)
+        for _ in range(40):
+            r = design @ beta - y
+            psi, _, _ = influence(loss, r)
+            weight = np.where(r == 0, 1.0, psi / np.where(r == 0, 1.0, r))
+            beta = np.linalg.lstsq(
+                design * np.sqrt(weight)[:, None], y * np.sqrt(weight), rcond=None
+            )[0]
+        r = design @ beta - y
+        _, _, slope = influence(loss, r)
+        found = uncertainty(r, design * slope[:, None], loss=loss, measured=np.ones(80, bool))
+        estimates.append(beta)
+        claimed.append(np.sqrt(np.diag(found.covariance)))
+    spread = np.std(estimates, axis=0)
+    np.testing.assert_allclose(np.mean(claimed, axis=0), spread, rtol=0.12)

@@ -1,0 +1,109 @@
+"""The trust region behind optimistix's interface."""
+
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+import pytest
+
+from giajax.fitting import Marquardt
+
+
+def rosenbrock(y, args):
+    return jnp.stack([10 * (y[1] - y[0] ** 2), 1 - y[0]]), None
+
+
+def test_it_solves_through_optimistix():
+    start = jnp.array([-1.2, 1.0])
+    solution = optx.least_squares(rosenbrock, Marquardt(), start, max_steps=200, has_aux=True)
+    np.testing.assert_allclose(solution.value, [1, 1], atol=1e-7)
+
+
+def test_a_linear_problem_takes_its_optimum_from_numpy():
+    rng = np.random.default_rng(1)
+    matrix, vector = rng.normal(size=(30, 3)), rng.normal(size=30)
+
+    def fn(y, args):
+        return args[0] @ y - args[1], None
+
+    args = (jnp.asarray(matrix), jnp.asarray(vector))
+    solution = optx.least_squares(
+        fn, Marquardt(distance=1e-8), jnp.zeros(3), args=args, has_aux=True
+    )
+    expected, *_ = np.linalg.lstsq(matrix, vector, rcond=None)
+    np.testing.assert_allclose(solution.value, expected, rtol=1e-6)
+
+
+def test_scaling_a_parameter_changes_nothing():
+    """Marquardt's scaling makes the iterates covariant: optimistix's own is not."""
+    times = jnp.linspace(0.0, 3.0, 40)
+    observed = 2 * jnp.exp(-0.5 * times) + 0.01 * jnp.sin(50 * times)
+
+    def steps(unit):
+        def fn(y, args):
+            return y[0] * jnp.exp(-y[1] / unit * times) - observed, None
+
+        solution = optx.least_squares(fn, Marquardt(), jnp.array([1.0, 1.5 * unit]), has_aux=True)
+        return int(solution.stats["evaluations"]), solution.value[1] / unit
+
+    (few, value), (same, scaled) = steps(1.0), steps(1e4)
+    assert few == same <= 15
+    np.testing.assert_allclose(value, scaled, rtol=1e-8)
+
+
+def drive(fn, start, solver, steps=40):
+    """Step by hand, as the host loop does; the history of (point, cost, accepted)."""
+    shape, aux = jax.eval_shape(fn, start, None)
+    state = solver.init(fn, start, None, {}, shape, aux, frozenset())
+    point, history = start, []
+    for _ in range(steps):
+        point, state, _ = solver.step(fn, point, None, {}, state, frozenset())
+        history.append((np.asarray(point), float(state.cost), bool(state.accepted)))
+        if solver.terminate(fn, point, None, {}, state, frozenset())[0]:
+            break
+    return history
+
+
+def test_the_cost_never_rises():
+    """A hard valley and a narrow box: bent steps must not be taken for good ones."""
+
+    def fn(y, args):
+        return jnp.stack([30 * (y[1] - jnp.sin(4 * y[0])), y[0] - 2.5]), None
+
+    history = drive(fn, jnp.array([-2.0, 1.5]), Marquardt(largest_step=0.3), steps=200)
+    costs = [cost for _, cost, _ in history]
+    assert all(after <= before for before, after in itertools.pairwise(costs))
+    assert any(not accepted for *_, accepted in history)
+
+
+def test_no_coordinate_leaves_the_box_of_a_step():
+    history = drive(rosenbrock, jnp.array([-1.2, 1.0]), Marquardt(largest_step=0.1))
+    points = np.stack([point for point, *_ in history])
+    assert np.abs(np.diff(points, axis=0)).max() <= 0.1 + 1e-12
+
+
+@pytest.mark.parametrize("broken", [jnp.nan, jnp.inf])
+def test_a_trial_that_fails_is_a_rejected_step(broken):
+    """A full step from here would land where the function is not finite."""
+
+    def fn(y, args):
+        value = jnp.where(y[0] > 1.5, broken, jnp.exp(y[0]) - 3)
+        return jnp.stack([value]), None
+
+    history = drive(fn, jnp.array([-1.0]), Marquardt())
+    assert any(not accepted for *_, accepted in history)
+    np.testing.assert_allclose(history[-1][0], [np.log(3)], atol=1e-6)
+
+
+def test_what_is_not_active_stays():
+    def fn(y, args):
+        return jnp.stack([y[0] - 3, y[1] - 4, y[0] + y[1]]), None
+
+    start = jnp.array([0.5, 0.25])
+    options = {"active": jnp.array([True, False])}
+    solver = Marquardt(distance=1e-9)
+    solution = optx.least_squares(fn, solver, start, options=options, has_aux=True)
+    assert solution.value[1] == 0.25
+    np.testing.assert_allclose(solution.value[0], (3 - 0.25) / 2, atol=1e-6)
