@@ -1,6 +1,7 @@
 """`giajax fit`: parameters of an arm from recordings of it."""
 
 import math
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,7 +18,7 @@ Examples:
   giajax fit --data run.csv
   giajax fit --data run.csv --start air.drag_coefficient=0.8 --loss huber
   giajax fit --data a.csv --data b.csv --fix joints.damping=0.05 --out both
-  giajax fit --data run.csv --free air.drag_coefficient --free "links.mass[19]"
+  giajax fit --data run.csv --free joints.damping --free "links.mass[19]"
   giajax fit definition.toml --force
 
 Parameters are called as `giajax parameters` lists them, in the units that it lists.
@@ -121,6 +122,8 @@ def fit(
     check_folder(folder, runs, configuration(model, runs, **wanted), force=force)
     progress = None if quiet else _Progress()
     result = fit(model, runs, **wanted, max_iterations=max_iterations, progress=progress)
+    if progress is not None:
+        progress.end()
     files = write_result(result, runs, folder)
     if as_json:
         typer.echo(result.to_json(), nl=False)
@@ -186,6 +189,10 @@ class _Progress:
         first = iteration.number == 0
         self._row([cells[0], cells[1], "" if first else cells[2], "" if first else taken, *values])
 
+    def end(self) -> None:
+        """Keep a line between the iterations and the table, where both are on one screen."""
+        self._say("")
+
     def _head(self, paths: list[str]) -> None:
         # joints.pitch_stiffness in two short lines, so that four parameters go into 80 columns.
         upper, lower = [], []
@@ -230,4 +237,5 @@ def _show(result: "FitResult", stated: "Definition", files: list[Path]) -> None:
     for figure in figures:
         print(f"{'reached' if figure.reached else 'MISSED':<9}{figure.path} {figure.sentence}")
     print()
-    print(f"wrote {files[0].parent}: {', '.join(path.name for path in files)}")
+    wrote = f"wrote {files[0].parent}: {', '.join(path.name for path in files)}"
+    print(wrote if width is None else textwrap.fill(wrote, width, subsequent_indent="  "))

@@ -13,6 +13,10 @@ def configure() -> None:
     belongs to the command line may. The cache is what `JAX_COMPILATION_CACHE_DIR` says, else
     `giajax` in the user's cache directory, where that can be written.
     """
+    # Equinox reads this when it is imported. Its checks call back into Python, and JAX keeps no
+    # program that does: the fit would be compiled anew in every process. A failed check becomes
+    # a NaN instead, which every caller here looks for.
+    os.environ.setdefault("EQX_ON_ERROR", "nan")
     import jax
 
     jax.config.update("jax_enable_x64", True)
