@@ -204,5 +204,7 @@ def _unit_axis(axis: str | Sequence[float]) -> Axis:
     norm = np.linalg.norm(vector)
     if vector.shape != (3,) or not norm > 0:
         raise InputError(f"the joint axis {list(axis)} must be three numbers, not all zero")
-    x, y, z = (float(component) for component in vector / norm)
+    # A unit vector stays as it is, so that an arm comes back from its file bit for bit.
+    unit = vector if abs(norm - 1) < 1e-15 else vector / norm
+    x, y, z = (float(component) for component in unit)
     return x, y, z
