@@ -130,7 +130,8 @@ def simulate(
     count = model.arm.count
     start, drives = 0.0, list[Drive]()
     if replayed is not None:
-        start, duration, drives = _drives_of(replayed, duration)
+        start, length, drives = _drives_of(replayed, rate)
+        duration = length if duration is None else duration
     duration = _DURATION if duration is None else duration
     if step or ramp:
         drives = [_moves(step or [], ramp or [], count, duration)]
@@ -152,7 +153,7 @@ def simulate(
             name=out.stem,
         )
     except SimulationError as error:
-        typer.echo(f"giajax: {error}", err=True)
+        typer.echo(f"giajax: {error} (options --tolerance, --solver, --set)", err=True)
         raise typer.Exit(1) from None
     _write(out, run, digits, force)
 
@@ -190,6 +191,10 @@ def _check_free(out: Path, force: bool) -> None:
     # Also checked when the files are written; here so that nobody waits for a refusal.
     from ..runs import sidecar_path
 
+    if out.suffix != ".csv":
+        raise _wrong(f"--out is {out}; a run is written as .csv, so give such a name")
+    if not out.parent.is_dir():
+        raise _wrong(f"the folder {out.parent} of --out does not exist; make it or give another")
     for path in (out, sidecar_path(out)):
         if path.exists() and not force:
             raise _wrong(f"{path} exists and is not written over; give another name or --force")
@@ -232,13 +237,15 @@ def _replayed(command: Path, stated: "Definition") -> "Run":
     return read_run(command, definition=Definition.parse(given))
 
 
-def _drives_of(run: "Run", duration: float | None) -> tuple[float, float, list["Drive"]]:
-    """Start, length, commands and wind of a recorded run."""
+def _drives_of(run: "Run", rate: float) -> tuple[float, float, list["Drive"]]:
+    """Start of a recorded run, its length in whole samples, its commands and wind."""
     from ..models import Drive
 
     if run.model != "arm" or run.times is None:
         raise _wrong(f"{run.path} is a run of the {run.model} model; give the run of an arm")
-    length = float(run.times[-1] - run.times[0]) if duration is None else duration
+    length = float(run.times[-1] - run.times[0])
+    if rate > 0:
+        length = max(math.floor(length * rate + 1e-6), 1) / rate
     definition, drives = run.definition, []
     if run.commands:
         drives.append(Drive(run.times, run.commands, definition.command.interpolation))

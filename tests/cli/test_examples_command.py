@@ -1,0 +1,67 @@
+"""`giajax examples`: what ships, and a copy to start from."""
+
+from pathlib import Path
+
+import pytest
+
+from giajax.cli import _examples, main
+from giajax.runs import Definition, read_run
+
+ROOT = Path(__file__).parents[2]
+
+
+def names(folder, pattern):
+    return sorted(path.relative_to(folder).as_posix() for path in folder.glob(pattern))
+
+
+def test_everything_that_ships_is_listed(capsys):
+    assert main(["examples"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    listed = {line.split()[0] for line in lines if line}
+    assert {*names(ROOT, "fits/*.toml"), *names(ROOT, "data/synthetic/*.csv")} <= listed
+    line = next(line for line in lines if line.startswith("fits/base_step.toml"))
+    assert "air.drag_coefficient" in line
+    assert "base_step.csv" in line
+
+
+def test_a_copy_can_be_read_and_is_complete(tmp_path, capsys):
+    target = tmp_path / "new" / "work"
+    assert main(["examples", "--copy", str(target)]) == 0
+    assert str(target) in capsys.readouterr().out
+    for pattern in ("fits/*.toml", "data/synthetic/*.csv", "data/synthetic/inputs/*.csv"):
+        assert names(target, pattern) == names(ROOT, pattern) != []
+    assert names(target, "**/*.py") == []
+    for path in (target / "fits").glob("*.toml"):
+        for name in Definition.load(path).fit.data:
+            assert read_run(path.parent / name).definition.sha256 is not None
+
+
+def test_nothing_is_written_over_without_force(tmp_path, capsys):
+    kept = tmp_path / "fits" / "wind.toml"
+    kept.parent.mkdir()
+    kept.write_text("mine")
+    assert main(["examples", "--copy", str(tmp_path)]) == 2
+    out, err = capsys.readouterr()
+    assert (out, err.count("\n")) == ("", 1)
+    assert "wind.toml exists" in err
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == [kept]
+    assert kept.read_text() == "mine"
+    assert main(["examples", "--copy", str(tmp_path), "--force"]) == 0
+    assert kept.read_text() == (ROOT / "fits" / "wind.toml").read_text()
+
+
+def test_a_folder_that_is_a_file(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    assert main(["examples", "--copy", str(tmp_path / "file")]) == 2
+    assert "cannot be made" in capsys.readouterr().err
+
+
+def test_an_installed_package_has_them_inside(tmp_path, monkeypatch):
+    package = tmp_path / "site-packages" / "giajax"
+    package.mkdir(parents=True)
+    monkeypatch.setattr(_examples.resources, "files", lambda _: package)
+    with pytest.raises(ValueError, match="not part of this installation"):
+        _examples.examples_root()
+    for folder in ("fits", "data/synthetic"):
+        (package / "_examples" / folder).mkdir(parents=True)
+    assert _examples.examples_root() == package / "_examples"

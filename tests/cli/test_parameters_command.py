@@ -1,0 +1,59 @@
+"""`giajax parameters`: the declarations, as a table and as JSON."""
+
+import json
+
+import numpy as np
+
+from giajax import ArmModel, declared, takeichi_20m
+from giajax.cli import main
+from giajax.parameters import default_free
+
+MODEL = ArmModel(takeichi_20m())
+
+
+def listed(capsys, *options):
+    assert main(["parameters", "--json", *options]) == 0
+    return {fact["path"]: fact for fact in json.loads(capsys.readouterr().out)}
+
+
+def test_the_table_has_a_row_for_every_declaration(capsys):
+    assert main(["parameters"]) == 0
+    heading, *rows = capsys.readouterr().out.splitlines()
+    assert heading.split()[:4] == ["parameter", "unit", "default", "bounds"]
+    known = declared(MODEL)
+    assert [row.split()[0] for row in rows] == list(known)
+    for row, (path, parameter) in zip(rows, known.items(), strict=True):
+        declaration = parameter.declaration
+        assert row.endswith(declaration.doc), path
+        assert f" {declaration.default:.10g} " in row
+        assert ("free" in row.split()) == (not declaration.frozen)
+        assert ("assumed" in row.split()) == declaration.assumed
+        if np.isfinite(declaration.upper):
+            assert f"{declaration.lower:g} to {declaration.upper:g}" in row
+
+
+def test_json_says_what_is_declared(capsys):
+    facts = listed(capsys)
+    assert tuple(path for path, fact in facts.items() if fact["free"]) == default_free(MODEL)
+    for path, parameter in declared(MODEL).items():
+        declaration = parameter.declaration
+        assert facts[path]["unit"] == declaration.unit
+        assert facts[path]["meaning"] == declaration.doc
+        assert facts[path]["upper"] == (
+            declaration.upper if np.isfinite(declaration.upper) else None
+        )
+        value = np.asarray(parameter.value(MODEL))
+        assert facts[path]["elements"] == (None if value.ndim == 0 else value.size)
+        # The default of the declaration is the value of the preset.
+        np.testing.assert_allclose(value, facts[path]["default"], rtol=1e-12)
+
+
+def test_the_number_of_links_is_that_of_the_arrays(capsys):
+    assert listed(capsys, "--links", "6")["links.mass"]["elements"] == 6
+
+
+def test_an_arm_without_links(capsys):
+    assert main(["parameters", "--links", "0"]) == 2
+    out, err = capsys.readouterr()
+    assert (out, err.count("\n")) == ("", 1)
+    assert "at least 1" in err

@@ -1,0 +1,248 @@
+"""`giajax simulate`: a run that is read, checked and fitted, or one sentence."""
+
+import shlex
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from giajax import ArmModel, arm_from_definition, read_run
+from giajax.cli import main
+from giajax.fitting import predict
+from giajax.parameters import replace
+
+SHORT = ["--links", "3", "--duration", "2"]
+
+
+@pytest.fixture
+def out(tmp_path):
+    return tmp_path / "run.csv"
+
+
+def simulate(out, *options, status=0):
+    assert main(["simulate", "--out", str(out), *options]) == status
+    return read_run(out) if status == 0 else None
+
+
+def reproduced(run):
+    """What the truth of a run predicts for it, from its files alone."""
+    truth = run.definition.truth
+    return predict(replace(ArmModel(arm_from_definition(run.definition)), truth), run)
+
+
+def test_a_run_is_complete(out, capsys):
+    options = ["--ramp", "1=30", "--noise", "0.02", "--missing", "10", "--seed", "7"]
+    run = simulate(out, *SHORT, *options, "--set", "air.drag_coefficient=0.9")
+    assert "run.csv" in capsys.readouterr().out
+    assert main(["check", str(out)]) == 0
+    definition = run.definition
+    assert definition.sha256 == run.sha256
+    assert definition.arm.links == 3
+    assert definition.noise.position_m == 0.02
+    assert definition.command.interpolation == "linear"
+    assert definition.truth["air.drag_coefficient"] == 0.9
+    assert definition.truth["joints.damping"] == 0.05
+    assert definition.origin.startswith("giajax 0.")
+    for word in ("--links 3", "--ramp 1=30", "--seed 7", "--missing 10"):
+        assert word in definition.origin
+    assert "run.csv" not in definition.origin
+    assert list(run.observations) == [f"{point}_{c}" for point in ("link02", "tip") for c in "xyz"]
+    np.testing.assert_allclose(run.times, np.linspace(0, 2, 21), atol=1e-12)
+    np.testing.assert_allclose(np.rad2deg(run.values["joint01_command"][[5, 10, 15]]), [0, 15, 30])
+    for name, exact in reproduced(run).items():
+        error = run.values[name] - exact
+        assert np.isnan(error).sum() == 2
+        assert 0.5 * 0.02 < np.nanstd(error) < 1.6 * 0.02
+
+
+def test_its_command_line_makes_it_again(out, tmp_path):
+    first = simulate(
+        out, *SHORT, "--step", "2=-20@0.3", "--noise", "0.01", "--set", "links.mass[1]=0.1"
+    )
+    words = shlex.split(first.definition.origin)
+    again = tmp_path / "again.csv"
+    assert main([*words[2:], "--out", str(again)]) == 0
+    assert again.read_bytes() == out.read_bytes()
+    assert again.with_suffix(".toml").read_bytes() == out.with_suffix(".toml").read_bytes()
+
+
+@pytest.mark.parametrize("digits", ["4", "9"])
+def test_steps_off_the_samples_are_read_back_as_they_were(out, digits):
+    options = ["--step", "1=30@0.517", "--step", "1=0@1.23", "--step", "2=-10", "--digits", digits]
+    run = simulate(out, *SHORT, *options, "--channels", "joints,link03", "--channels", "tip_z")
+    assert run.definition.command.interpolation == "zoh"
+    assert len(run.times) == 21 + 2
+    assert list(run.observations)[:3] == ["joint01_angle", "joint02_angle", "joint03_angle"]
+    for name, exact in reproduced(run).items():
+        np.testing.assert_allclose(
+            run.values[name], exact, rtol=10.0 ** (1 - int(digits)), atol=1e-6
+        )
+
+
+def test_commands_and_wind_of_a_recorded_run(out, tmp_path):
+    recorded = tmp_path / "recorded.csv"
+    recorded.write_text(
+        "time_s,joint01_command_deg,link03_z_m,wind_y_m_per_s\n"
+        "1,0,0,0\n1.5,10,,0.5\n2.04,10,0,0.5\n3.09,-5,0,0\n"
+    )
+    recorded.with_suffix(".toml").write_text(
+        '[command]\ninterpolation = "zoh"\n[arm]\nlinks = 4\nlink_mass_kg = 9.0\n'
+    )
+    run = simulate(out, "--links", "3", "--command", str(recorded), "--channels", "tip")
+    # The arm is that of this command, whatever recorded the commands.
+    assert (run.definition.arm.links, run.definition.arm.link_mass_kg) == (3, 0.047)
+    assert (run.times[0], run.times[-1]) == (1.0, 3.0)
+    at = {round(time, 6): row for row, time in enumerate(run.times)}
+    commands, wind = np.rad2deg(run.values["joint01_command"]), run.values["wind_y"]
+    np.testing.assert_allclose([commands[at[t]] for t in (1.4, 1.5, 2.04, 3.0)], [0, 10, 10, 10])
+    np.testing.assert_allclose(wind[at[1.2]], 0.2)
+    for name, exact in reproduced(run).items():
+        np.testing.assert_allclose(run.values[name], exact, atol=1e-6)
+    longer = simulate(
+        out,
+        "--links",
+        "3",
+        "--command",
+        str(recorded),
+        "--channels",
+        "tip",
+        "--duration",
+        "4",
+        "--force",
+    )
+    assert longer.times[-1] == 5.0
+    np.testing.assert_allclose(np.rad2deg(longer.values["joint01_command"][-1]), -5)
+
+
+def test_an_arm_of_ones_own(out, tmp_path):
+    arm = tmp_path / "pendulum.toml"
+    arm.write_text(
+        '[arm]\nlinks = 2\nlink_mass_kg = [1.0, 0.5]\njoint_axes = ["pitch", "pitch"]\n'
+        "gravity_m_per_s2 = 9.81\n[initial]\nangle_deg = [-80, 5]\n"
+        "[wind]\nvelocity_m_per_s = [0.0, 0.0, 0.1]\n"
+    )
+    run = simulate(out, "--arm", str(arm), "--duration", "1", "--channels", "joint02_rate,joints")
+    assert run.definition.free_motion
+    assert run.definition.arm.link_mass_kg == [1.0, 0.5]
+    assert run.definition.wind.velocity_m_per_s == [0.0, 0.0, 0.1]
+    np.testing.assert_allclose(np.rad2deg(run.values["joint02_angle"][0]), 5)
+    assert not np.allclose(run.values["joint02_rate"], 0)
+    windy = simulate(out, "--arm", str(arm), "--duration", "1", "--wind", "-1,0,0", "--force")
+    assert windy.definition.wind.velocity_m_per_s == [-1.0, 0.0, 0.0]
+
+
+def test_wind_alone_moves_the_arm(out):
+    run = simulate(out, *SHORT, "--wind", "0,0,0.2", "--channels", "all")
+    assert run.definition.free_motion
+    assert list(run.observations) == [f"link{i:02d}_{c}" for i in (1, 2, 3) for c in "xyz"]
+    assert run.values["link03_z"][-1] > 1e-3
+
+
+REFUSED = {
+    "nothing moves": ([], ["nothing moves the arm", "--step"]),
+    "joint beyond the arm": (["--links", "3", "--ramp", "4=10"], ["joint 4", "joints 1 to 3"]),
+    "steps and ramps": (["--step", "1=10", "--ramp", "2=5"], ["mixed"]),
+    "bad step": (["--step", "1:30"], ["JOINT=DEG[@T]"]),
+    "step with a duration": (["--step", "1=30@1:2"], ["JOINT=DEG[@T]"]),
+    "bad ramp": (["--ramp", "one=30"], ["JOINT=DEG[@START:DURATION]"]),
+    "ramp without duration": (["--ramp", "1=30@1:0"], ["duration 0", "--step"]),
+    "too late": (["--step", "1=30@30"], ["outside the run"]),
+    "overlap": (["--ramp", "1=30@1:2", "--ramp", "1=0@2:1"], ["overlap"]),
+    "command and step": (["--command", "x.csv", "--step", "1=1"], ["one of them"]),
+    "no command file": (["--command", "none.csv"], ["none.csv does not exist"]),
+    "no arm file": (["--arm", "none.toml", "--ramp", "1=1"], ["none.toml does not exist"]),
+    "unknown parameter": (["--ramp", "1=1", "--set", "air.drag=1"], ["'air.drag_coefficient'"]),
+    "outside its bounds": (["--ramp", "1=1", "--set", "joints.damping=-1"], ["outside its bounds"]),
+    "no value": (["--ramp", "1=1", "--set", "joints.damping"], ["PATH=VALUE"]),
+    "not a number": (["--ramp", "1=1", "--set", "joints.damping=nan"], ["PATH=VALUE"]),
+    "set twice": (["--ramp", "1=1", *["--set", "joints.damping=1"] * 2], ["twice"]),
+    "massless": (["--ramp", "1=1", "--set", "links.mass=0"], ["link_mass_kg", "positive"]),
+    "wind of two": (["--wind", "1,2"], ["three numbers"]),
+    "wind of text": (["--wind", "1,2,north"], ["three numbers"]),
+    "no links": (["--links", "0", "--ramp", "1=1"], ["at least 1 link"]),
+    "link beyond the arm": (["--ramp", "1=1", "--channels", "link21"], ["link 21", "20 links"]),
+    "joint not there": (["--ramp", "1=1", "--channels", "joint21_angle"], ["joint 21"]),
+    "misspelt channel": (["--ramp", "1=1", "--channels", "link6"], ["'link06_x'"]),
+    "command as channel": (["--ramp", "1=1", "--channels", "joint01_command"], ["measured by"]),
+    "negative noise": (["--ramp", "1=1", "--noise", "-1"], ["--noise is -1"]),
+    "noise of nothing": (["--ramp", "1=1", "--channels", "joints", "--noise", "1"], ["--noise"]),
+    "angle noise of nothing": (["--ramp", "1=1", "--noise-angle", "1"], ["--noise-angle"]),
+    "all missing": (["--ramp", "1=1", "--missing", "100"], ["less than 100"]),
+    "half a sample": (["--ramp", "1=1", "--duration", "2.55"], ["make it 2.6 s"]),
+    "no samples": (["--ramp", "1=1", "--rate", "0"], ["no run"]),
+    "unknown solver": (["--ramp", "1=1", "--solver", "euler"], ["'euler'", "tsit5"]),
+    "no tolerance": (["--ramp", "1=1", "--tolerance", "0"], ["--tolerance is 0"]),
+    "negative seed": (["--ramp", "1=1", "--seed", "-1"], ["--seed"]),
+    "unknown option": (["--ramp", "1=1", "--nose", "1"], ["--noise"]),
+}
+
+
+@pytest.mark.parametrize(("options", "said"), REFUSED.values(), ids=list(REFUSED))
+def test_one_sentence(out, capsys, monkeypatch, options, said):
+    monkeypatch.chdir(out.parent)
+    simulate(out, *options, status=2)
+    printed, error = capsys.readouterr()
+    assert printed == ""
+    assert error.startswith("giajax: ")
+    assert error.count("\n") == 1
+    for words in said:
+        assert words in error
+    assert list(out.parent.iterdir()) == []
+
+
+def test_an_arm_file_of_another_model(out, tmp_path, capsys):
+    (tmp_path / "muscle.toml").write_text('model = "muscle"\n')
+    simulate(out, "--arm", str(tmp_path / "muscle.toml"), "--ramp", "1=1", status=2)
+    assert "describes a muscle" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["run.csv", "run.toml"])
+def test_nothing_is_written_over_without_force(out, tmp_path, capsys, name):
+    (tmp_path / name).write_text("mine")
+    simulate(out, *SHORT, "--ramp", "1=1", status=2)
+    assert f"{name} exists" in capsys.readouterr().err
+    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [(name, "mine")]
+    assert len(simulate(out, *SHORT, "--ramp", "1=1", "--force").times) == 21
+
+
+def test_where_it_cannot_be_written(tmp_path, capsys):
+    simulate(tmp_path / "run.txt", "--ramp", "1=1", status=2)
+    assert ".csv" in capsys.readouterr().err
+    simulate(tmp_path / "none" / "run.csv", "--ramp", "1=1", status=2)
+    assert "does not exist" in capsys.readouterr().err
+
+
+def test_a_simulation_that_fails_is_one_sentence_and_status_1(out, capsys):
+    options = [
+        "--links",
+        "1",
+        "--ramp",
+        "1=1",
+        "--set",
+        "joints.damping=100",
+        "--set",
+        "links.mass=1e-6",
+    ]
+    options += ["--set", "links.inertia_transverse=1e-6"]
+    simulate(out, *options, status=1)
+    printed, error = capsys.readouterr()
+    assert printed == ""
+    assert "step limit" in error
+    assert error.count("\n") == 1
+    assert list(out.parent.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "words", [["--help"], ["simulate", "--help"], ["parameters", "--help"], ["examples"]]
+)
+def test_help_imports_no_jax(words):
+    code = (
+        "import sys; from giajax.cli import main; status = main(sys.argv[1:]); "
+        "sys.exit(status or 'jax' in sys.modules)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, *words], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "giajax" in done.stdout

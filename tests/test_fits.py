@@ -1,0 +1,59 @@
+"""The fit definitions that ship reach the figures that they state."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from giajax import fit, model_for, read_run
+from giajax.report import reached
+from giajax.runs import Definition
+
+FITS = sorted((Path(__file__).parents[1] / "fits").glob("*.toml"))
+
+
+def read(path):
+    definition = Definition.load(path)
+    runs = [read_run(path.parent / name, definition=definition) for name in definition.fit.data]
+    return definition, runs
+
+
+@pytest.mark.parametrize("path", FITS, ids=lambda path: path.stem)
+def test_it_states_the_truth_and_starts_away_from_it(path):
+    definition, runs = read(path)
+    assert set(definition.fit.free) == set(definition.figures)
+    for run in runs:
+        truth = run.definition.truth
+        for name, figure in definition.figures.items():
+            if figure.determined is not False:
+                assert figure.value == truth[name]
+                assert figure.standard_errors <= 3
+                assert abs(np.log(definition.fit.start[name] / truth[name])) > 0.4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", FITS, ids=lambda path: path.stem)
+def test_it_reaches_its_figures(path):
+    definition, runs = read(path)
+    settings = definition.fit
+    result = fit(
+        model_for(runs),
+        runs,
+        free=settings.free,
+        start=settings.start,
+        fix=settings.fix,
+        loss=settings.loss or "linear",
+    )
+    assert result.status == "converged", result.message
+    assert result.iterations <= 10
+    found = reached(result, definition)
+    assert len(found) == len(definition.figures)
+    missed = [f"{figure.path} {figure.sentence}" for figure in found if not figure.reached]
+    assert missed == []
+    # The residuals are the noise that the sidecars state, to the accuracy of so many cells.
+    cells = sum(np.isfinite(values).sum() for run in runs for values in run.observations.values())
+    assert abs(result.reduced_chi_square - 1) < 4 * np.sqrt(2 / cells)
+    # The same result must miss figures that are not true.
+    path, estimate = next(iter(result.free.items()))
+    wrong = {"value": 1.1 * estimate.value, "standard_errors": 3}
+    assert not reached(result, Definition.parse({"figures": {path: wrong}}))[0].reached
