@@ -1,0 +1,52 @@
+"""What the documentation shows must run: the README's Python, and the examples of docstrings."""
+
+import doctest
+import importlib
+import pkgutil
+import re
+
+import pytest
+
+import giajax
+from conftest import ROOT
+
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_python_of_the_readme_runs():
+    blocks = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    assert len(blocks) == 2
+    names = {}
+    for block in blocks:
+        assert "assert" in block
+        exec(compile(block, "README.md", "exec"), names)
+
+
+def modules():
+    found = pkgutil.walk_packages(giajax.__path__, "giajax.")
+    return [module.name for module in found if not module.name.endswith("__main__")]
+
+
+@pytest.mark.parametrize("name", modules())
+def test_the_examples_of_docstrings_run(name):
+    results = doctest.testmod(importlib.import_module(name), raise_on_error=False)
+    assert results.failed == 0
+
+
+def test_the_readme_starts_with_the_two_commands():
+    assert README.index("make demo") < README.index("make test") < 200
+
+
+def assumed_table():
+    rows = ["| parameter | assumed | unit | meaning |", "| --- | --- | --- | --- |"]
+    model = giajax.ArmModel(giajax.takeichi_20m())
+    for path, parameter in giajax.declared(model).items():
+        declaration = parameter.declaration
+        if declaration.assumed:
+            unit = declaration.unit or "-"
+            rows.append(f"| `{path}` | {declaration.default:g} | {unit} | {declaration.doc} |")
+    return "\n".join(rows)
+
+
+def test_every_assumed_number_is_in_the_readme():
+    assert assumed_table() in README, f"the table must read\n{assumed_table()}"
