@@ -11,6 +11,7 @@ from .._errors import InputError
 from .._typing import Array, Float, Scalar
 from ..arm import Arm, acceleration
 from ..parameters import is_concrete
+from ._controller import step_size_controller
 from ._derivatives import Derivatives, adjoint, guard_inputs, guard_outputs
 from ._signal import Signal, constant
 from ._solvers import solver as solver_named
@@ -150,9 +151,7 @@ def integrate(
         y0=state,
         args=(arm, command, wind),
         saveat=diffrax.SaveAt(ts=times),
-        stepsize_controller=diffrax.ClipStepSizeController(
-            diffrax.PIDController(rtol=rtol, atol=atol), jump_ts=corners
-        ),
+        stepsize_controller=step_size_controller(rtol, atol, corners),
         adjoint=adjoint(derivatives),
         max_steps=max_steps,
         throw=False,
