@@ -4,6 +4,7 @@ from typing import Any
 
 import diffrax
 import equinox as eqx
+import equinox.internal as eqxi
 import jax.numpy as jnp
 import numpy as np
 
@@ -149,7 +150,7 @@ def integrate(
         t1=times[-1],
         dt0=None,
         y0=state,
-        args=(arm, command, wind),
+        args=(arm, command, wind, eqxi.prevbefore(times[-1])),
         saveat=diffrax.SaveAt(ts=times),
         stepsize_controller=step_size_controller(rtol, atol, corners),
         adjoint=adjoint(derivatives),
@@ -177,7 +178,9 @@ def integrate(
 
 
 def _motion(time: Any, state: Float[Array, "2 joint"], args: Any) -> Float[Array, "2 joint"]:
-    arm, command, wind = args
+    arm, command, wind, end = args
+    # A jump at the very end is no part of the motion, and would be bisected for nothing.
+    time = jnp.minimum(time, end)
     angles, rates = state
     air = None if wind is None else wind(time)
     return jnp.stack([rates, acceleration(arm, angles, rates, command(time), air)])
