@@ -94,7 +94,7 @@ def simulate(
     missing: Annotated[
         float, typer.Option(metavar="PERCENT", help="Share of each channel that is left empty.")
     ] = 0.0,
-    seed: Annotated[int, typer.Option(min=0, help="Of the noise and the gaps.")] = 0,
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Of the noise and the gaps.")] = 0,
     solver: Annotated[
         str, typer.Option(metavar="NAME", help="Integration method, such as tsit5, kvaerno5.")
     ] = "tsit5",
@@ -102,7 +102,7 @@ def simulate(
         float, typer.Option(metavar="TOL", help="Tolerance of the integration.")
     ] = 1e-7,
     digits: Annotated[
-        int, typer.Option(min=3, max=17, help="Significant digits that are written.")
+        int, typer.Option(metavar="N", min=3, max=17, help="Significant digits that are written.")
     ] = 9,
     force: Annotated[bool, typer.Option("--force", help="Write over a run.")] = False,
 ) -> None:
