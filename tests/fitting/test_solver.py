@@ -97,6 +97,17 @@ def test_a_trial_that_fails_is_a_rejected_step(broken):
     np.testing.assert_allclose(history[-1][0], [np.log(3)], atol=1e-6)
 
 
+def test_a_wall_is_not_an_optimum():
+    """Every trial towards the optimum fails: the solver must not call that converged."""
+
+    def fn(y, args):
+        return jnp.stack([jnp.where(y[0] > 1.0, jnp.nan, y[0] - 3.0), 0.1 * jnp.cos(y[0])]), None
+
+    start = jnp.array([1.0])
+    solution = optx.least_squares(fn, Marquardt(), start, has_aux=True, max_steps=100, throw=False)
+    assert solution.result == optx.RESULTS.nonlinear_divergence
+
+
 def test_what_is_not_active_stays():
     def fn(y, args):
         return jnp.stack([y[0] - 3, y[1] - 4, y[0] + y[1]]), None

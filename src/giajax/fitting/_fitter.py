@@ -16,6 +16,9 @@ from ._solver import Marquardt, MarquardtState
 # In the free coordinate: a positive parameter changes by less than a factor of 4.5 in one step.
 _LARGEST_STEP = 1.5
 
+# Residuals of a millionth of the noise: data without noise, fitted.
+_PERFECT = 1e-12
+
 
 class Fitter:
     """The state of one fit between the steps of its host loop."""
@@ -24,7 +27,7 @@ class Fitter:
         """Begin at values of the free parameters; nothing is evaluated yet."""
         self.problem = problem
         self.start = start
-        self.solver = Marquardt(largest_step=_LARGEST_STEP)
+        self.solver = Marquardt(floor=_PERFECT, largest_step=_LARGEST_STEP)
         self.coordinate: Array = jnp.asarray(
             problem.bijector.inverse(start), dtype=jnp.result_type(float)
         )

@@ -57,9 +57,11 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
     Options (of `optimistix.least_squares`): `active`, a boolean array: parameters that may move.
 
     Arguments:
-        rtol, atol: converged when a step changes no parameter by more than `atol + rtol |y|`.
+        rtol, atol: a step that changes no parameter by more than `atol + rtol |y|` is the last:
+            converged when it was taken undamped, stuck otherwise.
         distance: converged when the full Gauss-Newton step would change the parameters by less
             than this many standard errors (with the noise that the residual itself shows).
+        floor: converged when the cost per residual is not above this.
         largest_step: no coordinate moves by more than this in one step. Where coordinates are
             logarithms it keeps a trial point within a factor, so that an early, poor model of
             the cost does not send a parameter to its bound or a chain into stiffness.
@@ -69,6 +71,7 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
     rtol: float = 1e-9
     atol: float = 1e-9
     distance: float = 1e-2
+    floor: float = 0.0
     largest_step: float = float("inf")
     norm: Callable[[Any], Scalar] = optx.max_norm
 
@@ -193,10 +196,15 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         size = state.residual.shape[0] - state.projected.shape[0]
         noise = jnp.sqrt(2 * state.cost / max(size, 1))
         near = _explicable(state) <= self.distance * noise
+        # Data without noise: nothing is left that a step could lower.
+        perfect = state.cost <= self.floor * state.residual.shape[0]
         tiny = jnp.all(jnp.abs(state.step) <= self.atol + self.rtol * jnp.abs(y))
+        tiny = tiny & (state.evaluations > 1)
+        # A step that is tiny because it is damped, or was rejected, says nothing of an optimum.
+        settled = tiny & state.accepted & (state.damping < 1)
         evaluated = jnp.isfinite(state.cost)
-        converged = evaluated & (near | (tiny & (state.evaluations > 1)))
-        stuck = (state.damping > 1e12) | ((state.evaluations > 0) & ~evaluated)
+        converged = evaluated & (near | perfect | settled)
+        stuck = (tiny & ~settled) | ((state.evaluations > 0) & ~evaluated)
         result = optx.RESULTS.where(
             converged | ~stuck, optx.RESULTS.successful, optx.RESULTS.nonlinear_divergence
         )
