@@ -146,7 +146,9 @@ def measure_run(arm: giajax.Arm, command: Signal, repeats: int) -> dict[str, Fig
     start = jnp.asarray([float(giajax.get(arm, path)) for path in PATHS])
     found = timed(
         {
-            "giajax": lambda: by_giajax(tolerance),
+            "giajax": lambda: jax.block_until_ready(
+                giajax.simulate(arm, command, times, rtol=tolerance, atol=tolerance).angles
+            ),
             "MuJoCo": lambda: mujoco.trajectory(TIMES, step),
             "scipy": lambda: scipy.trajectory(TIMES, rtol=scipy_tolerance, atol=scipy_tolerance),
             "giajax, plain": lambda: jax.block_until_ready(value(start)),

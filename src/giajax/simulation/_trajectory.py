@@ -1,5 +1,7 @@
 """The result of a simulation."""
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 
@@ -64,14 +66,22 @@ class Trajectory(eqx.Module):
     @property
     def link_centres(self) -> Float[Array, "sample link 3"]:
         """Positions of the links' centres in the base frame, m."""
-        return jax.vmap(link_centres, in_axes=(None, 0))(self.arm, self.angles)
+        return _over_samples(link_centres, self.arm, self.angles)
 
     @property
     def tip(self) -> Float[Array, "sample 3"]:
         """Position of the end of the last link in the base frame, m."""
-        return jax.vmap(tip_position, in_axes=(None, 0))(self.arm, self.angles)
+        return _over_samples(tip_position, self.arm, self.angles)
 
     @property
     def commands(self) -> Float[Array, "sample joint"]:
         """Commanded angles at the samples, rad."""
         return jax.vmap(self.command)(self.times)
+
+
+@eqx.filter_jit
+def _over_samples(
+    position: Callable[[Arm, Array], Array], arm: Arm, angles: Float[Array, "sample joint"]
+) -> Array:
+    """A position at every sample; compiled, or each operation would be dispatched by itself."""
+    return jax.vmap(position, in_axes=(None, 0))(arm, angles)
