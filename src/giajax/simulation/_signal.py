@@ -45,8 +45,8 @@ class Signal(eqx.Module):
 
 
 def constant(value: Any) -> Signal:
-    """A signal that never changes; `value` has shape (width,)."""
-    value = np.atleast_1d(np.asarray(value, dtype=float))
+    """A signal that never changes; `value` has shape (width,) and may be differentiated."""
+    value = jnp.atleast_1d(jnp.asarray(value, dtype=jnp.result_type(float)))
     return _signal(np.zeros(1), value[None], np.zeros((1, value.size)))
 
 
@@ -136,7 +136,7 @@ def _target(joints: int, angles: Mapping[int, float]) -> np.ndarray:
     return target
 
 
-def _signal(times: np.ndarray, values: np.ndarray, slopes: np.ndarray) -> Signal:
+def _signal(times: np.ndarray, values: np.ndarray | Array, slopes: np.ndarray) -> Signal:
     return Signal(*(jnp.asarray(x, dtype=jnp.result_type(float)) for x in (times, values, slopes)))
 
 
