@@ -1,25 +1,89 @@
-"""Step-size control that gives up on a motion that cannot go on."""
+"""Step-size control: steps that derivatives survive, too, and an end to a motion that cannot go on.
+
+A step-size controller sees the errors of the motion, not those of its derivatives. An arm at rest
+has no error at all, and one that moves in a plane has none across it: the steps then grow until
+they are unstable for what a derivative sets swinging there, by a wind across or a first angle.
+Derivatives by parameters of links, joints and air are safe, because they move only what moves
+already; the others are given shorter steps.
+"""
 
 from collections.abc import Callable
 from typing import Any
 
 import diffrax
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import optimistix as optx
 
-from .._typing import Array, Scalar
+from .._typing import Array, Float, Scalar
+from ..arm import Arm, mass_matrix
+
+# Length of a step, times the rate of the motion, that a method is stable with: where its stability
+# function reaches 1 for an oscillation with 1 % of critical damping.
+_STABLE: dict[type[diffrax.AbstractSolver], float] = {
+    diffrax.Tsit5: 2.0,
+    diffrax.Dopri5: 2.0,
+    diffrax.Dopri8: 4.4,
+    diffrax.Bosh3: 1.7,
+    diffrax.Heun: 0.5,
+}
 
 
 def step_size_controller(
-    rtol: Scalar, atol: Scalar, corners: Array
+    solver: diffrax.AbstractSolver,
+    rtol: Scalar,
+    atol: Scalar,
+    corners: Array,
+    rate: Scalar,
+    disturbances: Any,
 ) -> diffrax.AbstractStepSizeController:
-    """Proportional control to the tolerances, which neither steps over a corner nor hangs."""
+    """Control to the tolerances that steps neither over a corner nor too far, and never hangs.
+
+    Arguments:
+        solver: the integration method.
+        rtol, atol: tolerances of a step.
+        corners: times that no step may cross, s.
+        rate: of the fastest motion that the arm is capable of (`fastest_rate`), 1/s.
+        disturbances: the arrays whose derivatives may move what is at rest.
+    """
+    careful = jax.lax.stop_gradient(_is_differentiated(disturbances)) == 1
+    slowness = jnp.where(careful, 1 / rate, jnp.inf)
+    controller = diffrax.PIDController(rtol=rtol, atol=atol, norm=_norm)
     return diffrax.ClipStepSizeController(
-        _GivesUp(diffrax.PIDController(rtol=rtol, atol=atol, norm=_norm)), jump_ts=corners
+        _Careful(controller, _STABLE.get(type(solver), jnp.inf) * slowness, slowness),
+        jump_ts=corners,
     )
 
 
-def _norm(x: Any) -> Array:
+@eqx.filter_custom_jvp
+def _is_differentiated(tree: Any) -> Array:
+    """1 where a derivative is being taken by something in `tree`, else 0."""
+    return jnp.zeros(())
+
+
+@_is_differentiated.def_jvp
+def _is_differentiated_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
+    # Tangents that are known to be zero are None here.
+    differentiated = bool(jax.tree.leaves(tangents))
+    return jnp.full((), differentiated, dtype=jnp.result_type(float)), jnp.zeros(())
+
+
+def fastest_rate(arm: Arm, angles: Float[Array, " joint"]) -> Scalar:
+    """Rate of the fastest motion of springs and dampers in one configuration, 1/s."""
+    # Lengths of steps are no part of what is differentiated.
+    arm, angles = jax.lax.stop_gradient((arm, angles))
+    factor = jnp.linalg.cholesky(mass_matrix(arm, angles))
+
+    def largest(strength: Array) -> Array:
+        """Square root of the largest eigenvalue of M^-1 diag(strength)."""
+        root = jnp.diag(jnp.sqrt(jnp.broadcast_to(strength, (arm.count,))))
+        return jnp.linalg.norm(jax.scipy.linalg.solve_triangular(factor, root, lower=True), 2)
+
+    return jnp.hypot(largest(arm.joints.stiffness), largest(arm.joints.damping) ** 2)
+
+
+def _norm(x: Any) -> Any:
     """Root mean square, infinite where it is NaN: such a step is rejected and tried smaller.
 
     diffrax would make the next step as long as NaN, and try that one up to the step limit.
@@ -28,10 +92,10 @@ def _norm(x: Any) -> Array:
     return jnp.where(jnp.isnan(norm), jnp.inf, norm)
 
 
-class _GivesUp(diffrax.AbstractAdaptiveStepSizeController):
-    """Ends the integration at a rejected step that cannot be made smaller.
+class _Careful(diffrax.AbstractAdaptiveStepSizeController):
+    """Keeps steps stable, and ends at a rejected step that cannot be made smaller.
 
-    `PIDController(dtmin=...)` would do it for accepted steps too, and those may be as short as
+    `PIDController(dtmin=...)` would end at accepted steps, too, and those may be as short as
     the distance between two corners that differ by rounding.
     """
 
@@ -39,17 +103,22 @@ class _GivesUp(diffrax.AbstractAdaptiveStepSizeController):
     atol: Any
     norm: Callable[[Any], Any]
     controller: diffrax.PIDController
+    longest: Array
+    slowness: Array
 
-    def __init__(self, controller: diffrax.PIDController) -> None:
+    def __init__(self, controller: diffrax.PIDController, longest: Array, slowness: Array) -> None:
         self.controller = controller
         # An implicit solver takes its own tolerances from here.
         self.rtol, self.atol, self.norm = controller.rtol, controller.atol, controller.norm
+        self.longest = longest
+        self.slowness = slowness
 
-    def wrap(self, direction: Any) -> "_GivesUp":
-        return _GivesUp(self.controller.wrap(direction))
+    def wrap(self, direction: Any) -> "_Careful":
+        return _Careful(self.controller.wrap(direction), self.longest, self.slowness)
 
-    def init(self, *args: Any) -> tuple[Any, Any]:
-        return self.controller.init(*args)
+    def init(self, terms: Any, t0: Any, *args: Any) -> tuple[Any, Any]:
+        t1, state = self.controller.init(terms, t0, *args)
+        return jnp.minimum(t1, t0 + self.longest), state
 
     def adapt_step_size(
         self,
@@ -65,12 +134,20 @@ class _GivesUp(diffrax.AbstractAdaptiveStepSizeController):
         keep, next_t0, next_t1, jump, state, result = self.controller.adapt_step_size(
             t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
         )
+        # At rest nothing tells how long a step may be for the derivatives to be as exact as the
+        # motion, but for the tolerance: an oscillation of size 1 would ask for about this.
+        tolerance = jnp.maximum(self.rtol, self.atol)
+        exact = 25 * tolerance ** (1 / error_order) * self.slowness
+        longest = jnp.where(jnp.all(y_error == 0), jnp.minimum(exact, self.longest), self.longest)
+        next_t1 = jnp.minimum(next_t1, next_t0 + longest)
+
         shortest = 4 * jnp.finfo(jnp.result_type(t1)).eps * jnp.abs(t1)
         # Written so that it holds for a NaN, too.
         stuck = ~keep & ~(next_t1 - next_t0 > shortest)
-        finite = jnp.all(jnp.isfinite(y_error))
         code = diffrax.RESULTS.where(
-            finite, diffrax.RESULTS.dt_min_reached, diffrax.RESULTS.nonlinear_divergence
+            jnp.all(jnp.isfinite(y_error)),
+            diffrax.RESULTS.dt_min_reached,
+            diffrax.RESULTS.nonlinear_divergence,
         )
         result = diffrax.RESULTS.where(stuck, code, result)
         return keep, next_t0, next_t1, jump, state, result

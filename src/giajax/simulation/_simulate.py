@@ -12,7 +12,7 @@ from .._errors import InputError
 from .._typing import Array, Float, Scalar
 from ..arm import Arm, acceleration
 from ..parameters import is_concrete
-from ._controller import step_size_controller
+from ._controller import fastest_rate, step_size_controller
 from ._derivatives import Derivatives, adjoint, guard_inputs, guard_outputs
 from ._signal import Signal, constant
 from ._solvers import solver as solver_named
@@ -143,16 +143,24 @@ def integrate(
     """The compiled core of `simulate`: no checks, never raises."""
     corners = command.times if wind is None else jnp.concatenate([command.times, wind.times])
     rtol, atol = tolerances
+    method = solver_named(solver)
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(_motion),
-        solver_named(solver),
+        method,
         t0=times[0],
         t1=times[-1],
         dt0=None,
         y0=state,
         args=(arm, command, wind, eqxi.prevbefore(times[-1])),
         saveat=diffrax.SaveAt(ts=times),
-        stepsize_controller=step_size_controller(rtol, atol, corners),
+        stepsize_controller=step_size_controller(
+            method,
+            rtol,
+            atol,
+            corners,
+            rate=fastest_rate(arm, state[0]),
+            disturbances=(command, wind, state, arm.base_rotation, arm.gravity),
+        ),
         adjoint=adjoint(derivatives),
         max_steps=max_steps,
         throw=False,
