@@ -1,349 +1,399 @@
-"""Side by side with MuJoCo and scipy, on one chain, in one run: `make bench`.
+"""giajax beside MuJoCo and scipy on one chain, in one run: `make bench`.
 
-The paper's arm, joints 1 and 2 driven, 25 s. Machines differ and are noisy, so what counts is the
-ratio of two figures of the same run. Every contender integrates as coarsely as keeps its tip
-within 1e-4 m of a tight reference, and says how coarsely that is.
+Every contender solves the same problem: the 20-link arm of the paper, joints 1 and 2 driven, 25 s.
+Each takes the coarsest step or tolerance that keeps the tip within 1e-4 m of a tight reference;
+the table shows which. Times are wall time, minimum and median of the repeats; contenders take
+turns, so that another load on the machine falls on all of them. Compare ratios, not seconds.
+
+    python benchmarks/bench.py [--quick] [--out FILE]
 """
 
 import argparse
+import datetime
 import json
 import os
 import platform
-import resource
+import statistics
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-import giajax
-from arms import driven_arm
-from giajax.simulation import Signal
+import giajax.parameters
+from arms import driven_arm, random_states
+from giajax.arm import Arm, acceleration
+from giajax.simulation import Signal, simulate
 from mujoco_chain import MujocoChain
 from scipy_chain import ScipyChain
 
 ROOT = Path(__file__).resolve().parents[1]
+RESULTS = ROOT / "benchmarks" / "results" / "bench.json"
 RUN = ROOT / "data" / "synthetic" / "base_step.csv"
-TIP_ERROR = 1e-4  # m
-TIMES = np.linspace(0.0, 25.0, 251)
-PATHS = (
-    "air.drag_coefficient",
-    "joints.pitch_stiffness",
-    "joints.yaw_stiffness",
-    "joints.damping",
-)
-Figure = dict[str, Any]
+
+ACCURACY = 1e-4  # m, at the tip
+SAMPLE = 0.5  # s; divides the corners of the command, so that every step SAMPLE / n fits
+PARAMETERS = {
+    "air.drag_coefficient": 1.2,
+    "joints.pitch_stiffness": 3.0,
+    "joints.yaw_stiffness": 30.0,
+    "joints.damping": 0.05,
+}
+TOLERANCES = [10.0 ** (-exponent / 2) for exponent in range(4, 17)]
 
 
-def timed(contenders: dict[str, Callable[[], Any]], repeats: int) -> dict[str, Figure]:
-    """Seconds of each contender, taken in turn so that a slow moment meets all of them."""
-    for run in contenders.values():
-        run()
-    seconds: dict[str, list[float]] = {name: [] for name in contenders}
-    for _ in range(repeats):
-        for name, run in contenders.items():
-            began = time.perf_counter()
-            run()
-            seconds[name].append(time.perf_counter() - began)
-    return {
-        name: {"min_s": min(taken), "median_s": float(np.median(taken)), "repeats": repeats}
-        for name, taken in seconds.items()
-    }
+class Problem:
+    """The chain, its command and a tight reference for the path of its tip."""
+
+    def __init__(self, links: int, seconds: float) -> None:
+        self.arm, self.command = driven_arm(links)
+        self.times = np.linspace(0.0, seconds, round(seconds / SAMPLE) + 1)
+        self.numpy = ScipyChain(self.arm, self.command)
+        tight = simulate(
+            self.arm, self.command, self.times, solver="dopri8", rtol=1e-11, atol=1e-11
+        )
+        self.reference = np.asarray(tight.tip)
+
+    def error(self, tip: Any) -> float:
+        """Largest distance of a path of the tip from the reference, m."""
+        return float(np.linalg.norm(np.asarray(tip) - self.reference, axis=1).max())
+
+    def with_parameters(self, values: Iterable[float]) -> Arm:
+        """The arm with other values of the four parameters."""
+        return giajax.parameters.replace(self.arm, dict(zip(PARAMETERS, values, strict=True)))
 
 
-def evaluation_loop(arm: giajax.Arm, command: Signal, count: int) -> Callable[[], Any]:
-    """Evaluations of the equation of motion inside one compiled loop, each fed by the last."""
-    target = command(jnp.asarray(2.0))
-
-    @jax.jit
-    def loop(arm: giajax.Arm, angles: jax.Array, rates: jax.Array) -> Any:
-        def body(_: Any, state: Any) -> Any:
-            angles, rates = state
-            return angles + 1e-4 * rates, rates + 1e-4 * giajax.acceleration(
-                arm, angles, rates, target
-            )
-
-        return jax.lax.fori_loop(0, count, body, (angles, rates))
-
-    still = jnp.zeros(arm.count)
-    return lambda: jax.block_until_ready(loop(arm, still, still))
+# The three contenders: the path of the tip for one setting (a tolerance, or a step in seconds).
 
 
-def measure_evaluation(arm: giajax.Arm, command: Signal, repeats: int) -> dict[str, Figure]:
-    """One evaluation of the accelerations, microseconds."""
-    random = np.random.default_rng(0)
-    angles, rates = random.normal(size=(2, arm.count)) * 0.3
-    target = np.asarray(command(jnp.asarray(2.0)))
-    counts = {"giajax": 5000, "MuJoCo": 500, "scipy": 200}
-    mujoco, scipy = MujocoChain(arm), ScipyChain(arm)
-    found = timed(
-        {
-            "giajax": evaluation_loop(arm, command, counts["giajax"]),
-            "MuJoCo": lambda: [
-                mujoco.acceleration(angles, rates, target) for _ in range(counts["MuJoCo"])
-            ],
-            "scipy": lambda: [
-                scipy.acceleration(angles, rates, target) for _ in range(counts["scipy"])
-            ],
-        },
-        repeats,
+@eqx.filter_jit
+def giajax_tip(values: Any, problem: Any, tolerance: Any) -> Any:
+    arm, command, times = problem
+    arm = giajax.parameters.replace(arm, dict(zip(PARAMETERS, values, strict=True)))
+    options = {"rtol": tolerance, "atol": tolerance, "throw": False}
+    return simulate(arm, command, times, **options).tip
+
+
+@eqx.filter_jit
+def giajax_tip_and_jacobian(values: Any, problem: Any, tolerance: Any) -> Any:
+    def push(direction: Any) -> Any:
+        return jax.jvp(lambda x: giajax_tip(x, problem, tolerance), (values,), (direction,))
+
+    return jax.vmap(push, out_axes=(None, -1))(jnp.eye(len(values)))
+
+
+def mujoco_tip(problem: Problem, arm: Arm, step: float) -> np.ndarray:
+    states = MujocoChain(arm, problem.command).trajectory(problem.times, step)
+    return problem.numpy.tip(states[:, 0])
+
+
+def scipy_tip(problem: Problem, method: str, arm: Arm, tolerance: float) -> np.ndarray:
+    chain = ScipyChain(arm, problem.command)
+    options: dict[str, Any] = {"method": method, "rtol": tolerance, "atol": tolerance}
+    return problem.numpy.tip(chain.trajectory(problem.times, **options)[:, 0])
+
+
+def scipy_differences(problem: Problem, method: str, tolerance: float) -> np.ndarray:
+    return central_differences(
+        lambda x: scipy_tip(problem, method, problem.with_parameters(x), tolerance)
     )
-    for name, figure in found.items():
-        figure["min_us"] = figure["min_s"] / counts[name] * 1e6
-        figure["median_us"] = figure["median_s"] / counts[name] * 1e6
-    return found
 
 
 def coarsest(
-    settings: Sequence[float], run: Callable[[float], np.ndarray], reference: np.ndarray
+    problem: Problem, tip: Callable[[float], Any], settings: Iterable[float]
 ) -> tuple[float, float]:
-    """The first setting, from coarse to fine, whose tip stays within the allowed error."""
+    """The first setting that keeps the tip within the accuracy, and the error it has."""
     for setting in settings:
         try:
-            error = float(np.abs(run(setting) - reference).max())
+            error = problem.error(tip(setting))
         except FloatingPointError:
-            continue  # unstable with so long a step
-        if error <= TIP_ERROR:
+            continue
+        if error < ACCURACY:
             return setting, error
-    raise RuntimeError("no setting reaches the wanted accuracy")
+    raise RuntimeError(f"no setting keeps the tip within {ACCURACY:g} m")
 
 
-def measure_run(arm: giajax.Arm, command: Signal, repeats: int) -> dict[str, Figure]:
-    """The 25 s run at the same accuracy of the tip, and value with 4-column Jacobian."""
-    times = jnp.asarray(TIMES)
-    tight = giajax.simulate(arm, command, times, solver="dopri8", rtol=1e-12, atol=1e-12)
-    reference = np.asarray(tight.tip)
-    mujoco, scipy = MujocoChain(arm, command), ScipyChain(arm, command)
+def central_differences(tip: Callable[[Any], np.ndarray]) -> np.ndarray:
+    values = np.array(list(PARAMETERS.values()))
+    columns = []
+    for index, value in enumerate(values):
+        # Below this the steps that the solver takes otherwise are seen, not the parameter.
+        step = 1e-2 * value
+        forth, back = (np.array(values) for _ in range(2))
+        forth[index] += step
+        back[index] -= step
+        columns.append((tip(forth) - tip(back)) / (2 * step))
+    return np.stack(columns, axis=-1)
 
-    def by_giajax(tolerance: float) -> np.ndarray:
-        motion = giajax.simulate(arm, command, times, rtol=tolerance, atol=tolerance)
-        return np.asarray(motion.tip)
 
-    def by_mujoco(step: float) -> np.ndarray:
-        return scipy.tip(mujoco.trajectory(TIMES, step)[:, 0])
-
-    def by_scipy(tolerance: float) -> np.ndarray:
-        return scipy.tip(scipy.trajectory(TIMES, rtol=tolerance, atol=tolerance)[:, 0])
-
-    loose = [1e-3, 1e-4, 1e-5, 1e-6, 1e-7]
-    steps = [0.05, 0.025, 0.02, 0.0125, 0.01, 0.005, 0.0025, 0.001]
-    chosen = {
-        "giajax": coarsest(loose, by_giajax, reference),
-        "MuJoCo": coarsest(steps, by_mujoco, reference),
-        "scipy": coarsest(loose, by_scipy, reference),
+def timed(contenders: dict[str, Callable[[], Any]], repeats: int) -> dict[str, dict[str, float]]:
+    """Seconds of each contender, in turns, after one call that does not count."""
+    seconds: dict[str, list[float]] = {name: [] for name in contenders}
+    for repeat in range(repeats + 1):
+        for name, call in contenders.items():
+            began = time.perf_counter()
+            jax.block_until_ready(call())
+            if repeat:
+                seconds[name].append(time.perf_counter() - began)
+    return {
+        name: {"min": min(each), "median": statistics.median(each)}
+        for name, each in seconds.items()
     }
-    tolerance, step, scipy_tolerance = (chosen[name][0] for name in chosen)
-    value, jacobian = derivatives(arm, command, times, tolerance)
-    start = jnp.asarray([float(giajax.get(arm, path)) for path in PATHS])
+
+
+def evaluation(links: int, repeats: int, loop: int) -> dict[str, Any]:
+    """One evaluation of the accelerations, s."""
+    arm, _ = driven_arm(links)
+    state = {name: value[0] for name, value in random_states(links, 1).items()}
+    given = {name: np.asarray(value) for name, value in state.items() if name != "wind"}
+
+    @jax.jit
+    def many(arm: Arm, angles: Any, rates: Any, command: Any) -> Any:
+        # Each evaluation needs the one before: none may be left out or done at once.
+        def again(_: Any, angles: Any) -> Any:
+            return angles + 1e-9 * acceleration(arm, angles, rates, command)
+
+        return jax.lax.fori_loop(0, loop, again, angles)
+
+    numpy, engine = ScipyChain(arm), MujocoChain(arm)
+    engine.data.qpos[:], engine.data.qvel[:] = given["angles"], given["rates"]
+
+    def forward() -> None:
+        with engine.forces():
+            for _ in range(few):
+                mujoco.mj_forward(engine.model, engine.data)
+
+    few = max(loop // 20, 10)
     found = timed(
         {
-            "giajax": lambda: jax.block_until_ready(
-                giajax.simulate(arm, command, times, rtol=tolerance, atol=tolerance).angles
-            ),
-            "MuJoCo": lambda: mujoco.trajectory(TIMES, step),
-            "scipy": lambda: scipy.trajectory(TIMES, rtol=scipy_tolerance, atol=scipy_tolerance),
-            "giajax, plain": lambda: jax.block_until_ready(value(start)),
-            "giajax, value and Jacobian": lambda: jax.block_until_ready(jacobian(start)),
+            "giajax": lambda: many(arm, state["angles"], state["rates"], state["command"]),
+            "MuJoCo": forward,
+            "numpy": lambda: [numpy.acceleration(**given) for _ in range(few)],
         },
         repeats,
     )
-    for name, (setting, error) in chosen.items():
-        found[name]["setting"] = f"{'step' if name == 'MuJoCo' else 'tolerance'} {setting:g}"
-        found[name]["tip_error_m"] = error
-    # Without derivatives of their own, the others pay a run for each parameter and one more.
-    for name in ("MuJoCo", "scipy"):
-        found[f"{name}, value and differences"] = {
-            key: figure * (len(PATHS) + 1)
-            for key, figure in found[name].items()
-            if key in ("min_s", "median_s")
-        } | {"setting": f"{len(PATHS) + 1} runs"}
-    return found
+    return {
+        name: {key: value / (loop if name == "giajax" else few) for key, value in each.items()}
+        for name, each in found.items()
+    }
 
 
-def derivatives(
-    arm: giajax.Arm, command: Signal, times: jax.Array, tolerance: float
-) -> tuple[Callable, Callable]:
-    """All link centres over time, without and with their Jacobian by the four parameters."""
+def run_and_gradient(problem: Problem, repeats: int) -> dict[str, Any]:
+    """The whole run at one accuracy, and its derivatives by four parameters."""
+    values = jnp.asarray(list(PARAMETERS.values()))
+    inputs: tuple[Arm, Signal, Any] = (problem.arm, problem.command, jnp.asarray(problem.times))
 
-    def centres(values: jax.Array) -> jax.Array:
-        changed = giajax.replace(arm, {path: values[i] for i, path in enumerate(PATHS)})
-        motion = giajax.simulate(
-            changed, command, times, rtol=tolerance, atol=tolerance, throw=False
-        )
-        return motion.link_centres
+    def mine(tolerance: float) -> Any:
+        return giajax_tip(values, inputs, jnp.asarray(tolerance))
 
-    def with_jacobian(values: jax.Array) -> Any:
-        push = lambda tangent: jax.jvp(centres, (values,), (tangent,))  # noqa: E731
-        return jax.vmap(push, out_axes=(None, -1))(jnp.eye(len(PATHS)))
+    began = time.perf_counter()
+    jax.block_until_ready(mine(1e-6))
+    compile_run = time.perf_counter() - began
+    began = time.perf_counter()
+    jax.block_until_ready(giajax_tip_and_jacobian(values, inputs, jnp.asarray(1e-6)))
+    compile_gradient = time.perf_counter() - began
 
-    return jax.jit(centres), jax.jit(with_jacobian)
+    tolerance, error = coarsest(problem, mine, TOLERANCES)
+    chosen = {"giajax Tsit5": {"setting": f"rtol = atol = {tolerance:.1e}", "error": error}}
+    tight = jnp.asarray(tolerance)
+    steps = (SAMPLE / n for n in range(8, 200))
+    step, error = coarsest(problem, lambda step: mujoco_tip(problem, problem.arm, step), steps)
+    chosen["MuJoCo RK4"] = {"setting": f"step {step * 1e3:.1f} ms", "error": error}
+    runs: dict[str, Callable[[], Any]] = {
+        "giajax Tsit5": lambda: giajax_tip(values, inputs, tight),
+        "MuJoCo RK4": lambda: mujoco_tip(problem, problem.arm, step),
+    }
+    gradients: dict[str, Callable[[], Any]] = {
+        "giajax Tsit5": lambda: giajax_tip_and_jacobian(values, inputs, tight)[1],
+        "MuJoCo RK4": lambda: central_differences(
+            lambda x: mujoco_tip(problem, problem.with_parameters(x), step)
+        ),
+    }
+    for method in ("RK45", "DOP853", "LSODA"):
+        tip = partial(scipy_tip, problem, method)
+        loosest, error = coarsest(problem, partial(tip, problem.arm), TOLERANCES)
+        name = f"scipy {method}"
+        chosen[name] = {"setting": f"rtol = atol = {loosest:.1e}", "error": error}
+        runs[name] = partial(tip, problem.arm, loosest)
+        gradients[name] = partial(scipy_differences, problem, method, loosest)
 
-
-FIT = """
-import json, resource, sys, time
-began = time.perf_counter()
-from giajax.cli import main
-status = main(sys.argv[1:])
-peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-print(json.dumps({"status": status, "process_s": time.perf_counter() - began, "peak_MB": peak}),
-      file=sys.stderr)
-"""
-
-
-def measure_fit(repeats: int) -> dict[str, Figure]:
-    """The whole fit: a first process, the next one, and a second call within a process."""
-    found: dict[str, Figure] = {}
-    with tempfile.TemporaryDirectory() as folder:
-        environment = {**os.environ, "JAX_COMPILATION_CACHE_DIR": f"{folder}/cache"}
-        environment["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.5"
-        for name in ("cold process, empty cache", "process, warm cache"):
-            out = f"{folder}/{name.partition(',')[0]}"
-            arguments = ["fit", "--data", str(RUN), "--out", out, "--quiet", *away_from_truth()]
-            ended = subprocess.run(
-                [sys.executable, "-c", FIT, *arguments],
-                env=environment,
-                capture_output=True,
-                text=True,
-                check=True,
-            )
-            result = giajax.load_result(out)
-            said = json.loads(ended.stderr.strip().splitlines()[-1])
-            found[name] = {
-                "min_s": said["process_s"],
-                "iterations": result.iterations,
-                "compile_s": result.seconds["compile"],
-                "run_s": result.seconds["run"],
-                "peak_MB": said["peak_MB"],
-            }
-    run = giajax.read_run(RUN)
-    model = giajax.model_for([run])
-    start = {path: float(value) for path, value in map(split, away_from_truth()[1::2])}
-    fits = timed({"fit": lambda: giajax.fit(model, run, start=start)}, repeats)
-    iterations = giajax.fit(model, run, start=start).iterations
-    found["second call in a process"] = {**fits["fit"], "iterations": iterations}
-    return found
-
-
-def away_from_truth() -> list[str]:
-    """Options that start the fit at half the drag and stiffness, and three times the damping."""
-    starts = {"air.drag_coefficient": 0.6, "joints.pitch_stiffness": 1.2, "joints.damping": 0.2}
-    return [item for path, value in starts.items() for item in ("--start", f"{path}={value}")]
-
-
-def split(pair: str) -> tuple[str, float]:
-    """A parameter path and its value."""
-    path, _, value = pair.partition("=")
-    return path, float(value)
-
-
-def measure_links(repeats: int, counts: Sequence[int]) -> dict[str, Figure]:
-    """One evaluation for chains of several lengths, microseconds."""
-    loops = {}
-    for links in counts:
-        loops[f"{links} links"] = evaluation_loop(*driven_arm(links), 2000)
-    found = timed(loops, repeats)
-    for figure in found.values():
-        figure["min_us"] = figure["min_s"] / 2000 * 1e6
-        figure["median_us"] = figure["median_s"] / 2000 * 1e6
-    return found
-
-
-def ratio(numerator: Figure, denominator: Figure) -> float:
-    """Ratio of the medians of two figures of this run."""
-    return numerator["median_s"] / denominator["median_s"]
-
-
-def measure(repeats: int, links: Sequence[int], *, fit: bool) -> dict[str, Any]:
-    """Everything, as plain data."""
-    arm, command = driven_arm()
-    evaluation = measure_evaluation(arm, command, repeats)
-    run = measure_run(arm, command, repeats)
-    record: dict[str, Any] = {
-        "evaluation": evaluation,
+    run = timed(runs, repeats)
+    fastest = min((name for name in runs if "scipy" in name), key=lambda name: run[name]["min"])
+    compared = {name: gradients[name] for name in ("giajax Tsit5", "MuJoCo RK4", fastest)}
+    gradient = timed(compared, max(repeats // 3, 1))
+    exact = np.asarray(giajax_tip_and_jacobian(values, inputs, jnp.asarray(1e-10))[1])
+    for name, call in compared.items():
+        # Of the columns, each for a parameter that doubles: m at the tip.
+        gradient[name]["error"] = float(np.abs((np.asarray(call()) - exact) * values).max())
+    return {
+        "chosen": chosen,
         "run": run,
-        "fit": measure_fit(repeats) if fit else {},
-        "links": measure_links(repeats, links),
-        "ratios": {
-            "run: MuJoCo with a Python callback / giajax": ratio(run["MuJoCo"], run["giajax"]),
-            "run: scipy / giajax": ratio(run["scipy"], run["giajax"]),
-            "giajax: value and Jacobian / plain run": ratio(
-                run["giajax, value and Jacobian"], run["giajax, plain"]
-            ),
-            "4 derivatives: MuJoCo by differences / giajax": ratio(
-                run["MuJoCo, value and differences"], run["giajax, value and Jacobian"]
-            ),
-            "4 derivatives: scipy by differences / giajax": ratio(
-                run["scipy, value and differences"], run["giajax, value and Jacobian"]
-            ),
-        },
+        "gradient": gradient,
+        "compile": {"run": compile_run, "gradient": compile_gradient},
+    }
+
+
+def whole_fit(repeats: int) -> dict[str, Any] | None:
+    """The base-step fit as a cold process, and again in this one."""
+    if not RUN.exists():
+        return None
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "fit"
+        program = "from giajax.cli import main; main()"
+        command = [sys.executable, "-c", program, "fit", "--data", str(RUN), "--out", str(out)]
+        # An empty folder: nothing was compiled before.
+        environment = os.environ | {"JAX_COMPILATION_CACHE_DIR": str(Path(folder) / "cache")}
+        began = time.perf_counter()
+        with subprocess.Popen([*command, "--quiet"], env=environment) as process:
+            _, status, usage = os.wait4(process.pid, 0)
+            process.returncode = os.waitstatus_to_exitcode(status)
+        cold = time.perf_counter() - began
+        if process.returncode != 0:
+            raise RuntimeError(f"giajax fit ended with status {process.returncode}")
+        result = json.loads((out / "result.json").read_text())
+
+    from giajax.fitting import fit
+    from giajax.models import model_for
+    from giajax.runs import read_run
+
+    run = read_run(RUN)
+    warm = timed({"fit": lambda: fit(model_for([run]), run)}, repeats)["fit"]
+    kilobytes = usage.ru_maxrss / (1024 if sys.platform == "darwin" else 1)
+    return {
+        "cold": cold,
+        "warm": warm,
+        "iterations": result["iterations"],
+        "compile": result["seconds"]["compile"],
+        "run": result["seconds"]["run"],
+        "peak_megabytes": kilobytes / 1024,
+    }
+
+
+def measure(quick: bool, console: Console) -> dict[str, Any]:
+    links, seconds, repeats = (6, 5.0, 1) if quick else (20, 25.0, 9)
+    loop = 200 if quick else 20_000
+    load = os.getloadavg()[0]
+    with console.status("one evaluation ..."):
+        sizes = (links,) if quick else (10, 20, 40, 80)
+        evaluations = {count: evaluation(count, repeats, loop) for count in sizes}
+    with console.status("the run and its derivatives ..."):
+        both = run_and_gradient(Problem(links, seconds), repeats)
+    with console.status("the whole fit ..."):
+        fitted = None if quick else whole_fit(3)
+    return {
+        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "machine": {
+            "processor": platform.machine(),
             "cores": os.cpu_count(),
-            "platform": platform.platform(),
-            "date": time.strftime("%Y-%m-%d"),
-            "peak_MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+            "load_before": load,
+            "load_after": os.getloadavg()[0],
         },
         "versions": {
-            name: version(name) for name in ("giajax", "jax", "diffrax", "mujoco", "scipy")
-        },
+            name: version(name)
+            for name in ("giajax", "jax", "diffrax", "equinox", "mujoco", "numpy", "scipy")
+        }
+        | {"python": platform.python_version()},
+        "problem": {"links": links, "seconds": seconds, "tip_accuracy_m": ACCURACY},
+        "evaluation": evaluations,
+        **both,
+        "fit": fitted,
+        "ratios": ratios(evaluations[links], both),
     }
-    return record
 
 
-def show(record: dict[str, Any]) -> None:
-    """The tables."""
-    console = Console()
-    titles = {
-        "evaluation": "one evaluation of the accelerations",
-        "run": f"25 s, joints 1 and 2 driven, tip within {TIP_ERROR:g} m",
-        "fit": "the fit of data/synthetic/base_step.csv",
-        "links": "one evaluation by number of links",
+def ratios(evaluations: dict[str, Any], both: dict[str, Any]) -> dict[str, float]:
+    """Medians over medians, within this run."""
+
+    def over(table: dict[str, Any], name: str) -> float:
+        mine = next(key for key in table if key.startswith("giajax"))
+        return table[name]["median"] / table[mine]["median"]
+
+    run, gradient = both["run"], both["gradient"]
+    best = min((name for name in run if "scipy" in name), key=lambda name: run[name]["median"])
+    return {
+        "evaluation: MuJoCo over giajax": over(evaluations, "MuJoCo"),
+        "evaluation: numpy over giajax": over(evaluations, "numpy"),
+        "run: MuJoCo over giajax": over(run, "MuJoCo RK4"),
+        "run: best of scipy over giajax": over(run, best),
+        "gradient: MuJoCo over giajax": over(gradient, "MuJoCo RK4"),
+        "giajax: value and Jacobian over the run": gradient["giajax Tsit5"]["median"]
+        / run["giajax Tsit5"]["median"],
     }
-    for key, title in titles.items():
-        if not record[key]:
-            continue
-        columns = list(dict.fromkeys(name for row in record[key].values() for name in row))
-        table = Table(title=title, title_justify="left", box=None)
-        table.add_column("")
-        for column in columns:
-            table.add_column(column, justify="right")
-        for name, row in record[key].items():
-            table.add_row(name, *(cell(row.get(column)) for column in columns))
-        console.print(table)
-        console.print()
-    for name, value in record["ratios"].items():
-        console.print(f"{value:8.3g}  {name}")
 
 
-def cell(value: Any) -> str:
-    """A cell of a table."""
-    if value is None:
-        return ""
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+def show(found: dict[str, Any], console: Console) -> None:
+    problem = found["problem"]
+    table = Table(title=f"{problem['links']} links, {problem['seconds']:g} s; times: min / median")
+    for heading in ("", "setting", "tip error, m", "run, ms", "value + 4 columns, ms", "error, m"):
+        table.add_column(heading, justify="left" if heading in ("", "setting") else "right")
+    for name, setting in found["chosen"].items():
+        gradient = found["gradient"].get(name)
+        table.add_row(
+            name,
+            setting["setting"],
+            f"{setting['error']:.1e}",
+            spread(found["run"][name], 1e3),
+            spread(gradient, 1e3) if gradient else "",
+            f"{gradient['error']:.0e}" if gradient else "",
+        )
+    console.print(table)
+    console.print("error: largest of the columns, each for a parameter that doubles")
+    table = Table(title="One evaluation, us: min / median")
+    table.add_column("links", justify="right")
+    for name in ("giajax", "MuJoCo", "numpy"):
+        table.add_column(name, justify="right")
+    for count, each in found["evaluation"].items():
+        table.add_row(str(count), *(spread(times, 1e6) for times in each.values()))
+    console.print(table)
+    if found["fit"] is None:
+        console.print("The whole fit was not measured.")
+    else:
+        fitted = found["fit"]
+        console.print(
+            f"The base-step fit: {fitted['cold']:.1f} s as a cold process (compiling "
+            f"{fitted['compile']:.1f} s, {fitted['iterations']} iterations, at most "
+            f"{fitted['peak_megabytes']:.0f} MB), {spread(fitted['warm'], 1)} s again in one "
+            "process."
+        )
+    table = Table(title="Ratios of medians within this run")
+    table.add_column("")
+    table.add_column("", justify="right")
+    for name, ratio in found["ratios"].items():
+        table.add_row(name, f"{ratio:.2f}")
+    console.print(table)
+    load = found["machine"]
+    if load["load_before"] > 0.5 * (load["cores"] or 1):
+        console.print(f"The machine was busy (load {load['load_before']:.1f}): trust ratios only.")
+
+
+def spread(times: dict[str, float], unit: float) -> str:
+    return f"{times['min'] * unit:.3g} / {times['median'] * unit:.3g}"
 
 
 def main() -> None:
-    """Measure, print the tables, write the JSON."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="few repeats, no fit: a smoke test")
-    parser.add_argument("--out", type=Path, default=ROOT / "benchmarks" / "results" / "bench.json")
-    options = parser.parse_args()
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="a short arm, once: does it run?")
+    parser.add_argument("--out", type=Path, default=RESULTS, help="JSON file to write")
+    arguments = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
-    repeats = 2 if options.quick else 7
-    links = (10, 20) if options.quick else (10, 20, 40, 80)
-    record = measure(repeats, links, fit=not options.quick)
-    show(record)
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.out.write_text(json.dumps(record, indent=2) + "\n")
-    print(f"\nwrote {options.out}")
+    console = Console()
+    found = measure(arguments.quick, console)
+    show(found, console)
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
+    arguments.out.write_text(json.dumps(found, indent=2) + "\n")
+    console.print(f"written to {arguments.out}")
 
 
 if __name__ == "__main__":

@@ -76,7 +76,8 @@ class MujocoChain:
         self._wind_now: Callable[[float], Array] | None = None
 
     @contextmanager
-    def _forces(self) -> Iterator[None]:
+    def forces(self) -> Iterator[None]:
+        """While this lasts, MuJoCo asks for the spring's commands and the drag."""
         # Callbacks are global to MuJoCo: leave them as they were found. Its warnings are counted
         # in `data.warning`, and would else go to a file in the working directory.
         mujoco.set_mjcb_passive(self._passive)
@@ -111,7 +112,7 @@ class MujocoChain:
         self._command_now = lambda _: command
         self._wind_now = None if wind is None else (lambda _: wind)
         self.data.qpos[:], self.data.qvel[:] = angles, rates
-        with self._forces():
+        with self.forces():
             mujoco.mj_forward(self.model, self.data)
         return self.data.qacc.copy()
 
@@ -140,7 +141,7 @@ class MujocoChain:
         found = np.empty((len(times), 2, self.count))
         found[0] = data.qpos, data.qvel
         sample = 1
-        with self._forces():
+        with self.forces():
             for done in range(counts[-1]):
                 # Count steps instead of adding them up, or the corners drift off the steps.
                 data.time = times[0] + done * step
