@@ -66,7 +66,7 @@ def test_residuals_beyond_the_stated_noise_widen_the_errors():
     assert scaled.parameters["decay"].standard_error == pytest.approx(
         honest.parameters["decay"].standard_error, rel=0.1
     )
-    assert "times the stated noise" in scaled.message
+    assert "times the noise" in scaled.message
 
 
 def test_missing_cells_do_not_count():
@@ -153,6 +153,70 @@ def test_a_parameter_driven_against_its_bound_comes_back():
     result = fit(Decay(), run(), start=start)
     assert result.status == "converged"
     assert result.parameters["decay"].value == pytest.approx(0.7, rel=0.05)
+
+
+@pytest.mark.parametrize("decay", [1e-10, 8 - 1e-9])
+def test_a_start_at_a_bound_is_not_dead(decay):
+    """There the slope of the coordinate vanishes, not the response to the parameter."""
+    result = fit(Decay(), run(), start={"decay": decay})
+    assert result.status == "converged"
+    assert result.parameters["decay"].value == pytest.approx(0.7, rel=0.05)
+
+
+def test_an_optimum_at_a_bound_has_an_error_and_says_so():
+    """The truth rises where the model can only fall: no decay is the best it can do."""
+    times = np.linspace(0.0, 4.0, 60)
+    rising = 2.0 + 0.002 * times + np.random.default_rng(0).normal(scale=0.01, size=60)
+    recording = Run.from_arrays(
+        times,
+        {"tip_z": rising},
+        noise={"position": 0.01},
+        definition={"free_motion": True},
+    )
+    result = fit(Decay(), recording, fix={"offset": 0.0})
+    decay = result.parameters["decay"]
+    assert result.status == "converged"
+    assert result.iterations <= 20
+    assert "at its lower bound" in decay.remark
+    # The error of the rate in the linear model 2 - 2 decay t, both coefficients free.
+    design = np.stack([np.ones(60), -2 * times], axis=1) / 0.01
+    expected = np.sqrt(np.linalg.inv(design.T @ design)[1, 1])
+    assert decay.standard_error == pytest.approx(expected, rel=0.2)
+    assert decay.value < 0.1 * decay.standard_error
+
+
+def test_the_same_recording_twice_is_refused(tmp_path):
+    giajax.write_run(tmp_path / "a.csv", run().times, run().values, definition=run().definition)
+    for suffix in ("csv", "toml"):
+        (tmp_path / f"b.{suffix}").write_bytes((tmp_path / f"a.{suffix}").read_bytes())
+    runs = [giajax.read_run(tmp_path / name) for name in ("a.csv", "b.csv")]
+    with pytest.raises(InputError, match="the same recording"):
+        fit(Decay(), runs)
+
+
+def test_fewer_values_than_parameters_are_refused():
+    values = np.full(60, np.nan)
+    values[[3, 20, 40]] = [1.0, 0.8, 0.6]
+    sparse = dataclasses.replace(run(), values={"tip_z": values})
+    with pytest.raises(InputError, match="3 measured values cannot determine 3 parameters"):
+        fit(Decay(), sparse)
+
+
+def test_noise_that_was_never_estimated_is_not_said_to_be():
+    result = fit(Decay(), run(state_noise=False), start=START, max_iterations=1)
+    assert "guessed" in result.message
+    assert "estimated from the residuals" not in result.message
+
+
+def test_a_robust_loss_says_when_the_noise_is_understated():
+    recording = run(sigma=0.1, samples=200)
+    lying = Run.from_arrays(
+        recording.times,
+        recording.observations,
+        noise={"position": 0.01},
+        definition={"free_motion": True},
+    )
+    assert "times the noise" in fit(Decay(), lying, loss="huber").message
 
 
 def test_a_failing_trial_is_not_the_end():

@@ -82,10 +82,37 @@ def test_dead_and_collinear_columns_are_named():
     rng = np.random.default_rng(0)
     jacobian = rng.normal(size=(50, 4))
     jacobian[:, 1] = 0
-    np.testing.assert_array_equal(responds(jacobian), [True, False, True, True])
+    np.testing.assert_array_equal(responds(jacobian, np.ones(4)), [True, False, True, True])
     jacobian[:, 1] = 3 * jacobian[:, 3] - jacobian[:, 0]
     assert undetermined_groups(jacobian) == [[0, 1, 3]]
     assert undetermined_groups(jacobian[:, [0, 1, 2]]) == []
+
+
+def test_a_null_space_of_two_dimensions_leaves_the_rest_its_error():
+    """Three twins and one parameter of its own: its error is that of a fit without two twins."""
+    rng = np.random.default_rng(5)
+    twin, own = rng.normal(size=(2, 40))
+    own += 0.5 * twin
+    residual, measured = rng.normal(size=40), np.ones(40, bool)
+    loose = np.stack([twin, 2 * twin, own, -3 * twin], axis=1)
+    plain = np.stack([twin, own], axis=1)
+    many = uncertainty(residual, loose, loss="linear", measured=measured)
+    few = uncertainty(residual, plain, loss="linear", measured=measured)
+    scale = few.scale / many.scale  # other degrees of freedom
+    assert many.covariance[2, 2] * scale == pytest.approx(few.covariance[1, 1], rel=1e-10)
+    assert sorted({i for group in undetermined_groups(loose) for i in group}) == [0, 1, 3]
+
+
+def test_huber_without_a_residual_inside_its_corner_still_has_an_error():
+    rng = np.random.default_rng(5)
+    found = uncertainty(
+        100 * rng.choice([-1.0, 1.0], 30),
+        rng.normal(size=(30, 2)) * 0.01,
+        loss="huber",
+        measured=np.ones(30, bool),
+    )
+    assert np.all(np.isfinite(found.covariance))
+    assert found.scale > 1000
 
 
 @pytest.mark.parametrize("loss", LOSSES)

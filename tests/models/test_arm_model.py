@@ -97,6 +97,24 @@ def test_a_pitch_run_does_not_determine_the_yaw_stiffness():
     assert "joints.yaw_stiffness" not in result.conditions[0]
 
 
+def test_a_fitted_mass_is_conditional_on_the_forces():
+    model = truth_model()
+    (sentence,) = model.conditions(["links.mass[0]"])
+    assert "held at links.inertia_transverse" in sentence
+    assert "air.drag_coefficient = 1.3" in sentence
+    everything = [path for path in giajax.declared(model) if path.startswith(("links", "j", "air"))]
+    assert "nothing of these is held" in model.conditions(everything)[0]
+    assert model.conditions(["gravity"]) == []
+
+
+def test_long_runs_get_more_steps():
+    times = np.linspace(0.0, 3000.0, 301)
+    run = Run.from_arrays(
+        times, {"joint01_command": 0 * times, "tip_z": 0 * times}, definition={"arm": {"links": 2}}
+    )
+    assert model_for([run]).max_steps == 6_000_000
+
+
 def test_mass_and_forces_are_only_determined_together(run):
     free = [*TRUTH, "links.mass", "links.inertia_transverse", "links.inertia_axial"]
     result = fit(model_for([run]), run, free=free, start=START, max_iterations=30, check=False)

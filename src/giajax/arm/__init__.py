@@ -1,6 +1,12 @@
 """The multibody arm: chain, presets, kinematics, dynamics, drag and energy."""
 
-from ._chain import Air as Air, Arm as Arm, Joints as Joints, Links as Links
+from ._chain import (
+    Air as Air,
+    Arm as Arm,
+    Joints as Joints,
+    Links as Links,
+    named_axes as named_axes,
+)
 from ._drag import drag_force as drag_force
 from ._dynamics import (
     acceleration as acceleration,

@@ -13,7 +13,7 @@ Examples:
   giajax examples --copy work
   giajax fit work/fits/base_step.toml"""
 
-_FOLDERS = ("fits", "data/synthetic")
+_FOLDERS = ("fits", "data/synthetic", "data/independent")
 _COPIED = (".csv", ".toml", ".md")
 
 
@@ -34,7 +34,7 @@ def examples(
 
 
 def examples_root() -> Path:
-    """The folder that holds `fits/` and `data/synthetic/`.
+    """The folder that holds `fits/` and `data/`.
 
     In an installed package it is `giajax/_examples`; in a checkout (an editable install) the
     root of the repository.
@@ -58,7 +58,7 @@ def _show(root: Path) -> None:
     fits = sorted((root / "fits").glob("*.toml"))
     print_table(["fit definition", "fits", "to"], [_fit(path, root) for path in fits], left=3)
     print()
-    runs = sorted((root / "data/synthetic").glob("*.csv"))
+    runs = [path for data in _FOLDERS[1:] for path in sorted((root / data).glob("*.csv"))]
     headings = ["run", "driven", "rows", "seconds", "channels", "missing %"]
     print_table(headings, [_run(path, root) for path in runs], left=2)
     print(f"\nThey are in {root}; to start from them: giajax examples --copy DIR")

@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from .._errors import InputError
 from ..models import AbstractModel
 from ..parameters import Parameter, check_within_bounds, default_free, elements, find, replace
@@ -36,9 +38,16 @@ def configuration(
         raise InputError("no run was given; a fit needs at least one")
     for run in runs:
         run.require_observations()
+    _check_doubles(runs)
     model, parameters = set_up(model, free, start, fix)
     for run in runs:
         model.prepare(run)
+    measured = sum(int(np.sum(~np.isnan(v))) for run in runs for v in run.observations.values())
+    if measured <= len(parameters):
+        raise InputError(
+            f"{measured} measured values cannot determine {len(parameters)} parameters and their "
+            "errors; free fewer parameters or give a longer run"
+        )
     stated = [run.definition.given() for run in runs]
     return {
         "definition": model.definition(),
@@ -48,6 +57,19 @@ def configuration(
         "fix": {path: float(value) for path, value in fix.items()},
         "loss": loss,
     }
+
+
+def _check_doubles(runs: Sequence[Run]) -> None:
+    """Refuse a recording that is given twice: its errors would shrink for nothing."""
+    seen: dict[str, str] = {}
+    for run in runs:
+        if run.sha256 is None:
+            continue
+        if run.sha256 in seen:
+            raise InputError(
+                f"'{seen[run.sha256]}' and '{run.path}' are the same recording; give it once"
+            )
+        seen[run.sha256] = str(run.path)
 
 
 def set_up(

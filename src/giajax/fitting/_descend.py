@@ -30,7 +30,8 @@ class Iteration:
     Attributes:
         number: 0 for the evaluation of the start.
         cost: half the sum of the loss, at the best point so far.
-        step: largest relative change of a free parameter that was tried.
+        step: largest change of a free coordinate that was tried: relative for a positive
+            parameter, in its own unit for one without bounds.
         accepted: whether the trial point became the best one.
         parameters: values of the free parameters at the best point, by path.
     """
@@ -68,6 +69,7 @@ class Descent:
         self.sigmas = sigmas
         self.progress = progress
         self.trials = 0
+        self.noise_estimated = False
         self.history: list[dict[str, Any]] = []
 
     def run(self, max_iterations: int) -> tuple[Status, str]:
@@ -83,22 +85,24 @@ class Descent:
             if not fitter.evaluated:
                 raise InputError(
                     "the model cannot be evaluated at the start values (the simulation fails); "
-                    "choose others, for an arm softer or less damped joints"
+                    "choose others, for an arm softer or less damped joints, or a shorter run"
                 )
-            fitter.active = jnp.asarray(responds(np.asarray(fitter.state.jacobian)))
+            fitter.active = jnp.asarray(responds(fitter.jacobian(), fitter.sizes))
             self._tell(accepted=True)
             if not bool(jnp.any(fitter.active)):
                 return "not_converged", "no channel responds to any of the free parameters"
-            for _ in range(_NOISE_ROUNDS):
+            for rounds_left in reversed(range(_NOISE_ROUNDS)):
                 ended = self._to_optimum(max_iterations)
                 if ended is not None:
                     return ended
-                if self._update_noise() < _NOISE_CHANGE:
+                # The last word is always an optimum with the noise that it was found with.
+                if rounds_left == 0 or not self._update_noise():
                     break
                 groups = build_groups(fitter.problem.model, self.runs, self.sigmas)
                 fitter.problem = dataclasses.replace(fitter.problem, groups=groups)
                 fitter.move_to(fitter.coordinate)
                 fitter.step()
+                fitter.best = None  # its cost was counted with another noise
         except KeyboardInterrupt:
             fitter.back_to_best()
             if not fitter.evaluated:
@@ -128,10 +132,10 @@ class Descent:
             releases += 1
             fitter.step()
             self.trials += 1
-            if not fitter.evaluated:
-                fitter.back_to_best()
+            worse = fitter.back_to_best()
+            self._tell(accepted=not worse)
+            if worse:
                 break
-            self._tell(accepted=True)
         if fitter.converged:
             return None
         return "not_converged", (
@@ -152,21 +156,27 @@ class Descent:
         if self.progress is not None:
             self.progress(iteration)
 
-    def _update_noise(self) -> float:
-        """Re-estimate what was not stated; returns the largest relative change."""
+    def _update_noise(self) -> bool:
+        """Re-estimate what was not stated, where that changes it; whether it did."""
         predictions = predictions_by_run(self.fitter.problem, self.fitter.state.aux, self.runs)
         channels = sum(len(noise) for noise in self.stated)
         taken = float(np.sum(np.asarray(self.fitter.active))) / channels
         robust = self.fitter.problem.loss != "linear"
+        self.noise_estimated = any(s is None for noise in self.stated for s in noise.values())
+        found: Sigmas = [{} for _ in self.runs]
         change = 0.0
-        for run, noise, sigma, predicted in zip(
-            self.runs, self.stated, self.sigmas, predictions, strict=True
+        for row, (run, noise, sigma, predicted) in enumerate(
+            zip(self.runs, self.stated, self.sigmas, predictions, strict=True)
         ):
             for name, known in noise.items():
                 if known is not None:
                     continue
                 difference = predicted[name] - run.observations[name]
                 new = from_residuals(difference[~np.isnan(difference)], taken, robust=robust)
-                change = max(change, abs(np.log(new / sigma[name])))
-                sigma[name] = new
-        return change
+                change = max(change, abs(float(np.log(new / sigma[name]))))
+                found[row][name] = new
+        if change < _NOISE_CHANGE:
+            return False
+        for sigma, new_ones in zip(self.sigmas, found, strict=True):
+            sigma.update(new_ones)
+        return True

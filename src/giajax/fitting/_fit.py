@@ -89,8 +89,11 @@ def fit(
         loss=loss,
     )
     values = np.asarray([float(p.value(model)) for p in parameters])
-    fitter = Fitter(problem, values)
-    estimated = any(sigma is None for noise in stated for sigma in noise.values())
+    # A parameter whose start and default are zero has no size of its own: one unit.
+    defaults = np.asarray([p.declaration.default for p in parameters])
+    sizes = np.maximum(np.abs(values), np.abs(defaults))
+    fitter = Fitter(problem, values, np.where(sizes > 0, sizes, 1.0))
+    unstated = any(sigma is None for noise in stated for sigma in noise.values())
     began = time.perf_counter()
     descent = Descent(fitter, runs, stated, sigmas, progress)
     status, message = descent.run(max_iterations)
@@ -99,7 +102,8 @@ def fit(
         message=message,
         parameters=parameters,
         sigmas=sigmas,
-        noise_estimated=estimated,
+        noise_estimated=descent.noise_estimated,
+        noise_guessed=unstated and not descent.noise_estimated,
         history=descent.history,
         began=began,
         config={**config, "max_iterations": max_iterations},

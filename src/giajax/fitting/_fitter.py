@@ -23,11 +23,22 @@ _PERFECT = 1e-12
 class Fitter:
     """The state of one fit between the steps of its host loop."""
 
-    def __init__(self, problem: Problem, start: np.ndarray) -> None:
-        """Begin at values of the free parameters; nothing is evaluated yet."""
+    def __init__(self, problem: Problem, start: np.ndarray, sizes: np.ndarray) -> None:
+        """Begin at values of the free parameters; nothing is evaluated yet.
+
+        Arguments:
+            problem: what is minimised.
+            start: values of the free parameters, shape (parameter,).
+            sizes: their typical sizes, for judging whether anything responds to them.
+        """
         self.problem = problem
         self.start = start
-        self.solver = Marquardt(floor=_PERFECT, largest_step=_LARGEST_STEP)
+        self.sizes = sizes
+        # In 32-bit the rounding of a simulation hides the last hundredth of a standard error.
+        coarse = jnp.result_type(float) == jnp.float32
+        self.solver = Marquardt(
+            floor=_PERFECT, largest_step=_LARGEST_STEP, distance=0.1 if coarse else 0.01
+        )
         self.coordinate: Array = jnp.asarray(
             problem.bijector.inverse(start), dtype=jnp.result_type(float)
         )
@@ -69,6 +80,11 @@ class Fitter:
         _, state, _, _ = _step(self.solver, coordinate, problem, fresh, self.active)
         return state
 
+    def jacobian(self) -> np.ndarray:
+        """Weighted residuals by the parameters themselves, shape (residual, parameter)."""
+        slope = self.problem.bijector.slope(np.asarray(self.coordinate))
+        return np.asarray(self.state.jacobian, dtype=float) / np.maximum(slope, 1e-300)
+
     def release(self) -> bool:
         """Move parameters off a bound at which only their coordinate has become flat.
 
@@ -108,10 +124,12 @@ class Fitter:
         self.coordinate = jnp.asarray(coordinate, dtype=self.coordinate.dtype)
         self.state = self.fresh_state()
 
-    def back_to_best(self) -> None:
-        """Return to where `move_to` left, if the new point was not evaluated or failed."""
-        if self.best is not None and not self.evaluated:
-            self.coordinate, self.state = self.best
+    def back_to_best(self) -> bool:
+        """Return to where `move_to` left, unless the new point is better; whether it did."""
+        if self.best is None or float(self.state.cost) < float(self.best[1].cost):
+            return False
+        self.coordinate, self.state = self.best
+        return True
 
     @property
     def evaluated(self) -> bool:

@@ -2,21 +2,23 @@
 
 import numpy as np
 
-# In the free coordinate (a relative change, for a positive parameter) and in units of the noise:
-# a parameter alone would have a standard error of a million times itself.
+# For a change of a parameter by its own size, in units of the noise: alone, the parameter would
+# have a standard error of a million times itself.
 _NO_RESPONSE = 1e-6
 
 # Column-normalised singular value below which a combination of parameters is not determined.
-_COLLINEAR = 1e-6
+COLLINEAR = 1e-6
 
 
-def responds(jacobian: np.ndarray) -> np.ndarray:
-    """Which parameters any channel responds to, from the weighted Jacobian at the start.
+def responds(jacobian: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+    """Which parameters any channel responds to.
 
     Arguments:
-        jacobian: shape (residual, parameter).
+        jacobian: weighted residuals by the parameters themselves, not by the free coordinates,
+            whose slope vanishes near a bound; shape (residual, parameter).
+        sizes: typical size of each parameter, shape (parameter,).
     """
-    return np.linalg.norm(jacobian, axis=0) > _NO_RESPONSE
+    return np.linalg.norm(jacobian, axis=0) * sizes > _NO_RESPONSE
 
 
 def undetermined_groups(jacobian: np.ndarray) -> list[list[int]]:
@@ -32,12 +34,8 @@ def undetermined_groups(jacobian: np.ndarray) -> list[list[int]]:
         return []
     norms = np.linalg.norm(jacobian, axis=0)
     _, singular, right = np.linalg.svd(np.linalg.qr(jacobian / norms, mode="r"))
-    groups = []
-    for value, vector in zip(singular, right, strict=True):
-        if value < _COLLINEAR * singular[0]:
-            members = [i for i, part in enumerate(vector) if abs(part) > 0.01]
-            groups.append(members)
-    return groups
+    vectors = right[singular < COLLINEAR * singular[0]]
+    return [[i for i, part in enumerate(vector) if abs(part) > 0.01] for vector in vectors]
 
 
 def largest_correlations(correlation: np.ndarray, limit: float) -> dict[int, tuple[int, float]]:

@@ -34,6 +34,7 @@ def from_residuals(residuals: np.ndarray, parameters: float, *, robust: bool) ->
         parameters: degrees of freedom that the fit took from this channel.
         robust: use the median, for a loss that lets outliers stand.
     """
+    residuals = np.asarray(residuals, dtype=float)
     if robust:
         estimate = _MAD * float(np.median(np.abs(residuals)))
     else:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..parameters import Parameter, replace
+from ..parameters import Declaration, Parameter, replace
 from ..runs import Run
 from ._fitter import Fitter
 from ._identifiability import largest_correlations, responds, undetermined_groups
@@ -20,9 +20,16 @@ from ._uncertainty import correlation_matrix, uncertainty
 # Central differences in the free coordinate, at a tolerance where the steps of the integrator
 # do not show: truncation and noise are then both near 1e-8.
 _DIFFERENCE = 1e-4
+_DIFFERENCE_32 = 3e-2
 _FINER = 1e-3
 
 _NEARLY_THE_SAME = 0.98
+
+# Residuals of this many times the stated noise are worth a word.
+_NOTABLE = 1.15
+
+# A parameter this close to its bound, in standard errors, is at it.
+_AT_BOUND = 0.1
 
 
 @dataclasses.dataclass
@@ -34,6 +41,7 @@ class Outcome:
     parameters: list[Parameter]
     sigmas: Sigmas
     noise_estimated: bool
+    noise_guessed: bool
     history: list[dict[str, Any]]
     began: float
     config: dict[str, Any]
@@ -65,7 +73,7 @@ def report(fitter: Fitter, runs: Sequence[Run], outcome: Outcome, *, check: bool
     compiling = max(compiling, 0.0)
     return FitResult(
         status=outcome.status,
-        message=outcome.message + errors.note(outcome.noise_estimated),
+        message=outcome.message + errors.note(outcome),
         model=model,
         parameters={**estimates, **held_estimates(model, paths)},
         correlation={"parameters": determined, "matrix": errors.correlation.tolist()},
@@ -94,81 +102,84 @@ class _Errors:
         problem, state = fitter.problem, fitter.state
         self.paths = problem.paths
         self.values = list(fitter.parameters().values())
-        self.slope = problem.bijector.slope(np.asarray(fitter.coordinate))
-        jacobian = np.asarray(state.jacobian)
-        self.active = np.asarray(fitter.active)
-        alive = np.flatnonzero(self.active & responds(jacobian))
-        self.at_bound = set(np.flatnonzero(self.active)) - set(alive)
+        jacobian = fitter.jacobian()
+        alive = np.flatnonzero(np.asarray(fitter.active) & responds(jacobian, fitter.sizes))
         groups = undetermined_groups(jacobian[:, alive])
         self.together = [[int(alive[i]) for i in group] for group in groups]
         loose = {index for group in self.together for index in group}
         self.determined = [int(i) for i in alive if i not in loose]
-        # Holding the strongest member of each loose group fixes that direction, and changes
-        # nothing for the others.
-        held = {group[-1] for group in self.together}
-        kept = [int(i) for i in alive if i not in held]
         weights = np.concatenate([np.asarray(g.weight).ravel() for g in problem.groups])
         observed = np.concatenate([np.asarray(g.observed).ravel() for g in problem.groups])
         predicted = np.concatenate([np.asarray(p).ravel() for p in state.aux.channels])
         measured = weights > 0
         weighted = np.where(measured, (predicted - observed) * weights, 0.0)
-        found = uncertainty(weighted, jacobian[:, kept], loss=problem.loss, measured=measured)
-        rows = [kept.index(i) for i in self.determined]
+        found = uncertainty(weighted, jacobian[:, alive], loss=problem.loss, measured=measured)
+        rows = [int(np.flatnonzero(alive == i)[0]) for i in self.determined]
         covariance = found.covariance[np.ix_(rows, rows)]
-        self.covariance = covariance
         self.correlation = correlation_matrix(covariance)
         self.reduced_chi_square = found.reduced_chi_square
         self.scale = found.scale
-        deviations = np.sqrt(np.diag(covariance)) * self.slope[self.determined]
-        self.standard = dict(zip(self.determined, deviations, strict=True))
+        self.loss = problem.loss
+        self.standard = dict(zip(self.determined, np.sqrt(np.diag(covariance)), strict=True))
         self.partners = largest_correlations(self.correlation, _NEARLY_THE_SAME)
 
-    def note(self, noise_estimated: bool) -> str:
+    def note(self, outcome: Outcome) -> str:
         """What to add to the message about the residuals."""
-        if noise_estimated:
-            return "; the noise was estimated from the residuals where it was not stated"
-        if self.scale > 1.5:
-            return (
-                f"; the residuals are {np.sqrt(self.reduced_chi_square):.3g} times the stated "
-                "noise, and the standard errors are scaled by that"
+        notes = ""
+        if outcome.noise_estimated:
+            notes += "; the noise was estimated from the residuals where it was not stated"
+        elif outcome.noise_guessed:
+            notes += (
+                "; the noise that was not stated is guessed from the differences of neighbouring "
+                "samples, and the standard errors with it"
             )
-        return ""
+        ratio = np.sqrt(self.reduced_chi_square)
+        if ratio > _NOTABLE:
+            notes += f"; the residuals are {ratio:.3g} times the noise"
+            if self.scale > 1:
+                notes += ", and the standard errors are scaled by that"
+        return notes
 
 
 def _estimate(parameter: Parameter, errors: _Errors, index: int, active: bool) -> Estimate:
     declaration = parameter.declaration
-    value = errors.values[index]
     error = finite_or_none(errors.standard.get(index))
     return Estimate(
-        value=value,
+        value=errors.values[index],
         standard_error=error,
         unit=declaration.unit,
         lower=finite_or_none(declaration.lower),
         upper=finite_or_none(declaration.upper),
         free=True,
-        remark=_remark(errors, index, value, error, active),
+        remark=_remark(errors, index, declaration, error, active),
     )
 
 
-def _remark(errors: _Errors, index: int, value: float, error: float | None, active: bool) -> str:
+def _remark(
+    errors: _Errors, index: int, declaration: Declaration, error: float | None, active: bool
+) -> str:
     if not active:
         return "not determined: no channel responds to it; left at its start"
-    if index in errors.at_bound:
-        return "ran to its bound: the data do not determine it"
     for group in errors.together:
         if index in group:
             others = ", ".join(errors.paths[i] for i in group if i != index)
             return f"not determined alone: only a combination with {others} is"
     if error is None:
-        return "no standard error: the Jacobian is singular here"
+        return "not determined: no channel responds to it where it ended"
+    value = errors.values[index]
+    for bound, name in ((declaration.lower, "lower"), (declaration.upper, "upper")):
+        if abs(value - bound) < _AT_BOUND * error:
+            return (
+                f"at its {name} bound: the best value is the bound itself, and the standard error "
+                "says how far from it the data allow"
+            )
     if error > abs(value):
         return "barely determined: the standard error exceeds the value"
-    if index in errors.determined:
-        row = errors.determined.index(index)
-        if row in errors.partners:
-            partner, correlation = errors.partners[row]
-            other = errors.paths[errors.determined[partner]]
-            return f"correlation {correlation:+.3f} with {other}"
+    row = errors.determined.index(index)
+    if row in errors.partners:
+        partner, correlation = errors.partners[row]
+        other = errors.paths[errors.determined[partner]]
+        return f"correlation {correlation:+.3f} with {other}"
     return ""
 
 
@@ -202,16 +213,17 @@ def _gradient_check(fitter: Fitter) -> dict[str, Any] | None:
     """
     problem = dataclasses.replace(fitter.problem, model=fitter.problem.model.refined(_FINER))
     centre = np.asarray(fitter.coordinate)
+    offset = _DIFFERENCE if centre.dtype == np.float64 else _DIFFERENCE_32
     jacobian = np.asarray(fitter.evaluate(centre, problem).jacobian)
     norms = np.linalg.norm(jacobian, axis=0)
     direction = np.where(norms > 0, np.min(norms[norms > 0], initial=np.inf), 0.0)
     direction = np.divide(direction, norms, out=np.zeros_like(norms), where=norms > 0)
     # The strongest response gets the smallest offset; the weakest parameter moves by the step.
     ahead, behind = (
-        np.asarray(fitter.evaluate(centre + sign * _DIFFERENCE * direction, problem).residual)
+        np.asarray(fitter.evaluate(centre + sign * offset * direction, problem).residual)
         for sign in (1, -1)
     )
-    by_difference = (ahead - behind) / (2 * _DIFFERENCE)
+    by_difference = (ahead - behind) / (2 * offset)
     by_autodiff = jacobian @ direction
     relative = np.linalg.norm(by_autodiff - by_difference) / np.linalg.norm(by_autodiff)
     if not np.isfinite(relative):
@@ -219,7 +231,7 @@ def _gradient_check(fitter: Fitter) -> dict[str, Any] | None:
     return {
         "relative_difference": float(relative),
         "direction": dict(zip(problem.paths, direction.tolist(), strict=True)),
-        "step": _DIFFERENCE,
+        "step": offset,
     }
 
 
@@ -230,12 +242,11 @@ def _tolerance_effect(fitter: Fitter, errors: _Errors) -> dict[str, Any] | None:
     problem = dataclasses.replace(fitter.problem, model=fitter.problem.model.refined(0.5))
     finer = np.asarray(fitter.evaluate(fitter.coordinate, problem).residual)
     change = finer - np.asarray(fitter.state.residual)
-    jacobian = np.asarray(fitter.state.jacobian)[:, errors.determined]
-    shift = -np.linalg.lstsq(jacobian, change, rcond=None)[0]
+    shift = -np.linalg.lstsq(fitter.jacobian()[:, errors.determined], change, rcond=None)[0]
     parameters = {}
     largest = 0.0
     for row, index in enumerate(errors.determined):
-        moved = float(shift[row] * errors.slope[index])
+        moved = float(shift[row])
         error = float(errors.standard[index])
         relative = abs(moved) / error if error else np.inf
         largest = max(largest, relative)

@@ -11,6 +11,7 @@ import numpy as np
 
 from .._errors import InputError
 from ..models import AbstractModel, build_model, parameter_values
+from ..parameters import declared
 from ..runs import Run
 from ._predict import predict
 
@@ -140,8 +141,6 @@ def load_result(path: str | Path) -> FitResult:
 
 def held_estimates(model: AbstractModel, free: Sequence[str]) -> dict[str, Estimate]:
     """The declared parameters that were not free, with their declarations."""
-    from ..parameters import declared
-
     known = declared(model)
     values = parameter_values(model)
     whole = {path for path in free if "[" not in path}

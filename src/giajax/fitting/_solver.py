@@ -195,7 +195,7 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         """Converged, stuck, or neither."""
         size = state.residual.shape[0] - state.projected.shape[0]
         noise = jnp.sqrt(2 * state.cost / max(size, 1))
-        near = _explicable(state) <= self.distance * noise
+        near = _explicable(state, self.distance * noise) <= self.distance * noise
         # Data without noise: nothing is left that a step could lower.
         perfect = state.cost <= self.floor * state.residual.shape[0]
         tiny = jnp.all(jnp.abs(state.step) <= self.atol + self.rtol * jnp.abs(y))
@@ -225,14 +225,16 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         return y, aux, {"cost": state.cost, "evaluations": state.evaluations}
 
 
-def _explicable(state: MarquardtState) -> Scalar:
+def _explicable(state: MarquardtState, least: Scalar) -> Scalar:
     """Norm of the part of the residual that the parameters could still explain, to first order.
 
     Directions in which nothing responds (held or collinear parameters) do not count: there
-    Q is arbitrary.
+    Q is arbitrary. Nor do coordinates to which the residual responds by less than `least`, such
+    as the logarithm of a parameter whose optimum is at zero: they would run on for ever.
     """
     scale = jnp.where(state.scale > 0, state.scale, 1)
-    left, singular, _ = jnp.linalg.svd(state.factor / scale[None])
+    moves = jnp.linalg.norm(state.factor, axis=0) > least
+    left, singular, _ = jnp.linalg.svd(jnp.where(moves[None], state.factor / scale[None], 0))
     along = left.T @ state.projected
     return jnp.linalg.norm(jnp.where(singular > 1e-8 * jnp.max(singular), along, 0))
 

@@ -4,11 +4,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ._identifiability import COLLINEAR
 from ._loss import influence
+
+# Fraction of residuals within the corner of a robust loss below which its covariance is noise.
+_FEW = 0.1
 
 
 class Uncertainty(NamedTuple):
-    """Covariance of the free coordinates and what scaled it.
+    """Covariance of the parameters and what scaled it.
 
     Attributes:
         covariance: shape (parameter, parameter).
@@ -46,7 +50,10 @@ def uncertainty(
     if loss == "linear":
         scale = max(1.0, reduced)
         return Uncertainty(_inverse_gram(plain) * scale, reduced, scale)
-    # A residual at a corner of the loss has no curvature; the mean keeps A positive.
+    if np.mean(curvature) < _FEW:
+        # Almost every residual is an outlier to this loss: the sandwich has no bread.
+        return Uncertainty(_inverse_gram(plain) * max(1.0, reduced), reduced, max(1.0, reduced))
+    # A residual beyond the corner of the loss has no curvature; the mean keeps A positive.
     bread = _inverse_gram(plain * np.sqrt(np.mean(curvature)))
     filling = (plain * psi[:, None]).T @ (plain * psi[:, None])
     return Uncertainty(bread @ filling @ bread * count / freedom, reduced, 1.0)
@@ -61,10 +68,15 @@ def correlation_matrix(covariance: np.ndarray) -> np.ndarray:
 
 
 def _inverse_gram(jacobian: np.ndarray) -> np.ndarray:
-    """(J^T J)^-1 through QR with scaled columns, which does not square the condition."""
+    """(J^T J)^-1 through QR with scaled columns, which does not square the condition.
+
+    Directions that leave the residuals unchanged are left out: what takes no part in them keeps
+    its own variance, and the others have none that means anything.
+    """
     if jacobian.shape[1] == 0:
         return np.zeros((0, 0))
     norms = np.linalg.norm(jacobian, axis=0)
-    factor = np.linalg.qr(jacobian / norms, mode="r")
-    inverse = np.linalg.inv(factor) / norms[:, None]
+    _, singular, right = np.linalg.svd(np.linalg.qr(jacobian / norms, mode="r"))
+    kept = singular > COLLINEAR * singular[0]
+    inverse = right[kept].T / singular[kept] / norms[:, None]
     return inverse @ inverse.T

@@ -10,7 +10,7 @@ import numpy as np
 from .._errors import InputError
 from .._typing import Array, Bool, Float, Scalar
 from ..arm import Arm
-from ..parameters import inline
+from ..parameters import find, inline
 from ..runs import Channel, Run
 from ..simulation import SOLVERS, Signal, Trajectory, constant, integrate, logged
 from ._definition import arm_to_definition
@@ -20,8 +20,29 @@ from ._protocol import AbstractModel, Channels
 _TOLERANCE = 1e-7
 
 # Fifty times what the paper's arm needs for 25 s. A trial step of a fit that makes the chain
-# stiffer than that is given up, which costs seconds instead of minutes.
+# stiffer than that is given up, which costs seconds instead of minutes. Longer runs get more.
 _MAX_STEPS = 50_000
+_STEPS_PER_SECOND = 2_000
+
+
+def step_limit(duration: float) -> int:
+    """Step limit for runs of a duration (s)."""
+    return max(_MAX_STEPS, int(np.ceil(_STEPS_PER_SECOND * duration)))
+
+
+# Scaling all of these together leaves every motion unchanged: only ratios are determined.
+_SCALE = (
+    "links.mass",
+    "links.inertia_transverse",
+    "links.inertia_axial",
+    "joints.pitch_stiffness",
+    "joints.yaw_stiffness",
+    "joints.damping",
+    "air.drag_coefficient",
+)
+
+# C_D is referred to these (eq. 1).
+_DRAG_AREA = ("air.density", "links.length", "links.diameter")
 
 
 class ArmInputs(eqx.Module):
@@ -140,27 +161,31 @@ class ArmModel(AbstractModel):
 
     def conditions(self, free: Sequence[str]) -> list[str]:
         """The scale that motion alone cannot determine, and what C_D is referred to."""
-        names = [path.partition("[")[0] for path in free]
-        forces = [
-            path
-            for path, name in zip(free, names, strict=True)
-            if name.startswith("joints.") or name in ("air.drag_coefficient", "air.density")
-        ]
-        if not forces:
+        fitted = {path.partition("[")[0] for path in free}
+        scaled = [path for path in free if path.partition("[")[0] in _SCALE]
+        if not scaled:
             return []
-        mass = float(jnp.sum(self.arm.links.mass))
+        held = [path for path in _SCALE if path not in fitted]
         sentences = [
-            f"{', '.join(forces)}: determined only per unit of mass, because scaling masses, "
-            "inertias, drag, stiffness and damping together leaves the motion unchanged; the "
-            f"values hold for a moving mass of {mass:.4g} kg in all"
+            f"{', '.join(scaled)}: determined only per unit of mass, because scaling masses, "
+            "inertias, drag, stiffness and damping together leaves the motion unchanged; "
+            + (f"held at {self._values(held)}" if held else "nothing of these is held")
         ]
-        if "air.drag_coefficient" in names:
-            density, area = self.arm.air.density, self.arm.links.length * self.arm.links.diameter
-            sentences.append(
-                f"air.drag_coefficient: holds for an air density of {float(density):.4g} kg/m^3 "
-                f"and an area (length times diameter) of {float(jnp.sum(area)):.4g} m^2 in all"
-            )
+        area = [path for path in _DRAG_AREA if path not in fitted]
+        if "air.drag_coefficient" in fitted and area:
+            sentences.append(f"air.drag_coefficient: holds for {self._values(area)}")
         return sentences
+
+    def _values(self, paths: Sequence[str]) -> str:
+        """Paths with their values; of an array that is not uniform, the range."""
+        shown = []
+        for path in paths:
+            parameter = find(self, path)
+            values, unit = np.atleast_1d(parameter.value(self)), parameter.declaration.unit
+            low, high = float(values.min()), float(values.max())
+            text = f"{low:.4g}" if low == high else f"{low:.4g} .. {high:.4g}"
+            shown.append(f"{path} = {text}{f' {unit}' if unit else ''}")
+        return ", ".join(shown)
 
     def definition(self) -> dict[str, Any]:
         """The arm's constants and the settings of the integrator."""

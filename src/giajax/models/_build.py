@@ -8,7 +8,7 @@ import numpy as np
 from .._errors import InputError
 from ..parameters import declared, replace
 from ..runs import Definition, Run
-from ._arm import ArmModel
+from ._arm import ArmModel, step_limit
 from ._definition import arm_from_definition
 from ._protocol import AbstractModel
 
@@ -33,7 +33,9 @@ def model_for(runs: Sequence[Run]) -> AbstractModel:
             f"'{first.name}' is a run of the {first.model} model, which this version of giajax "
             "cannot fit yet; it fits runs of an arm"
         )
-    return ArmModel(arm_from_definition(first.definition))
+    durations = [float(np.ptp(run.times)) for run in runs if run.times is not None]
+    limit = step_limit(max(durations, default=0.0))
+    return ArmModel(arm_from_definition(first.definition), max_steps=limit)
 
 
 def _check_agreement(first: Run, other: Run) -> None:

@@ -5,8 +5,7 @@ from typing import Any
 import numpy as np
 
 from .._errors import InputError
-from ..arm import Arm, chain, preset
-from ..arm._chain import named_axes
+from ..arm import Arm, chain, named_axes, preset
 from ..runs import Definition
 
 _ARRAYS = {

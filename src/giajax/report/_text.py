@@ -177,11 +177,18 @@ def _strongest_correlation(result: FitResult) -> str:
     return f"at most {matrix[i][j]:+.3f}, between {paths[j]} and {paths[i]}"
 
 
+# A fit with derivatives wrong by this much may stop anywhere. In 64-bit a good one has 1e-5.
+_WRONG_DERIVATIVES = 1e-2
+
+
 def _gradient(result: FitResult) -> str:
     check = result.gradient_check
     if check is None:
         return "not done"
-    return f"derivatives agree with differences to {check['relative_difference']:.1e} (relative)"
+    relative = check["relative_difference"]
+    if relative > _WRONG_DERIVATIVES:
+        return f"derivatives DISAGREE with differences, by {relative:.1e} (relative)"
+    return f"derivatives agree with differences to {relative:.1e} (relative)"
 
 
 def _tolerance(result: FitResult) -> str:
