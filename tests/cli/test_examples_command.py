@@ -62,6 +62,6 @@ def test_an_installed_package_has_them_inside(tmp_path, monkeypatch):
     monkeypatch.setattr(_examples.resources, "files", lambda _: package)
     with pytest.raises(ValueError, match="not part of this installation"):
         _examples.examples_root()
-    for folder in ("fits", "data/synthetic"):
+    for folder in ("fits", "data/synthetic", "data/independent"):
         (package / "_examples" / folder).mkdir(parents=True)
     assert _examples.examples_root() == package / "_examples"

@@ -4,6 +4,7 @@ import contextlib
 import io
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -334,6 +335,7 @@ def test_ctrl_c_of_the_process(data, tmp_path, moment):
 
 
 CSV = "time_s,joint01_command_deg,link04_z_m\n0,0,0.1\n0.1,30,0.2\n0.2,30,0.3\n"
+CSV += "0.3,30,0.4\n0.4,30,0.5\n0.5,30,0.6\n"  # more values than there are parameters
 
 # run.csv (None: no file), run.toml, further arguments, and what the sentence must say
 BAD = {
@@ -346,7 +348,7 @@ BAD = {
     "time repeats": (CSV.replace("0.2,30", "0.1,30"), "", [], ["row 4", "increase"]),
     "text in a number": (CSV.replace("0.3\n", "lost\n"), "", [], ["'lost'", "row 4"]),
     "a channel without a value": (
-        CSV.replace("0.1\n", "\n").replace("0.2\n", "\n").replace("0.3\n", "\n"), "", [],
+        re.sub(r",0\.\d\n", ",\n", CSV), "", [],
         ["'link04_z_m'", "no value at all"]),
     "link beyond the arm": (CSV, "[arm]\nlinks = 3", [], ["link 4", "3 links"]),
     "no command column": ("time_s,tip_x_m\n0,0\n1,1\n", "", [], ["no command"]),
