@@ -16,9 +16,6 @@ from ._solver import Marquardt, MarquardtState
 # In the free coordinate: a positive parameter changes by less than a factor of 4.5 in one step.
 _LARGEST_STEP = 1.5
 
-# Residuals of a millionth of the noise: data without noise, fitted.
-_PERFECT = 1e-12
-
 
 class Fitter:
     """The state of one fit between the steps of its host loop."""
@@ -36,8 +33,12 @@ class Fitter:
         self.sizes = sizes
         # In 32-bit the rounding of a simulation hides the last hundredth of a standard error.
         coarse = jnp.result_type(float) == jnp.float32
+        distance = 0.1 if coarse else 0.01
         self.solver = Marquardt(
-            floor=_PERFECT, largest_step=_LARGEST_STEP, distance=0.1 if coarse else 0.01
+            distance=distance,
+            # Residuals of this norm, in units of the noise, move no parameter by more than that.
+            floor=distance**2 / 2,
+            largest_step=_LARGEST_STEP,
         )
         self.coordinate: Array = jnp.asarray(
             problem.bijector.inverse(start), dtype=jnp.result_type(float)

@@ -61,7 +61,7 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
             converged when it was taken undamped, stuck otherwise.
         distance: converged when the full Gauss-Newton step would change the parameters by less
             than this many standard errors (with the noise that the residual itself shows).
-        floor: converged when the cost per residual is not above this.
+        floor: converged when the cost is not above this.
         largest_step: no coordinate moves by more than this in one step. Where coordinates are
             logarithms it keeps a trial point within a factor, so that an early, poor model of
             the cost does not send a parameter to its bound or a chain into stiffness.
@@ -197,7 +197,7 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         noise = jnp.sqrt(2 * state.cost / max(size, 1))
         near = _explicable(state, self.distance * noise) <= self.distance * noise
         # Data without noise: nothing is left that a step could lower.
-        perfect = state.cost <= self.floor * state.residual.shape[0]
+        perfect = state.cost <= self.floor
         tiny = jnp.all(jnp.abs(state.step) <= self.atol + self.rtol * jnp.abs(y))
         tiny = tiny & (state.evaluations > 1)
         # A step that is tiny because it is damped, or was rejected, says nothing of an optimum.
