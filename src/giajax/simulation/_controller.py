@@ -14,7 +14,6 @@ import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import optimistix as optx
 
 from .._typing import Array, Float, Scalar
 from ..arm import Arm, mass_matrix
@@ -49,7 +48,7 @@ def step_size_controller(
     """
     careful = jax.lax.stop_gradient(_is_differentiated(disturbances)) == 1
     slowness = jnp.where(careful, 1 / rate, jnp.inf)
-    controller = diffrax.PIDController(rtol=rtol, atol=atol, norm=_norm)
+    controller = diffrax.PIDController(rtol=rtol, atol=atol)
     return diffrax.ClipStepSizeController(
         _Careful(controller, _STABLE.get(type(solver), jnp.inf) * slowness, slowness),
         jump_ts=corners,
@@ -83,18 +82,10 @@ def fastest_rate(arm: Arm, angles: Float[Array, " joint"]) -> Scalar:
     return jnp.hypot(largest(arm.joints.stiffness), largest(arm.joints.damping) ** 2)
 
 
-def _norm(x: Any) -> Any:
-    """Root mean square, infinite where it is NaN: such a step is rejected and tried smaller.
-
-    diffrax would make the next step as long as NaN, and try that one up to the step limit.
-    """
-    norm = optx.rms_norm(x)
-    return jnp.where(jnp.isnan(norm), jnp.inf, norm)
-
-
 class _Careful(diffrax.AbstractAdaptiveStepSizeController):
     """Keeps steps stable, and ends at a rejected step that cannot be made smaller.
 
+    Where the motion is infinite or NaN, diffrax rejects ever smaller steps up to the step limit.
     `PIDController(dtmin=...)` would end at accepted steps, too, and those may be as short as
     the distance between two corners that differ by rounding.
     """

@@ -1,0 +1,61 @@
+"""Step-size control on problems whose difficulty is known."""
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.linalg import eigh
+
+from arms import general_arm, random_states
+from giajax.arm import mass_matrix
+from giajax.parameters import replace
+from giajax.simulation._controller import fastest_rate, step_size_controller
+
+
+def test_a_step_into_nowhere_is_tried_smaller():
+    """y' = -4 y has no values below 0 here, and a first step of 1.9 s leads there."""
+
+    def decay(time, y, args):
+        return jnp.where(y < 0, jnp.nan, -4 * y)
+
+    tolerance = jnp.asarray(1e-8)
+    controller = step_size_controller(
+        diffrax.Tsit5(), tolerance, tolerance, jnp.zeros(1), jnp.ones(()), None
+    )
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(decay),
+        diffrax.Tsit5(),
+        t0=0.0,
+        t1=1.9,
+        dt0=1.9,
+        y0=jnp.ones(()),
+        stepsize_controller=controller,
+        max_steps=1000,
+        throw=False,
+    )
+    assert bool(solution.result == diffrax.RESULTS.successful)
+    assert solution.stats["num_rejected_steps"] > 0
+    assert_allclose(solution.ys[-1], np.exp(-4 * 1.9), atol=1e-7)
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.04, 5.0])
+def test_the_fastest_rate_is_that_of_the_springs_and_dampers(damping):
+    arm = replace(general_arm(6), {"joints.damping": damping})
+    angles = random_states(6, 1)["angles"][0]
+    matrix, springs = np.asarray(mass_matrix(arm, angles)), np.diag(arm.joints.stiffness)
+    oscillation = np.sqrt(eigh(springs, matrix, eigvals_only=True)[-1])
+    decay = eigh(damping * np.eye(6), matrix, eigvals_only=True)[-1]
+    found = jax.jit(fastest_rate)(arm, angles)
+    assert_allclose(found, np.hypot(oscillation, decay), rtol=1e-10)
+    # An upper bound of every pole of the linear arm, but for the few per cent that they share.
+    poles = np.linalg.eigvals(
+        np.block(
+            [
+                [np.zeros((6, 6)), np.eye(6)],
+                [-np.linalg.solve(matrix, springs), -damping * np.linalg.inv(matrix)],
+            ]
+        )
+    )
+    assert found > 0.95 * np.abs(poles).max()
