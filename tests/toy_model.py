@@ -1,6 +1,6 @@
 """A model that is no arm: what a fit needs is the protocol, nothing else."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Self
 
 import jax.numpy as jnp
@@ -24,6 +24,20 @@ class Decay(AbstractModel):
     offset: Scalar = parameter(0.1, unit="m", doc="height at the end", frozen=False)
     idle: Scalar = parameter(4.0, unit="m", lower=0, doc="no channel responds to it")
     twin: Scalar = parameter(1.0, unit="", lower=0, doc="only amplitude times twin counts")
+
+    @classmethod
+    def for_runs(cls, runs: Sequence[Run]) -> Self:
+        return cls()
+
+    @classmethod
+    def from_definition(cls, definition: Mapping[str, Any]) -> Self:
+        return cls()
+
+    def free_inputs(self, run: Run) -> tuple[str, ...]:
+        return ()
+
+    def failure(self, inputs: Array) -> str:
+        return "the decay is too fast; choose a smaller one"
 
     def prepare(self, run: Run) -> Any:
         return jnp.asarray(run.times)

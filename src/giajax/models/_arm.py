@@ -1,6 +1,6 @@
 """The arm as a model: from commands and wind to positions and joint angles."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Self
 
 import equinox as eqx
@@ -11,9 +11,9 @@ from .._errors import InputError
 from .._typing import Array, Bool, Float, Scalar
 from ..arm import Arm
 from ..parameters import find, inline
-from ..runs import Channel, Run
+from ..runs import Channel, Definition, Run
 from ..simulation import SOLVERS, Signal, Trajectory, constant, integrate, logged
-from ._definition import arm_to_definition
+from ._definition import arm_from_definition, arm_to_definition
 from ._protocol import AbstractModel, Channels
 
 # Positions of the 20 m arm are then right to about 1e-6 m, far below the noise of a camera.
@@ -78,6 +78,42 @@ class ArmModel(AbstractModel):
             raise InputError(
                 f"there is no solver '{self.solver}'; use one of: {', '.join(SOLVERS)}"
             )
+
+    @classmethod
+    def for_runs(cls, runs: Sequence[Run]) -> Self:
+        """The arm that the sidecars state, which must agree.
+
+        Raises:
+            InputError: the sidecars disagree in [arm].
+        """
+        first, *others = runs
+        arm = arm_from_definition(first.definition)
+        constants = arm_to_definition(arm)
+        for other in others:
+            theirs = arm_to_definition(arm_from_definition(other.definition))
+            for key, value in constants.items():
+                if theirs[key] != value:
+                    raise InputError(
+                        f"the sidecars of '{first.name}' and '{other.name}' disagree in [arm] "
+                        f"{key} ({value} and {theirs[key]}); correct one, or fit the runs "
+                        "separately"
+                    )
+        durations = [float(np.ptp(run.times)) for run in runs if run.times is not None]
+        return cls(arm, max_steps=step_limit(max(durations, default=0.0)))
+
+    @classmethod
+    def from_definition(cls, definition: Mapping[str, Any]) -> Self:
+        """The arm and the settings of the integrator that `definition()` gave."""
+        arm = arm_from_definition(Definition.parse({"arm": definition["arm"]}, "stored result"))
+        return cls(arm, **definition["simulation"])
+
+    def free_inputs(self, run: Run) -> tuple[str, ...]:
+        """None as yet."""
+        return ()
+
+    def failure(self, inputs: ArmInputs) -> str:
+        """What the simulation says."""
+        return self.trajectory(inputs).message
 
     def prepare(self, run: Run) -> ArmInputs:
         """Sample times, command, wind and initial state of an arm run."""

@@ -7,10 +7,12 @@ import numpy as np
 
 from .._errors import InputError
 from ..parameters import declared, replace
-from ..runs import Definition, Run
-from ._arm import ArmModel, step_limit
-from ._definition import arm_from_definition
+from ..runs import Run
+from ._arm import ArmModel
 from ._protocol import AbstractModel
+
+MODELS: dict[str, type[AbstractModel]] = {ArmModel.kind: ArmModel}
+"""The models by name; nothing else in the toolkit knows which there are."""
 
 
 def model_for(runs: Sequence[Run]) -> AbstractModel:
@@ -27,26 +29,12 @@ def model_for(runs: Sequence[Run]) -> AbstractModel:
                 f"'{first.name}' is a run of the {first.model} model and '{run.name}' of the "
                 f"{run.model} model; fit them separately"
             )
-        _check_agreement(first, run)
-    if first.model != ArmModel.kind:
+    if first.model not in MODELS:
         raise InputError(
             f"'{first.name}' is a run of the {first.model} model, which this version of giajax "
-            "cannot fit yet; it fits runs of an arm"
+            f"cannot fit yet; it fits runs of: {', '.join(MODELS)}"
         )
-    durations = [float(np.ptp(run.times)) for run in runs if run.times is not None]
-    limit = step_limit(max(durations, default=0.0))
-    return ArmModel(arm_from_definition(first.definition), max_steps=limit)
-
-
-def _check_agreement(first: Run, other: Run) -> None:
-    model = ArmModel(arm_from_definition(first.definition)).definition()["arm"]
-    theirs = ArmModel(arm_from_definition(other.definition)).definition()["arm"]
-    for key, value in model.items():
-        if theirs[key] != value:
-            raise InputError(
-                f"the sidecars of '{first.name}' and '{other.name}' disagree in [arm] {key} "
-                f"({value} and {theirs[key]}); correct one, or fit the runs separately"
-            )
+    return MODELS[first.model].for_runs(runs)
 
 
 def build_model(
@@ -62,10 +50,9 @@ def build_model(
     Raises:
         InputError: an unknown kind or path.
     """
-    if kind != ArmModel.kind:
+    if kind not in MODELS:
         raise InputError(f"this version of giajax has no model '{kind}'")
-    arm = arm_from_definition(Definition.parse({"arm": definition["arm"]}, "stored result"))
-    return replace(ArmModel(arm, **definition["simulation"]), parameters)
+    return replace(MODELS[kind].from_definition(definition), parameters)
 
 
 def parameter_values(model: AbstractModel) -> dict[str, Any]:

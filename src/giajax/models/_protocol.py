@@ -1,7 +1,7 @@
 """What a fit knows of a model: it predicts named channels for a run."""
 
 import abc
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Self
 
 import equinox as eqx
@@ -20,6 +20,20 @@ class AbstractModel(eqx.Module):
 
     kind: ClassVar[str]
 
+    @classmethod
+    @abc.abstractmethod
+    def for_runs(cls, runs: Sequence[Run]) -> Self:
+        """The model of some runs, with the constants that their sidecars state.
+
+        Raises:
+            InputError: the sidecars contradict each other.
+        """
+
+    @classmethod
+    @abc.abstractmethod
+    def from_definition(cls, definition: Mapping[str, Any]) -> Self:
+        """The model that `definition()` described, its parameters apart."""
+
     @abc.abstractmethod
     def prepare(self, run: Run) -> Any:
         """What the model needs of a run, as a pytree of arrays.
@@ -33,11 +47,22 @@ class AbstractModel(eqx.Module):
         """
 
     @abc.abstractmethod
+    def free_inputs(self, run: Run) -> tuple[str, ...]:
+        """Declared parameters of the prepared inputs that are free in this run, by path.
+
+        They belong to the run alone, such as its initial state; most models have none.
+        """
+
+    @abc.abstractmethod
     def predict(self, inputs: Any, channels: tuple[str, ...]) -> tuple[Channels, Bool[Array, ""]]:
         """Predicted channels (SI) at the samples of a prepared run, and whether that succeeded.
 
         Must be differentiable in forward mode with respect to the declared parameters.
         """
+
+    @abc.abstractmethod
+    def failure(self, inputs: Any) -> str:
+        """Why the prediction of a prepared run did not succeed, and what to do: one sentence."""
 
     @abc.abstractmethod
     def refined(self, factor: float) -> Self:

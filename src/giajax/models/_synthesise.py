@@ -11,7 +11,6 @@ from .._errors import InputError
 from .._typing import Array, Bool
 from ..runs import Definition, Run
 from ..simulation import SimulationError
-from ._arm import ArmModel
 from ._protocol import AbstractModel, Channels
 
 
@@ -90,7 +89,7 @@ def synthesise(
     prepared = model.prepare(plan)
     predicted, successful = _predict(model, prepared, tuple(channels))
     if not successful:
-        raise SimulationError(_reason(model, prepared))
+        raise SimulationError(model.failure(prepared))
     recorded = {
         channel: _record(
             np.asarray(predicted[channel]), plan.noise(channel), missing, seed, channel
@@ -112,12 +111,6 @@ def _predict(
     model: AbstractModel, inputs: Any, channels: tuple[str, ...]
 ) -> tuple[Channels, Bool[Array, ""]]:
     return model.predict(inputs, channels)
-
-
-def _reason(model: AbstractModel, inputs: Any) -> str:
-    if isinstance(model, ArmModel):
-        return model.trajectory(inputs).message
-    return "the model cannot be evaluated for this run; check its parameters"
 
 
 def _record(
