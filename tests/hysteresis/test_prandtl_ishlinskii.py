@@ -1,0 +1,177 @@
+"""Prandtl-Ishlinskii operators, plain and modified: limits, and inverses on rough histories."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from test_play_stop import definition
+
+from giajax import InputError
+from giajax.hysteresis import DeadZones, ModifiedPrandtlIshlinskii, PrandtlIshlinskii
+
+
+def operator(elements="play", seed=0, count=12):
+    random = np.random.default_rng(seed)
+    return PrandtlIshlinskii(
+        elastic=0.4,
+        weights=random.uniform(0.02, 0.4, count),
+        thresholds=np.sort(random.uniform(0.0, 1.0, count)),
+        elements=elements,
+    )
+
+
+def curve():
+    # Soft about 0, harder beyond, and not symmetric.
+    return DeadZones(1.4, [0.05, 0.3, 0.9], [0.3, 0.15, 0.4], [0.08, 0.5], [0.5, 0.1])
+
+
+def modified(seed=0):
+    it = operator(seed=seed)
+    return ModifiedPrandtlIshlinskii(curve(), it.weights, it.thresholds)
+
+
+def stops(seed=0):
+    return operator("stop", seed)
+
+
+def plays(seed=0):
+    return operator("play", seed)
+
+
+def rough(samples=2000, seed=1):
+    """A history with loops within loops, up to about 1.5."""
+    random = np.random.default_rng(seed)
+    turns = random.uniform(-1.5, 1.5, 60) * random.uniform(0.1, 1.0, 60)
+    turns[0] = 0.0
+    return jnp.asarray(np.interp(np.linspace(0, 59, samples), np.arange(60), turns))
+
+
+@pytest.mark.parametrize("elements", ["play", "stop"])
+def test_it_is_the_weighted_sum(elements):
+    inputs, it = rough(), operator(elements)
+    plays = definition(np.asarray(inputs), np.asarray(it.thresholds))
+    parts = plays if elements == "play" else np.asarray(inputs)[:, None] - plays
+    expected = 0.4 * np.asarray(inputs) + parts @ np.asarray(it.weights)
+    np.testing.assert_allclose(it.history(inputs)[0], expected, atol=1e-13)
+
+
+def test_steps_are_the_history():
+    inputs = rough(200)
+    for it in (operator(), operator("stop"), modified().inverse()):
+        outputs, end = it.history(inputs)
+        stepped, last = super(type(it), it).history(inputs)
+        np.testing.assert_allclose(stepped, outputs, atol=1e-14)
+        np.testing.assert_allclose(last, end, atol=1e-14)
+
+
+@pytest.mark.parametrize("elements", ["play", "stop"])
+def test_the_virgin_curve_is_the_loading_curve(elements):
+    up = jnp.linspace(0.0, 2.0, 101)
+    it = operator(elements)
+    np.testing.assert_allclose(it.history(up)[0], it.loading(up), atol=1e-13)
+
+
+@pytest.mark.parametrize("make", [plays, stops, modified])
+@pytest.mark.parametrize("seed", range(5))
+def test_the_inverse_undoes_it(make, seed):
+    it = make(seed)
+    wanted = rough(seed=seed + 10)
+    command = it.inverse().history(wanted)[0]
+    span = float(jnp.ptp(wanted))
+    assert float(jnp.max(jnp.abs(it.history(command)[0] - wanted))) < 1e-10 * span
+    # The inverse matters: without it the output is far from what is wanted.
+    assert float(jnp.max(jnp.abs(it.history(wanted)[0] - wanted))) > 0.05 * span
+
+
+@pytest.mark.parametrize("make", [plays, stops, modified])
+def test_the_inverse_takes_up_a_memory(make):
+    it = make()
+    first, wanted = rough(300, seed=3), rough(300, seed=4)
+    _, memory = it.history(first)
+    inverse = it.inverse()
+    command, _ = inverse.history(wanted, it.inverse_state(memory))
+    found, _ = it.history(command, memory)
+    assert float(jnp.max(jnp.abs(found - wanted))) < 1e-10 * float(jnp.ptp(wanted))
+
+
+def test_the_inverse_of_the_inverse():
+    it = operator(seed=7)
+    again = it.inverse().inverse()
+    np.testing.assert_allclose(again.weights, it.weights, atol=1e-12)
+    np.testing.assert_allclose(again.thresholds, it.thresholds, atol=1e-12)
+    x = jnp.linspace(-3.0, 3.0, 401)
+    np.testing.assert_allclose(curve().inverse()(curve()(x)), x, atol=1e-14)
+    np.testing.assert_allclose(curve()(curve().inverse()(x)), x, atol=1e-14)
+
+
+def test_unsorted_thresholds_are_the_same_operator():
+    it, inputs = operator(seed=8), rough(seed=5)
+    order = np.random.default_rng(0).permutation(12)
+    shuffled = PrandtlIshlinskii(it.elastic, it.weights[order], it.thresholds[order])
+    np.testing.assert_allclose(shuffled.history(inputs)[0], it.history(inputs)[0], atol=1e-13)
+    np.testing.assert_allclose(
+        shuffled.inverse().history(inputs)[0], it.inverse().history(inputs)[0], atol=1e-12
+    )
+
+
+def test_only_the_modified_form_has_a_place_of_its_own():
+    """Shifting the input far from 0 shifts loops of the plain operator, and no others."""
+    base = np.concatenate([np.linspace(0, 3, 100), np.tile([3.2, 2.8], 20)])
+    far = jnp.asarray(np.concatenate([base, np.linspace(2.8, 0.2, 50), np.tile([0.2, -0.2], 20)]))
+    for it, same in ((operator(), True), (modified(), False)):
+        outputs = np.asarray(it.history(far)[0])
+        away, near = np.ptp(outputs[110:140]), np.ptp(outputs[-20:])
+        assert (abs(away - near) < 1e-12) == same
+
+
+def test_the_curve_by_its_definition():
+    it = curve()
+    x = np.linspace(-2.0, 2.0, 81)
+    nodes = np.asarray([-2.0, -0.5, -0.08, 0.0, 0.05, 0.3, 0.9, 2.0])
+    slopes = np.asarray([0.1, 0.5, 1.4, 1.4, 0.3, 0.15, 0.4])
+    values = np.concatenate([[0.0], np.cumsum(slopes * np.diff(nodes))])
+    values -= values[3]
+    np.testing.assert_allclose(it(jnp.asarray(x)), np.interp(x, nodes, values), atol=1e-14)
+
+
+@pytest.mark.parametrize("make", [plays, stops, modified])
+def test_derivatives_against_differences(make):
+    inputs, it = rough(120), make(seed=2)
+    leaves, tree = jax.tree.flatten(it)
+
+    @jax.jit
+    def value(leaves):
+        rebuilt = jax.tree.unflatten(tree, leaves)
+        there = rebuilt.history(inputs)[0]
+        back = rebuilt.inverse().history(inputs)[0]
+        return jnp.sum(jnp.sin(3 * there)) + jnp.sum(jnp.cos(back))
+
+    gradient = jax.jit(jax.grad(value))(leaves)
+    forward = jax.jacfwd(value)(leaves)
+    for k, (leaf, slopes) in enumerate(zip(leaves, gradient, strict=True)):
+        np.testing.assert_allclose(slopes, forward[k], rtol=1e-9, atol=1e-10)
+        direction = jnp.ones_like(leaf)
+        ahead, behind = (
+            value([*leaves[:k], leaf + sign * 1e-6 * direction, *leaves[k + 1 :]])
+            for sign in (1, -1)
+        )
+        expected = float(ahead - behind) / 2e-6
+        assert float(jnp.sum(slopes)) == pytest.approx(expected, rel=2e-6, abs=1e-6)
+
+
+def test_what_has_no_inverse_says_so():
+    with pytest.raises(InputError, match="slope of the loading curve"):
+        PrandtlIshlinskii(elastic=0.0, weights=[0.3], thresholds=[0.2]).inverse()
+    with pytest.raises(InputError, match="positive"):
+        DeadZones(1.0, [1.0], [0.0], [1.0], [1.0]).inverse()
+
+
+def test_bad_lists_are_refused():
+    with pytest.raises(InputError, match="one weight for each threshold"):
+        PrandtlIshlinskii(weights=[0.1, 0.2], thresholds=[0.1])
+    with pytest.raises(InputError, match="play or stop"):
+        PrandtlIshlinskii(weights=[0.1], thresholds=[0.1], elements="relay")
+    with pytest.raises(InputError, match="one slope for each dead zone"):
+        DeadZones(1.0, [1.0], [0.1, 0.2], [1.0], [1.0])
+    with pytest.raises(InputError, match="positive distances"):
+        DeadZones(1.0, [0.0], [0.1], [1.0], [1.0])

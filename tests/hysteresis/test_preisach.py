@@ -1,0 +1,159 @@
+"""The Preisach operator: against relays one by one, and by what characterises it."""
+
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from giajax import InputError
+from giajax.hysteresis import PrandtlIshlinskii, Preisach
+
+
+def operator(rows=12, **changed):
+    values = {
+        "slope": 0.3,
+        "saturation": 0.8,
+        "coercivity": 0.25,
+        "coercivity_spread": 0.6,
+        "bias": 0.05,
+        "interaction": 0.35,
+    }
+    return Preisach(**{**values, **changed}, extent=1.2, rows=rows)
+
+
+def path(turns, samples=40):
+    """A history through turning points, and where in it they are."""
+    pieces = [np.linspace(a, b, samples) for a, b in itertools.pairwise(turns)]
+    return jnp.asarray(np.concatenate([[turns[0]], *(piece[1:] for piece in pieces)]))
+
+
+def relays(it, inputs, fine=200):
+    """Each relay of the same density switched by its two thresholds, by numpy."""
+    weights = np.repeat(np.asarray(it.cells()), fine, axis=1) / fine
+    r = np.asarray(it.half_widths)[:, None]
+    fractions = (np.arange(weights.shape[1]) + 0.5) / weights.shape[1]
+    s = (it.extent - r) * (2 * fractions[None] - 1)
+    up = s < 0
+    outputs = []
+    for u in np.asarray(inputs):
+        up = np.where(u >= s + r, True, np.where(u <= s - r, False, up))
+        total = np.sum(np.where(up, weights, -weights))
+        outputs.append(float(it.slope) * u + float(it.saturation) * total)
+    return np.asarray(outputs)
+
+
+def test_it_is_its_relays():
+    it = operator()
+    inputs = path([0, 0.9, -0.7, 0.5, -0.2, 0.35, -1.1, 1.15, 0.0], 25)
+    expected = relays(it, inputs)
+    # A play cuts a fine relay at most once in each row: 1/4800 of it.
+    np.testing.assert_allclose(it.history(inputs)[0], expected, atol=2e-4)
+    assert np.ptp(expected) > 1
+
+
+def test_steps_are_the_history():
+    it, inputs = operator(), path([0, 0.8, -0.5, 0.3], 10)
+    outputs, end = it.history(inputs)
+    stepped, last = super(Preisach, it).history(inputs)
+    np.testing.assert_allclose(stepped, outputs, atol=1e-15)
+    np.testing.assert_allclose(last, end, atol=1e-15)
+
+
+def test_the_weights_are_a_density():
+    it = operator()
+    assert float(jnp.sum(it.cells())) == pytest.approx(1.0)
+    saturated, _ = it.history(jnp.asarray([0.0, 1.3, -1.3]))
+    np.testing.assert_allclose(
+        saturated, [saturated[0], 0.3 * 1.3 + 0.8, -0.3 * 1.3 - 0.8], atol=1e-14
+    )
+
+
+def test_a_larger_extreme_wipes_out_what_was_before():
+    it = operator()
+    _, quiet = it.history(path([0, -0.9, 0.8]))
+    _, busy = it.history(path([0, -0.9, 0.3, -0.4, 0.2, -0.1, 0.6, -0.7, 0.8]))
+    np.testing.assert_array_equal(quiet, busy)
+    # Without the larger extreme at the end it is remembered.
+    _, kept = it.history(path([0, -0.9, 0.3, -0.4, 0.2]))
+    _, other = it.history(path([0, -0.9, 0.2]))
+    assert float(jnp.max(jnp.abs(kept - other))) > 0.01
+
+
+def test_minor_loops_return_to_where_they_began():
+    """Return-point memory, on loops within loops."""
+    it = operator()
+    turns = [0, 1.0, -0.6, 0.7, -0.3, 0.5, -0.1, 0.3, -0.1, 0.5, -0.3, 0.7, -0.6, 1.0]
+    outputs = np.asarray(it.history(path(turns, 30))[0])[::29]
+    for inner in range(1, 7):
+        assert outputs[inner] == pytest.approx(outputs[-inner], abs=1e-14)
+    # Every level is another output: none of these is trivial.
+    assert len(set(np.round(outputs[:8], 6))) == 8
+
+
+def loop_between(it, before):
+    inputs = path([0, *before, 0.1, 0.5, 0.1, 0.5, 0.1], 30)
+    outputs = np.asarray(it.history(inputs)[0])
+    return outputs[-58:]
+
+
+def test_loops_between_the_same_inputs_are_congruent():
+    it = operator()
+    above = loop_between(it, [1.1])
+    below = loop_between(it, [-1.1])
+    np.testing.assert_allclose(above - above[0], below - below[0], atol=1e-14)
+    assert above[0] - below[0] > 0.05
+    # Which a curve behind the operator would break.
+    assert np.max(np.abs((above**2 - above[0] ** 2) - (below**2 - below[0] ** 2))) > 1e-3
+
+
+def test_a_density_without_centre_is_a_prandtl_ishlinskii_operator():
+    """Relays of equal density along s are plays."""
+    it = operator(rows=20, bias=0.0, interaction=1e6, saturation=1.0)
+    weights = np.asarray(it.cells())
+    r = np.asarray(it.half_widths)
+    per_length = weights[:, 0] / ((it.extent - r) / it.rows)
+    plays = PrandtlIshlinskii(elastic=0.3, weights=2 * per_length, thresholds=r)
+    inputs = path([0, 0.9, -0.7, 0.5, -0.2, 0.35])
+    np.testing.assert_allclose(it.history(inputs)[0], plays.history(inputs)[0], atol=1e-13)
+
+
+def test_the_mesh_converges():
+    inputs = path([0, 0.9, -0.7, 0.5, -0.2, 0.35])
+    coarse, fine, finest = (np.asarray(operator(n).history(inputs)[0]) for n in (20, 40, 160))
+    error = np.max(np.abs(coarse - finest)), np.max(np.abs(fine - finest))
+    assert error[1] < 0.5 * error[0]
+    assert error[1] < 5e-3
+
+
+def test_derivatives_against_differences():
+    it, inputs = operator(), path([0, 0.9, -0.7, 0.5, -0.2, 0.35], 12)
+    leaves, tree = jax.tree.flatten(it)
+
+    @jax.jit
+    def value(leaves):
+        return jnp.sum(jnp.sin(2 * jax.tree.unflatten(tree, leaves).history(inputs)[0]))
+
+    gradient = jax.jit(jax.grad(value))(leaves)
+    forward = jax.jacfwd(value)(leaves)
+    for k, slope in enumerate(gradient):
+        ahead, behind = (
+            value([*leaves[:k], leaves[k] + sign * 1e-6, *leaves[k + 1 :]]) for sign in (1, -1)
+        )
+        assert float(slope) == pytest.approx(float(forward[k]), abs=1e-10)
+        assert float(slope) == pytest.approx(float(ahead - behind) / 2e-6, abs=1e-6)
+        assert abs(float(slope)) > 1e-4
+
+
+def test_the_output_is_continuous_in_the_input():
+    """Exact memory is not a staircase: a small change of the input is a small change."""
+    it = operator()
+    fine = jnp.linspace(0.0, 1.1, 20_001)
+    assert float(jnp.max(jnp.abs(jnp.diff(it.history(fine)[0])))) < 4 * 1.1 / 20_000
+
+
+@pytest.mark.parametrize(("extent", "rows"), [(0.0, 10), (-1.0, 10), (1.0, 1)])
+def test_bad_meshes_are_refused(extent, rows):
+    with pytest.raises(InputError, match="give"):
+        Preisach(extent=extent, rows=rows)
