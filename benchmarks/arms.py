@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import giajax.parameters
-from giajax.arm import Arm, chain, takeichi_20m
+from giajax.arm import Arm, PointMasses, chain, takeichi_20m
 from giajax.simulation import Signal, joint_ramps
 
 
@@ -47,6 +47,56 @@ def general_arm(links: int, seed: int = 0) -> Arm:
             "joints.damping": 0.04,
         },
     )
+
+
+def full_arm(links: int, seed: int = 0) -> Arm:
+    """A general arm with every option on: all of the air, buoyancy, masses off the axis, friction.
+
+    The air is thin where the random links are large, so that no link is carried away by its lift.
+    """
+    random = np.random.default_rng(seed + 1)
+    plain = general_arm(links, seed)
+    bodies = PointMasses(
+        links=(1, links, links),
+        mass=jnp.asarray(random.uniform(0.005, 0.02, 3)),
+        position=jnp.asarray(random.uniform(0.2, 0.6, 3)),
+        left=jnp.asarray(random.uniform(-0.1, 0.1, 3)),
+        up=jnp.asarray(random.uniform(-0.2, 0.1, 3)),
+    )
+    arm = chain(
+        links,
+        length=plain.links.length,
+        diameter=plain.links.diameter,
+        mass=plain.links.mass,
+        centre_of_mass=plain.links.centre_of_mass,
+        inertia_transverse=plain.links.inertia_transverse,
+        inertia_axial=plain.links.inertia_axial,
+        joint_axes=[list(axis) for axis in plain.joints.axes],
+        base_rotation=plain.base_rotation,
+        gravity=1.7,
+        air_density=0.4,
+        drag="strip",
+        drag_curve="cylinder",
+        buoyancy=True,
+        point_masses=bodies,
+    )
+    options = {
+        "air.drag_coefficient": 0.9,
+        "air.axial_coefficient": 0.05,
+        "air.added_mass_coefficient": 0.8,
+        "air.wind": [0.1, -0.2, 0.05],
+        "joints.pitch_stiffness": 2.0,
+        "joints.yaw_stiffness": 7.0,
+        "joints.damping": 0.04,
+        "joints.friction": 0.02,
+        "joints.friction_rate": 0.3,
+        "joints.armature": 0.003,
+        "links.fullness": 0.9,
+        "buoyancy.trim_mass": 0.01,
+        "buoyancy.trim_depth": 0.15,
+        "buoyancy.imbalance": 0.005,
+    }
+    return giajax.parameters.replace(arm, options)
 
 
 def random_states(links: int, count: int, seed: int = 1) -> dict[str, jnp.ndarray]:

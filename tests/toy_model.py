@@ -52,7 +52,7 @@ class Decay(AbstractModel):
     def refined(self, factor: float) -> Self:
         return self
 
-    def conditions(self, free: Sequence[str]) -> list[str]:
+    def conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
         return [f"about {path}" for path in free]
 
     def definition(self) -> dict[str, Any]:

@@ -35,6 +35,10 @@ class Declaration:
         unit: SI unit, in the spelling of the file formats; "" for a pure number.
         lower, upper: open bounds; a free parameter stays strictly between them.
         frozen: held at its value in a fit unless it is asked for by its path.
+        optional: may be None, which leaves out its part of the model and the cost of it; its
+            default is then the value that it is switched on with.
+        shape: of a parameter that is an array of fixed shape, such as a vector.
+        each: one number for all links or joints, or an array with one for each.
         assumed: the paper gives no figure; this one is a guess that a fit should replace.
         doc: one line of meaning.
     """
@@ -46,6 +50,9 @@ class Declaration:
     frozen: bool
     assumed: bool
     doc: str
+    optional: bool = False
+    shape: tuple[int, ...] = ()
+    each: bool = False
 
 
 def parameter(
@@ -57,14 +64,30 @@ def parameter(
     upper: float = np.inf,
     frozen: bool = True,
     assumed: bool = False,
+    optional: bool = False,
+    shape: tuple[int, ...] = (),
+    each: bool = False,
 ) -> Any:
     """Field of an Equinox module that is a parameter; see `Declaration` for the arguments.
 
     The value is converted to an array of the default floating-point type, strongly typed: a
     weakly typed scalar would compile every program twice.
     """
-    declaration = Declaration(default, unit, lower, upper, frozen, assumed, doc)
-    return eqx.field(converter=_as_float_array, default=default, metadata={_KEY: declaration})
+    declaration = Declaration(
+        default, unit, lower, upper, frozen, assumed, doc, optional=optional, shape=shape, each=each
+    )
+
+    def convert(value: Any) -> Any:
+        if value is None and optional:
+            return None
+        array = _as_float_array(value)
+        return jnp.broadcast_to(array, shape) if shape and array.ndim == 0 else array
+
+    return eqx.field(
+        converter=convert,
+        default=None if optional else default,
+        metadata={_KEY: declaration},
+    )
 
 
 def inline() -> Any:
@@ -87,7 +110,7 @@ class Parameter:
 
     path: str
     declaration: Declaration
-    getter: Callable[[Any], Array]
+    getter: Callable[[Any], Any]
     index: int | None = None
 
     def value(self, model: eqx.Module) -> Array:
@@ -95,23 +118,55 @@ class Parameter:
         array = self.getter(model)
         return array if self.index is None else array[self.index]
 
+    def is_on(self, model: eqx.Module) -> bool:
+        """Whether the model has this parameter, or leaves its part out."""
+        return self.getter(model) is not None
+
     def set(self, model: Module, value: Any) -> Module:
-        """The model with this parameter replaced; differentiable in `value`."""
+        """The model with this parameter replaced; differentiable in `value`.
+
+        A parameter that was left out is switched on.
+        """
         old = self.getter(model)
+        if old is None:
+            value = jnp.asarray(value, dtype=jnp.result_type(float))
+            if value.ndim == 0:
+                value = jnp.broadcast_to(value, self.declaration.shape)
+            return eqx.tree_at(self.getter, model, value, is_leaf=lambda leaf: leaf is None)
         value = jnp.asarray(value, dtype=old.dtype)
-        new = (
-            jnp.broadcast_to(value, old.shape)
-            if self.index is None
-            else (old.at[self.index].set(value))
-        )
+        if self.index is not None:
+            new = old.at[self.index].set(value)
+        elif self.declaration.each and value.ndim > old.ndim:
+            new = value
+        else:
+            new = jnp.broadcast_to(value, old.shape)
         return eqx.tree_at(self.getter, model, new)
 
 
 def declared(model: eqx.Module) -> dict[str, Parameter]:
-    """All parameters of a model by dotted path, in the order of their fields."""
-    return {
-        parameter.path: parameter for parameter in _walk(model, prefix="", getter=lambda root: root)
-    }
+    """All parameters of a model by dotted path, in the order of their fields.
+
+    Optional ones that the model leaves out are not among them; see `left_out`.
+    """
+    return {p.path: p for p in _walk(model, "", lambda root: root) if p.is_on(model)}
+
+
+def left_out(model: eqx.Module) -> dict[str, Parameter]:
+    """The optional parameters that a model leaves out, by dotted path.
+
+    `replace` switches one on, by giving it a value.
+    """
+    return {p.path: p for p in _walk(model, "", lambda root: root) if not p.is_on(model)}
+
+
+def switched_on(model: Module, paths: Iterable[str]) -> Module:
+    """The model in which none of the paths is left out; those that were have their defaults."""
+    for path in paths:
+        name = path.partition("[")[0]
+        absent = left_out(model)
+        if name in absent:
+            model = absent[name].set(model, absent[name].declaration.default)
+    return model
 
 
 def _walk(node: eqx.Module, prefix: str, getter: Callable[[Any], Any]) -> Iterable[Parameter]:
@@ -141,7 +196,13 @@ def find(model: eqx.Module, path: str) -> Parameter:
     match = _PATH.match(path)
     name = match["name"] if match else path
     if match is None or name not in known:
-        raise InputError(f"there is no parameter '{path}'; {_suggestion(name, known)}")
+        off = left_out(model)
+        if name in off:
+            raise InputError(
+                f"'{name}' is left out of this model; give it a value to switch it on "
+                f"(such as {off[name].declaration.default:g})"
+            )
+        raise InputError(f"there is no parameter '{path}'; {_suggestion(name, [*known, *off])}")
     parameter = known[name]
     if match["index"] is None:
         return parameter
@@ -177,13 +238,16 @@ def get(model: eqx.Module, path: str) -> Array:
 def replace(model: Module, values: Mapping[str, Any]) -> Module:
     """The model with the parameters at the given paths replaced; the model itself is unchanged.
 
+    An optional parameter that the model leaves out is switched on.
+
     Example:
         >>> import giajax
         >>> arm = giajax.takeichi_20m()
         >>> heavier = giajax.replace(arm, {"links.mass": 0.06, "air.drag_coefficient": 1.0})
     """
     for path, value in values.items():
-        model = find(model, path).set(model, value)
+        absent = left_out(model)
+        model = (absent[path] if path in absent else find(model, path)).set(model, value)
     return model
 
 
@@ -206,10 +270,22 @@ def check_within_bounds(parameter: Parameter, value: float, *, free: bool) -> No
     )
 
 
-def default_free(model: eqx.Module) -> tuple[str, ...]:
-    """Paths that a fit frees when nothing is said: those whose declaration is not frozen."""
+def default_free(model: eqx.Module, started: Iterable[str] = ()) -> tuple[str, ...]:
+    """Paths that a fit frees when nothing is said: those whose declaration is not frozen.
+
+    What the model holds at a bound, such as the spring of a pendulum at zero, is left out of it
+    on purpose, and stays so, unless it is among those that are given a start.
+    """
+    started = set(started)
+
+    def inside(parameter: Parameter) -> bool:
+        value, declaration = np.asarray(parameter.value(model)), parameter.declaration
+        return bool(np.all((declaration.lower < value) & (value < declaration.upper)))
+
     return tuple(
-        path for path, parameter in declared(model).items() if not parameter.declaration.frozen
+        path
+        for path, parameter in declared(model).items()
+        if not parameter.declaration.frozen and (path in started or inside(parameter))
     )
 
 

@@ -8,6 +8,7 @@ import pytest
 from giajax import InputError
 from giajax.fitting._bijector import Bijector
 from giajax.fitting._identifiability import responds, undetermined_groups
+from giajax.fitting._jacobian import BlockJacobian
 from giajax.fitting._loss import LOSSES, check_loss, influence, transform
 from giajax.fitting._noise import from_differences, from_residuals
 from giajax.fitting._uncertainty import uncertainty
@@ -82,10 +83,18 @@ def test_dead_and_collinear_columns_are_named():
     rng = np.random.default_rng(0)
     jacobian = rng.normal(size=(50, 4))
     jacobian[:, 1] = 0
-    np.testing.assert_array_equal(responds(jacobian, np.ones(4)), [True, False, True, True])
+    np.testing.assert_array_equal(
+        responds(np.linalg.norm(jacobian, axis=0), np.ones(4)), [True, False, True, True]
+    )
     jacobian[:, 1] = 3 * jacobian[:, 3] - jacobian[:, 0]
     assert undetermined_groups(jacobian) == [[0, 1, 3]]
     assert undetermined_groups(jacobian[:, [0, 1, 2]]) == []
+
+
+def spread(residual, jacobian, **options):
+    """`uncertainty` of a dense Jacobian, for all of its columns."""
+    columns = np.arange(jacobian.shape[1])
+    return uncertainty(residual, BlockJacobian.dense(jacobian), columns=columns, **options)
 
 
 def test_a_null_space_of_two_dimensions_leaves_the_rest_its_error():
@@ -96,8 +105,8 @@ def test_a_null_space_of_two_dimensions_leaves_the_rest_its_error():
     residual, measured = rng.normal(size=40), np.ones(40, bool)
     loose = np.stack([twin, 2 * twin, own, -3 * twin], axis=1)
     plain = np.stack([twin, own], axis=1)
-    many = uncertainty(residual, loose, loss="linear", measured=measured)
-    few = uncertainty(residual, plain, loss="linear", measured=measured)
+    many = spread(residual, loose, loss="linear", measured=measured)
+    few = spread(residual, plain, loss="linear", measured=measured)
     scale = few.scale / many.scale  # other degrees of freedom
     assert many.covariance[2, 2] * scale == pytest.approx(few.covariance[1, 1], rel=1e-10)
     assert sorted({i for group in undetermined_groups(loose) for i in group}) == [0, 1, 3]
@@ -105,7 +114,7 @@ def test_a_null_space_of_two_dimensions_leaves_the_rest_its_error():
 
 def test_huber_without_a_residual_inside_its_corner_still_has_an_error():
     rng = np.random.default_rng(5)
-    found = uncertainty(
+    found = spread(
         100 * rng.choice([-1.0, 1.0], 30),
         rng.normal(size=(30, 2)) * 0.01,
         loss="huber",
@@ -134,8 +143,8 @@ def test_standard_errors_are_the_spread_of_repeated_fits(loss):
             )[0]
         r = design @ beta - y
         _, _, slope = influence(loss, r)
-        found = uncertainty(r, design * slope[:, None], loss=loss, measured=np.ones(80, bool))
+        found = spread(r, design * slope[:, None], loss=loss, measured=np.ones(80, bool))
         estimates.append(beta)
         claimed.append(np.sqrt(np.diag(found.covariance)))
-    spread = np.std(estimates, axis=0)
-    np.testing.assert_allclose(np.mean(claimed, axis=0), spread, rtol=0.12)
+    seen = np.std(estimates, axis=0)
+    np.testing.assert_allclose(np.mean(claimed, axis=0), seen, rtol=0.12)

@@ -99,12 +99,12 @@ def test_a_pitch_run_does_not_determine_the_yaw_stiffness():
 
 def test_a_fitted_mass_is_conditional_on_the_forces():
     model = truth_model()
-    (sentence,) = model.conditions(["links.mass[0]"])
+    (sentence,) = model.conditions(["links.mass[0]"], [])
     assert "held at links.inertia_transverse" in sentence
     assert "air.drag_coefficient = 1.3" in sentence
     everything = [path for path in giajax.declared(model) if path.startswith(("links", "j", "air"))]
-    assert "nothing of these is held" in model.conditions(everything)[0]
-    assert model.conditions(["gravity"]) == []
+    assert "nothing of these is held" in model.conditions(everything, [])[0]
+    assert model.conditions(["gravity"], []) == []
 
 
 def test_long_runs_get_more_steps():
@@ -144,7 +144,9 @@ def test_the_residual_differentiates_as_differences_say(run):
     model = giajax.replace(model_for([run]), START).refined(1e-4)
     bijector = Bijector((0.0,) * 4, (50.0, 1e3, 1e4, 1e2))
     sigmas = [dict.fromkeys(run.observations, 0.005)]
-    problem = Problem(model, build_groups(model, [run], sigmas), bijector, tuple(START), "soft_l1")
+    problem = Problem(
+        model, build_groups(model, [run], sigmas, 4), bijector, tuple(START), "soft_l1"
+    )
     coordinate = jnp.asarray(bijector.inverse(np.array(list(START.values()))))
 
     @eqx.filter_jit
@@ -169,7 +171,7 @@ def test_padding_a_run_changes_nothing(run):
     )
     model = truth_model()
     sigmas = [dict.fromkeys(run.observations, 1.0)] * 2
-    (group,) = build_groups(model, [run, cut], sigmas)
+    (group,) = build_groups(model, [run, cut], sigmas, 0)
     stacked = jax.vmap(lambda inputs: model.predict(inputs, group.channels)[0])(group.inputs)
     alone = giajax.predict(model, cut)
     for name in alone:

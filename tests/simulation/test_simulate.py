@@ -186,7 +186,7 @@ def test_what_comes_after_the_data_changes_nothing_before():
     wind = steps([0.0, 2.0], [[0.0, 0.0, 0.1], [0.0, 0.1, 0.0]])
 
     def run(times, command, wind):
-        return integrate(ARM, command, jnp.asarray(times), wind, state, tolerances, **options)
+        return integrate(ARM, command, jnp.asarray(times), wind, None, state, tolerances, **options)
 
     plain = run(TIMES, command, wind)
     longer = run(np.append(TIMES, [5.0, 5.0, 5.0]), padded(command), padded(wind))

@@ -1,13 +1,16 @@
-"""The multibody arm: chain, presets, kinematics, dynamics, drag and energy."""
+"""The multibody arm: chain, presets, kinematics, dynamics, air, buoyancy and energy."""
 
+from ._air import drag_force as drag_force
 from ._chain import (
+    DRAG_CURVES as DRAG_CURVES,
+    DRAGS as DRAGS,
     Air as Air,
     Arm as Arm,
     Joints as Joints,
     Links as Links,
     named_axes as named_axes,
 )
-from ._drag import drag_force as drag_force
+from ._cylinder import cylinder_drag_coefficient as cylinder_drag_coefficient
 from ._dynamics import (
     acceleration as acceleration,
     forward_dynamics as forward_dynamics,
@@ -22,8 +25,19 @@ from ._energy import (
     potential_energy as potential_energy,
 )
 from ._kinematics import (
+    Pose as Pose,
     link_centres as link_centres,
     link_velocities as link_velocities,
+    pose as pose,
     tip_position as tip_position,
 )
-from ._presets import chain as chain, preset as preset, takeichi_20m as takeichi_20m
+from ._masses import Buoyancy as Buoyancy, PointMasses as PointMasses
+from ._presets import (
+    PRESETS as PRESETS,
+    chain as chain,
+    pendulum as pendulum,
+    preset as preset,
+    takeichi_20m as takeichi_20m,
+    takeichi_20m_full as takeichi_20m_full,
+)
+from ._trim import net_lift as net_lift, trimmed as trimmed

@@ -13,6 +13,7 @@ import numpy as np
 from .._errors import InputError
 from .._typing import Array, Bool, Float, Scalar
 from ..parameters import parameter
+from ._masses import Buoyancy, PointMasses
 
 Axis = tuple[float, float, float]
 
@@ -21,6 +22,22 @@ PITCH: Axis = (0.0, -1.0, 0.0)
 
 YAW: Axis = (0.0, 0.0, 1.0)
 """Axis of a yaw joint: a positive angle turns the arm to the left."""
+
+DRAGS = ("centre", "strip")
+"""Where drag acts: at each link's centre (eq. 1), or along the link."""
+
+DRAG_CURVES = ("constant", "cylinder")
+"""How C_D depends on the Reynolds number."""
+
+
+def check_choice(name: str, value: str, choices: Sequence[str]) -> None:
+    """Refuse a value that is not among the choices.
+
+    Raises:
+        InputError: naming the choices.
+    """
+    if value not in choices:
+        raise InputError(f"{name} is {value!r}; use one of: {', '.join(choices)}")
 
 
 class Links(eqx.Module):
@@ -53,6 +70,13 @@ class Links(eqx.Module):
         assumed=True,
         doc="moment of inertia about the link's own axis (thin tube)",
     )
+    fullness: Float[Array, " link"] = parameter(
+        1.0,
+        unit="",
+        lower=0,
+        assumed=True,
+        doc="displaced volume of a link over that of the cylinder of its length and diameter",
+    )
 
     def __check_init__(self) -> None:
         shapes = {getattr(self, name).shape for name in self.__dataclass_fields__}
@@ -66,6 +90,11 @@ class Links(eqx.Module):
     def count(self) -> int:
         """Number of links."""
         return self.length.shape[0]
+
+    @property
+    def volume(self) -> Float[Array, " link"]:
+        """Air that each link displaces, m^3."""
+        return np.pi / 4 * self.diameter**2 * self.length * self.fullness
 
 
 class Joints(eqx.Module):
@@ -97,11 +126,36 @@ class Joints(eqx.Module):
     damping: Float[Array, ""] | Float[Array, " joint"] = parameter(
         0.05,
         unit="N m s/rad",
+        each=True,
         lower=0,
         upper=1e2,
         frozen=False,
         assumed=True,
         doc="viscous damping of a joint's own rate (one number, or one per joint)",
+    )
+    friction: Float[Array, ""] | Float[Array, " joint"] | None = parameter(
+        0.1,
+        unit="N m",
+        each=True,
+        lower=0,
+        upper=1e3,
+        optional=True,
+        doc="Coulomb friction of a joint (one number, or one per joint)",
+    )
+    friction_rate: Scalar = parameter(
+        0.05,
+        unit="rad/s",
+        lower=0,
+        assumed=True,
+        doc="rate at which Coulomb friction has reached tanh(1) = 76 % of its value",
+    )
+    armature: Float[Array, ""] | Float[Array, " joint"] | None = parameter(
+        1e-3,
+        unit="kg m^2",
+        each=True,
+        lower=0,
+        optional=True,
+        doc="inertia of a joint's drive, reflected to the joint (one number, or one per joint)",
     )
 
     def __check_init__(self) -> None:
@@ -119,9 +173,34 @@ class Joints(eqx.Module):
         """Stiffness of each joint, N m/rad."""
         return jnp.where(self.is_yaw, self.yaw_stiffness, self.pitch_stiffness)
 
+    def resistance(self, rates: Float[Array, " joint"]) -> Float[Array, " joint"]:
+        """Torque against the motion of each joint, damping and friction, N m."""
+        torque = self.damping * rates
+        if self.friction is None:
+            return torque
+        return torque + self.friction * jnp.tanh(rates / self.friction_rate)
+
+    @property
+    def stiffest_damping(self) -> Float[Array, " joint"]:
+        """Steepest slope of `resistance` of each joint, N m s/rad."""
+        slope = self.damping
+        if self.friction is not None:
+            slope = slope + self.friction / self.friction_rate
+        return jnp.broadcast_to(slope, (len(self.axes),))
+
 
 class Air(eqx.Module):
-    """The air, as the paper's eq. (1) sees it."""
+    """The air: by default as the paper's eq. (1) sees it, and on request all of it.
+
+    - `drag = "centre"`: eq. (1), with the full velocity of each link's centre.
+    - `drag = "strip"`: cross-flow drag, from the velocity normal to the link alone, integrated
+      along the link by `strip_points` Gauss points; `axial_coefficient` adds what acts along it.
+    - `drag_curve = "constant"`: C_D is `drag_coefficient`. "cylinder": it follows the Reynolds
+      number as that of a smooth circular cylinder does, scaled so that `drag_coefficient` is its
+      value at Re = 1e5.
+    - `added_mass_coefficient`: the air that a link must move out of its way (Kirchhoff).
+    - `wind`: a constant wind, beside that of the run.
+    """
 
     density: Scalar = parameter(
         1.204, unit="kg/m^3", lower=0, doc="density of the air (20 C, 1 atm)"
@@ -135,21 +214,65 @@ class Air(eqx.Module):
         assumed=True,
         doc="drag coefficient C_D of eq. (1), referred to length times diameter",
     )
+    axial_coefficient: Scalar | None = parameter(
+        0.02,
+        unit="",
+        lower=0,
+        upper=50,
+        optional=True,
+        assumed=True,
+        doc="coefficient of the drag along a link, referred to length times diameter (strip drag)",
+    )
+    added_mass_coefficient: Scalar | None = parameter(
+        1.0,
+        unit="",
+        lower=0,
+        upper=10,
+        optional=True,
+        doc="added mass across a link over the air that it displaces (1 for a long cylinder)",
+    )
+    wind: Float[Array, "3"] | None = parameter(
+        0.0,
+        unit="m/s",
+        shape=(3,),
+        optional=True,
+        doc="constant velocity of the air in the base frame, beside the wind of the run",
+    )
+    viscosity: Scalar = parameter(
+        1.516e-5, unit="m^2/s", lower=0, doc="kinematic viscosity of the air (20 C, 1 atm)"
+    )
+    drag: str = eqx.field(static=True, default="centre")
+    strip_points: int = eqx.field(static=True, default=3)
+    drag_curve: str = eqx.field(static=True, default="constant")
+
+    def __check_init__(self) -> None:
+        check_choice("drag", self.drag, DRAGS)
+        check_choice("drag_curve", self.drag_curve, DRAG_CURVES)
+        if self.strip_points < 1:
+            raise InputError(f"strip_points is {self.strip_points}; give at least 1")
+        if self.axial_coefficient is not None and self.drag == "centre":
+            raise InputError(
+                'an axial coefficient needs drag = "strip": eq. (1) has the full velocity already'
+            )
 
 
 class Arm(eqx.Module):
     """A chain of links in air, fixed at its base.
 
     Build one with a preset (`takeichi_20m`) or with `chain`. Every array of it may be
-    differentiated, batched and replaced (`giajax.replace`).
+    differentiated, batched and replaced (`giajax.replace`). What is None is left out, and costs
+    nothing.
     """
 
     links: Links
     joints: Joints
     air: Air
+    buoyancy: Buoyancy | None = None
+    point_masses: PointMasses | None = None
     base_rotation: Float[Array, "3"] = parameter(
         0.0,
         unit="rad",
+        shape=(3,),
         doc="turn of the straight arm against the base frame, as a rotation vector",
     )
     gravity: Scalar = parameter(
@@ -163,6 +286,11 @@ class Arm(eqx.Module):
             raise InputError(
                 f"{len(self.joints.axes)} joint axes for {self.links.count} links; "
                 "give one axis per link"
+            )
+        if self.point_masses is not None and max(self.point_masses.links) > self.links.count:
+            raise InputError(
+                f"a point mass is on link {max(self.point_masses.links)} of an arm of "
+                f"{self.links.count} links; correct the number"
             )
 
     @property

@@ -13,56 +13,104 @@ import jax.numpy as jnp
 
 from .._maths import cross, dot, scaled
 from .._typing import Array, Float
+from ._air import (
+    Flow,
+    added_mass,
+    added_mass_load,
+    drag,
+    flow,
+    lift_force,
+    relative_velocity,
+)
+from ._bodies import Bodies, bodies
 from ._chain import Arm
-from ._drag import drag_rows
 from ._kinematics import Pose, Rows, angular_velocities, pose, sum_from_base, sum_from_tip
 
 
-def _inertia_times(arm: Arm, direction: Rows, vector: Rows) -> Rows:
+def _uneven(body: Bodies, here: Pose) -> Float[Array, "6 link"] | None:
+    """What off-axis masses add to the inertia, in the base frame: xx, yy, zz, xy, xz, yz."""
+    if body.uneven is None:
+        return None
+    assert here.left is not None
+    frame = jnp.stack([here.direction, here.left, here.up])
+    xx, yy, zz, xy, xz, yz = body.uneven[:, None]
+    a, b, c = frame
+    # Rows of (tensor . frame): R^T X, component first.
+    first, second, third = (
+        xx * a + xy * b + xz * c,
+        xy * a + yy * b + yz * c,
+        xz * a + yz * b + zz * c,
+    )
+
+    def entry(i: int, j: int) -> Array:
+        return a[i] * first[j] + b[i] * second[j] + c[i] * third[j]
+
+    return jnp.stack([entry(0, 0), entry(1, 1), entry(2, 2), entry(0, 1), entry(0, 2), entry(1, 2)])
+
+
+def _tensor_times(tensor: Float[Array, "6 *shape"], v: Rows) -> Rows:
+    xx, yy, zz, xy, xz, yz = tensor
+    return jnp.stack(
+        [
+            xx * v[0] + xy * v[1] + xz * v[2],
+            xy * v[0] + yy * v[1] + yz * v[2],
+            xz * v[0] + yz * v[1] + zz * v[2],
+        ]
+    )
+
+
+def _inertia_times(body: Bodies, here: Pose, vector: Rows) -> Rows:
     """Rotational inertia of each link about its centre of mass, times a vector."""
-    transverse, axial = arm.links.inertia_transverse, arm.links.inertia_axial
-    along = (axial - transverse) * dot(direction, vector)
-    return scaled(transverse, vector) + scaled(along, direction)
+    along = (body.axial - body.transverse) * dot(here.direction, vector)
+    product = scaled(body.transverse, vector) + scaled(along, here.direction)
+    uneven = _uneven(body, here)
+    return product if uneven is None else product + _tensor_times(uneven, vector)
+
+
+def _about_origin(
+    mass: Array, x: Rows, direction: Rows, transverse: Array, ring: Array
+) -> Float[Array, "10 link"]:
+    """Spatial inertia, about the base origin, of bodies that are round about the links' axes.
+
+    Mass, first moments, and the inertia xx, yy, zz, xy, xz, yz; `ring` is axial - transverse.
+    """
+    first, e = scaled(mass, x), direction
+    round_part = transverse + dot(first, x)
+
+    def entry(i: int, j: int) -> Array:
+        return ring * e[i] * e[j] - first[i] * x[j]
+
+    inertia = [round_part + entry(i, i) for i in range(3)]
+    return jnp.stack([mass, *first, *inertia, entry(0, 1), entry(0, 2), entry(1, 2)])
 
 
 def _mass_matrix_upper(arm: Arm, here: Pose) -> Float[Array, "joint joint"]:
     """The mass matrix, right on and above the diagonal only."""
-    links = arm.links
-    x, e = here.mass_centre, here.direction
-    first = scaled(links.mass, x)
-    ring = links.inertia_axial - links.inertia_transverse
-
-    def about_origin(i: int, j: int) -> Array:
-        return ring * e[i] * e[j] - first[i] * x[j]
-
-    round_part = links.inertia_transverse + dot(first, x)
-    composite = sum_from_tip(
-        jnp.stack(
-            [
-                links.mass,
-                *first,
-                round_part + about_origin(0, 0),
-                round_part + about_origin(1, 1),
-                round_part + about_origin(2, 2),
-                about_origin(0, 1),
-                about_origin(0, 2),
-                about_origin(1, 2),
-            ]
-        )
-    )
-    mass, first, (xx, yy, zz, xy, xz, yz) = composite[0], composite[1:4], composite[4:]
+    body, e = bodies(arm), here.direction
+    ring = body.axial - body.transverse
+    spatial = _about_origin(body.mass, here.mass_centre, e, body.transverse, ring)
+    uneven = _uneven(body, here)
+    if uneven is not None:
+        spatial = spatial.at[4:].add(uneven)
+    rod = added_mass(arm)
+    if rod is not None:
+        # A rod that had its mass along itself, too; what is too much goes again below.
+        spatial = spatial + _about_origin(rod.mass, here.centre, e, rod.inertia, -rod.inertia)
+    composite = sum_from_tip(spatial)
+    mass, first, inertia = composite[0], composite[1:4], composite[4:]
     w = here.axis
     v = cross(here.joint, w)  # velocity, at the origin, of a body turning about the joint
+    screw = jnp.concatenate([w, v])
     momentum = scaled(mass, v) + cross(w, first)
-    turn = jnp.stack(
-        [
-            xx * w[0] + xy * w[1] + xz * w[2],
-            xy * w[0] + yy * w[1] + yz * w[2],
-            xz * w[0] + yz * w[1] + zz * w[2],
-        ]
-    )
-    angular_momentum = turn + cross(first, v)
-    return jnp.concatenate([w, v]).T @ jnp.concatenate([angular_momentum, momentum])
+    angular_momentum = _tensor_times(inertia, w) + cross(first, v)
+    upper = screw.T @ jnp.concatenate([angular_momentum, momentum])
+    if rod is not None:
+        # Velocity of each link's centre along itself, by the rate of each joint before it.
+        slip = jnp.triu(screw.T @ jnp.concatenate([cross(here.centre, e), e]))
+        upper = upper - (slip * rod.mass[None]) @ slip.T
+    if arm.joints.armature is not None:
+        upper = upper + jnp.diag(jnp.broadcast_to(arm.joints.armature, w.shape[1:]))
+    return upper
 
 
 def _required_torque(
@@ -70,12 +118,11 @@ def _required_torque(
     here: Pose,
     rates: Float[Array, " joint"],
     accelerations: Float[Array, " joint"] | None,
-    wind: Float[Array, "3"],
+    wind: Flow,
 ) -> Float[Array, " joint"]:
     """Inverse dynamics; no accelerations stand for zero accelerations."""
-    links = arm.links
-    span = scaled(links.length, here.direction)
-    arm_of_mass = scaled(links.centre_of_mass, here.direction)
+    links, body, e = arm.links, bodies(arm), here.direction
+    span = scaled(links.length, e)
 
     turning = scaled(rates, here.axis)
     omega = angular_velocities(here, rates)
@@ -91,18 +138,34 @@ def _required_torque(
     span_velocity = cross(omega, span)
     span_acceleration = cross(alpha, span) + cross(omega, span_velocity)
     centre_velocity = sum_from_base(span_velocity) - span_velocity / 2
-    mass_acceleration = (
-        sum_from_base(span_acceleration) - span_acceleration + acceleration_of(arm_of_mass)
-    )
+    joint_acceleration = sum_from_base(span_acceleration) - span_acceleration
+    mass_acceleration = joint_acceleration + acceleration_of(here.mass_centre - here.joint)
     upwards = jnp.zeros((3, 1), span.dtype).at[2, 0].set(1) * arm.gravity
-    inertial = scaled(links.mass, mass_acceleration + upwards)
-    drag = drag_rows(arm, centre_velocity, wind)
-    spin = _inertia_times(arm, here.direction, alpha) + cross(
-        omega, _inertia_times(arm, here.direction, omega)
-    )
-    moment = spin + cross(here.mass_centre, inertial) - cross(here.centre, drag)
-    carried = sum_from_tip(jnp.concatenate([inertial - drag, moment]))
-    return dot(here.axis, carried[3:] - cross(here.joint, carried[:3]))
+    inertial = scaled(body.mass, mass_acceleration + upwards)
+    spin = _inertia_times(body, here, alpha) + cross(omega, _inertia_times(body, here, omega))
+
+    relative = relative_velocity(arm, centre_velocity, wind)
+    leaning = cross(omega, e)
+    load = drag(arm, here, relative, leaning)
+    force = load.force
+    if load.couple is not None:
+        spin = spin - load.couple
+    lifted = lift_force(arm)
+    if lifted is not None:
+        force = force + lifted
+    rod = added_mass(arm)
+    if rod is not None:
+        centre_acceleration = joint_acceleration + span_acceleration / 2
+        push, couple = added_mass_load(
+            arm, rod, here, relative, leaning, omega, alpha, centre_acceleration, wind
+        )
+        force, spin = force + push, spin - couple
+    moment = spin + cross(here.mass_centre, inertial) - cross(here.centre, force)
+    carried = sum_from_tip(jnp.concatenate([inertial - force, moment]))
+    torque = dot(here.axis, carried[3:] - cross(here.joint, carried[:3]))
+    if arm.joints.armature is not None and accelerations is not None:
+        torque = torque + arm.joints.armature * accelerations
+    return torque
 
 
 def mass_matrix(arm: Arm, angles: Float[Array, " joint"]) -> Float[Array, "joint joint"]:
@@ -122,6 +185,7 @@ def inverse_dynamics(
     rates: Float[Array, " joint"],
     accelerations: Float[Array, " joint"],
     wind: Float[Array, "3"] | None = None,
+    wind_rate: Float[Array, "3"] | None = None,
 ) -> Float[Array, " joint"]:
     """Joint torques that produce given accelerations against inertia, gravity and drag, N m.
 
@@ -134,9 +198,11 @@ def inverse_dynamics(
         rates: joint rates, rad/s.
         accelerations: joint accelerations, rad/s^2.
         wind: velocity of the air in the base frame, m/s; still air by default.
+        wind_rate: its rate of change, m/s^2, which added mass feels; 0 by default.
     """
-    wind = jnp.zeros(3, angles.dtype) if wind is None else wind
-    return _required_torque(arm, pose(arm, angles), rates, accelerations, wind)
+    return _required_torque(
+        arm, pose(arm, angles), rates, accelerations, flow(arm, wind, wind_rate)
+    )
 
 
 def forward_dynamics(
@@ -145,6 +211,7 @@ def forward_dynamics(
     rates: Float[Array, " joint"],
     torques: Float[Array, " joint"],
     wind: Float[Array, "3"] | None = None,
+    wind_rate: Float[Array, "3"] | None = None,
 ) -> Float[Array, " joint"]:
     """Joint accelerations under given joint torques, gravity and drag, rad/s^2.
 
@@ -154,13 +221,13 @@ def forward_dynamics(
         rates: joint rates, rad/s.
         torques: joint torques, N m.
         wind: velocity of the air in the base frame, m/s; still air by default.
+        wind_rate: its rate of change, m/s^2, which added mass feels; 0 by default.
     """
-    wind = jnp.zeros(3, angles.dtype) if wind is None else wind
-    return _accelerations(arm, angles, rates, torques, wind)
+    return _accelerations(arm, angles, rates, torques, flow(arm, wind, wind_rate))
 
 
 def _factor_and_solve(
-    arm: Arm, here: Pose, rates: Array, torques: Array, wind: Array
+    arm: Arm, here: Pose, rates: Array, torques: Array, wind: Flow
 ) -> tuple[Array, Array]:
     # LAPACK reads the lower triangle only, so the upper one need not be copied there.
     factor = jax.lax.linalg.cholesky(_mass_matrix_upper(arm, here).T, symmetrize_input=False)
@@ -176,7 +243,7 @@ def _solve(factor: Float[Array, "joint joint"], b: Float[Array, " joint"]) -> Ar
 
 
 @eqx.filter_custom_jvp
-def _accelerations(arm: Arm, angles: Array, rates: Array, torques: Array, wind: Array) -> Array:
+def _accelerations(arm: Arm, angles: Array, rates: Array, torques: Array, wind: Flow) -> Array:
     return _factor_and_solve(arm, pose(arm, angles), rates, torques, wind)[1]
 
 
@@ -191,7 +258,7 @@ def _accelerations_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> t
     here, t_here = eqx.filter_jvp(pose, (arm, angles), (t_arm, t_angles))
     factor, accelerations = _factor_and_solve(arm, here, rates, torques, wind)
 
-    def unbalanced(arm: Arm, here: Pose, rates: Array, torques: Array, wind: Array) -> Array:
+    def unbalanced(arm: Arm, here: Pose, rates: Array, torques: Array, wind: Flow) -> Array:
         return torques - _required_torque(arm, here, rates, accelerations, wind)
 
     _, tangent = eqx.filter_jvp(
@@ -208,10 +275,11 @@ def joint_torque(
     rates: Float[Array, " joint"],
     command: Float[Array, " joint"],
 ) -> Float[Array, " joint"]:
-    """Torque of the joints' springs and dampers, N m.
+    """Torque of the joints' springs, dampers and friction, N m.
 
     The spring of a joint pulls towards its commanded angle (paper, III.A: a spring whose
-    initial length can change); the damper acts on the joint's rate.
+    initial length can change); damping c and Coulomb friction f act against the joint's rate
+    by c v + f tanh(v / v0).
 
     Arguments:
         arm: the arm.
@@ -219,7 +287,7 @@ def joint_torque(
         rates: joint rates, rad/s.
         command: commanded angles, rad.
     """
-    return arm.joints.stiffness * (command - angles) - arm.joints.damping * rates
+    return arm.joints.stiffness * (command - angles) - arm.joints.resistance(rates)
 
 
 def acceleration(
@@ -228,6 +296,8 @@ def acceleration(
     rates: Float[Array, " joint"],
     command: Float[Array, " joint"],
     wind: Float[Array, "3"] | None = None,
+    wind_rate: Float[Array, "3"] | None = None,
+    torque: Float[Array, " joint"] | None = None,
 ) -> Float[Array, " joint"]:
     """Joint accelerations of the arm under its commands, rad/s^2: its equation of motion.
 
@@ -237,5 +307,10 @@ def acceleration(
         rates: joint rates, rad/s.
         command: commanded angles, rad.
         wind: velocity of the air in the base frame, m/s; still air by default.
+        wind_rate: its rate of change, m/s^2, which added mass feels; 0 by default.
+        torque: of the joints' drives, beside springs and dampers, N m; none by default.
     """
-    return forward_dynamics(arm, angles, rates, joint_torque(arm, angles, rates, command), wind)
+    total = joint_torque(arm, angles, rates, command)
+    if torque is not None:
+        total = total + torque
+    return forward_dynamics(arm, angles, rates, total, wind, wind_rate)

@@ -2,10 +2,18 @@
 
 import jax.numpy as jnp
 
-from .._maths import dot
+from .._maths import cross, dot
 from .._typing import Array, Float, Scalar
+from ._air import (
+    across_link,
+    added_mass,
+    drag,
+    flow,
+    lift_force,
+    relative_velocity,
+)
+from ._bodies import bodies
 from ._chain import Arm
-from ._drag import drag_rows
 from ._dynamics import mass_matrix
 from ._kinematics import angular_velocities, centre_velocities, pose
 
@@ -13,7 +21,7 @@ from ._kinematics import angular_velocities, centre_velocities, pose
 def kinetic_energy(
     arm: Arm, angles: Float[Array, " joint"], rates: Float[Array, " joint"]
 ) -> Scalar:
-    """Kinetic energy of the links, J.
+    """Kinetic energy of the links, and of the air that they move where added mass is on, J.
 
     Arguments:
         arm: the arm.
@@ -24,17 +32,35 @@ def kinetic_energy(
 
 
 def potential_energy(
-    arm: Arm, angles: Float[Array, " joint"], command: Float[Array, " joint"]
+    arm: Arm,
+    angles: Float[Array, " joint"],
+    command: Float[Array, " joint"],
+    wind: Float[Array, "3"] | None = None,
 ) -> Scalar:
-    """Energy of the joints' springs and of gravity, J; zero at z = 0 with the springs at rest.
+    """Energy of the joints' springs, of gravity and of buoyancy, J; zero at z = 0 and rest.
+
+    In a steady wind u added mass adds -1/2 u . M_a(q) u, which turns a link across the wind
+    (the Munk moment): with it the sum of kinetic and potential energy changes by the powers of
+    drag and of the joints alone.
 
     Arguments:
         arm: the arm.
         angles: joint angles, rad.
         command: commanded angles, rad.
+        wind: steady velocity of the air in the base frame, m/s; still air by default.
     """
+    here = pose(arm, angles)
     springs = (arm.joints.stiffness * (angles - command) ** 2).sum() / 2
-    return springs + arm.gravity * (arm.links.mass * pose(arm, angles).mass_centre[2]).sum()
+    energy = springs + arm.gravity * (bodies(arm).mass * here.mass_centre[2]).sum()
+    lifted = lift_force(arm)
+    if lifted is not None:
+        energy = energy - dot(lifted, here.centre).sum()
+    rod = added_mass(arm)
+    if rod is not None:
+        still = jnp.zeros_like(here.centre)
+        stream = across_link(here.direction, relative_velocity(arm, still, flow(arm, wind)))
+        energy = energy - (rod.mass * dot(stream, stream)).sum() / 2
+    return energy
 
 
 def drag_power(
@@ -43,7 +69,7 @@ def drag_power(
     rates: Float[Array, " joint"],
     wind: Float[Array, "3"] | None = None,
 ) -> Scalar:
-    """Power that the air delivers to the links, W; negative in still air.
+    """Power that the air's drag delivers to the links, W; negative in still air.
 
     Arguments:
         arm: the arm.
@@ -51,17 +77,22 @@ def drag_power(
         rates: joint rates, rad/s.
         wind: velocity of the air in the base frame, m/s; still air by default.
     """
-    wind = jnp.zeros(3, angles.dtype) if wind is None else wind
     here = pose(arm, angles)
-    velocity = centre_velocities(arm, here, angular_velocities(here, rates))
-    return dot(drag_rows(arm, velocity, wind), velocity).sum()
+    omega = angular_velocities(here, rates)
+    velocity = centre_velocities(arm, here, omega)
+    relative = relative_velocity(arm, velocity, flow(arm, wind))
+    force, couple = drag(arm, here, relative, cross(omega, here.direction))
+    power = dot(force, velocity)
+    if couple is not None:
+        power = power + dot(couple, omega)
+    return power.sum()
 
 
 def damping_power(arm: Arm, rates: Float[Array, " joint"]) -> Scalar:
-    """Power that the joints' dampers deliver, W; never positive.
+    """Power that the joints' damping and friction deliver, W; never positive.
 
     Arguments:
         arm: the arm.
         rates: joint rates, rad/s.
     """
-    return -(arm.joints.damping * rates**2).sum()
+    return -(arm.joints.resistance(rates) * rates).sum()

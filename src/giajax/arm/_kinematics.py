@@ -13,6 +13,7 @@ import numpy as np
 
 from .._maths import cross, quaternion_product, rotate, rotation_vector_to_quaternion, scaled
 from .._typing import Array, Float
+from ._bodies import bodies
 from ._chain import Arm, Axis
 
 Rows = Float[Array, "3 link"]
@@ -26,7 +27,8 @@ class Pose(NamedTuple):
         axis: unit vector of each joint's axis.
         joint: position of each link's joint, m.
         centre: position of each link's geometric centre, m.
-        mass_centre: position of each link's centre of mass, m.
+        mass_centre: position of each link's centre of mass, with all that it carries, m.
+        left: unit vector to the left of each link; None where nothing lies off the axis.
     """
 
     direction: Rows
@@ -34,6 +36,13 @@ class Pose(NamedTuple):
     joint: Rows
     centre: Rows
     mass_centre: Rows
+    left: Rows | None = None
+
+    @property
+    def up(self) -> Rows:
+        """Unit vector upwards of each link, in its own frame."""
+        assert self.left is not None
+        return cross(self.direction, self.left)
 
 
 def sum_from_base(x: Float[Array, "*row link"]) -> Float[Array, "*row link"]:
@@ -51,8 +60,13 @@ def sum_from_tip(x: Float[Array, "*row link"]) -> Float[Array, "*row link"]:
 
 
 @eqx.filter_custom_jvp
-def _orient(base: Array, angles: Array, axes: tuple[Axis, ...]) -> tuple[Rows, Rows]:
-    """Directions of the links and axes of the joints; `base` is a unit quaternion."""
+def _orient(
+    base: Array, angles: Array, axes: tuple[Axis, ...], sideways: bool
+) -> tuple[Rows, Rows, Rows | None]:
+    """Directions of the links, axes of the joints and, if asked for, directions to the left.
+
+    `base` is a unit quaternion.
+    """
     fixed = jnp.asarray(axes, dtype=angles.dtype).T
     turns = jnp.concatenate([jnp.cos(angles / 2)[None], scaled(jnp.sin(angles / 2), fixed)])
 
@@ -63,7 +77,8 @@ def _orient(base: Array, angles: Array, axes: tuple[Axis, ...]) -> tuple[Rows, R
     _, orientations = jax.lax.scan(compose, base, turns.T)
     w, x, y, z = orientations.T
     direction = jnp.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)])
-    return direction, rotate(orientations.T, fixed)
+    left = jnp.stack([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)])
+    return direction, rotate(orientations.T, fixed), left if sideways else None
 
 
 @_orient.def_jvp
@@ -72,31 +87,33 @@ def _orient_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[An
 
     The scan then stays out of every derivative, and with it most of their cost.
     """
-    base, angles, axes = primals
-    t_base, t_angles, _ = tangents
-    direction, axis = _orient(base, angles, axes)
+    base, angles, axes, sideways = primals
+    t_base, t_angles, *_ = tangents
+    direction, axis, left = _orient(base, angles, axes, sideways)
     turn = jnp.zeros_like(axis)
     if t_angles is not None:
         turn = turn + sum_from_base(scaled(t_angles, axis))
     if t_base is not None:
         conjugate = base * np.asarray([1, -1, -1, -1], base.dtype)
         turn = turn + 2 * quaternion_product(t_base, conjugate)[1:, None]
-    return (direction, axis), (cross(turn, direction), cross(turn, axis))
+    t_left = None if left is None else cross(turn, left)
+    return (direction, axis, left), (cross(turn, direction), cross(turn, axis), t_left)
 
 
-def pose(arm: Arm, angles: Float[Array, " joint"]) -> Pose:
-    """Forward kinematics."""
+def pose(arm: Arm, angles: Float[Array, " joint"], *, sideways: bool = False) -> Pose:
+    """Forward kinematics; `sideways` asks for the links' whole frames."""
     base = rotation_vector_to_quaternion(arm.base_rotation)
-    direction, axis = _orient(base, angles, arm.joints.axes)
+    body = bodies(arm)
+    sideways = sideways or body.across is not None
+    direction, axis, left = _orient(base, angles, arm.joints.axes, sideways)
     span = scaled(arm.links.length, direction)
     joint = sum_from_base(span) - span
-    return Pose(
-        direction=direction,
-        axis=axis,
-        joint=joint,
-        centre=joint + span / 2,
-        mass_centre=joint + scaled(arm.links.centre_of_mass, direction),
-    )
+    mass_centre = joint + scaled(body.along, direction)
+    if body.across is not None:
+        assert left is not None
+        mass_centre += scaled(body.across[0], left)
+        mass_centre += scaled(body.across[1], cross(direction, left))
+    return Pose(direction, axis, joint, joint + span / 2, mass_centre, left)
 
 
 def angular_velocities(pose: Pose, rates: Float[Array, " joint"]) -> Rows:

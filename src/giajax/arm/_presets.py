@@ -1,14 +1,18 @@
 """Ready-made arms, and the general constructor that they use."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
 from .._errors import InputError
-from ..parameters import declaration
+from ..parameters import declaration, find, switched_on
 from ._chain import Air, Arm, Joints, Links, named_axes
+from ._masses import Buoyancy, PointMasses
+from ._trim import trimmed
+
+STANDARD_GRAVITY = 9.80665
 
 
 def chain(
@@ -24,6 +28,13 @@ def chain(
     base_rotation: Any = (0.0, 0.0, 0.0),
     gravity: Any = 0.0,
     air_density: Any = None,
+    drag: str = "centre",
+    strip_points: int = 3,
+    drag_curve: str = "constant",
+    buoyancy: bool = False,
+    trim: bool = False,
+    point_masses: PointMasses | None = None,
+    parameters: Mapping[str, Any] | None = None,
 ) -> Arm:
     """Build an arm; what is not given is the paper's (`takeichi_20m`).
 
@@ -38,13 +49,28 @@ def chain(
         base_rotation: rotation vector of the straight arm, rad, shape (3,).
         gravity: along -z, m/s^2.
         air_density: kg/m^3.
+        drag: "centre" (eq. 1) or "strip" (cross flow along the link, by `strip_points` points).
+        strip_points: Gauss points of strip drag.
+        drag_curve: "constant", or "cylinder": C_D follows the Reynolds number.
+        buoyancy: whether displaced air, helium and trim weights count; gravity must be given, too.
+        trim: hang the trim weights that make each link float.
+        point_masses: bodies fixed to links, such as a camera at the tip.
+        parameters: values of any parameters by path, SI (`giajax parameters` lists them); one
+            that is left out by default, such as `air.added_mass_coefficient`, is switched on.
 
     Returns:
         The arm, with the default stiffnesses, damping and drag coefficient.
 
     Raises:
         InputError: a list whose length is not the number of links, a number that is not finite
-            or, where physics needs it, not positive.
+            or, where physics needs it, not positive, an unknown path or choice, a link that is
+            too heavy to float.
+
+    Example:
+        >>> import giajax
+        >>> arm = giajax.chain(
+        ...     3, length=[1.0, 0.8, 0.6], parameters={"air.added_mass_coefficient": 1.0}
+        ... )
     """
     if links < 1:
         raise InputError(f"an arm of {links} links cannot be built; give at least 1")
@@ -68,7 +94,8 @@ def chain(
     diameter = per_link("diameter", diameter)
     mass = per_link("mass", mass)
     axial = mass * (diameter / 2) ** 2
-    return Arm(
+    air = {} if air_density is None else {"density": air_density}
+    arm = Arm(
         links=Links(
             length=length,
             diameter=diameter,
@@ -78,15 +105,37 @@ def chain(
                 "inertia_transverse", inertia_transverse, axial / 2 + mass * length**2 / 12
             ),
             inertia_axial=per_link("inertia_axial", inertia_axial, axial),
+            fullness=per_link("fullness", None),
         ),
         joints=Joints(axes=named_axes(joint_axes, links)),
-        air=Air() if air_density is None else Air(density=air_density),
+        air=Air(drag=drag, strip_points=strip_points, drag_curve=drag_curve, **air),
+        buoyancy=Buoyancy(trim_position=length / 2) if buoyancy or trim else None,
+        point_masses=point_masses,
         base_rotation=jnp.asarray(base_rotation, dtype=float),
         gravity=gravity,
     )
+    arm = _with_parameters(arm, dict(parameters or {}))
+    return trimmed(arm) if trim else arm
 
 
-def takeichi_20m(links: int = 20) -> Arm:
+def _with_parameters(arm: Arm, values: Mapping[str, Any]) -> Arm:
+    for path, value in values.items():
+        array = np.asarray(value, dtype=float)
+        arm = switched_on(arm, [path])
+        found = find(arm, path)
+        allowed = [(), found.value(arm).shape]
+        if found.declaration.each and not path.startswith("point_masses."):
+            allowed.append((arm.count,))
+        if array.shape not in allowed or not np.all(np.isfinite(array)):
+            raise InputError(
+                f"'{path}' is given {array.size} values; give one finite number"
+                + (f", or {allowed[-1][0]} of them" if allowed[-1] else "")
+            )
+        arm = found.set(arm, array)
+    return arm
+
+
+def takeichi_20m(links: int = 20, **changes: Any) -> Arm:
     """The 20 m, 20-link helium-balloon arm of Takeichi, Suzumori, Endo and Nabae.
 
     Alternating pitch and yaw joints, links of 0.99 m, 0.30 m and 0.047 kg (table 2), drag by
@@ -95,24 +144,83 @@ def takeichi_20m(links: int = 20) -> Arm:
 
     Arguments:
         links: number of links; the paper's arm has 20.
+        changes: arguments of `chain`.
 
     Example:
         >>> import giajax
         >>> giajax.takeichi_20m().count
         20
     """
-    return chain(links)
+    return chain(links, **changes)
 
 
-PRESETS = {"takeichi_20m": takeichi_20m}
+def takeichi_20m_full(links: int = 20, **changes: Any) -> Arm:
+    """The same arm with the air that the paper leaves out.
+
+    Cross-flow drag along the links with C_D by Reynolds number, added mass, gravity and
+    buoyancy, trim weights that make each link float and hang 0.15 m below its axis, and the
+    camera of 3 g at the tip.
+
+    Arguments:
+        links: number of links.
+        changes: arguments of `chain`.
+    """
+    extras = {"air.added_mass_coefficient": 1.0, "air.axial_coefficient": 0.02}
+    camera = PointMasses(links=(links,), mass=jnp.full(1, 0.003), position=jnp.full(1, 0.99))
+    defaults = {
+        "gravity": STANDARD_GRAVITY,
+        "drag": "strip",
+        "drag_curve": "cylinder",
+        "buoyancy": True,
+        "trim": True,
+        "point_masses": camera,
+    }
+    parameters = {**extras, "buoyancy.trim_depth": 0.15, **(changes.pop("parameters", None) or {})}
+    return chain(links, **{**defaults, **changes}, parameters=parameters)
 
 
-def preset(name: str, links: int | None = None) -> Arm:
-    """The preset of a name.
+def pendulum(links: int = 1, **changes: Any) -> Arm:
+    """A pendulum of thin rods that hang down, in a plane, without springs, damping and air.
+
+    Rods of 1 m, 2 cm and 1 kg; all joints have the same axis, and all angles are 0 where the
+    pendulum hangs at rest. Free the damping, or give what is known of it.
+
+    Arguments:
+        links: number of links.
+        changes: arguments of `chain`.
+
+    Example:
+        >>> import giajax
+        >>> double = giajax.pendulum(2, length=[0.3, 0.2], parameters={"joints.damping": 1e-3})
+    """
+    absent = ("joints.pitch_stiffness", "joints.yaw_stiffness", "joints.damping")
+    none = dict.fromkeys((*absent, "air.drag_coefficient"), 0.0)
+    defaults = {
+        "length": 1.0,
+        "diameter": 0.02,
+        "mass": 1.0,
+        "joint_axes": ["pitch"] * links,
+        "gravity": STANDARD_GRAVITY,
+        "base_rotation": (0.0, np.pi / 2, 0.0),
+    }
+    parameters = {**none, **(changes.pop("parameters", None) or {})}
+    return chain(links, **{**defaults, **changes}, parameters=parameters)
+
+
+PRESETS: dict[str, Callable[..., Arm]] = {
+    "takeichi_20m": takeichi_20m,
+    "takeichi_20m_full": takeichi_20m_full,
+    "pendulum": pendulum,
+}
+"""Presets by name; each takes the number of links and the arguments of `chain`."""
+
+
+def preset(name: str, links: int | None = None, **changes: Any) -> Arm:
+    """The preset of a name, changed by arguments of `chain`.
 
     Raises:
         InputError: there is no such preset.
     """
     if name not in PRESETS:
         raise InputError(f"there is no arm preset '{name}'; use one of: {', '.join(PRESETS)}")
-    return PRESETS[name]() if links is None else PRESETS[name](links)
+    return PRESETS[name](**changes) if links is None else PRESETS[name](links, **changes)

@@ -21,6 +21,10 @@ class Bijector(eqx.Module):
     lower: tuple[float, ...] = eqx.field(static=True)
     upper: tuple[float, ...] = eqx.field(static=True)
 
+    def part(self, count: int) -> "Bijector":
+        """The map of the first parameters alone."""
+        return Bijector(self.lower[:count], self.upper[:count])
+
     def _kinds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         lower, upper = np.asarray(self.lower), np.asarray(self.upper)
         below, above = np.isfinite(lower), np.isfinite(upper)

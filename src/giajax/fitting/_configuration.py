@@ -7,7 +7,16 @@ import numpy as np
 
 from .._errors import InputError
 from ..models import AbstractModel
-from ..parameters import Parameter, check_within_bounds, default_free, elements, find, replace
+from ..parameters import (
+    Parameter,
+    check_within_bounds,
+    default_free,
+    elements,
+    find,
+    get,
+    replace,
+    switched_on,
+)
 from ..runs import Run
 from ._loss import check_loss
 
@@ -40,12 +49,17 @@ def configuration(
         run.require_observations()
     _check_doubles(runs)
     model, parameters = set_up(model, free, start, fix)
+    own = 0
     for run in runs:
-        model.prepare(run)
+        inputs = model.prepare(run)
+        own += sum(get(inputs, path).size for path in model.free_inputs(run))
     measured = sum(int(np.sum(~np.isnan(v))) for run in runs for v in run.observations.values())
-    if measured <= len(parameters):
+    if not parameters and not own:
+        raise InputError("no parameter is free; free at least one")
+    if measured <= len(parameters) + own:
         raise InputError(
-            f"{measured} measured values cannot determine {len(parameters)} parameters and their "
+            f"{measured} measured values cannot determine {len(parameters) + own} parameters and "
+            "their "
             "errors; free fewer parameters or give a longer run"
         )
     stated = [run.definition.given() for run in runs]
@@ -79,12 +93,13 @@ def set_up(
     fix: Mapping[str, float],
 ) -> tuple[AbstractModel, list[Parameter]]:
     """The model at its start, and the scalar parameters to fit."""
+    model = switched_on(model, (*start, *fix, *(free or ())))
     for path in (*start, *fix):
         find(model, path)
     for path in set(start) & set(fix):
         raise InputError(f"'{path}' is given a start and a fixed value; give one of them")
+    wanted = default_free(model, start) if free is None else free
     model = replace(model, {**start, **fix})
-    wanted = default_free(model) if free is None else free
     fixed = {element.path for path in fix for element in elements(model, path)}
     parameters: dict[str, Parameter] = {}
     for path in wanted:
@@ -93,8 +108,6 @@ def set_up(
                 parameters[element.path] = element
             elif free is not None:
                 raise InputError(f"'{element.path}' is both free and fixed; give one of them")
-    if not parameters:
-        raise InputError("no parameter is free; free at least one")
     for path in fix:
         for element in elements(model, path):
             check_within_bounds(element, float(element.value(model)), free=False)

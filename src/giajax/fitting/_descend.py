@@ -87,7 +87,8 @@ class Descent:
                     "the model cannot be evaluated at the start values (the simulation fails); "
                     "choose others, for an arm softer or less damped joints, or a shorter run"
                 )
-            fitter.active = jnp.asarray(responds(fitter.jacobian(), fitter.sizes))
+            norms = fitter.natural_jacobian().norms()
+            fitter.active = jnp.asarray(responds(norms, fitter.sizes))
             self._tell(accepted=True)
             if not bool(jnp.any(fitter.active)):
                 return "not_converged", "no channel responds to any of the free parameters"
@@ -98,7 +99,8 @@ class Descent:
                 # The last word is always an optimum with the noise that it was found with.
                 if rounds_left == 0 or not self._update_noise():
                     break
-                groups = build_groups(fitter.problem.model, self.runs, self.sigmas)
+                shared = len(fitter.problem.paths)
+                groups = build_groups(fitter.problem.model, self.runs, self.sigmas, shared)
                 fitter.problem = dataclasses.replace(fitter.problem, groups=groups)
                 fitter.move_to(fitter.coordinate)
                 fitter.step()

@@ -14,7 +14,7 @@ from ._configuration import configuration, set_up
 from ._descend import Descent, Iteration
 from ._fitter import Fitter
 from ._noise import from_differences
-from ._problem import Problem, Sigmas, build_groups, stated_sigmas
+from ._problem import Problem, Sigmas, build_groups, own_start, stated_sigmas
 from ._report import Outcome, report
 from ._result import FitResult
 
@@ -77,20 +77,22 @@ def fit(
         }
         for run, noise in zip(runs, stated, strict=True)
     ]
+    groups = build_groups(model, runs, sigmas, len(parameters))
+    own = own_start(groups)
     bijector = Bijector(
-        tuple(p.declaration.lower for p in parameters),
-        tuple(p.declaration.upper for p in parameters),
+        (*(p.declaration.lower for p in parameters), *(-np.inf for _ in own)),
+        (*(p.declaration.upper for p in parameters), *(np.inf for _ in own)),
     )
     problem = Problem(
         model=model,
-        groups=build_groups(model, runs, sigmas),
+        groups=groups,
         bijector=bijector,
         paths=tuple(p.path for p in parameters),
         loss=loss,
     )
-    values = np.asarray([float(p.value(model)) for p in parameters])
+    values = np.asarray([*(float(p.value(model)) for p in parameters), *own])
     # A parameter whose start and default are zero has no size of its own: one unit.
-    defaults = np.asarray([p.declaration.default for p in parameters])
+    defaults = np.asarray([*(p.declaration.default for p in parameters), *(0.0 for _ in own)])
     sizes = np.maximum(np.abs(values), np.abs(defaults))
     fitter = Fitter(problem, values, np.where(sizes > 0, sizes, 1.0))
     unstated = any(sigma is None for noise in stated for sigma in noise.values())

@@ -10,7 +10,8 @@ import numpy as np
 import optimistix as optx
 
 from .._typing import Array
-from ._problem import Prediction, Problem, residual
+from ._jacobian import BlockJacobian
+from ._problem import Prediction, Problem, linearise, residual
 from ._solver import Marquardt, MarquardtState
 
 # In the free coordinate: a positive parameter changes by less than a factor of 4.5 in one step.
@@ -25,7 +26,7 @@ class Fitter:
 
         Arguments:
             problem: what is minimised.
-            start: values of the free parameters, shape (parameter,).
+            start: values of the free parameters, those of single runs last, shape (parameter,).
             sizes: their typical sizes, for judging whether anything responds to them.
         """
         self.problem = problem
@@ -43,7 +44,7 @@ class Fitter:
         self.coordinate: Array = jnp.asarray(
             problem.bijector.inverse(start), dtype=jnp.result_type(float)
         )
-        self.active = jnp.ones(len(problem.paths), bool)
+        self.active = jnp.ones(problem.size, bool)
         self.state = self.fresh_state()
         self.step_seconds: list[float] = []
         self.converged = False
@@ -59,8 +60,13 @@ class Fitter:
             jax.ShapeDtypeStruct((), bool),
         )
         shape = jax.ShapeDtypeStruct((count,), dtype)
+        shared = len(self.problem.paths)
+        blocks = tuple(
+            jnp.zeros((len(g.members), g.observed[0].size, shared + g.width), dtype) for g in groups
+        )
+        options = {"jacobian": blocks}
         return self.solver.init(
-            residual, self.coordinate, self.problem, {}, shape, prediction, frozenset()
+            residual, self.coordinate, self.problem, options, shape, prediction, frozenset()
         )
 
     def step(self) -> bool:
@@ -81,10 +87,16 @@ class Fitter:
         _, state, _, _ = _step(self.solver, coordinate, problem, fresh, self.active)
         return state
 
-    def jacobian(self) -> np.ndarray:
-        """Weighted residuals by the parameters themselves, shape (residual, parameter)."""
+    def jacobian(self, state: MarquardtState | None = None) -> BlockJacobian:
+        """Weighted residuals by the free coordinates; those that are held count as zero."""
+        state = self.state if state is None else state
+        whole = BlockJacobian.of(self.problem, state.jacobian)
+        return whole.scaled(np.asarray(self.active, dtype=float))
+
+    def natural_jacobian(self) -> BlockJacobian:
+        """Weighted residuals by the parameters themselves."""
         slope = self.problem.bijector.slope(np.asarray(self.coordinate))
-        return np.asarray(self.state.jacobian, dtype=float) / np.maximum(slope, 1e-300)
+        return self.jacobian().scaled(1 / np.maximum(slope, 1e-300))
 
     def release(self) -> bool:
         """Move parameters off a bound at which only their coordinate has become flat.
@@ -101,12 +113,12 @@ class Fitter:
         slopes = bijector.slope(coordinate)
         noise = 2 * float(self.state.cost) / max(len(residual) - len(values), 1)
         released = False
+        jacobian = self.jacobian()
+        responses, along = jacobian.norms() ** 2, jacobian.transposed_times(residual)
         for index in np.flatnonzero(np.asarray(self.active)):
-            column = np.asarray(self.state.jacobian[:, index])
-            response = float(column @ column)
+            response, downhill = float(responses[index]), -float(along[index])
             if response == 0 or slopes[index] == 0:
                 continue
-            downhill = -float(column @ residual)
             change = downhill / response * slopes[index]
             gain = downhill**2 / response / 2
             lower, upper = bijector.lower[index], bijector.upper[index]
@@ -137,11 +149,15 @@ class Fitter:
         """Whether the model was evaluated at the present point."""
         return bool(np.isfinite(float(self.state.cost)))
 
-    def parameters(self) -> dict[str, float]:
-        """Values of the free parameters at the best point."""
-        values = np.asarray(self.problem.bijector.forward(self.coordinate))
+    def values(self) -> np.ndarray:
+        """Values of all free coordinates' parameters at the best point."""
+        values = np.asarray(self.problem.bijector.forward(self.coordinate), dtype=float)
         # What is held keeps its start exactly, not as it comes back from its coordinate.
-        values = np.where(np.asarray(self.active), values, self.start)
+        return np.where(np.asarray(self.active), values, self.start)
+
+    def parameters(self) -> dict[str, float]:
+        """Values of the model's free parameters at the best point."""
+        values = self.values()[: len(self.problem.paths)]
         return {path: float(v) for path, v in zip(self.problem.paths, values, strict=True)}
 
 
@@ -149,7 +165,7 @@ class Fitter:
 def _step(
     solver: Marquardt, coordinate: Array, problem: Problem, state: MarquardtState, active: Array
 ) -> tuple[Array, MarquardtState, Array, Array]:
-    options = {"active": active}
+    options = {"active": active, "linearise": linearise}
     coordinate, state, _ = solver.step(residual, coordinate, problem, options, state, frozenset())
     done, result = solver.terminate(residual, coordinate, problem, options, state, frozenset())
     return coordinate, state, done, done & (result == optx.RESULTS.successful)

@@ -10,15 +10,15 @@ _NO_RESPONSE = 1e-6
 COLLINEAR = 1e-6
 
 
-def responds(jacobian: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+def responds(norms: np.ndarray, sizes: np.ndarray) -> np.ndarray:
     """Which parameters any channel responds to.
 
     Arguments:
-        jacobian: weighted residuals by the parameters themselves, not by the free coordinates,
-            whose slope vanishes near a bound; shape (residual, parameter).
+        norms: of the columns of the Jacobian, weighted residuals by the parameters themselves,
+            not by the free coordinates, whose slope vanishes near a bound; shape (parameter,).
         sizes: typical size of each parameter, shape (parameter,).
     """
-    return np.linalg.norm(jacobian, axis=0) * sizes > _NO_RESPONSE
+    return norms * sizes > _NO_RESPONSE
 
 
 def undetermined_groups(jacobian: np.ndarray) -> list[list[int]]:
@@ -28,7 +28,8 @@ def undetermined_groups(jacobian: np.ndarray) -> list[list[int]]:
     is a direction that leaves every channel unchanged; the parameters in it belong together.
 
     Arguments:
-        jacobian: columns of the parameters that respond, shape (residual, parameter).
+        jacobian: columns of the parameters that respond, shape (row, parameter); or R of its QR
+            factorisation, which has the same singular vectors.
     """
     if jacobian.shape[1] < 2:
         return []

@@ -53,7 +53,7 @@ def report(fitter: Fitter, runs: Sequence[Run], outcome: Outcome, *, check: bool
     active = np.asarray(fitter.active)
     model = replace(problem.model, fitter.parameters())
     predictions = predictions_by_run(problem, state.aux, runs)
-    errors = _Errors(fitter, outcome)
+    errors = _Errors(fitter, outcome, problem.labels(runs))
     estimates = {
         parameter.path: _estimate(parameter, errors, index, bool(active[index]))
         for index, parameter in enumerate(outcome.parameters)
@@ -67,7 +67,8 @@ def report(fitter: Fitter, runs: Sequence[Run], outcome: Outcome, *, check: bool
             outcome.status = "interrupted"
             outcome.message += ", then interrupted before its result was checked"
     paths = list(problem.paths)
-    determined = [paths[i] for i in errors.determined]
+    determined = [i for i in errors.determined if i < len(paths)]
+    rows = [errors.determined.index(i) for i in determined]
     elapsed = time.perf_counter() - outcome.began
     compiling = fitter.step_seconds[0] - float(np.median(fitter.step_seconds[1:] or [0.0]))
     compiling = max(compiling, 0.0)
@@ -76,17 +77,22 @@ def report(fitter: Fitter, runs: Sequence[Run], outcome: Outcome, *, check: bool
         message=outcome.message + errors.note(outcome),
         model=model,
         parameters={**estimates, **held_estimates(model, paths)},
-        correlation={"parameters": determined, "matrix": errors.correlation.tolist()},
+        correlation={
+            "parameters": [paths[i] for i in determined],
+            "matrix": errors.correlation[np.ix_(rows, rows)].tolist(),
+        },
         runs=[
-            _run_record(run, predicted, sigma)
-            for run, predicted, sigma in zip(runs, predictions, outcome.sigmas, strict=True)
+            _run_record(run, predicted, sigma, own)
+            for run, predicted, sigma, own in zip(
+                runs, predictions, outcome.sigmas, _own_values(fitter, errors, runs), strict=True
+            )
         ],
         cost=finite_or_none(float(state.cost)),
         reduced_chi_square=finite_or_none(errors.reduced_chi_square),
         iterations=outcome.history[-1]["number"] if outcome.history else 0,
         gradient_check=gradient,
         tolerance_effect=tolerance,
-        conditions=model.conditions([paths[i] for i in range(len(paths)) if active[i]]),
+        conditions=model.conditions([paths[i] for i in range(len(paths)) if active[i]], runs),
         seconds={"compile": compiling, "run": elapsed - compiling},
         versions=_versions(),
         config=outcome.config,
@@ -98,13 +104,14 @@ def report(fitter: Fitter, runs: Sequence[Run], outcome: Outcome, *, check: bool
 class _Errors:
     """Standard errors of the free parameters, and which of them there are."""
 
-    def __init__(self, fitter: Fitter, outcome: Outcome) -> None:
+    def __init__(self, fitter: Fitter, outcome: Outcome, labels: list[str]) -> None:
         problem, state = fitter.problem, fitter.state
-        self.paths = problem.paths
-        self.values = list(fitter.parameters().values())
-        jacobian = fitter.jacobian()
-        alive = np.flatnonzero(np.asarray(fitter.active) & responds(jacobian, fitter.sizes))
-        groups = undetermined_groups(jacobian[:, alive])
+        self.paths = labels
+        self.values = [float(value) for value in fitter.values()]
+        jacobian = fitter.natural_jacobian()
+        moved = responds(jacobian.norms(), fitter.sizes)
+        alive = np.flatnonzero(np.asarray(fitter.active) & moved)
+        groups = undetermined_groups(jacobian.reduced()[:, alive])
         self.together = [[int(alive[i]) for i in group] for group in groups]
         loose = {index for group in self.together for index in group}
         self.determined = [int(i) for i in alive if i not in loose]
@@ -113,7 +120,7 @@ class _Errors:
         predicted = np.concatenate([np.asarray(p).ravel() for p in state.aux.channels])
         measured = weights > 0
         weighted = np.where(measured, (predicted - observed) * weights, 0.0)
-        found = uncertainty(weighted, jacobian[:, alive], loss=problem.loss, measured=measured)
+        found = uncertainty(weighted, jacobian, loss=problem.loss, measured=measured, columns=alive)
         rows = [int(np.flatnonzero(alive == i)[0]) for i in self.determined]
         covariance = found.covariance[np.ix_(rows, rows)]
         self.correlation = correlation_matrix(covariance)
@@ -183,8 +190,24 @@ def _remark(
     return ""
 
 
+def _own_values(
+    fitter: Fitter, errors: _Errors, runs: Sequence[Run]
+) -> list[dict[str, dict[str, float | None]]]:
+    """What was fitted of each run alone: value and standard error by path."""
+    found: list[dict[str, dict[str, float | None]]] = [{} for _ in runs]
+    for group in fitter.problem.groups:
+        for member, columns in zip(group.members, group.own_columns(), strict=True):
+            for label, column in zip(group.own_labels(), columns, strict=True):
+                error = finite_or_none(errors.standard.get(int(column)))
+                found[member][label] = {"value": errors.values[column], "standard_error": error}
+    return found
+
+
 def _run_record(
-    run: Run, predicted: dict[str, np.ndarray], sigmas: dict[str, float]
+    run: Run,
+    predicted: dict[str, np.ndarray],
+    sigmas: dict[str, float],
+    own: dict[str, dict[str, float | None]],
 ) -> dict[str, Any]:
     channels = {}
     for name, values in run.observations.items():
@@ -202,6 +225,7 @@ def _run_record(
         "path": None if run.path is None else str(run.path),
         "sha256": run.sha256,
         "channels": channels,
+        "parameters": own,
     }
 
 
@@ -214,8 +238,8 @@ def _gradient_check(fitter: Fitter) -> dict[str, Any] | None:
     problem = dataclasses.replace(fitter.problem, model=fitter.problem.model.refined(_FINER))
     centre = np.asarray(fitter.coordinate)
     offset = _DIFFERENCE if centre.dtype == np.float64 else _DIFFERENCE_32
-    jacobian = np.asarray(fitter.evaluate(centre, problem).jacobian)
-    norms = np.linalg.norm(jacobian, axis=0)
+    jacobian = fitter.jacobian(fitter.evaluate(centre, problem))
+    norms = jacobian.norms()
     direction = np.where(norms > 0, np.min(norms[norms > 0], initial=np.inf), 0.0)
     direction = np.divide(direction, norms, out=np.zeros_like(norms), where=norms > 0)
     # The strongest response gets the smallest offset; the weakest parameter moves by the step.
@@ -224,13 +248,13 @@ def _gradient_check(fitter: Fitter) -> dict[str, Any] | None:
         for sign in (1, -1)
     )
     by_difference = (ahead - behind) / (2 * offset)
-    by_autodiff = jacobian @ direction
+    by_autodiff = jacobian.times(direction)
     relative = np.linalg.norm(by_autodiff - by_difference) / np.linalg.norm(by_autodiff)
     if not np.isfinite(relative):
         return None
     return {
         "relative_difference": float(relative),
-        "direction": dict(zip(problem.paths, direction.tolist(), strict=True)),
+        "direction": dict(zip(problem.paths, direction.tolist(), strict=False)),
         "step": offset,
     }
 
@@ -242,7 +266,9 @@ def _tolerance_effect(fitter: Fitter, errors: _Errors) -> dict[str, Any] | None:
     problem = dataclasses.replace(fitter.problem, model=fitter.problem.model.refined(0.5))
     finer = np.asarray(fitter.evaluate(fitter.coordinate, problem).residual)
     change = finer - np.asarray(fitter.state.residual)
-    shift = -np.linalg.lstsq(fitter.jacobian()[:, errors.determined], change, rcond=None)[0]
+    jacobian = fitter.natural_jacobian()
+    gram = np.linalg.pinv(jacobian.reduced()[:, errors.determined])
+    shift = -gram @ (gram.T @ jacobian.transposed_times(change)[errors.determined])
     parameters = {}
     largest = 0.0
     for row, index in enumerate(errors.determined):

@@ -52,7 +52,8 @@ class FitResult:
         model: the fitted model.
         parameters: `Estimate` by path: the free ones, element by element, then all others.
         correlation: {"parameters": paths, "matrix": rows} of the determined free parameters.
-        runs: for each run {"name", "path", "sha256", "channels": {name: {unit, rmse, n, noise}}}.
+        runs: for each run {"name", "path", "sha256", "channels": {name: {unit, rmse, n, noise}},
+            "parameters": {path: {value, standard_error}} of what was free in this run alone}.
         cost: half the sum of the loss over the weighted residuals.
         reduced_chi_square: squared weighted residuals per degree of freedom.
         iterations: trial steps after the evaluation of the start.

@@ -22,7 +22,8 @@ class MarquardtState(eqx.Module):
     """State between two steps.
 
     Attributes:
-        residual, jacobian: at the accepted point.
+        residual: at the accepted point.
+        jacobian: there; whatever `linearise` gives.
         factor, projected: R and Q^T r of the Jacobian's QR factorisation.
         cost: half the squared norm of the residual; infinite before the first evaluation.
         scale: largest norm of each column so far, which scales the damping.
@@ -34,7 +35,7 @@ class MarquardtState(eqx.Module):
     """
 
     residual: Float[Array, " residual"]
-    jacobian: Float[Array, "residual parameter"]
+    jacobian: Any
     factor: Float[Array, "parameter parameter"]
     projected: Float[Array, " parameter"]
     cost: Scalar
@@ -54,7 +55,11 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
     output, and must be differentiable in forward mode. A trial point whose residual or Jacobian
     is not finite is rejected, and the step shrinks.
 
-    Options (of `optimistix.least_squares`): `active`, a boolean array: parameters that may move.
+    Options (of `optimistix.least_squares`):
+        `active`: a boolean array: parameters that may move.
+        `linearise`: a function of `(y, args)` that returns residual, Jacobian (any pytree), R and
+        Q^T r of its QR factorisation, and the auxiliary output, for problems with a structure;
+        `fn` is then not called. `jacobian` is a template of the pytree.
 
     Arguments:
         rtol, atol: a step that changes no parameter by more than `atol + rtol |y|` is the last:
@@ -90,7 +95,7 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         dtype = f_struct.dtype
         return MarquardtState(
             residual=jnp.zeros(count, dtype),
-            jacobian=jnp.zeros((count, size), dtype),
+            jacobian=options.get("jacobian", jnp.zeros((count, size), dtype)),
             factor=jnp.eye(size, dtype=dtype),
             projected=jnp.zeros(size, dtype),
             cost=jnp.asarray(jnp.inf, dtype),
@@ -117,10 +122,14 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         active = options.get("active", jnp.ones(y.shape, bool))
         step = jnp.where(first, 0, self._trial_step(state, active))
         trial = y + step
-        residual, jacobian, aux = _value_and_jacobian(fn, trial, args)
-        jacobian = jnp.where(active[None], jacobian, 0)
+        if "linearise" in options:
+            residual, jacobian, factor, projected, aux = options["linearise"](trial, args)
+        else:
+            residual, jacobian, factor, projected, aux = _linearise(fn, trial, args)
+        factor = jnp.where(active[None], factor, 0)
         cost = jnp.sum(residual**2) / 2
-        sound = jnp.isfinite(cost) & jnp.all(jnp.isfinite(jacobian))
+        finite = [jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(jacobian)]
+        sound = jnp.isfinite(cost) & jnp.all(jnp.stack(finite))
 
         linear = state.projected + state.factor @ step
         expected = (jnp.sum(state.projected**2) - jnp.sum(linear**2)) / 2
@@ -129,16 +138,15 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         ratio = jnp.where(first, 1, gain / jnp.where(expected > 0, expected, jnp.inf))
         accepted = sound & (gain > 0) & ((ratio > 1e-4) | (expected <= 0))
 
-        q, r = jnp.linalg.qr(jnp.where(sound, jacobian, 0))
         # Nielsen's rule: a good step lowers the damping smoothly, failures raise it ever faster.
         shrink = jnp.clip(1 - (2 * ratio - 1) ** 3, 0.05, 2.0)
         moved = MarquardtState(
             residual=residual,
             jacobian=jacobian,
-            factor=r,
-            projected=q.T @ residual,
+            factor=factor,
+            projected=projected,
             cost=cost,
-            scale=jnp.maximum(state.scale, jnp.linalg.norm(jacobian, axis=0)),
+            scale=jnp.maximum(state.scale, jnp.linalg.norm(factor, axis=0)),
             damping=jnp.where(first, state.damping, state.damping * shrink),
             growth=jnp.asarray(4.0, y.dtype),
             step=step,
@@ -239,10 +247,13 @@ def _explicable(state: MarquardtState, least: Scalar) -> Scalar:
     return jnp.linalg.norm(jnp.where(singular > 1e-8 * jnp.max(singular), along, 0))
 
 
-def _value_and_jacobian(fn: Callable, y: Array, args: Any) -> tuple[Array, Array, Any]:
-    """Residual, Jacobian and auxiliary output from one vmapped jvp: the primal is shared."""
+def _linearise(fn: Callable, y: Array, args: Any) -> tuple[Array, Array, Array, Array, Any]:
+    """Residual and Jacobian from one vmapped jvp, which shares the primal; R, Q^T r; aux."""
 
     def push(tangent: Array) -> tuple[Array, Array, Any]:
         return jax.jvp(lambda y: fn(y, args), (y,), (tangent,), has_aux=True)
 
-    return jax.vmap(push, out_axes=(None, 1, None))(jnp.eye(y.shape[0], dtype=y.dtype))
+    basis = jnp.eye(y.shape[0], dtype=y.dtype)
+    residual, jacobian, aux = jax.vmap(push, out_axes=(None, 1, None))(basis)
+    q, r = jnp.linalg.qr(jnp.where(jnp.isfinite(jacobian), jacobian, 0))
+    return residual, jacobian, r, q.T @ residual, aux

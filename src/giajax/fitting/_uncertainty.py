@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ._identifiability import COLLINEAR
+from ._jacobian import BlockJacobian
 from ._loss import influence
 
 # Fraction of residuals within the corner of a robust loss below which its covariance is noise.
@@ -26,7 +27,12 @@ class Uncertainty(NamedTuple):
 
 
 def uncertainty(
-    residual: np.ndarray, jacobian: np.ndarray, *, loss: str, measured: np.ndarray
+    residual: np.ndarray,
+    jacobian: BlockJacobian,
+    *,
+    loss: str,
+    measured: np.ndarray,
+    columns: np.ndarray,
 ) -> Uncertainty:
     """Covariance of least-squares and M-estimates.
 
@@ -37,26 +43,30 @@ def uncertainty(
 
     Arguments:
         residual: weighted residuals before the loss transforms them, shape (residual,).
-        jacobian: derivative of the transformed residuals, shape (residual, parameter).
+        jacobian: derivative of the transformed residuals by the parameters.
         loss: name of the loss.
         measured: which residuals stand for a measured cell, shape (residual,).
+        columns: the parameters that the covariance is for.
     """
-    residual, jacobian = residual[measured], jacobian[measured]
-    count, size = jacobian.shape
+    count, size = int(np.sum(measured)), len(columns)
     freedom = max(count - size, 1)
-    reduced = float(np.sum(residual**2) / freedom)
+    reduced = float(np.sum(residual[measured] ** 2) / freedom)
     psi, curvature, slope = influence(loss, residual)
-    plain = jacobian / slope[:, None]
-    if loss == "linear":
+
+    def root_of_gram(weights: np.ndarray) -> np.ndarray:
+        # Unmeasured cells have zero rows; their slope is that of a residual of zero.
+        return jacobian.reduced(weights / slope)[:, columns]
+
+    plain = root_of_gram(np.ones_like(residual))
+    mean_curvature = float(np.mean(curvature[measured])) if count else 1.0
+    if loss == "linear" or mean_curvature < _FEW:
+        # With a robust loss: almost every residual is an outlier, and the sandwich has no bread.
         scale = max(1.0, reduced)
         return Uncertainty(_inverse_gram(plain) * scale, reduced, scale)
-    if np.mean(curvature) < _FEW:
-        # Almost every residual is an outlier to this loss: the sandwich has no bread.
-        return Uncertainty(_inverse_gram(plain) * max(1.0, reduced), reduced, max(1.0, reduced))
     # A residual beyond the corner of the loss has no curvature; the mean keeps A positive.
-    bread = _inverse_gram(plain * np.sqrt(np.mean(curvature)))
-    filling = (plain * psi[:, None]).T @ (plain * psi[:, None])
-    return Uncertainty(bread @ filling @ bread * count / freedom, reduced, 1.0)
+    bread = _inverse_gram(plain * np.sqrt(mean_curvature))
+    root = root_of_gram(psi)
+    return Uncertainty(bread @ (root.T @ root) @ bread * count / freedom, reduced, 1.0)
 
 
 def correlation_matrix(covariance: np.ndarray) -> np.ndarray:

@@ -10,10 +10,11 @@ import numpy as np
 from .._errors import InputError
 from .._typing import Array, Bool, Float, Scalar
 from ..arm import Arm
-from ..parameters import find, inline
+from ..parameters import declared, find, inline, parameter
 from ..runs import Channel, Definition, Run
-from ..simulation import SOLVERS, Signal, Trajectory, constant, integrate, logged
+from ..simulation import SOLVERS, Signal, Trajectory, check_wind, constant, integrate, logged
 from ._definition import arm_from_definition, arm_to_definition
+from ._initial import initial_state
 from ._protocol import AbstractModel, Channels
 
 # Positions of the 20 m arm are then right to about 1e-6 m, far below the noise of a camera.
@@ -38,20 +39,40 @@ _SCALE = (
     "joints.pitch_stiffness",
     "joints.yaw_stiffness",
     "joints.damping",
+    "joints.friction",
+    "joints.armature",
     "air.drag_coefficient",
+    "air.axial_coefficient",
+    "air.added_mass_coefficient",
+    "buoyancy.helium_density",
+    "buoyancy.trim_mass",
+    "buoyancy.imbalance",
+    "point_masses.mass",
 )
 
 # C_D is referred to these (eq. 1).
 _DRAG_AREA = ("air.density", "links.length", "links.diameter")
 
 
+class InitialState(eqx.Module):
+    """Joint angles and rates at the first sample; parameters of one run, if it says so."""
+
+    angle: Float[Array, " joint"] = parameter(
+        0.0, unit="rad", doc="joint angles at the first sample"
+    )
+    rate: Float[Array, " joint"] = parameter(
+        0.0, unit="rad/s", doc="joint rates at the first sample"
+    )
+
+
 class ArmInputs(eqx.Module):
-    """What the arm needs of a run: sample times, command, wind and initial state."""
+    """What the arm needs of a run: sample times, command, wind, drive torque, initial state."""
 
     times: Float[Array, " sample"]
     command: Signal
     wind: Signal | None
-    state: Float[Array, "2 joint"]
+    torque: Signal | None
+    initial: InitialState
 
 
 class ArmModel(AbstractModel):
@@ -108,8 +129,8 @@ class ArmModel(AbstractModel):
         return cls(arm, **definition["simulation"])
 
     def free_inputs(self, run: Run) -> tuple[str, ...]:
-        """None as yet."""
-        return ()
+        """The initial state, where the run says `[initial] free = true`."""
+        return ("initial.angle", "initial.rate") if run.definition.initial.free else ()
 
     def failure(self, inputs: ArmInputs) -> str:
         """What the simulation says."""
@@ -119,40 +140,30 @@ class ArmModel(AbstractModel):
         """Sample times, command, wind and initial state of an arm run."""
         if run.model != self.kind or run.times is None:
             raise InputError(f"'{run.name}' is a run of the {run.model} model, not of an arm")
-        definition = run.definition
-        dtype = jnp.result_type(float)
+        wind = _wind(run, run.times)
+        check_wind(self.arm, wind)
+        driven = any(run.channels[name].kind == "joint_torque" for name in run.commands)
         return ArmInputs(
-            times=jnp.asarray(run.times, dtype=dtype),
-            command=self._command(run, run.times),
-            wind=_wind(run, run.times),
-            state=jnp.stack(
-                [
-                    self._initial(run, definition.initial.angle_deg),
-                    self._initial(run, definition.initial.rate_deg_per_s),
-                ]
-            ),
+            times=jnp.asarray(run.times, dtype=jnp.result_type(float)),
+            command=self._rows(run, run.times, "joint_command"),
+            wind=wind,
+            torque=self._rows(run, run.times, "joint_torque") if driven else None,
+            initial=InitialState(*map(jnp.asarray, initial_state(run, run.times, self.arm.count))),
         )
 
-    def _command(self, run: Run, times: np.ndarray) -> Signal:
-        commands = np.zeros((len(times), self.arm.count))
-        for name, values in run.commands.items():
+    def _rows(self, run: Run, times: np.ndarray, kind: str) -> Signal:
+        """Commands or torques of all joints; those without a column are zero."""
+        values = np.zeros((len(times), self.arm.count))
+        for name, column in run.commands.items():
+            if run.channels[name].kind != kind:
+                continue
             joint = run.channels[name].index or 0
             if joint > self.arm.count:
                 raise InputError(
-                    f"'{run.name}' commands joint {joint} of an arm of {self.arm.count} joints"
+                    f"'{run.name}' drives joint {joint} of an arm of {self.arm.count} joints"
                 )
-            commands[:, joint - 1] = values
-        return logged(times, commands, run.definition.command.interpolation)
-
-    def _initial(self, run: Run, degrees: float | Sequence[float] | None) -> Array:
-        values = np.asarray(0.0 if degrees is None else degrees, dtype=float)
-        if values.shape not in ((), (self.arm.count,)):
-            raise InputError(
-                f"[initial] of '{run.name}' has {values.size} values for {self.arm.count} joints; "
-                "give one number or one per joint"
-            )
-        radians = np.broadcast_to(np.deg2rad(values), (self.arm.count,))
-        return jnp.asarray(radians, dtype=jnp.result_type(float))
+            values[:, joint - 1] = column
+        return logged(times, values, run.definition.command.interpolation)
 
     def trajectory(self, inputs: ArmInputs) -> Trajectory:
         """Motion of the arm in a prepared run."""
@@ -163,7 +174,8 @@ class ArmModel(AbstractModel):
             inputs.command,
             inputs.times,
             inputs.wind,
-            inputs.state,
+            inputs.torque,
+            jnp.stack([inputs.initial.angle, inputs.initial.rate]),
             (tolerance, tolerance),
             solver=self.solver,
             max_steps=self.max_steps,
@@ -179,6 +191,8 @@ class ArmModel(AbstractModel):
         kinds = {channel.kind for channel in known}
         # Positions of all links are computed only where a channel asks for one.
         tables: dict[str, Array] = {"joint_angle": motion.angles, "joint_rate": motion.rates}
+        if "link_angle" in kinds:
+            tables["link_angle"] = jnp.cumsum(motion.angles, axis=1)
         if "link_position" in kinds:
             tables["link_position"] = motion.link_centres
         if "tip_position" in kinds:
@@ -195,13 +209,16 @@ class ArmModel(AbstractModel):
         """The same model with the integrator's tolerances multiplied by a factor."""
         return eqx.tree_at(lambda model: model.tolerance, self, self.tolerance * factor)
 
-    def conditions(self, free: Sequence[str]) -> list[str]:
+    def conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
         """The scale that motion alone cannot determine, and what C_D is referred to."""
         fitted = {path.partition("[")[0] for path in free}
         scaled = [path for path in free if path.partition("[")[0] in _SCALE]
-        if not scaled:
+        # A known torque sets the scale.
+        driven = any(c.kind == "joint_torque" for run in runs for c in run.channels.values())
+        if not scaled or driven:
             return []
-        held = [path for path in _SCALE if path not in fitted]
+        present = declared(self)
+        held = [path for path in _SCALE if path in present and path not in fitted]
         sentences = [
             f"{', '.join(scaled)}: determined only per unit of mass, because scaling masses, "
             "inertias, drag, stiffness and damping together leaves the motion unchanged; "

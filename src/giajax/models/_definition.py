@@ -2,12 +2,15 @@
 
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from .._errors import InputError
-from ..arm import Arm, chain, named_axes, preset
+from ..arm import Arm, PointMasses, named_axes, preset
+from ..parameters import declared, default_free
 from ..runs import Definition
 
+# Key of [arm] -> argument of `chain` and path of the parameter.
 _ARRAYS = {
     "link_length_m": "length",
     "link_diameter_m": "diameter",
@@ -16,6 +19,28 @@ _ARRAYS = {
     "link_inertia_transverse_kg_m2": "inertia_transverse",
     "link_inertia_axial_kg_m2": "inertia_axial",
 }
+_PLAIN = {
+    "joint_axes": "joint_axes",
+    "air_density_kg_per_m3": "air_density",
+    "gravity_m_per_s2": "gravity",
+    "drag": "drag",
+    "strip_points": "strip_points",
+    "drag_curve": "drag_curve",
+    "buoyancy": "buoyancy",
+    "trim": "trim",
+    "parameters": "parameters",
+}
+# Parameters that have a key of their own.
+_KEYED = (
+    *(f"links.{name}" for name in _ARRAYS.values()),
+    "air.density",
+    "base_rotation",
+    "gravity",
+    "point_masses.mass",
+    "point_masses.position",
+    "point_masses.left",
+    "point_masses.up",
+)
 
 
 def arm_from_definition(definition: Definition) -> Arm:
@@ -24,51 +49,102 @@ def arm_from_definition(definition: Definition) -> Arm:
     What is not stated is that of the preset.
 
     Raises:
-        InputError: an unknown preset, or lists that do not have one element per link.
+        InputError: an unknown preset or parameter, or lists that do not have one element per
+            link.
     """
     given = dict(definition.arm.given())
-    base = preset(given.pop("preset", "takeichi_20m"))
-    links = given.pop("links", None) or _listed(given) or base.count
-    arguments: dict[str, Any] = {
-        argument: given.pop(key) for key, argument in _ARRAYS.items() if key in given
+    name = given.pop("preset", "takeichi_20m")
+    links = given.pop("links", None) or _listed(given)
+    changes: dict[str, Any] = {
+        argument: given.pop(key) for key, argument in (_ARRAYS | _PLAIN).items() if key in given
     }
     if "base_rotation_deg" in given:
-        arguments["base_rotation"] = np.deg2rad(given.pop("base_rotation_deg"))
-    if "gravity_m_per_s2" in given:
-        arguments["gravity"] = given.pop("gravity_m_per_s2")
-    if "air_density_kg_per_m3" in given:
-        arguments["air_density"] = given.pop("air_density_kg_per_m3")
-    if "joint_axes" in given:
-        arguments["joint_axes"] = given.pop("joint_axes")
+        changes["base_rotation"] = np.deg2rad(given.pop("base_rotation_deg"))
+    if "point_masses" in given:
+        changes["point_masses"] = _point_masses(given.pop("point_masses"))
     if given:
         raise InputError(f"the key {next(iter(given))} of [arm] is not known to the arm model")
-    return chain(links, **arguments)
+    return preset(name, links, **changes)
 
 
 def _listed(given: dict[str, Any]) -> int | None:
     lengths = [
         len(value)
         for key, value in given.items()
-        if isinstance(value, list) and key != "base_rotation_deg"
+        if isinstance(value, list) and key not in ("base_rotation_deg", "point_masses")
     ]
     return lengths[0] if lengths else None
 
 
+def _point_masses(entries: list[dict[str, Any]]) -> PointMasses | None:
+    if not entries:
+        return None
+
+    def row(key: str) -> Any:
+        return jnp.asarray([float(entry.get(key, 0.0)) for entry in entries])
+
+    def off_axis(key: str) -> Any:
+        return row(key) if any(entry.get(key) for entry in entries) else None
+
+    return PointMasses(
+        links=tuple(entry["link"] for entry in entries),
+        mass=row("mass_kg"),
+        position=row("position_m"),
+        left=off_axis("left_m"),
+        up=off_axis("up_m"),
+    )
+
+
 def arm_to_definition(arm: Arm) -> dict[str, Any]:
-    """The `[arm]` section of an arm: all of its constants, in the TOML vocabulary."""
+    """The `[arm]` section of an arm: all of its constants, in the TOML vocabulary.
 
-    def plain(values: Any) -> Any:
-        values = np.asarray(values, dtype=float)
-        return float(values[0]) if np.all(values == values[0]) else values.tolist()
-
-    return {
+    What a fit frees by default (stiffness, damping, C_D) is not a constant.
+    """
+    stated: dict[str, Any] = {
         "links": arm.count,
-        **{key: plain(getattr(arm.links, name)) for key, name in _ARRAYS.items()},
+        **{key: _plain(getattr(arm.links, name)) for key, name in _ARRAYS.items()},
         "joint_axes": _axes(arm),
         "base_rotation_deg": np.rad2deg(np.asarray(arm.base_rotation, dtype=float)).tolist(),
         "air_density_kg_per_m3": float(arm.air.density),
         "gravity_m_per_s2": float(arm.gravity),
+        "drag": arm.air.drag,
+        "strip_points": arm.air.strip_points,
+        "drag_curve": arm.air.drag_curve,
+        "buoyancy": arm.buoyancy is not None,
     }
+    if arm.point_masses is not None:
+        stated["point_masses"] = _entries(arm.point_masses)
+    fitted = default_free(arm)
+    others = {}
+    for path, parameter in declared(arm).items():
+        said, value = parameter.declaration, np.asarray(parameter.value(arm), dtype=float)
+        usual = said.frozen and not said.optional and np.all(value == said.default)
+        if path not in _KEYED and path not in fitted and not usual:
+            others[path] = _plain(value)
+    if others:
+        stated["parameters"] = others
+    return stated
+
+
+def _plain(values: Any) -> Any:
+    """One number where all are the same."""
+    values = np.asarray(values, dtype=float)
+    if values.ndim == 0:
+        return float(values)
+    return float(values[0]) if np.all(values == values[0]) else values.tolist()
+
+
+def _entries(fixed: PointMasses) -> list[dict[str, Any]]:
+    count = len(fixed.links)
+
+    def row(value: Any) -> list[float]:
+        return np.broadcast_to(0.0 if value is None else np.asarray(value), count).tolist()
+
+    values = (fixed.mass, fixed.position, fixed.left, fixed.up)
+    return [
+        {"link": link, "mass_kg": mass, "position_m": x, "left_m": left, "up_m": up}
+        for link, mass, x, left, up in zip(fixed.links, *map(row, values), strict=True)
+    ]
 
 
 def _axes(arm: Arm) -> str | list[list[float]]:

@@ -69,8 +69,8 @@ class AbstractModel(eqx.Module):
         """The same model with its numerical tolerances multiplied by a factor."""
 
     @abc.abstractmethod
-    def conditions(self, free: Sequence[str]) -> list[str]:
-        """Sentences: on what the given fitted parameters are conditional."""
+    def conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
+        """Sentences: on what the given parameters, fitted to these runs, are conditional."""
 
     @abc.abstractmethod
     def definition(self) -> dict[str, Any]:

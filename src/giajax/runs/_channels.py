@@ -22,6 +22,8 @@ _TABLE: dict[str, tuple[str, str, str | None]] = {
     "joint_command": (f"joint{_NUMBER}_command", "jointNN_command", "angle"),
     "joint_angle": (f"joint{_NUMBER}_angle", "jointNN_angle", "angle"),
     "joint_rate": (f"joint{_NUMBER}_rate", "jointNN_rate", "angular_velocity"),
+    "joint_torque": (f"joint{_NUMBER}_torque", "jointNN_torque", "torque"),
+    "link_angle": (f"link{_NUMBER}_angle", "linkNN_angle", "angle"),
     "link_position": (f"link{_NUMBER}_{_COMPONENT}", "linkNN_x", "length"),
     "tip_position": (f"tip_{_COMPONENT}", "tip_x", "length"),
     "wind": (f"wind_{_COMPONENT}", "wind_x", "velocity"),

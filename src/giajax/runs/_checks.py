@@ -9,14 +9,14 @@ import numpy.typing as npt
 
 from .._errors import InputError
 from ._channels import TEXTS, Channel, parse_column
-from ._model import PREDICTED
+from ._model import GIVEN, PREDICTED
 from ._vocabulary import Definition
 
 DEFAULT_PRESET = "takeichi_20m"
 DEFAULT_LINKS = 20
 
 # A model needs these at every sample; a gap in them is not a missing measurement.
-_WITHOUT_GAPS = ("joint_command", "wind", "input", "command")
+_WITHOUT_GAPS = ("joint_command", "joint_torque", "wind", "input", "command")
 
 
 @dataclass(frozen=True)
@@ -173,14 +173,15 @@ def _check_arm(channels: Mapping[str, Channel], definition: Definition, wording:
                 f"{wording.source}: initial.{key} has {len(value)} values, but must have one for "
                 f"each of the {links} joints: correct the list"
             )
-    commanded = any(channel.kind == "joint_command" for channel in channels.values())
+    commanded = any(channel.kind in GIVEN["arm"] for channel in channels.values())
     stated = bool(definition.free_motion)
     if commanded and stated:
         raise InputError(
             f"{wording.source}: free_motion = true is stated, but there are command columns: "
             "remove one or the other"
         )
-    has_initial = initial.angle_deg is not None or initial.rate_deg_per_s is not None
+    has_initial = bool(initial.first_row) or bool(initial.free)
+    has_initial |= initial.angle_deg is not None or initial.rate_deg_per_s is not None
     if not commanded and not stated and not has_initial:
         raise InputError(
             f"{wording.source} has no command column: an arm run must have one such as "

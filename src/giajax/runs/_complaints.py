@@ -32,9 +32,15 @@ def complaint(cls: type[BaseModel], error: ValidationError, source: str) -> Inpu
     # One bad number in a table of numbers is not the whole table.
     in_table = _is_dict(field) and owner is None and len(path) > 2
     must = "a finite number" if in_table else _declared(field)
+    if first["type"] == "missing":
+        return InputError(f"{source}: {name} is missing, and must be {must}: give it")
     return InputError(
         f"{source}: {name} = {shown(first['input'])} must be {must}: correct or remove it"
     )
+
+
+# More keys than this are no list to read in a sentence.
+_MANY = 16
 
 
 def _declared(field: FieldInfo) -> str:
@@ -66,7 +72,11 @@ def _locate(
     in_dict = False
     for part in location:
         if not isinstance(part, str):
-            break
+            section = None if field is None else _element_of(field)
+            if section is None:
+                break
+            owner, field = section, None
+            continue
         if in_dict:
             path.append(part)
             if owner is None:
@@ -104,6 +114,15 @@ def _section_of(field: FieldInfo) -> type[BaseModel] | None:
     return None
 
 
+def _element_of(field: FieldInfo) -> type[BaseModel] | None:
+    """The section that the entries of a list are."""
+    for item in (field.annotation, *get_args(field.annotation)):
+        for element in get_args(item) if getattr(item, "__origin__", None) is list else ():
+            if isinstance(element, type) and issubclass(element, BaseModel):
+                return element
+    return None
+
+
 def _remedy(cls: type[BaseModel], owner: type[BaseModel] | None, path: tuple[str, ...]) -> str:
     known = list(owner.model_fields) if owner is not None else []
     unknown = path[-1]
@@ -119,4 +138,6 @@ def _remedy(cls: type[BaseModel], owner: type[BaseModel] | None, path: tuple[str
         return ": it belongs at the top of the file, so move it there"
     if homes:
         return f": it belongs in {' or '.join(homes)}, so move it there"
+    if len(known) > _MANY:
+        return ": correct or remove it ('giajax init' writes all keys that are known here)"
     return f": correct or remove it (known here: {', '.join(known)})"

@@ -48,7 +48,7 @@ def _command(run: Run) -> dict[str, Any] | None:
     commands = {
         name: array
         for name, array in run.commands.items()
-        if run.channels[name].kind in ("joint_command", "input", "command")
+        if run.channels[name].kind in ("joint_command", "joint_torque", "input", "command")
     }
     if not commands:
         return None

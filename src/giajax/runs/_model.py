@@ -10,18 +10,18 @@ MODELS = ("arm", "hysteresis", "joint", "muscle")
 
 # What a model is given, in the order in which a file is written, and what it predicts.
 GIVEN: dict[str, tuple[str, ...]] = {
-    "arm": ("joint_command",),
+    "arm": ("joint_command", "joint_torque"),
     "hysteresis": ("input", "command"),
     "joint": ("angle", "side", "torque"),
     "muscle": ("pressure", "contraction", "position", "phase"),
 }
 PREDICTED: dict[str, tuple[str, ...]] = {
-    "arm": ("joint_angle", "joint_rate", "link_position", "tip_position"),
+    "arm": ("joint_angle", "joint_rate", "link_angle", "link_position", "tip_position"),
     "hysteresis": ("output", "angle"),
     "joint": ("contraction", "force"),
     "muscle": ("force",),
 }
-_ARM_ONLY = ("joint_command", "joint_angle", "joint_rate", "link_position", "tip_position")
+_ARM_ONLY = GIVEN["arm"] + PREDICTED["arm"]
 
 
 def belongs(channel: Channel, model: str) -> bool:

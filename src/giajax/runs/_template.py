@@ -8,9 +8,9 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from ._checks import DEFAULT_LINKS, DEFAULT_PRESET
-from ._model import PREDICTED, infer_model
+from ._model import GIVEN, PREDICTED, infer_model
 from ._table import Table, read_table
-from ._toml import to_toml
+from ._toml import key_path, toml_value
 from ._vocabulary import Arm, Command, Definition, Initial, Noise, Wind
 
 # A value to show where the preset has none.
@@ -21,12 +21,16 @@ _EXAMPLES: dict[str, Any] = {
     "free_motion": True,
     "angle_deg": 0.0,
     "rate_deg_per_s": 0.0,
+    "first_row": True,
+    "free": True,
+    "point_masses": [{"link": 20, "mass_kg": 0.003, "position_m": 0.99}],
+    "parameters": {"air.added_mass_coefficient": 1.0},
     "interpolation": "linear",
     "velocity_m_per_s": [0.0, 0.0, 0.2],
 }
 _NOISE = {
     "position_m": (("link_position", "tip_position"), 0.01),
-    "angle_deg": (("joint_angle",), 0.5),
+    "angle_deg": (("joint_angle", "link_angle"), 0.5),
     "rate_deg_per_s": (("joint_rate",), 1.0),
 }
 
@@ -61,15 +65,18 @@ def _arm(table: Table) -> list[str]:
     kinds = {channel.kind for channel in table.channels.values()}
     largest = max((channel.index or 0 for channel in table.channels.values()), default=0)
     lines = []
-    if "joint_command" not in kinds:
+    if not kinds & set(GIVEN["arm"]):
         lines.append(_line(Definition, "free_motion", True))
     lines += ["", "[arm]  # known constants; a number holds for all links, a list has one a link"]
     for name in Arm.model_fields:
         stated = largest if name == "links" and largest > DEFAULT_LINKS else None
         lines.append(_line(Arm, name, stated))
     lines += ["", "[initial]  # at the first sample; a number holds for all joints"]
-    lines += [_line(Initial, name) for name in Initial.model_fields]
-    if "joint_command" in kinds:
+    angles = {c.index for c in table.channels.values() if c.kind == "joint_angle"}
+    recorded = largest > 0 and angles == set(range(1, largest + 1))
+    state = ["first_row"] if recorded else ["angle_deg", "rate_deg_per_s"]
+    lines += [_line(Initial, name) for name in (*state, "free")]
+    if kinds & set(GIVEN["arm"]):
         lines += ["", "[command]", _line(Command, "interpolation")]
     lines += ["", "[wind]"]
     lines.append(_line(Wind, "interpolation" if "wind" in kinds else "velocity_m_per_s"))
@@ -100,7 +107,7 @@ def _line(section: type[BaseModel], name: str, stated: Any = None, *, example: A
     value = stated
     if value is None:
         value = example if example is not None else _shown_value(name, field)
-    text = f"{to_toml({name: value}).strip()}  # {field.description}"
+    text = f"{key_path((name,))} = {toml_value(value)}  # {field.description}"
     return text if stated is not None else f"# {text}"
 
 

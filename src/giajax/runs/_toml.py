@@ -24,6 +24,15 @@ def key_path(parts: tuple[str, ...]) -> str:
     return ".".join(part if _BARE.fullmatch(part) else _string(part) for part in parts)
 
 
+def toml_value(value: Any) -> str:
+    """A value on one line, as it stands after `key =`.
+
+    Raises:
+        InputError: a value that TOML cannot hold.
+    """
+    return _value(value, ())
+
+
 def _table(data: dict[str, Any], path: tuple[str, ...]) -> list[str]:
     lines = [
         f"{key_path((key,))} = {_value(value, (*path, key))}"

@@ -40,6 +40,20 @@ class _Section(BaseModel):
 _PER_LINK = "or a list of them, one a link"
 
 
+class PointMass(_Section):
+    """An entry of `[[arm.point_masses]]`: a small body fixed to a link."""
+
+    link: Annotated[int, Field(ge=1)] = key(
+        "a whole number of at least 1", "link that carries it", default=...
+    )
+    mass_kg: Positive = key("a positive number", "its mass", default=...)
+    position_m: Finite = key(
+        "a number", "its distance from the link's joint, along the link", default=...
+    )
+    left_m: Finite = key("a number", "its distance to the left of the link's axis", default=0.0)
+    up_m: Finite = key("a number", "its distance above the link's axis", default=0.0)
+
+
 class Arm(_Section):
     """`[arm]`: the known constants of the arm. A number holds for all links."""
 
@@ -85,6 +99,37 @@ class Arm(_Section):
         "acceleration of gravity; 0 when buoyancy balances weight",
         preset=0.0,
     )
+    drag: Literal["centre", "strip"] | None = key(
+        '"centre" or "strip"',
+        "drag at each link's centre (eq. 1), or across the flow along the link",
+        preset="centre",
+    )
+    strip_points: Annotated[int, Field(ge=1, le=20)] | None = key(
+        "a whole number from 1 to 20", "Gauss points of strip drag", preset=3
+    )
+    drag_curve: Literal["constant", "cylinder"] | None = key(
+        '"constant" or "cylinder"',
+        "C_D is constant, or follows the Reynolds number as that of a cylinder does",
+        preset="constant",
+    )
+    buoyancy: bool | None = key(
+        "true or false", "displaced air, helium and trim weights count", preset=False
+    )
+    trim: bool | None = key(
+        "true or false", "hang the trim weights that make each link float", preset=False
+    )
+    point_masses: list[PointMass] | None = key(
+        "a list of tables with link, mass_kg and position_m", "bodies fixed to links"
+    )
+    parameters: dict[Name, Finite | list[Finite]] | None = key(
+        "a table of parameter paths and numbers",
+        "any other parameter by its path, SI ('giajax parameters' lists them)",
+    )
+
+    @field_validator("parameters", mode="before")
+    @classmethod
+    def _unquoted_paths_are_paths(cls, table: Any) -> Any:
+        return _flat(table) if isinstance(table, Mapping) else table
 
     @field_validator("joint_axes")
     @classmethod
@@ -104,7 +149,7 @@ class Arm(_Section):
         said = f"links is {links}" if links is not None else ""
         for name in type(self).model_fields:
             value = getattr(self, name)
-            if not isinstance(value, list) or name == "base_rotation_deg":
+            if not isinstance(value, list) or name in ("base_rotation_deg", "point_masses"):
                 continue
             if links is None:
                 links, said = len(value), f"{name} has {len(value)}"
@@ -124,6 +169,21 @@ class Initial(_Section):
     rate_deg_per_s: Finite | list[Finite] | None = key(
         "a number or a list of them, one a joint", "joint rates at the first sample"
     )
+    first_row: bool | None = key(
+        "true or false", "true: as in the first row of the joint angle and rate columns"
+    )
+    free: bool | None = key(
+        "true or false", "true: parameters of this run, which a fit finds; the others are a start"
+    )
+
+    @model_validator(mode="after")
+    def _stated_once(self) -> "Initial":
+        if self.first_row and (self.angle_deg is not None or self.rate_deg_per_s is not None):
+            raise ValueError(
+                "says first_row = true and angle_deg or rate_deg_per_s, but must say the state "
+                "once: remove one or the other"
+            )
+        return self
 
 
 Interpolation = Literal["zoh", "linear"]
@@ -159,7 +219,7 @@ class Noise(_Section):
     __pydantic_extra__: dict[str, Positive] = Field(init=False)
 
     position_m: Positive | None = key(_NOISE, "standard deviation of every position")
-    angle_deg: Positive | None = key(_NOISE, "standard deviation of every joint angle")
+    angle_deg: Positive | None = key(_NOISE, "standard deviation of every angle")
     rate_deg_per_s: Positive | None = key(_NOISE, "standard deviation of every joint rate")
 
     @property

@@ -9,7 +9,12 @@ from ._signal import (
     ramps as ramps,
     steps as steps,
 )
-from ._simulate import MAX_STEPS as MAX_STEPS, integrate as integrate, simulate as simulate
+from ._simulate import (
+    MAX_STEPS as MAX_STEPS,
+    check_wind as check_wind,
+    integrate as integrate,
+    simulate as simulate,
+)
 from ._solvers import SOLVERS as SOLVERS
 from ._trajectory import (
     RESULTS as RESULTS,

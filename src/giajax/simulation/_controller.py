@@ -79,7 +79,7 @@ def fastest_rate(arm: Arm, angles: Float[Array, " joint"]) -> Scalar:
         root = jnp.diag(jnp.sqrt(jnp.broadcast_to(strength, (arm.count,))))
         return jnp.linalg.norm(jax.scipy.linalg.solve_triangular(factor, root, lower=True), 2)
 
-    return jnp.hypot(largest(arm.joints.stiffness), largest(arm.joints.damping) ** 2)
+    return jnp.hypot(largest(arm.joints.stiffness), largest(arm.joints.stiffest_damping) ** 2)
 
 
 class _Careful(diffrax.AbstractAdaptiveStepSizeController):

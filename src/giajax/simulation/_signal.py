@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._errors import InputError
-from .._typing import Array, Float, Scalar
+from .._typing import Array, Bool, Float, Scalar
 
 # A comparison with every knot is one vector instruction or a few; beyond this many knots a
 # binary search, which compiles to a loop, is faster.
@@ -32,11 +32,25 @@ class Signal(eqx.Module):
 
     def __call__(self, time: Scalar) -> Float[Array, " width"]:
         """Value at a time (s)."""
-        method = "compare_all" if self.times.shape[0] <= _COMPARE_ALL else "scan_unrolled"
-        after = jnp.searchsorted(self.times, time, side="right", method=method)
-        knot = jnp.maximum(after - 1, 0)
+        knot = self._knot(time)
         elapsed = jnp.maximum(time - self.times[knot], 0)
         return self.values[knot] + self.slopes[knot] * elapsed
+
+    def rate(self, time: Scalar) -> Float[Array, " width"]:
+        """Rate of change at a time (s), jumps apart; 0 before the first knot."""
+        return jnp.where(time >= self.times[0], self.slopes[self._knot(time)], 0)
+
+    def _knot(self, time: Scalar) -> Array:
+        method = "compare_all" if self.times.shape[0] <= _COMPARE_ALL else "scan_unrolled"
+        after = jnp.searchsorted(self.times, time, side="right", method=method)
+        return jnp.maximum(after - 1, 0)
+
+    @property
+    def jumps(self) -> Bool[Array, ""]:
+        """Whether the signal jumps at one of its knots, by more than rounding."""
+        before = self.values[:-1] + self.slopes[:-1] * jnp.diff(self.times)[:, None]
+        size = jnp.max(jnp.abs(self.values), initial=0.0)
+        return jnp.any(jnp.abs(self.values[1:] - before) > 1e-6 * size)
 
     @property
     def width(self) -> int:

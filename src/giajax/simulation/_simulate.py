@@ -28,6 +28,7 @@ def simulate(
     times: Any,
     *,
     wind: Signal | Any | None = None,
+    torque: Signal | None = None,
     initial: tuple[Any, Any] | None = None,
     solver: str = "tsit5",
     rtol: Any = 1e-6,
@@ -46,7 +47,9 @@ def simulate(
         command: commanded angles over time, rad; width = number of joints.
         times: increasing times at which the motion is wanted, s, shape (sample,).
         wind: velocity of the air in the base frame, m/s: a signal of width 3, three numbers, or
-            None for still air.
+            None for still air. With added mass it must not jump: the force would be infinite.
+        torque: of the joints' drives over time, beside springs and dampers, N m; width = number
+            of joints.
         initial: angles (rad) and rates (rad/s) at the first time, each of shape (joint,).
         solver: one of `giajax.SOLVERS`.
         rtol, atol: relative and absolute tolerance of a step, on angles (rad) and rates (rad/s).
@@ -75,15 +78,18 @@ def simulate(
     if wind is not None and not isinstance(wind, Signal):
         wind = constant(wind)
     state = _initial_state(arm, initial)
-    _check(arm, command, times, wind)
+    _check(arm, command, times, wind, torque)
     solver_named(solver)  # refuse a wrong name before anything is compiled
     adjoint(derivatives)
-    arm, command, wind, state = guard_inputs((arm, command, wind, state), derivatives)
+    arm, command, wind, torque, state = guard_inputs(
+        (arm, command, wind, torque, state), derivatives
+    )
     trajectory = integrate(
         arm,
         command,
         times,
         wind,
+        torque,
         state,
         (jnp.asarray(rtol, dtype=dtype), jnp.asarray(atol, dtype=dtype)),
         solver=solver,
@@ -113,7 +119,9 @@ def _initial_state(arm: Arm, initial: tuple[Any, Any] | None) -> Float[Array, "2
     return jnp.stack([angles, rates])
 
 
-def _check(arm: Arm, command: Signal, times: Array, wind: Signal | None) -> None:
+def _check(
+    arm: Arm, command: Signal, times: Array, wind: Signal | None, torque: Signal | None
+) -> None:
     if command.width != arm.count:
         raise InputError(
             f"the command drives {command.width} joints and the arm has {arm.count}; "
@@ -121,10 +129,31 @@ def _check(arm: Arm, command: Signal, times: Array, wind: Signal | None) -> None
         )
     if wind is not None and wind.width != 3:
         raise InputError(f"the wind has {wind.width} components; give x, y and z")
+    if torque is not None and torque.width != arm.count:
+        raise InputError(
+            f"the torque drives {torque.width} joints and the arm has {arm.count}; "
+            "give one column per joint"
+        )
+    check_wind(arm, wind)
     if times.ndim != 1 or times.shape[0] < 2:
         raise InputError(f"times has shape {times.shape}; give at least two times in one row")
     if is_concrete(times) and not np.all(np.diff(np.asarray(times)) > 0):
         raise InputError("times must increase strictly; sort them and drop doubles")
+
+
+def check_wind(arm: Arm, wind: Signal | None) -> None:
+    """Refuse a wind that jumps where the arm has added mass.
+
+    Raises:
+        InputError: the jump would be an infinite force for no time.
+    """
+    if wind is None or arm.air.added_mass_coefficient is None or not is_concrete(wind):
+        return
+    if bool(wind.jumps):
+        raise InputError(
+            "the wind jumps, and with added mass the force of that is infinite; give a wind that "
+            'is linear between its rows (interpolation = "linear")'
+        )
 
 
 @eqx.filter_jit
@@ -133,6 +162,7 @@ def integrate(
     command: Signal,
     times: Float[Array, " sample"],
     wind: Signal | None,
+    torque: Signal | None,
     state: Float[Array, "2 joint"],
     tolerances: tuple[Scalar, Scalar],
     *,
@@ -141,7 +171,8 @@ def integrate(
     derivatives: str,
 ) -> Trajectory:
     """The compiled core of `simulate`: no checks, never raises."""
-    corners = command.times if wind is None else jnp.concatenate([command.times, wind.times])
+    inputs = [signal for signal in (command, wind, torque) if signal is not None]
+    corners = jnp.concatenate([signal.times for signal in inputs])
     rtol, atol = tolerances
     method = solver_named(solver)
     solution = diffrax.diffeqsolve(
@@ -151,7 +182,7 @@ def integrate(
         t1=times[-1],
         dt0=None,
         y0=state,
-        args=(arm, command, wind, eqxi.prevbefore(times[-1])),
+        args=(arm, command, wind, torque, eqxi.prevbefore(times[-1])),
         saveat=diffrax.SaveAt(ts=times),
         stepsize_controller=step_size_controller(
             method,
@@ -159,7 +190,10 @@ def integrate(
             atol,
             corners,
             rate=fastest_rate(arm, state[0]),
-            disturbances=(command, wind, state, arm.base_rotation, arm.gravity),
+            disturbances=(
+                (inputs, state, arm.base_rotation, arm.gravity, arm.air.wind),
+                (arm.buoyancy, arm.point_masses),
+            ),
         ),
         adjoint=adjoint(derivatives),
         max_steps=max_steps,
@@ -186,12 +220,14 @@ def integrate(
 
 
 def _motion(time: Any, state: Float[Array, "2 joint"], args: Any) -> Float[Array, "2 joint"]:
-    arm, command, wind, end = args
+    arm, command, wind, torque, end = args
     # A jump at the very end is no part of the motion, and would be bisected for nothing.
     time = jnp.minimum(time, end)
     angles, rates = state
     air = None if wind is None else wind(time)
-    return jnp.stack([rates, acceleration(arm, angles, rates, command(time), air)])
+    gust = None if wind is None else wind.rate(time)
+    drive = None if torque is None else torque(time)
+    return jnp.stack([rates, acceleration(arm, angles, rates, command(time), air, gust, drive)])
 
 
 def _result(solution: diffrax.Solution, finite: Array) -> RESULTS:

@@ -1,0 +1,180 @@
+"""What the air does to the links: drag at their centres or along them, lift and added mass."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from .._maths import cross, dot, safe_norm, scaled
+from .._typing import Array, Float
+from ._bodies import lift
+from ._chain import Arm
+from ._cylinder import drag_factor
+from ._kinematics import Pose, Rows, angular_velocities, centre_velocities, pose
+
+
+class Flow(NamedTuple):
+    """The wind at one time: the velocity of the air (m/s) and its rate of change (m/s^2)."""
+
+    velocity: Float[Array, "3"]
+    rate: Float[Array, "3"]
+
+
+class Load(NamedTuple):
+    """Force on each link at its geometric centre, N, and couple, N m (None: no couple)."""
+
+    force: Rows
+    couple: Rows | None
+
+
+def flow(arm: Arm, wind: Float[Array, "3"] | None, rate: Float[Array, "3"] | None = None) -> Flow:
+    """The wind of a run; what is None is zero."""
+    zero = jnp.zeros(3, arm.links.length.dtype)
+    return Flow(zero if wind is None else wind, zero if rate is None else rate)
+
+
+def relative_velocity(arm: Arm, centre_velocity: Rows, wind: Flow) -> Rows:
+    """Velocity of each link's centre relative to the air, the arm's own wind included."""
+    air = wind.velocity if arm.air.wind is None else wind.velocity + arm.air.wind
+    return centre_velocity - air[:, None]
+
+
+def drag(arm: Arm, here: Pose, relative: Rows, turning: Rows) -> Load:
+    """Drag on each link.
+
+    Arguments:
+        arm: the arm.
+        here: its pose.
+        relative: velocity of the links' centres relative to the air.
+        turning: rate of change of the links' directions.
+    """
+    air, links = arm.air, arm.links
+    half_rho_area = 0.5 * air.density * links.length * links.diameter
+    if air.drag == "centre":
+        speed = safe_norm(relative)
+        factor = half_rho_area * air.drag_coefficient * drag_factor(air, speed, links.diameter)
+        return Load(-scaled(factor * speed, relative), None)
+    along = dot(here.direction, relative)
+    across = across_link(here.direction, relative)
+    # Gauss points on [-1, 1]; half the weights, which then sum to 1.
+    gauss, weight = np.polynomial.legendre.leggauss(air.strip_points)
+    places, weights = (jnp.asarray(x, relative.dtype) for x in (gauss, weight / 2))
+    # The velocity across the link is linear along it.
+    lean = scaled(links.length / 2, turning)
+    local = across[:, None] + places[None, :, None] * lean[:, None]
+    speed = safe_norm(local)
+    curve = drag_factor(air, speed, jnp.broadcast_to(links.diameter, speed.shape))
+    factor = (half_rho_area * air.drag_coefficient)[None] * curve
+    pieces = -scaled(weights[:, None] * factor * speed, local)
+    force = pieces.sum(axis=1)
+    if air.axial_coefficient is not None:
+        skin = half_rho_area * air.axial_coefficient * jnp.abs(along) * along
+        force = force - scaled(skin, here.direction)
+    moment = (places[None, :, None] * pieces).sum(axis=1)
+    return Load(force, cross(scaled(links.length / 2, here.direction), moment))
+
+
+def lift_force(arm: Arm) -> Rows | None:
+    """Buoyancy of the links at their centres, N; None where it is left out."""
+    upwards = lift(arm)
+    if upwards is None:
+        return None
+    return jnp.zeros((3, arm.count), upwards.dtype).at[2].set(upwards)
+
+
+class AddedMass(NamedTuple):
+    """The fluid that a link moves, a rod that has inertia across the link alone.
+
+    A long cylinder with added-mass coefficient C_a moves C_a times the air that it displaces
+    when it moves across itself, and none along itself (Lamb, Hydrodynamics, art. 42; Newman,
+    Marine Hydrodynamics, sec. 4.15). Its kinetic energy is that of this rod, and Kirchhoff's
+    equations follow from it (Lamb, ch. VI).
+
+    Attributes:
+        mass: of the rod, across the link, kg.
+        inertia: about the link's centre, across the link, kg m^2.
+    """
+
+    mass: Float[Array, " link"]
+    inertia: Float[Array, " link"]
+
+
+def added_mass(arm: Arm) -> AddedMass | None:
+    """The rods of all links; None where added mass is left out."""
+    if arm.air.added_mass_coefficient is None:
+        return None
+    mass = arm.air.added_mass_coefficient * arm.air.density * arm.links.volume
+    return AddedMass(mass, mass * arm.links.length**2 / 12)
+
+
+def across_link(direction: Rows, vector: Rows) -> Rows:
+    """The part of a vector that is normal to each link."""
+    return vector - scaled(dot(direction, vector), direction)
+
+
+def added_mass_load(
+    arm: Arm,
+    rod: AddedMass,
+    here: Pose,
+    relative: Rows,
+    turning: Rows,
+    omega: Rows,
+    alpha: Rows,
+    acceleration: Rows,
+    wind: Flow,
+) -> tuple[Rows, Rows]:
+    """Force and couple of the fluid on each link, from the rate of its impulse.
+
+    With the impulse P = m (w - (e.w) e) of the fluid at the link's centre, which moves with w
+    through it, and the impulse couple L = J (omega - (e.omega) e), the force is -dP/dt and the
+    couple about the centre -(w x P + dL/dt). A wind that changes in time also carries a pressure
+    gradient, which pushes the displaced volume: rho V du/dt.
+
+    Arguments:
+        arm: the arm.
+        rod: its added mass.
+        here: its pose.
+        relative: velocity of the links' centres relative to the air.
+        turning: rate of change of the links' directions.
+        omega, alpha: angular velocity and acceleration of the links.
+        acceleration: of the links' centres.
+        wind: its rate of change counts here.
+    """
+    e = here.direction
+    through = acceleration - wind.rate[:, None]
+
+    def rate_of_across(vector: Rows, rate: Rows) -> Rows:
+        """d/dt of the part of a vector that is normal to the link."""
+        along = dot(turning, vector) + dot(e, rate)
+        return rate - scaled(along, e) - scaled(dot(e, vector), turning)
+
+    impulse = scaled(rod.mass, across_link(e, relative))
+    force = -scaled(rod.mass, rate_of_across(relative, through))
+    force = force + scaled(arm.air.density * arm.links.volume, wind.rate[:, None])
+    couple = scaled(rod.inertia, rate_of_across(omega, alpha)) + cross(relative, impulse)
+    return force, -couple
+
+
+def drag_force(
+    arm: Arm,
+    angles: Float[Array, " joint"],
+    rates: Float[Array, " joint"],
+    wind: Float[Array, "3"] | None = None,
+) -> Float[Array, "link 3"]:
+    """Drag force of the air on each link, N.
+
+    With `drag = "centre"`: F_D = -1/2 rho C_D L d |V| V at the link's centre, with V the velocity
+    of the centre relative to the air (paper, eq. 1). With `drag = "strip"`: the sum over the
+    link of what acts across it, and the axial drag.
+
+    Arguments:
+        arm: the arm.
+        angles: joint angles, rad.
+        rates: joint rates, rad/s.
+        wind: velocity of the air in the base frame, m/s; still air by default.
+    """
+    here = pose(arm, angles)
+    omega = angular_velocities(here, rates)
+    velocity = centre_velocities(arm, here, omega)
+    relative = relative_velocity(arm, velocity, flow(arm, wind))
+    return drag(arm, here, relative, cross(omega, here.direction)).force.T
