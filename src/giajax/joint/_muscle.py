@@ -1,0 +1,208 @@
+"""What every muscle law offers: force from pressure and contraction, and the inverse."""
+
+import abc
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy.typing as npt
+
+from .._errors import InputError
+from .._typing import Array, Bool, Float, Int
+from ..parameters import is_concrete
+
+# Below this (N) a force is the rounding of zero, not a push.
+_NO_FORCE = 1e-9
+
+REACHED, NEEDS_PUSH, NEEDS_PRESSURE, TOO_SHORT = range(4)
+_MEANING = {
+    REACHED: "reached",
+    NEEDS_PUSH: "the muscle would have to push, which it cannot; raise the co-contraction torque",
+    NEEDS_PRESSURE: "it takes more than the pressure limit; ask for less, or a wider muscle",
+    TOO_SHORT: "the muscle does not shorten so far at any pressure; ask for less contraction",
+}
+
+
+class PressureAnswer(eqx.Module):
+    """Pressure for a wanted force; arrays of one shape.
+
+    Attributes:
+        pressure: within 0 and the muscle's limit, Pa. Where the force is out of reach, the
+            pressure that comes nearest to it.
+        force: what the muscle pulls with at that pressure, N.
+        code: 0 reached, 1 the muscle would have to push, 2 more than the pressure limit, 3 it
+            does not shorten so far at any pressure.
+    """
+
+    pressure: Float[Array, "*shape"]
+    force: Float[Array, "*shape"]
+    code: Int[Array, "*shape"]
+
+    @property
+    def reached(self) -> Bool[Array, "*shape"]:
+        """Whether the force is what was asked for."""
+        return self.code == REACHED
+
+    def message(self, index: int | tuple[int, ...] = ()) -> str:
+        """What the code of one element means, and what to do."""
+        return _MEANING[int(self.code[index])]
+
+
+class AbstractMuscle(eqx.Module):
+    """A muscle, or another actuator, by its statics without friction."""
+
+    name: ClassVar[str]
+    own_motion: ClassVar[int]
+    """Sign of the recorded displacement in which it moves by itself: +1 where it shortens."""
+
+    @abc.abstractmethod
+    def signed_force(
+        self,
+        pressure: Float[Array, "*shape"],
+        contraction: Float[Array, "*shape"],
+        length: Float[Array, ""],
+    ) -> Float[Array, "*shape"]:
+        """Force by the law alone, N; negative beyond its reach."""
+
+    @abc.abstractmethod
+    def wanted_pressure(
+        self,
+        force: Float[Array, "*shape"],
+        contraction: Float[Array, "*shape"],
+        length: Float[Array, ""],
+    ) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
+        """Pressure that the law says for a force >= 0, Pa, and the force gained per pascal.
+
+        Where nothing is gained there is no such pressure, and its value means nothing.
+        """
+
+    @property
+    @abc.abstractmethod
+    def limit(self) -> Float[Array, ""]:
+        """Highest pressure, Pa."""
+
+    def force(
+        self,
+        pressure: Float[Array, "*shape"],
+        contraction: Float[Array, "*shape"],
+        length: Float[Array, ""],
+    ) -> Float[Array, "*shape"]:
+        """Force, N, never negative: a muscle beyond its reach is slack."""
+        return jnp.maximum(self.signed_force(pressure, contraction, length), 0)
+
+    def answer(
+        self,
+        force: Float[Array, "*shape"],
+        contraction: Float[Array, "*shape"],
+        length: Float[Array, ""],
+    ) -> PressureAnswer:
+        """Pressure for a force at a contraction; nothing is checked."""
+        wanted, gain = self.wanted_pressure(jnp.maximum(force, 0), contraction, length)
+        able = gain > 0
+        pressure = jnp.where(able, jnp.clip(wanted, 0, self.limit), self.limit)
+        code = jnp.where(
+            able,
+            jnp.where(wanted > self.limit, NEEDS_PRESSURE, REACHED),
+            jnp.where(force > _NO_FORCE, TOO_SHORT, REACHED),
+        )
+        # No force is had without pressure wherever the muscle cannot pull.
+        pressure = jnp.where(~able & (force <= _NO_FORCE), 0, pressure)
+        push = force < -_NO_FORCE
+        return PressureAnswer(
+            pressure=jnp.where(push, 0, pressure),
+            force=self.force(jnp.where(push, 0, pressure), contraction, length),
+            code=jnp.where(push, NEEDS_PUSH, code),
+        )
+
+
+def muscle_force(
+    muscle: AbstractMuscle,
+    pressure: npt.ArrayLike | Array,
+    contraction: npt.ArrayLike | Array,
+    length: npt.ArrayLike | Array = 1.96,
+) -> Float[Array, "*shape"]:
+    """Force of a muscle without friction, N.
+
+    Arguments:
+        muscle: the law.
+        pressure: above the surroundings, Pa, of any shape.
+        contraction: relative to the length at rest, of the same shape or one number.
+        length: of the muscle at rest, m.
+
+    Raises:
+        InputError: a number that is not finite, a negative pressure, or a contraction of 1 or
+            more.
+
+    Example:
+        >>> import giajax
+        >>> float(giajax.muscle_force(giajax.BraidedMuscle(dead_band=0.0), 100e3, 0.0)) > 17
+        True
+    """
+    pressure, contraction, length = _arrays(pressure, contraction, length)
+    _check(contraction, length, pressure=pressure)
+    return muscle.force(pressure, contraction, length)
+
+
+def muscle_pressure(
+    muscle: AbstractMuscle,
+    force: npt.ArrayLike | Array,
+    contraction: npt.ArrayLike | Array,
+    length: npt.ArrayLike | Array = 1.96,
+) -> PressureAnswer:
+    """Pressure at which a muscle pulls with a force at a contraction, in closed form.
+
+    Arguments:
+        muscle: the law.
+        force: wanted, N, of any shape.
+        contraction: relative to the length at rest, of the same shape or one number.
+        length: of the muscle at rest, m.
+
+    Returns:
+        The pressure, or where the force is out of reach the nearest one, and why.
+
+    Raises:
+        InputError: a number that is not finite, or a contraction of 1 or more.
+
+    Example:
+        >>> import giajax
+        >>> answer = giajax.muscle_pressure(giajax.BraidedMuscle(), 2.0, 0.35)
+        >>> bool(answer.reached), answer.message()
+        (False, 'the muscle does not shorten so far at any pressure; ask for less contraction')
+    """
+    force, contraction, length = _arrays(force, contraction, length)
+    _check(contraction, length, force=force)
+    return muscle.answer(force, contraction, length)
+
+
+def _arrays(
+    first: npt.ArrayLike | Array, contraction: npt.ArrayLike | Array, length: npt.ArrayLike | Array
+) -> tuple[Array, Array, Array]:
+    dtype = jnp.result_type(float)
+    first, contraction, length = (
+        jnp.asarray(item, dtype=dtype) for item in (first, contraction, length)
+    )
+    if length.ndim or (first.ndim and contraction.ndim and first.shape != contraction.shape):
+        raise InputError(
+            f"values have the shapes {first.shape}, {contraction.shape} and {length.shape}; give "
+            "arrays of one shape, or numbers, and one length"
+        )
+    shape = first.shape or contraction.shape
+    return jnp.broadcast_to(first, shape), jnp.broadcast_to(contraction, shape), length
+
+
+def _check(contraction: Array, length: Array, **others: Array) -> None:
+    if not is_concrete((contraction, length, *others.values())):
+        return
+    for what, values in {"contraction": contraction, "length": length, **others}.items():
+        if not bool(jnp.all(jnp.isfinite(values))):
+            raise InputError(f"a {what} is not finite; give finite numbers")
+    if bool(jnp.any(contraction >= 1)):
+        raise InputError(
+            f"a contraction is {float(jnp.max(contraction)):g}, and 1 is a muscle of no length; "
+            "give the fraction of its length at rest, not percent"
+        )
+    if "pressure" in others and bool(jnp.any(others["pressure"] < 0)):
+        raise InputError(
+            f"a pressure is {float(jnp.min(others['pressure'])):g} Pa; give the pressure above the "
+            "surroundings, 0 or more"
+        )

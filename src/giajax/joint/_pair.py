@@ -1,0 +1,162 @@
+"""The bending-angle controller (fig. 6): two muscles against each other, and their pressures."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import numpy.typing as npt
+
+from .._errors import InputError
+from .._typing import Array, Float, Scalar
+from ..parameters import is_concrete
+from ._braided import BraidedMuscle
+from ._geometry import LARGEST_ANGLE, check_geometry
+from ._muscle import AbstractMuscle, PressureAnswer
+from ._statics import Joint, MuscleState, balanced, muscle_balance
+
+
+class JointPair(eqx.Module):
+    """A joint with two equal muscles on opposite sides, and no friction.
+
+    The angle of the pair is positive where the joint bends towards the first muscle, which is
+    then the inner one.
+
+    Arguments:
+        joint: geometry and corrections, of either side.
+        muscle: the law of both muscles.
+    """
+
+    joint: Joint = eqx.field(default_factory=Joint)
+    muscle: AbstractMuscle = eqx.field(default_factory=BraidedMuscle)
+
+    @property
+    def length(self) -> Scalar:
+        """Length of each muscle at rest, m."""
+        return self.joint.geometry.muscle_length
+
+
+class PairCommand(eqx.Module):
+    """What holds the joint at an angle.
+
+    Attributes:
+        angle: of the pair, rad, any shape.
+        first, second: states of the muscle towards which a positive angle bends, and of the
+            other one.
+        first_pressure, second_pressure: their pressures, and whether they are to be had.
+    """
+
+    angle: Float[Array, "*shape"]
+    first: MuscleState
+    second: MuscleState
+    first_pressure: PressureAnswer
+    second_pressure: PressureAnswer
+
+    @property
+    def pressures(self) -> Float[Array, "*shape 2"]:
+        """Both pressures along a last axis, Pa."""
+        both = (self.first_pressure.pressure, self.second_pressure.pressure)
+        return jnp.stack(both, axis=-1)
+
+    @property
+    def reached(self) -> Array:
+        """Whether both muscles can do what they must."""
+        return self.first_pressure.reached & self.second_pressure.reached
+
+
+def pair_command(
+    pair: JointPair,
+    angle: npt.ArrayLike | Array,
+    load: npt.ArrayLike | Array = 0.0,
+    cocontraction: npt.ArrayLike | Array | None = None,
+) -> PairCommand:
+    """Pressures that hold a pair at an angle against a load (fig. 6).
+
+    The inner muscle balances the co-contraction torque, alpha and what of the load acts against
+    the bending; the outer one the co-contraction torque and beta.
+
+    Arguments:
+        pair: the joint and its muscles.
+        angle: wanted, rad, any shape, within -60 to 60 deg.
+        load: torque from outside, towards negative angles, N m, one number or one an angle.
+        cocontraction: torque of each muscle against the other, N m; the joint's 0.3 by default.
+
+    Returns:
+        Contractions, forces and pressures of both muscles. Where a pressure is not to be had,
+        its answer says why.
+
+    Raises:
+        InputError: an angle beyond 60 deg, a number that is not finite, or an impossible
+            geometry.
+
+    Example:
+        >>> import giajax, numpy as np
+        >>> command = giajax.pair_command(giajax.JointPair(), np.deg2rad(20.0))
+        >>> [round(float(pressure) / 1e3, 1) for pressure in command.pressures]
+        [29.5, 27.2]
+    """
+    dtype = jnp.result_type(float)
+    angle = jnp.asarray(angle, dtype=dtype)
+    load = jnp.broadcast_to(jnp.asarray(load, dtype=dtype), angle.shape)
+    torque = pair.joint.torque if cocontraction is None else cocontraction
+    torque = jnp.broadcast_to(jnp.asarray(torque, dtype=dtype), angle.shape)
+    if is_concrete((pair, angle, load, torque)):
+        check_range(angle)
+        if not bool(jnp.all(jnp.isfinite(load) & jnp.isfinite(torque))):
+            raise InputError("a load or co-contraction torque is not finite; give finite numbers")
+        angles = np.asarray(angle).ravel()
+        check_geometry(pair.joint.geometry, np.concatenate([angles, -angles]))
+    return _pair_command(pair, angle, load, torque)
+
+
+def check_range(angle: Array) -> None:
+    """Refuse angles beyond the range of the joint."""
+    inside = jnp.abs(angle) <= LARGEST_ANGLE * (1 + 1e-12)
+    if not bool(jnp.all(inside)):
+        worst = float(jnp.rad2deg(angle.ravel()[jnp.argmin(inside)]))
+        raise InputError(
+            f"the wanted angle is {worst:.4g} deg, and a joint bends by at most 60 deg; give "
+            "radians, and a smaller angle"
+        )
+
+
+@eqx.filter_jit
+def _pair_command(pair: JointPair, angle: Array, load: Array, torque: Array) -> PairCommand:
+    ahead = angle >= 0
+    first = balanced(pair.joint, angle, torque + jnp.where(ahead, load, 0), ahead)
+    second = balanced(pair.joint, -angle, torque - jnp.where(ahead, 0, load), ~ahead)
+    return PairCommand(
+        angle=angle,
+        first=first,
+        second=second,
+        first_pressure=pair.muscle.answer(first.force, first.contraction, pair.length),
+        second_pressure=pair.muscle.answer(second.force, second.contraction, pair.length),
+    )
+
+
+def net_torque(
+    pair: JointPair,
+    pressures: Float[Array, "2"],
+    load: Float[Array, ""],
+    angle: Float[Array, "*shape"],
+    ahead: Array,
+) -> Float[Array, "*shape"]:
+    """Torque towards positive angles that two pressures leave over, N m: 0 in equilibrium.
+
+    The corrections resist the bending: alpha - beta, towards 0, whichever side is bent to.
+
+    Arguments:
+        pair: the joint and its muscles.
+        pressures: of the first and the second muscle, Pa.
+        load: torque from outside, towards negative angles, N m.
+        angle: of the pair, rad.
+        ahead: whether the first muscle is the inner one, of the angle's shape; what decides at 0.
+    """
+    one = jnp.ones_like(angle)
+    first = muscle_balance(pair.joint.geometry, angle, one, ahead)
+    second = muscle_balance(pair.joint.geometry, -angle, one, ~ahead)
+    pulls = [
+        pair.muscle.force(jnp.broadcast_to(p, angle.shape), s.contraction, pair.length) * s.lever
+        for p, s in zip(pressures, (first, second), strict=True)
+    ]
+    correction = pair.joint.correction
+    resistance = correction(angle, ahead) - correction(-angle, ~ahead)
+    return pulls[0] - pulls[1] - resistance - load

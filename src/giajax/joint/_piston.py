@@ -1,0 +1,66 @@
+"""A pneumatic cylinder: the simplest actuator, and one with a public recording."""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+
+from .._typing import Array, Float, Scalar
+from ..parameters import parameter
+from ._muscle import AbstractMuscle
+
+
+class Piston(AbstractMuscle):
+    """F = p A + offset, A = pi bore^2 / 4.
+
+    Its force pushes outwards, and its recorded position grows where it is pressed in.
+    """
+
+    name: ClassVar[str] = "piston"
+    own_motion: ClassVar[int] = -1
+
+    bore: Scalar = parameter(
+        0.025, unit="m", lower=0, doc="diameter of the bore", frozen=False, assumed=True
+    )
+    offset: Scalar = parameter(
+        0.0, unit="N", doc="force without pressure: the zero of the load cell", frozen=False
+    )
+    pressure_limit: Scalar = parameter(
+        1e6, unit="Pa", lower=0, doc="highest pressure", assumed=True
+    )
+
+    @property
+    def limit(self) -> Float[Array, ""]:
+        """Highest pressure, Pa."""
+        return self.pressure_limit
+
+    @property
+    def area(self) -> Float[Array, ""]:
+        """Cross-section of the bore, m^2."""
+        return jnp.pi / 4 * self.bore**2
+
+    def signed_force(
+        self,
+        pressure: Float[Array, "*shape"],
+        contraction: Float[Array, "*shape"],
+        length: Float[Array, ""],
+    ) -> Float[Array, "*shape"]:
+        """Force by the law, N."""
+        return pressure * self.area + self.offset
+
+    def force(
+        self,
+        pressure: Float[Array, "*shape"],
+        contraction: Float[Array, "*shape"],
+        length: Float[Array, ""],
+    ) -> Float[Array, "*shape"]:
+        """Force, N: what a load cell shows, of either sign."""
+        return self.signed_force(pressure, contraction, length)
+
+    def wanted_pressure(
+        self,
+        force: Float[Array, "*shape"],
+        contraction: Float[Array, "*shape"],
+        length: Float[Array, ""],
+    ) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
+        """Pressure for a force, Pa, and the force per pascal."""
+        return (force - self.offset) / self.area, jnp.broadcast_to(self.area, force.shape)
