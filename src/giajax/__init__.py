@@ -34,6 +34,7 @@ if TYPE_CHECKING:
         fit as fit,
         load_result as load_result,
         predict as predict,
+        prediction_errors as prediction_errors,
     )
     from .joint import (
         BraidedMuscle as BraidedMuscle,
@@ -98,7 +99,7 @@ _ROOMS = {
         "takeichi_20m",
         "tip_position",
     ),
-    "fitting": ("FitResult", "Marquardt", "fit", "load_result", "predict"),
+    "fitting": ("FitResult", "Marquardt", "fit", "load_result", "predict", "prediction_errors"),
     "joint": (
         "BraidedMuscle",
         "Correction",

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from . import _check, _examples, _fit, _init, _parameters, _simulate
+from . import _check, _examples, _fit, _init, _parameters, _predict, _simulate
 from ._errors import Commands, run
 
 app = typer.Typer(
@@ -27,6 +27,8 @@ Examples:
   giajax examples           runs and fit definitions to start from
   giajax fit --data run.csv
                             fit drag, stiffness and damping to it
+  giajax predict --model giajax-out/run --data other.csv
+                            how well the fit predicts another run
 
 A run is a CSV file with one column a channel (time_s, joint01_command_deg,
 link06_z_m, ...) and, beside it, an optional sidecar of the same name ending .toml.""",
@@ -40,6 +42,7 @@ app.command("check", epilog=_check.EXAMPLES)(_check.check)
 app.command("fit", epilog=_fit.EXAMPLES)(_fit.fit)
 app.command("init", epilog=_init.EXAMPLES)(_init.init)
 app.command("parameters", epilog=_parameters.EXAMPLES)(_parameters.parameters)
+app.command("predict", epilog=_predict.EXAMPLES)(_predict.predict)
 app.command("simulate", epilog=_simulate.EXAMPLES)(_simulate.simulate)
 app.command("examples", epilog=_examples.EXAMPLES)(_examples.examples)
 

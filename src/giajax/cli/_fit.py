@@ -1,7 +1,9 @@
 """`giajax fit`: parameters of an arm from recordings of it."""
 
+import dataclasses
 import math
 import textwrap
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -57,6 +59,29 @@ def fit(
         list[str] | None,
         typer.Option(metavar="PATH=VALUE", help="Start a parameter at a value. Repeatable."),
     ] = None,
+    channels: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME", help="Fit this channel only, without its unit: link20_z. Repeatable."
+        ),
+    ] = None,
+    window: Annotated[
+        float | None,
+        typer.Option(
+            metavar="S", help="Cut the runs into windows of this length, each with its own start."
+        ),
+    ] = None,
+    starts: Annotated[
+        int | None,
+        typer.Option(metavar="N", min=1, help="Fit from so many starts and keep the best end."),
+    ] = None,
+    spread: Annotated[
+        float | None,
+        typer.Option(metavar="X", help="How far the other starts are away; 0.3 is 30 percent."),
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(metavar="N", min=0, help="Of the other starts.")
+    ] = None,
     loss: Annotated[
         str | None,
         typer.Option(metavar="NAME", help="linear (default), or huber or soft_l1 for outliers."),
@@ -94,7 +119,15 @@ def fit(
     source = definition or config
     stated = Definition() if source is None else Definition.load(source)
     asked = {"free": free, "fix": _values(fix, "--fix"), "start": _values(start, "--start")}
-    stated = _on_top(stated, asked)
+    plain = {
+        "channels": channels,
+        "window_s": window,
+        "starts": starts,
+        "spread": spread,
+        "seed": seed,
+        "loss": loss,
+    }
+    stated = _on_top(stated, asked, {key: value for key, value in plain.items() if value})
     paths = data or [_beside(source, name) for name in stated.fit.data or []]
     if not paths:
         where = f"{source} names no data" if source else "no data is given"
@@ -105,25 +138,43 @@ def fit(
     from ._jax import configure
 
     configure()
-    from ..fitting import configuration, fit
+    from ..fitting import configuration, fit, prediction_errors
     from ..models import model_for
     from ..report import check_figures, check_folder, write_result
-    from ..runs import read_run
+    from ..runs import read_runs
+    from ..study import multi_start
 
-    runs = [read_run(path, rename=renamed, definition=stated) for path in paths]
+    runs = read_runs(paths, stated, rename=renamed)
+    others = [_beside(source, name) for name in stated.fit.validation or []]
+    validation = read_runs(others, stated, rename=renamed)
     model = model_for(runs)
     wanted: dict[str, Any] = {
         "free": stated.fit.free,
         "start": stated.fit.start,
         "fix": stated.fit.fix,
-        "loss": loss or stated.fit.loss or "linear",
+        "loss": stated.fit.loss or "linear",
     }
     check_figures(model, stated)
     check_folder(folder, runs, configuration(model, runs, **wanted), force=force)
     progress = None if quiet else _Progress()
-    result = fit(model, runs, **wanted, max_iterations=max_iterations, progress=progress)
+    wanted |= {"max_iterations": max_iterations, "progress": progress}
+    count = stated.fit.starts or 1
+    if count == 1:
+        result = fit(model, runs, **wanted)
+    else:
+        result = multi_start(
+            model,
+            runs,
+            starts=count,
+            spread=stated.fit.spread or 0.3,
+            seed=stated.fit.seed or 0,
+            announce=None if progress is None else progress.announce,
+            **wanted,
+        )
     if progress is not None:
         progress.end()
+    errors = [prediction_errors(result.model, run) for run in validation]
+    result = dataclasses.replace(result, validation=errors)
     files = write_result(result, runs, folder)
     if as_json:
         typer.echo(result.to_json(), nl=False)
@@ -148,12 +199,12 @@ def _values(pairs: list[str] | None, option: str) -> dict[str, float]:
     return values
 
 
-def _on_top(stated: "Definition", asked: dict[str, Any]) -> "Definition":
+def _on_top(stated: "Definition", asked: dict[str, Any], plain: dict[str, Any]) -> "Definition":
     """The definition with what the command line says on top, path by path."""
     from ..runs import Definition
 
     below = stated.fit
-    free = asked["free"] or below.free
+    free = below.free if asked["free"] is None else asked["free"]
     starts, fixes = dict(below.start or {}), dict(below.fix or {})
     # The command line's word on a parameter undoes what the definition says of the same one.
     for path in asked["fix"]:
@@ -162,7 +213,7 @@ def _on_top(stated: "Definition", asked: dict[str, Any]) -> "Definition":
             free = [name for name in free if name != path]
     for path in (*asked["start"], *(asked["free"] or [])):
         fixes.pop(path, None)
-    said = {"start": starts | asked["start"], "fix": fixes | asked["fix"], "free": free}
+    said = {"start": starts | asked["start"], "fix": fixes | asked["fix"], "free": free, **plain}
     given = stated.given()
     return Definition.parse({**given, "fit": {**given.get("fit", {}), **said}}, "the command line")
 
@@ -188,6 +239,10 @@ class _Progress:
         taken = "yes" if iteration.accepted else "no"
         first = iteration.number == 0
         self._row([cells[0], cells[1], "" if first else cells[2], "" if first else taken, *values])
+
+    def announce(self, number: int, start: Mapping[str, float]) -> None:
+        """Say which of several starts is next."""
+        self._say(f"start {number}")
 
     def end(self) -> None:
         """Keep a line between the iterations and the table, where both are on one screen."""

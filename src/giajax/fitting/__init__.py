@@ -3,6 +3,6 @@
 from ._configuration import configuration as configuration
 from ._descend import Iteration as Iteration
 from ._fit import fit as fit
-from ._predict import predict as predict
+from ._predict import predict as predict, prediction_errors as prediction_errors
 from ._result import Estimate as Estimate, FitResult as FitResult, load_result as load_result
 from ._solver import Marquardt as Marquardt

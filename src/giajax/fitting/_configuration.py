@@ -65,7 +65,12 @@ def configuration(
     stated = [run.definition.given() for run in runs]
     return {
         "definition": model.definition(),
-        "runs": [{key: said[key] for key in _ABOUT_RUNS if key in said} for said in stated],
+        "runs": [
+            {key: said[key] for key in _ABOUT_RUNS if key in said}
+            | ({} if run.observed is None else {"channels": list(run.observed)})
+            | ({} if run.times is None else {"from_s": float(run.times[0]), "rows": len(run.times)})
+            for run, said in zip(runs, stated, strict=True)
+        ],
         "free": [parameter.path for parameter in parameters],
         "start": {path: float(value) for path, value in start.items()},
         "fix": {path: float(value) for path, value in fix.items()},
@@ -75,15 +80,17 @@ def configuration(
 
 def _check_doubles(runs: Sequence[Run]) -> None:
     """Refuse a recording that is given twice: its errors would shrink for nothing."""
-    seen: dict[str, str] = {}
+    seen: dict[tuple[str, float], str] = {}
     for run in runs:
         if run.sha256 is None:
             continue
-        if run.sha256 in seen:
+        # Windows of one recording are several runs.
+        part = (run.sha256, 0.0 if run.times is None else float(run.times[0]))
+        if part in seen:
             raise InputError(
-                f"'{seen[run.sha256]}' and '{run.path}' are the same recording; give it once"
+                f"'{seen[part]}' and '{run.path}' are the same recording; give it once"
             )
-        seen[run.sha256] = str(run.path)
+        seen[part] = str(run.path)
 
 
 def set_up(

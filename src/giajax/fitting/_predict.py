@@ -1,6 +1,7 @@
 """Predictions of a model for a run, as plain arrays."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -34,3 +35,37 @@ def predict(
     names = tuple(run.observations if channels is None else channels)
     predicted = _predict(model, model.prepare(run), names)
     return {name: np.asarray(predicted[name]) for name in names}
+
+
+def prediction_errors(
+    model: AbstractModel, run: Run, channels: Sequence[str] | None = None
+) -> dict[str, Any]:
+    """How far a prediction is from what a run recorded.
+
+    Arguments:
+        model: the model.
+        run: a recorded run; its initial state is as its definition says.
+        channels: names without unit; those that the run recorded by default.
+
+    Returns:
+        {"name", "path", "channels": {name: {"unit", "rmse", "largest", "n"}}}, in the unit of
+        the recording; infinite where the simulation failed.
+
+    Raises:
+        InputError: as `predict`.
+    """
+    names = list(run.observations if channels is None else channels)
+    predicted = predict(model, run, names)
+    found = {}
+    for name in names:
+        channel, recorded = run.channels[name], run.observations[name]
+        difference = (predicted[name] - recorded)[~np.isnan(recorded)]
+        difference = np.where(np.isnan(difference), np.inf, difference)
+        found[name] = {
+            "unit": channel.unit,
+            "rmse": float(channel.from_si(np.sqrt(np.mean(difference**2)))),
+            "largest": float(channel.from_si(np.max(np.abs(difference)))),
+            "n": len(difference),
+        }
+    path = None if run.path is None else str(run.path)
+    return {"name": run.name, "path": path, "channels": found}

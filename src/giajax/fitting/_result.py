@@ -64,6 +64,9 @@ class FitResult:
         versions: of giajax and of the libraries that computed it.
         config: what was asked for, resolved; with the parameters it rebuilds the model.
         history: cost, step and parameters of each iteration.
+        starts: where the fit was started (`giajax.multi_start`), each with its end: {"start",
+            "status", "misfit", "parameters"}; empty for one start.
+        validation: errors of prediction of runs that were not fitted, as `prediction_errors`.
         predictions: predicted channels (SI) of each run, by name; empty after `load_result`.
     """
 
@@ -83,6 +86,8 @@ class FitResult:
     versions: dict[str, str]
     config: dict[str, Any]
     history: list[dict[str, Any]]
+    starts: list[dict[str, Any]] = dataclasses.field(default_factory=list)
+    validation: list[dict[str, Any]] = dataclasses.field(default_factory=list)
     predictions: list[dict[str, np.ndarray]] = dataclasses.field(default_factory=list, repr=False)
 
     @property

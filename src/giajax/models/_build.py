@@ -52,7 +52,9 @@ def build_model(
     """
     if kind not in MODELS:
         raise InputError(f"this version of giajax has no model '{kind}'")
-    return replace(MODELS[kind].from_definition(definition), parameters)
+    # Whole arrays first: an element may belong to an array that the definition has as a number.
+    whole = {path: value for path, value in parameters.items() if "[" not in path}
+    return replace(replace(MODELS[kind].from_definition(definition), whole), parameters)
 
 
 def parameter_values(model: AbstractModel) -> dict[str, Any]:

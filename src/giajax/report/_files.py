@@ -18,6 +18,9 @@ from ._style import SIGNATURE, to_png
 
 RESULT = "result.json"
 
+# A figure takes a second, and nobody looks at twenty of them.
+_MOST_RUNS = 6
+
 # What makes two fits the same fit; the iterations allowed and the folder do not.
 _SAME = ("definition", "runs", "free", "start", "fix", "loss")
 _WORDS = {"definition": "the model's constants", "runs": "what the sidecar states", "loss": "loss"}
@@ -72,7 +75,8 @@ def write_result(result: FitResult, runs: Run | Sequence[Run], folder: str | Pat
     `result.json` is the result itself (`giajax.load_result`). `prediction.csv` has the columns of
     the recording with the fitted in place of the recorded values, at every time; for one run it is
     a run itself, with its sidecar, and for several it has a leading column `run`. Figures show
-    recorded against fitted values of each run, the residuals and the correlations. Each file
+    recorded against fitted values of each run (of many runs, of those that are described worst),
+    the residuals and the correlations. Each file
     appears whole or not at all, `result.json` last. Figures of an earlier fit are removed.
 
     Arguments:
@@ -144,6 +148,19 @@ def _unique_names(runs: Sequence[Run]) -> list[str]:
     return names
 
 
+def _worth_drawing(result: FitResult) -> list[int]:
+    """All runs, or of many those that are described worst, in their order."""
+    if len(result.runs) <= _MOST_RUNS:
+        return list(range(len(result.runs)))
+
+    def misfit(record: Mapping[str, Any]) -> float:
+        ratios = [c["rmse"] / c["noise"] for c in record["channels"].values() if c["rmse"]]
+        return max(ratios, default=0.0)
+
+    worst = sorted(range(len(result.runs)), key=lambda index: -misfit(result.runs[index]))
+    return sorted(worst[:_MOST_RUNS])
+
+
 def _figure_files(
     result: FitResult,
     runs: Sequence[Run],
@@ -151,7 +168,9 @@ def _figure_files(
     predictions: Sequence[Mapping[str, np.ndarray]],
 ) -> dict[str, bytes]:
     files = {}
-    for run, name, predicted, record in zip(runs, names, predictions, result.runs, strict=True):
+    drawn = _worth_drawing(result)
+    everything = list(zip(runs, names, predictions, result.runs, strict=True))
+    for run, name, predicted, record in (everything[index] for index in drawn):
         file = "recorded.png" if len(runs) == 1 else f"recorded_{name}.png"
         files[file] = to_png(recorded_figure(result, run, predicted, record))
     files["residuals.png"] = to_png(residuals_figure(result, runs, predictions))

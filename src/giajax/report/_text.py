@@ -5,13 +5,19 @@ import textwrap
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from ..fitting import Estimate, FitResult
+from ..study import SAME_END, misfit
 
 # A remark that would be squeezed into fewer columns than this goes below its row instead.
 _LEAST_REMARK = 36
 
 # Digits of a value that has no standard error to say how many it deserves.
 _DIGITS = 6
+
+# More lines of residuals than this are summed up.
+_MANY = 8
 
 # The messages of the two others begin with their status.
 _SHOUTED = {"not_converged": "NOT CONVERGED: "}
@@ -90,8 +96,19 @@ def summary_rows(result: FitResult) -> list[tuple[str, str]]:
     rows = [("status", _SHOUTED.get(result.status, "") + result.message)]
     rows.append(("cost", _number(result.cost)))
     rows.append(("reduced chi-square", _number(result.reduced_chi_square)))
-    for index, run in enumerate(result.runs):
-        rows += [("residuals" if index == 0 else "", text) for text in _residuals(run)]
+    rows += _labelled("starts", _starts(result))
+    residuals = [text for run in result.runs for text in _residuals(run)]
+    if len(residuals) > _MANY:
+        residuals = _over_runs(result.runs, "residuals of")
+    rows += _labelled("residuals", residuals)
+    own = [run["parameters"] for run in result.runs if run.get("parameters")]
+    if own:
+        text = f"{sum(map(len, own))} values of {len(own)} runs alone were fitted, too"
+        rows.append(("initial states", f"{text}; result.json has them"))
+    validation = [text for run in result.validation for text in _errors(run)]
+    if len(validation) > _MANY:
+        validation = _over_runs(result.validation, "prediction of")
+    rows += _labelled("validation", validation)
     strongest = _strongest_correlation(result)
     if strongest:
         rows.append(("correlation", strongest))
@@ -104,6 +121,52 @@ def summary_rows(result: FitResult) -> list[tuple[str, str]]:
         ("time", f"{seconds['run']:.2g} s, and {seconds['compile']:.2g} s to compile or load")
     )
     return rows
+
+
+def _labelled(label: str, texts: Sequence[str]) -> list[tuple[str, str]]:
+    return [(label if index == 0 else "", text) for index, text in enumerate(texts)]
+
+
+def _starts(result: FitResult) -> list[str]:
+    """How many starts ended where the result is."""
+    if not result.starts:
+        return []
+    best = misfit(result)
+    values = sum(channel["n"] for run in result.runs for channel in run["channels"].values())
+    ends = [start["misfit"] for start in result.starts if start.get("misfit") is not None]
+    near = sum(end - best < SAME_END * values for end in ends)
+    text = f"{near} of {len(result.starts)} ended here"
+    others = sorted((end - best) / values for end in ends if end - best >= SAME_END * values)
+    if others:
+        text += f"; the others are worse by {others[0]:.2g} to {others[-1]:.2g} in log-likelihood "
+        text += "per value"
+    return [text]
+
+
+def _over_runs(runs: Sequence[dict[str, Any]], what: str) -> list[str]:
+    """One line a channel for many runs: smallest, median and largest RMSE."""
+    table: dict[tuple[str, str], list[float]] = {}
+    for run in runs:
+        for name, record in run["channels"].items():
+            if record["rmse"] is not None:
+                table.setdefault((name, record["unit"]), []).append(record["rmse"])
+    lines = []
+    for (name, unit), values in table.items():
+        low, middle, high = np.quantile(values, [0.0, 0.5, 1.0])
+        shown = f"{_rmse(low)} to {_rmse(high)}, median {_rmse(middle)}"
+        lines.append(f"{what} {len(values)} runs: {name} RMSE {shown}{f' {unit}' if unit else ''}")
+    return lines
+
+
+def _errors(run: dict[str, Any]) -> list[str]:
+    """RMSE of the prediction of a run that was not fitted."""
+    by_unit: dict[str, list[str]] = {}
+    for name, record in run["channels"].items():
+        by_unit.setdefault(record["unit"], []).append(f"{name} {_rmse(record['rmse'])}")
+    return [
+        f"{run['name']}: RMSE {', '.join(shown)}{f' {unit}' if unit else ''}"
+        for unit, shown in by_unit.items()
+    ]
 
 
 def _shown(result: FitResult) -> dict[str, Estimate]:

@@ -5,10 +5,12 @@ from ._describe import describe as describe
 from ._read import (
     parse_rename as parse_rename,
     read_run as read_run,
+    read_runs as read_runs,
     read_sidecar as read_sidecar,
     sidecar_path as sidecar_path,
 )
 from ._run import Run as Run
+from ._select import observing as observing, windows as windows
 from ._template import sidecar_template as sidecar_template
 from ._vocabulary import Definition as Definition, Figure as Figure
 from ._write import write_files as write_files, write_run as write_run

@@ -1,11 +1,12 @@
 """Reading a run: CSV or Parquet, with its sidecar."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from .._errors import InputError
 from ._checks import Wording
 from ._run import Run, build_run
+from ._select import observing, windows
 from ._table import Table, read_table
 from ._vocabulary import Definition
 
@@ -42,6 +43,28 @@ def read_run(
         given = {key: item for key, item in definition.given().items() if key in _ABOUT_RUNS}
         stated = stated.merged_with(Definition.parse(given))
     return run_of(table, path, stated)
+
+
+def read_runs(
+    paths: Sequence[str | Path],
+    definition: Definition,
+    *,
+    rename: Mapping[str, str] | None = None,
+) -> list[Run]:
+    """Read the runs of a fit, with the channels and the windows that its definition asks for.
+
+    - `paths`: as of `read_run`.
+    - `definition`: the fit definition.
+    - `rename`: as of `read_run`.
+
+    Raises `InputError` as `read_run`, `observing` and `windows` do.
+    """
+    runs = [read_run(path, rename=rename, definition=definition) for path in paths]
+    if definition.fit.channels is not None:
+        runs = [observing(run, definition.fit.channels) for run in runs]
+    if definition.fit.window_s is None:
+        return runs
+    return [part for run in runs for part in windows(run, definition.fit.window_s)]
 
 
 def run_of(table: Table, path: Path, definition: Definition) -> Run:

@@ -35,6 +35,7 @@ class Run:
       (`side`, `phase`) is an object array of str or None. Time is not among them.
     - `channels`: channel name -> `Channel`, the same keys as `values`.
     - `definition`: what the sidecar says, with the fit definition's word on top.
+    - `observed`: the channels that a fit compares; None for all that were measured.
     - `path`, `sha256`: the file and its checksum; None for a run made from arrays.
 
     Made by `read_run` and `Run.from_arrays`, which both check the content. The arrays are
@@ -49,6 +50,7 @@ class Run:
     definition: Definition = field(default_factory=Definition)
     path: Path | None = None
     sha256: str | None = None
+    observed: tuple[str, ...] | None = None
 
     @classmethod
     def from_arrays(
@@ -113,7 +115,10 @@ class Run:
     @property
     def observations(self) -> dict[str, npt.NDArray[Any]]:
         """The channels that a fit compares with its prediction: name -> (T,), SI."""
-        return self._of_kinds(PREDICTED[self.model])
+        measured = self._of_kinds(PREDICTED[self.model])
+        if self.observed is None:
+            return measured
+        return {name: measured[name] for name in self.observed if name in measured}
 
     def noise(self, name: str) -> float | None:
         """Stated standard deviation of channel `name`, SI; None if nothing was stated.

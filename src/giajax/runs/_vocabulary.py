@@ -249,6 +249,24 @@ class Fit(_Section):
     fix: dict[Name, Finite] | None = key(
         "a table of parameter paths and numbers", "parameters held at a value"
     )
+    channels: list[Name] | None = key(
+        "a list of channel names, without unit", "channels to fit; all that were measured"
+    )
+    window_s: Positive | None = key(
+        "a positive number", "cut each run into windows of this length, each with its own start"
+    )
+    starts: Annotated[int, Field(ge=1)] | None = key(
+        "a whole number of at least 1", "how many starts; the best end is the result"
+    )
+    spread: Positive | None = key(
+        "a positive number", "how far the other starts are from the first: 0.3 is 30 %"
+    )
+    seed: Annotated[int, Field(ge=0)] | None = key(
+        "zero or a positive whole number", "of the other starts"
+    )
+    validation: list[Name] | None = key(
+        "a list of file names", "runs that the result must predict and is not fitted to"
+    )
     loss: Literal["linear", "huber", "soft_l1"] | None = key(
         '"linear", "huber" or "soft_l1"', "how a large residual counts"
     )

@@ -1,0 +1,112 @@
+"""`giajax predict`: how well a model predicts runs that it was not fitted to."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ._output import print_table
+
+if TYPE_CHECKING:
+    from ..models import AbstractModel
+    from ..runs import Run
+
+_ABOUT_RUNS = ("model", "free_motion", "initial", "command", "wind", "noise", "fit")
+
+EXAMPLES = """\b
+Examples:
+  giajax predict --model giajax-out/run --data other.csv
+  giajax predict --model giajax-out/triple_pendulum --against published.toml
+      --data validation_01.csv --data validation_02.csv
+  giajax predict --model my_arm.toml --data run.csv --refit-initial --out errors.csv
+
+\b
+MODEL is the folder of a fit, its result.json, or a TOML file whose [arm] (or
+other section) states a model with all its parameters."""
+
+
+def predict(
+    model: Annotated[
+        Path, typer.Option(metavar="MODEL", help="What predicts; see below.", show_default=False)
+    ],
+    data: Annotated[
+        list[Path], typer.Option(metavar="RUN.csv", help="A recorded run. Repeatable.")
+    ],
+    against: Annotated[
+        Path | None,
+        typer.Option(metavar="MODEL", help="Another model, and the ratio of their errors."),
+    ] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.toml",
+            help="A fit definition whose [initial], [wind] and channels hold for the runs, too.",
+        ),
+    ] = None,
+    channels: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Only this channel, without its unit. Repeatable."),
+    ] = None,
+    rename: Annotated[
+        list[str] | None,
+        typer.Option(metavar="OLD=NEW", help="Read column OLD of the runs as NEW. Repeatable."),
+    ] = None,
+    refit_initial: Annotated[
+        bool,
+        typer.Option("--refit-initial", help="Fit the initial state of each run first."),
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE.csv", help="Write the table there.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Write over a file.")] = False,
+) -> None:
+    """Predict runs, and print the RMSE of each channel.
+
+    The runs start as their sidecars, or the fit definition, say: with first_row = true in
+    [initial] as in their first row.
+    """
+    from .._errors import InputError
+    from ..runs import Definition, parse_rename, read_runs, write_files
+
+    if out is not None and out.exists() and not force:
+        raise InputError(f"{out} exists; give another --out, or --force to write over it")
+    said = {} if config is None else Definition.load(config).given()
+    # What it says of the model is that of the fit, which `model` states already.
+    said = {key: value for key, value in said.items() if key in _ABOUT_RUNS}
+    if channels:
+        said["fit"] = {**said.get("fit", {}), "channels": channels}
+    stated = Definition.parse(said, "the command line")
+
+    from ._jax import configure
+
+    configure()
+    from ..study import compare
+
+    renamed = parse_rename(rename or [])
+
+    def runs_for(source: Path) -> "list[Run]":
+        own = Definition() if _is_result(source) else Definition.load(source)
+        return read_runs(data, own.merged_with(stated), rename=renamed)
+
+    runs = runs_for(model)
+    one = _model(model, runs)
+    other = None if against is None else _model(against, runs_for(against))
+    rows = compare(one, runs, other, refit_initial=refit_initial)
+    headings = ["run", "channel", "unit", "values", "RMSE", "largest"]
+    if other is not None:
+        headings += ["RMSE of the other", "ratio"]
+    print_table(headings, rows, left=3)
+    if out is not None:
+        lines = [",".join(str(cell) for cell in row) for row in [headings, *rows]]
+        write_files({out: ("\n".join(lines) + "\n").encode()}, force=force)
+
+
+def _is_result(path: Path) -> bool:
+    return path.is_dir() or path.suffix == ".json"
+
+
+def _model(path: Path, runs: "list[Run]") -> "AbstractModel":
+    from ..fitting import load_result
+    from ..models import model_for
+
+    return load_result(path).model if _is_result(path) else model_for(runs)

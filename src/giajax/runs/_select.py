@@ -1,0 +1,86 @@
+"""What a fit takes of a recorded run: some of its channels, and windows of it in time."""
+
+import dataclasses
+import itertools
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from .._errors import InputError
+from ._channels import Channel
+from ._run import Run
+
+_LINK_ANGLE = re.compile(r"link([0-9]+)_angle")
+
+
+def observing(run: Run, channels: Sequence[str]) -> Run:
+    """The run with only these channels to be compared with a prediction.
+
+    - `channels`: names without unit. `linkNN_angle`, the absolute angle of a link in a plane, is
+      made from the joint angles up to it where it is not recorded.
+
+    The other channels stay in the run, and may give its initial state. Raises `InputError` for a
+    channel that the run does not have and that cannot be made.
+    """
+    values, known = dict(run.values), dict(run.channels)
+    for name in channels:
+        if name not in values:
+            values[name], known[name] = _link_angle(run, name)
+    selected = dataclasses.replace(run, values=values, channels=known, observed=tuple(channels))
+    for name in channels:
+        if name not in selected.observations:
+            raise InputError(
+                f"'{name}' of '{run.name}' is given to the model and not predicted by it; "
+                "name another channel"
+            )
+    return selected
+
+
+def _link_angle(run: Run, name: str) -> tuple[np.ndarray, Channel]:
+    match = _LINK_ANGLE.fullmatch(name)
+    joints = [f"joint{joint:02d}_angle" for joint in range(1, int(match[1]) + 1)] if match else []
+    if not joints or any(joint not in run.values for joint in joints):
+        measured = ", ".join(run.observations) or "none"
+        raise InputError(
+            f"the channel '{name}' is wanted of '{run.name}', which does not have it; "
+            f"choose among its measured ones: {measured}"
+        )
+    total = np.sum([run.values[joint] for joint in joints], axis=0)
+    total.setflags(write=False)
+    return total, Channel.named(name, run.channels[joints[0]].unit)
+
+
+def windows(run: Run, length: float) -> list[Run]:
+    """The run cut into windows of a length (s), one after the other.
+
+    Each starts at its own initial state, which makes one long or chaotic recording into several
+    short ones (multiple shooting). A remainder shorter than half a window is left out.
+
+    Raises `InputError` if the initial state is stated and would be that of every window, if the
+    run has no times, or if a window would hold fewer than four samples.
+    """
+    initial = run.definition.initial
+    if not initial.first_row:
+        raise InputError(
+            f"'{run.name}' is to be cut into windows, each of which needs its own initial state; "
+            "say first_row = true in [initial]"
+        )
+    if run.times is None:
+        raise InputError(f"'{run.name}' has no times, so it cannot be cut into windows")
+    count = max(int(np.floor((run.times[-1] - run.times[0]) / length + 0.5)), 1)
+    edges = run.times[0] + length * np.arange(count + 1)
+    rows = np.searchsorted(run.times, edges - 1e-9 * length)
+    if np.min(np.diff(rows)) < 4:
+        raise InputError(
+            f"a window of {length:g} s of '{run.name}' holds fewer than 4 samples; make it longer"
+        )
+    return [
+        dataclasses.replace(
+            run,
+            name=f"{run.name} {run.times[first]:.4g} s",
+            times=run.times[first:last],
+            values={name: column[first:last] for name, column in run.values.items()},
+        )
+        for first, last in itertools.pairwise(rows)
+    ]
