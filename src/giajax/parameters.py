@@ -90,9 +90,12 @@ def parameter(
     )
 
 
-def inline() -> Any:
-    """Field whose parameters appear in the paths of its owner without the field's own name."""
-    return eqx.field(metadata={_INLINE: True})
+def inline(**options: Any) -> Any:
+    """Field whose parameters appear in the paths of its owner without the field's own name.
+
+    `options` are those of `equinox.field`, such as `default_factory`.
+    """
+    return eqx.field(metadata={_INLINE: True}, **options)
 
 
 def _as_float_array(value: Any) -> Any:

@@ -91,11 +91,11 @@ def offered(text):
 @pytest.mark.parametrize(
     ("text", "stated", "keys"),
     [
-        (CSV, {"model": "arm"}, {"arm", "initial", "command", "wind", "noise"}),
+        (CSV, {"model": "arm"}, {"arm", "sensors", "initial", "command", "wind", "noise"}),
         (
             "time_s,joint01_angle_deg,joint22_rate_rad_per_s\n0,1,2\n1,1,2\n",
             {"model": "arm", "free_motion": True, "arm": {"links": 22}},
-            {"arm", "initial", "wind", "noise", "free_motion"},
+            {"arm", "sensors", "initial", "wind", "noise", "free_motion"},
         ),
         ("command_deg,angle_deg\n0,1\n", {"model": "hysteresis"}, {"noise"}),
         ("force_N,angle_deg\n0,1\n", {}, set()),

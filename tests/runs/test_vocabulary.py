@@ -30,6 +30,18 @@ joint_axes = ["pitch", "yaw", [1, 0, 0]]
 base_rotation_deg = [0, -90, 0]
 air_density_kg_per_m3 = 1.2
 gravity_m_per_s2 = 9.81
+[sensors]
+camera_rotation_deg = [0, 5, 0]
+camera_origin_m = [0, 0.1, 0]
+camera_scale = 1.01
+camera_delay_s = -0.1
+marker_along_m = 0.1
+marker_left_m = [0.1, 0, -0.1]
+marker_up_m = 0.15
+marker_tip_m = [0, 0, 0.1]
+encoder_offset_deg = [1, 2, 3]
+encoder_scale = 1
+encoder_delay_s = 0.02
 [initial]
 angle_deg = [10, 20, 30]
 rate_deg_per_s = 0
@@ -78,6 +90,8 @@ def test_every_key_is_read(tmp_path):
     assert d.arm.link_length_m == [1.0, 0.5, 0.25]
     assert d.arm.joint_axes == ["pitch", "yaw", [1.0, 0.0, 0.0]]
     assert (d.arm.links, d.arm.link_diameter_m, d.arm.gravity_m_per_s2) == (3, 0.3, 9.81)
+    assert d.sensors.camera_rotation_deg == [0.0, 5.0, 0.0]
+    assert (d.sensors.camera_delay_s, d.sensors.encoder_offset_deg) == (-0.1, [1.0, 2.0, 3.0])
     assert d.initial.angle_deg == [10.0, 20.0, 30.0]
     assert (d.command.interpolation, d.wind.interpolation) == ("zoh", "zoh")
     assert d.wind.velocity_m_per_s == [0.0, 0.2, 0.0]

@@ -13,9 +13,16 @@ from ..arm import Arm
 from ..parameters import declared, find, inline, parameter
 from ..runs import Channel, Definition, Run
 from ..simulation import SOLVERS, Signal, Trajectory, check_wind, constant, integrate, logged
-from ._definition import arm_from_definition, arm_to_definition
+from ._definition import (
+    arm_from_definition,
+    arm_to_definition,
+    sensors_from_definition,
+    sensors_to_definition,
+)
+from ._delays import Seen, seen_with_delays
 from ._initial import initial_state
 from ._protocol import AbstractModel, Channels
+from ._sensors import CONDITIONS, Sensors
 
 # Positions of the 20 m arm are then right to about 1e-6 m, far below the noise of a camera.
 _TOLERANCE = 1e-7
@@ -53,6 +60,10 @@ _SCALE = (
 # C_D is referred to these (eq. 1).
 _DRAG_AREA = ("air.density", "links.length", "links.diameter")
 
+# What the camera records, and what the angle sensors do.
+_POSITIONS = frozenset({"link_position", "tip_position"})
+_ANGLES = frozenset({"joint_angle", "joint_rate", "link_angle"})
+
 
 class InitialState(eqx.Module):
     """Joint angles and rates at the first sample; parameters of one run, if it says so."""
@@ -83,6 +94,7 @@ class ArmModel(AbstractModel):
         tolerance: relative and absolute tolerance of the integrator.
         solver: one of `giajax.SOLVERS`.
         max_steps: step limit of one simulation.
+        sensors: what stands between the motion and its recording; exact by default.
     """
 
     kind: ClassVar[str] = "arm"
@@ -93,40 +105,46 @@ class ArmModel(AbstractModel):
     )
     solver: str = eqx.field(default="tsit5", static=True)
     max_steps: int = eqx.field(default=_MAX_STEPS, static=True)
+    sensors: Sensors = inline(default_factory=Sensors)
 
     def __check_init__(self) -> None:
         if self.solver not in SOLVERS:
             raise InputError(
                 f"there is no solver '{self.solver}'; use one of: {', '.join(SOLVERS)}"
             )
+        self.sensors.check(self.arm.count)
 
     @classmethod
     def for_runs(cls, runs: Sequence[Run]) -> Self:
-        """The arm that the sidecars state, which must agree.
+        """The arm and the sensors that the sidecars state, which must agree.
 
         Raises:
-            InputError: the sidecars disagree in [arm].
+            InputError: the sidecars disagree in [arm] or [sensors].
         """
         first, *others = runs
         arm = arm_from_definition(first.definition)
-        constants = arm_to_definition(arm)
+        sensors = sensors_from_definition(first.definition)
         for other in others:
-            theirs = arm_to_definition(arm_from_definition(other.definition))
-            for key, value in constants.items():
-                if theirs[key] != value:
-                    raise InputError(
-                        f"the sidecars of '{first.name}' and '{other.name}' disagree in [arm] "
-                        f"{key} ({value} and {theirs[key]}); correct one, or fit the runs "
-                        "separately"
-                    )
+            their_arm = arm_from_definition(other.definition)
+            their_sensors = sensors_from_definition(other.definition)
+            for section, ours, theirs in (
+                ("arm", arm_to_definition(arm), arm_to_definition(their_arm)),
+                ("sensors", sensors_to_definition(sensors), sensors_to_definition(their_sensors)),
+            ):
+                _check_agreement(section, (first, ours), (other, theirs))
         durations = [float(np.ptp(run.times)) for run in runs if run.times is not None]
-        return cls(arm, max_steps=step_limit(max(durations, default=0.0)))
+        return cls(arm, max_steps=step_limit(max(durations, default=0.0)), sensors=sensors)
 
     @classmethod
     def from_definition(cls, definition: Mapping[str, Any]) -> Self:
-        """The arm and the settings of the integrator that `definition()` gave."""
-        arm = arm_from_definition(Definition.parse({"arm": definition["arm"]}, "stored result"))
-        return cls(arm, **definition["simulation"])
+        """The arm, its sensors and the settings of the integrator that `definition()` gave."""
+        sections = {key: definition[key] for key in ("arm", "sensors") if key in definition}
+        stated = Definition.parse(sections, "stored result")
+        return cls(
+            arm_from_definition(stated),
+            sensors=sensors_from_definition(stated),
+            **definition["simulation"],
+        )
 
     def free_inputs(self, run: Run) -> tuple[str, ...]:
         """The initial state, where the run says `[initial] free = true`."""
@@ -166,13 +184,16 @@ class ArmModel(AbstractModel):
         return logged(times, values, run.definition.command.interpolation)
 
     def trajectory(self, inputs: ArmInputs) -> Trajectory:
-        """Motion of the arm in a prepared run."""
+        """Motion of the arm at the samples of a prepared run, as it is: without sensors."""
+        return self._motion(inputs, inputs.times, inputs.times[-1])
+
+    def _motion(self, inputs: ArmInputs, times: Array, end: Array) -> Trajectory:
         # Below this a step is all rounding, which matters in 32-bit.
         tolerance = jnp.maximum(self.tolerance, 50 * jnp.finfo(self.tolerance.dtype).eps)
         return integrate(
             self.arm,
             inputs.command,
-            inputs.times,
+            times,
             inputs.wind,
             inputs.torque,
             jnp.stack([inputs.initial.angle, inputs.initial.rate]),
@@ -180,37 +201,63 @@ class ArmModel(AbstractModel):
             solver=self.solver,
             max_steps=self.max_steps,
             derivatives="forward",
+            span=(inputs.times[0], end),
         )
 
     def predict(
         self, inputs: ArmInputs, channels: tuple[str, ...]
     ) -> tuple[Channels, Bool[Array, ""]]:
-        """Predicted channels (m, rad, rad/s), each of shape (sample,)."""
-        motion = self.trajectory(inputs)
+        """Predicted channels (m, rad, rad/s) as the sensors show them, each (sample,)."""
         known = [Channel.named(name) for name in channels]
         kinds = {channel.kind for channel in known}
+        camera, encoder, successful = self._seen(inputs, kinds)
+        sensors = self.sensors
+        tables: dict[str, Array] = {}
+        if kinds & {"joint_angle", "link_angle"}:
+            tables["joint_angle"] = sensors.encoder.shows(encoder.angles)
+            tables["link_angle"] = jnp.cumsum(tables["joint_angle"], axis=1)
+        if "joint_rate" in kinds:
+            tables["joint_rate"] = sensors.encoder.shows_rates(encoder.rates)
         # Positions of all links are computed only where a channel asks for one.
-        tables: dict[str, Array] = {"joint_angle": motion.angles, "joint_rate": motion.rates}
-        if "link_angle" in kinds:
-            tables["link_angle"] = jnp.cumsum(motion.angles, axis=1)
         if "link_position" in kinds:
-            tables["link_position"] = motion.link_centres
+            tables["link_position"] = sensors.link_positions(self.arm, camera.angles)
         if "tip_position" in kinds:
-            tables["tip_position"] = motion.tip[:, None]
+            tables["tip_position"] = sensors.tip_positions(self.arm, camera.angles)[:, None]
         predicted = {}
         for channel in known:
             column = tables[channel.kind][:, (channel.index or 1) - 1]
             predicted[channel.name] = (
                 column if channel.component is None else column[:, channel.component]
             )
-        return predicted, motion.successful
+        return predicted, successful
+
+    def _seen(self, inputs: ArmInputs, kinds: set[str]) -> tuple[Seen, Seen, Bool[Array, ""]]:
+        """What camera and angle sensors see; a clock that no channel needs costs nothing."""
+        camera = self.sensors.camera.delay if kinds & _POSITIONS else None
+        encoder = self.sensors.encoder.delay if kinds & _ANGLES else None
+        if camera is None and encoder is None:
+            motion = self.trajectory(inputs)
+            seen = Seen(motion.angles, motion.rates)
+            return seen, seen, motion.successful
+        clocks = [
+            delay
+            for delay, asked in ((camera, kinds & _POSITIONS), (encoder, kinds & _ANGLES))
+            if asked
+        ]
+        clocks_seen, successful = seen_with_delays(
+            lambda times, end: self._motion(inputs, times, end), inputs.times, clocks
+        )
+        return clocks_seen[0], clocks_seen[-1], successful
 
     def refined(self, factor: float) -> Self:
         """The same model with the integrator's tolerances multiplied by a factor."""
         return eqx.tree_at(lambda model: model.tolerance, self, self.tolerance * factor)
 
     def conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
-        """The scale that motion alone cannot determine, and what C_D is referred to."""
+        """The scale that motion alone cannot determine, and what C_D and sensors refer to."""
+        return self._scale(free, runs) + self._sensor_conditions(free)
+
+    def _scale(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
         fitted = {path.partition("[")[0] for path in free}
         scaled = [path for path in free if path.partition("[")[0] in _SCALE]
         # A known torque sets the scale.
@@ -229,6 +276,16 @@ class ArmModel(AbstractModel):
             sentences.append(f"air.drag_coefficient: holds for {self._values(area)}")
         return sentences
 
+    def _sensor_conditions(self, free: Sequence[str]) -> list[str]:
+        fitted = {path.partition("[")[0] for path in free}
+        sentences = [f"{path}: {said}" for path, said in CONDITIONS.items() if path in fitted]
+        if "camera.scale" in fitted and "links.length" not in fitted:
+            sentences.append(
+                f"camera.scale: holds for {self._values(['links.length'])}, because a camera "
+                "that shows everything larger looks like a longer arm"
+            )
+        return sentences
+
     def _values(self, paths: Sequence[str]) -> str:
         """Paths with their values; of an array that is not uniform, the range."""
         shown = []
@@ -241,9 +298,11 @@ class ArmModel(AbstractModel):
         return ", ".join(shown)
 
     def definition(self) -> dict[str, Any]:
-        """The arm's constants and the settings of the integrator."""
+        """The arm's constants, its sensors and the settings of the integrator."""
+        sensors = sensors_to_definition(self.sensors)
         return {
             "arm": arm_to_definition(self.arm),
+            **({"sensors": sensors} if sensors else {}),
             "simulation": {
                 "solver": self.solver,
                 "tolerance": float(self.tolerance),
@@ -262,3 +321,19 @@ def _wind(run: Run, times: np.ndarray) -> Signal | None:
     for name, values in run.winds.items():
         velocity[:, run.channels[name].component] = values
     return logged(times, velocity, stated.interpolation)
+
+
+def _check_agreement(
+    section: str, first: tuple[Run, dict[str, Any]], other: tuple[Run, dict[str, Any]]
+) -> None:
+    (one, ours), (two, theirs) = first, other
+    for key in {**ours, **theirs}:
+        if ours.get(key) != theirs.get(key):
+            said = " and ".join(
+                "nothing" if values.get(key) is None else str(values[key])
+                for values in (ours, theirs)
+            )
+            raise InputError(
+                f"the sidecars of '{one.name}' and '{two.name}' disagree in [{section}] "
+                f"{key} ({said}); correct one, or fit the runs separately"
+            )

@@ -1,4 +1,4 @@
-"""From the TOML vocabulary to an arm, and back."""
+"""From the TOML vocabulary to an arm and its sensors, and back."""
 
 from typing import Any
 
@@ -7,8 +7,9 @@ import numpy as np
 
 from .._errors import InputError
 from ..arm import Arm, PointMasses, named_axes, preset
-from ..parameters import declared, default_free
+from ..parameters import declared, default_free, replace
 from ..runs import Definition
+from ._sensors import Sensors
 
 # Key of [arm] -> argument of `chain` and path of the parameter.
 _ARRAYS = {
@@ -41,6 +42,21 @@ _KEYED = (
     "point_masses.left",
     "point_masses.up",
 )
+
+# Key of [sensors] -> path of the parameter and what one of the key's unit is in SI.
+_SENSORS = {
+    "camera_rotation_deg": ("camera.rotation", np.pi / 180),
+    "camera_origin_m": ("camera.origin", 1.0),
+    "camera_scale": ("camera.scale", 1.0),
+    "camera_delay_s": ("camera.delay", 1.0),
+    "marker_along_m": ("marker.along", 1.0),
+    "marker_left_m": ("marker.left", 1.0),
+    "marker_up_m": ("marker.up", 1.0),
+    "marker_tip_m": ("marker.tip", 1.0),
+    "encoder_offset_deg": ("encoder.offset", np.pi / 180),
+    "encoder_scale": ("encoder.scale", 1.0),
+    "encoder_delay_s": ("encoder.delay", 1.0),
+}
 
 
 def arm_from_definition(definition: Definition) -> Arm:
@@ -151,3 +167,20 @@ def _axes(arm: Arm) -> str | list[list[float]]:
     if arm.joints.axes == named_axes("pitch_yaw", arm.count):
         return "pitch_yaw"
     return [list(axis) for axis in arm.joints.axes]
+
+
+def sensors_from_definition(definition: Definition) -> Sensors:
+    """What the `[sensors]` section states; what it does not state is left out."""
+    given = definition.sensors.given()
+    known = {_SENSORS[key]: value for key, value in given.items() if value is not None}
+    return replace(Sensors(), {path: np.multiply(v, si) for (path, si), v in known.items()})
+
+
+def sensors_to_definition(sensors: Sensors) -> dict[str, Any]:
+    """The `[sensors]` section: what the sensors do not leave out, in the TOML vocabulary."""
+    on = declared(sensors)
+    return {
+        key: (np.asarray(on[path].value(sensors), dtype=float) / si).tolist()
+        for key, (path, si) in _SENSORS.items()
+        if path in on
+    }

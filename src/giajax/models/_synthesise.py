@@ -24,6 +24,7 @@ def synthesise(
     missing: float = 0.0,
     seed: int = 0,
     definition: Definition | Mapping[str, Any] | None = None,
+    stated: AbstractModel | None = None,
     name: str = "synthetic",
 ) -> Run:
     """A run as an experiment would record it: what the model predicts, with noise and gaps.
@@ -46,6 +47,8 @@ def synthesise(
         missing: fraction of the samples of each channel that are left empty, in [0, 1).
         seed: of the noise and the gaps.
         definition: what a sidecar would say of the run; the model's constants are added.
+        stated: the model whose constants are added instead, such as one that knows nothing of a
+            turned camera.
         name: of the run.
 
     Returns:
@@ -79,7 +82,7 @@ def synthesise(
         {**inputs, **blank},
         name=name,
         noise=noise,
-        definition=definition.merged_with(_constants(model)),
+        definition=definition.merged_with(_constants(stated or model)),
     )
     unknown = [channel for channel in channels if channel not in plan.observations]
     if unknown:

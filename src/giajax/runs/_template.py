@@ -11,7 +11,7 @@ from ._checks import DEFAULT_LINKS, DEFAULT_PRESET
 from ._model import GIVEN, PREDICTED, infer_model
 from ._table import Table, read_table
 from ._toml import key_path, toml_value
-from ._vocabulary import Arm, Command, Definition, Initial, Noise, Wind
+from ._vocabulary import Arm, Command, Definition, Initial, Noise, Sensors, Wind
 
 # A value to show where the preset has none.
 _EXAMPLES: dict[str, Any] = {
@@ -25,6 +25,17 @@ _EXAMPLES: dict[str, Any] = {
     "free": True,
     "point_masses": [{"link": 20, "mass_kg": 0.003, "position_m": 0.99}],
     "parameters": {"air.added_mass_coefficient": 1.0},
+    "camera_rotation_deg": [0.0, 5.0, 0.0],
+    "camera_origin_m": [0.0, 0.1, 0.0],
+    "camera_scale": 1.0,
+    "camera_delay_s": 0.05,
+    "marker_along_m": 0.0,
+    "marker_left_m": 0.0,
+    "marker_up_m": 0.15,
+    "marker_tip_m": [0.0, 0.0, 0.0],
+    "encoder_offset_deg": 0.0,
+    "encoder_scale": 1.0,
+    "encoder_delay_s": 0.05,
     "interpolation": "linear",
     "velocity_m_per_s": [0.0, 0.0, 0.2],
 }
@@ -71,6 +82,12 @@ def _arm(table: Table) -> list[str]:
     for name in Arm.model_fields:
         stated = largest if name == "links" and largest > DEFAULT_LINKS else None
         lines.append(_line(Arm, name, stated))
+    lines += ["", "[sensors]  # known errors of the recording; a fit can find them too"]
+    lines += [
+        _line(Sensors, name)
+        for name in Sensors.model_fields
+        if _records(name.partition("_")[0], kinds)
+    ]
     lines += ["", "[initial]  # at the first sample; a number holds for all joints"]
     angles = {c.index for c in table.channels.values() if c.kind == "joint_angle"}
     recorded = largest > 0 and angles == set(range(1, largest + 1))
@@ -81,6 +98,12 @@ def _arm(table: Table) -> list[str]:
     lines += ["", "[wind]"]
     lines.append(_line(Wind, "interpolation" if "wind" in kinds else "velocity_m_per_s"))
     return lines
+
+
+def _records(sensor: str, kinds: set[str]) -> bool:
+    """Whether a sensor records one of these kinds of channels."""
+    angles = {"joint_angle", "joint_rate", "link_angle"}
+    return bool(kinds & (angles if sensor == "encoder" else {"link_position", "tip_position"}))
 
 
 def _noise(table: Table, model: str | None) -> list[str]:

@@ -160,6 +160,44 @@ class Arm(_Section):
                 )
 
 
+Delay = Annotated[float, Field(ge=-5, le=5, allow_inf_nan=False)]
+_DELAY = "a number from -5 to 5"
+
+
+class Sensors(_Section):
+    """`[sensors]`: what is known of camera, markers and angle sensors. Unless given: exact."""
+
+    camera_rotation_deg: Vector | None = key(
+        "a list of three numbers", "rotation vector of the camera frame in the base frame"
+    )
+    camera_origin_m: Vector | None = key(
+        "a list of three numbers", "origin of the camera frame in the base frame"
+    )
+    camera_scale: Positive | None = key("a positive number", "recorded over true distances")
+    camera_delay_s: Delay | None = key(_DELAY, "how long before its time stamp a position was true")
+    marker_along_m: Finite | list[Finite] | None = key(
+        f"a number {_PER_LINK}", "distance of a link's marker from its centre, along the link"
+    )
+    marker_left_m: Finite | list[Finite] | None = key(
+        f"a number {_PER_LINK}", "distance of a link's marker to the left of its centre"
+    )
+    marker_up_m: Finite | list[Finite] | None = key(
+        f"a number {_PER_LINK}", "distance of a link's marker above its centre"
+    )
+    marker_tip_m: Vector | None = key(
+        "a list of three numbers", "offset of the tip's marker from the tip: along, left, up"
+    )
+    encoder_offset_deg: Finite | list[Finite] | None = key(
+        "a number or a list of them, one a joint", "what an angle sensor shows at the angle 0"
+    )
+    encoder_scale: Positive | list[Positive] | None = key(
+        "a positive number or a list of them, one a joint", "shown over true changes of an angle"
+    )
+    encoder_delay_s: Delay | None = key(
+        _DELAY, "how long before its time stamp a joint's angle was true"
+    )
+
+
 class Initial(_Section):
     """`[initial]`: joint angles and rates at the first sample. Unless given: straight, at rest."""
 
@@ -326,6 +364,7 @@ class Definition(_Section):
     )
     free_motion: bool | None = key("true or false", "true: the arm moves without commands")
     arm: Arm = Field(default_factory=Arm)
+    sensors: Sensors = Field(default_factory=Sensors)
     initial: Initial = Field(default_factory=Initial)
     command: Command = Field(default_factory=Command)
     wind: Wind = Field(default_factory=Wind)

@@ -169,8 +169,13 @@ def integrate(
     solver: str,
     max_steps: int,
     derivatives: str,
+    span: tuple[Scalar, Scalar] | None = None,
 ) -> Trajectory:
-    """The compiled core of `simulate`: no checks, never raises."""
+    """The compiled core of `simulate`: no checks, never raises.
+
+    `span` is from when to when to integrate, where that is not from the first to the last time.
+    """
+    begin, end = (times[0], times[-1]) if span is None else span
     inputs = [signal for signal in (command, wind, torque) if signal is not None]
     corners = jnp.concatenate([signal.times for signal in inputs])
     rtol, atol = tolerances
@@ -178,11 +183,11 @@ def integrate(
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(_motion),
         method,
-        t0=times[0],
-        t1=times[-1],
+        t0=begin,
+        t1=end,
         dt0=None,
         y0=state,
-        args=(arm, command, wind, torque, eqxi.prevbefore(times[-1])),
+        args=(arm, command, wind, torque, eqxi.prevbefore(end)),
         saveat=diffrax.SaveAt(ts=times),
         stepsize_controller=step_size_controller(
             method,

@@ -1,0 +1,213 @@
+"""What records an arm: a camera with its frame, scale and clock, markers, and angle sensors.
+
+Every parameter is optional; what is left out costs nothing. A camera shows a point p of the base
+frame at scale * R^T (p - origin), R being the turn of the camera frame against the base frame.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .._errors import InputError
+from .._maths import rotate, rotation_vector_to_quaternion, scaled
+from .._typing import Array, Float, Scalar
+from ..arm import Arm, pose
+from ..parameters import parameter
+
+LONGEST_DELAY = 5.0
+"""A clock that is off by more than this (s) is a wrong file."""
+
+_DELAY: dict[str, Any] = {
+    "unit": "s",
+    "lower": -LONGEST_DELAY,
+    "upper": LONGEST_DELAY,
+    "optional": True,
+}
+_ALL = "(one number, or one per link)"
+
+
+class Camera(eqx.Module):
+    """Frame, scale and clock of recorded positions."""
+
+    rotation: Float[Array, "3"] | None = parameter(
+        0.0,
+        unit="rad",
+        shape=(3,),
+        optional=True,
+        doc="turn of the camera frame against the base frame, as a rotation vector",
+    )
+    origin: Float[Array, "3"] | None = parameter(
+        0.0,
+        unit="m",
+        shape=(3,),
+        optional=True,
+        doc="origin of the camera frame in the base frame",
+    )
+    scale: Scalar | None = parameter(
+        1.0, unit="", lower=0, optional=True, doc="recorded over true distances"
+    )
+    delay: Scalar | None = parameter(
+        0.0, doc="how long before its time stamp a position was true", **_DELAY
+    )
+
+    def sees(self, positions: Float[Array, "*point 3"]) -> Float[Array, "*point 3"]:
+        """Positions (m) of the base frame as they are recorded; the clock apart."""
+        if self.origin is not None:
+            positions = positions - self.origin.reshape((1,) * (positions.ndim - 1) + (3,))
+        if self.rotation is not None:
+            back = rotation_vector_to_quaternion(-self.rotation)
+            rows = positions.reshape(-1, 3).T
+            turned = rotate(jnp.broadcast_to(back[:, None], (4, rows.shape[1])), rows)
+            positions = turned.T.reshape(positions.shape)
+        return positions if self.scale is None else self.scale * positions
+
+
+class Marker(eqx.Module):
+    """Where the tracked points lie, in the frame of their link."""
+
+    along: Float[Array, ""] | Float[Array, " link"] | None = parameter(
+        0.0,
+        unit="m",
+        each=True,
+        optional=True,
+        doc=f"distance of a link's marker from its centre, along the link {_ALL}",
+    )
+    left: Float[Array, ""] | Float[Array, " link"] | None = parameter(
+        0.0,
+        unit="m",
+        each=True,
+        optional=True,
+        doc=f"distance of a link's marker to the left of its centre {_ALL}",
+    )
+    up: Float[Array, ""] | Float[Array, " link"] | None = parameter(
+        0.0,
+        unit="m",
+        each=True,
+        optional=True,
+        doc=f"distance of a link's marker above its centre {_ALL}",
+    )
+    tip: Float[Array, "3"] | None = parameter(
+        0.0,
+        unit="m",
+        shape=(3,),
+        optional=True,
+        doc="offset of the tip's marker from the end of the last link: along, left, up",
+    )
+
+    def on_links(self, arm: Arm, angles: Float[Array, " joint"]) -> Float[Array, "link 3"]:
+        """Positions of the links' markers in the base frame, m."""
+        here = pose(arm, angles, sideways=self.left is not None or self.up is not None)
+        points = here.centre
+
+        def each(offset: Array) -> Array:
+            return jnp.broadcast_to(offset, (arm.count,))
+
+        if self.along is not None:
+            points = points + scaled(each(self.along), here.direction)
+        if self.left is not None:
+            assert here.left is not None
+            points = points + scaled(each(self.left), here.left)
+        if self.up is not None:
+            points = points + scaled(each(self.up), here.up)
+        return points.T
+
+    def at_tip(self, arm: Arm, angles: Float[Array, " joint"]) -> Float[Array, "3"]:
+        """Position of the tip's marker in the base frame, m."""
+        here = pose(arm, angles, sideways=self.tip is not None)
+        end = scaled(arm.links.length, here.direction).sum(axis=-1)
+        if self.tip is None:
+            return end
+        assert here.left is not None
+        frame = jnp.stack([here.direction[:, -1], here.left[:, -1], here.up[:, -1]], axis=1)
+        return end + frame @ self.tip
+
+
+class Encoder(eqx.Module):
+    """Zero, scale and clock of the joints' angle sensors; angles of links are their sums."""
+
+    offset: Float[Array, ""] | Float[Array, " joint"] | None = parameter(
+        0.0,
+        unit="rad",
+        each=True,
+        optional=True,
+        doc="what a joint's angle sensor shows at the angle 0 (one number, or one per joint)",
+    )
+    scale: Float[Array, ""] | Float[Array, " joint"] | None = parameter(
+        1.0,
+        unit="",
+        lower=0,
+        each=True,
+        optional=True,
+        doc="shown over true changes of a joint's angle (one number, or one per joint)",
+    )
+    delay: Scalar | None = parameter(
+        0.0, doc="how long before its time stamp a joint's angle was true", **_DELAY
+    )
+
+    def shows(self, angles: Float[Array, "sample joint"]) -> Float[Array, "sample joint"]:
+        """Recorded joint angles, rad; the clock apart."""
+        shown = self.shows_rates(angles)
+        return shown if self.offset is None else shown + _row(self.offset, shown)
+
+    def shows_rates(self, rates: Float[Array, "sample joint"]) -> Float[Array, "sample joint"]:
+        """Recorded joint rates, rad/s; the clock apart."""
+        return rates if self.scale is None else rates * _row(self.scale, rates)
+
+
+def _row(value: Array, table: Array) -> Array:
+    return jnp.broadcast_to(value, table.shape[1:])[None]
+
+
+class Sensors(eqx.Module):
+    """All that stands between the motion of an arm and its recording."""
+
+    camera: Camera = eqx.field(default_factory=Camera)
+    marker: Marker = eqx.field(default_factory=Marker)
+    encoder: Encoder = eqx.field(default_factory=Encoder)
+
+    def check(self, joints: int) -> None:
+        """Refuse what is given for another number of links or joints.
+
+        Raises:
+            InputError: naming the parameter and both numbers.
+        """
+        for name, part, field in _EACH:
+            value = getattr(getattr(self, part), field)
+            if value is not None and np.shape(value) not in ((), (joints,)):
+                raise InputError(
+                    f"{name} has {np.size(value)} values for an arm of {joints} links; give one "
+                    "number, or one for each"
+                )
+
+    def link_positions(
+        self, arm: Arm, angles: Float[Array, "sample joint"]
+    ) -> Float[Array, "sample link 3"]:
+        """Recorded positions of the links' markers, m."""
+        return self.camera.sees(jax.vmap(lambda row: self.marker.on_links(arm, row))(angles))
+
+    def tip_positions(
+        self, arm: Arm, angles: Float[Array, "sample joint"]
+    ) -> Float[Array, "sample 3"]:
+        """Recorded positions of the tip's marker, m."""
+        return self.camera.sees(jax.vmap(lambda row: self.marker.at_tip(arm, row))(angles))
+
+
+_EACH = (
+    ("marker.along", "marker", "along"),
+    ("marker.left", "marker", "left"),
+    ("marker.up", "marker", "up"),
+    ("encoder.offset", "encoder", "offset"),
+    ("encoder.scale", "encoder", "scale"),
+)
+
+CONDITIONS: dict[str, str] = {
+    "camera.delay": "counted from the clock of the commands, so that a lag of the drives would "
+    "look the same",
+    "encoder.delay": "counted from the clock of the commands, so that a lag of the drives would "
+    "look the same",
+    "encoder.offset": "counted from the commanded angle 0, at which the joints are straight",
+}
+"""On what a fitted parameter of the sensors is conditional, by path."""

@@ -1,0 +1,318 @@
+"""Sensors between the motion and its recording: known transformations, derivatives, a fit."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import giajax
+from giajax import ArmModel, InputError, Run
+from giajax.arm import link_centres, tip_position
+from giajax.models import build_model, model_for, parameter_values, synthesise
+from giajax.models._sensors import Camera, Marker, Sensors
+
+LINKS = 3
+TIMES = np.linspace(0.0, 4.0, 41)
+COMMAND = {
+    "joint01_command": np.interp(TIMES, [0.3, 1.0], [0.0, 0.6]),
+    "joint02_command": np.interp(TIMES, [1.0, 2.0], [0.0, -0.5]),
+}
+CHANNELS = tuple(f"link{i:02d}_{axis}" for i in range(1, LINKS + 1) for axis in "xyz")
+EVERYTHING = (*CHANNELS, "tip_x", "tip_y", "tip_z", "joint01_angle", "joint02_rate", "link03_angle")
+EACH = {
+    "camera.rotation": [0.3, -0.2, 0.1],
+    "camera.origin": [0.1, -0.2, 0.3],
+    "camera.scale": 1.1,
+    "camera.delay": 0.13,
+    "marker.along": 0.05,
+    "marker.left": [0.1, 0.0, -0.1],
+    "marker.up": 0.15,
+    "marker.tip": [0.02, 0.03, 0.04],
+    "encoder.offset": [0.1, -0.1, 0.05],
+    "encoder.scale": 0.9,
+    "encoder.delay": -0.07,
+}
+
+
+def model(**changes):
+    parameters = {"joints.pitch_stiffness": 2.0, "joints.yaw_stiffness": 5.0, **changes}
+    return giajax.replace(ArmModel(giajax.takeichi_20m(LINKS), tolerance=1e-9), parameters)
+
+
+def run_of(command=COMMAND, **definition):
+    blank = {"link01_z": np.zeros_like(TIMES)}
+    return Run.from_arrays(
+        TIMES, {**command, **blank}, definition={"arm": {"links": LINKS}, **definition}
+    )
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return giajax.predict(model(), run_of(), EVERYTHING)
+
+
+def points(channels):
+    return np.stack([channels[name] for name in CHANNELS], -1).reshape(len(TIMES), LINKS, 3)
+
+
+def test_what_is_left_out_is_not_there():
+    assert jax.tree.leaves(Sensors()) == []
+    arm, angles = giajax.takeichi_20m(LINKS), jnp.asarray([0.3, -0.2, 0.5])
+    np.testing.assert_array_equal(Marker().on_links(arm, angles), link_centres(arm, angles))
+    np.testing.assert_allclose(Marker().at_tip(arm, angles), tip_position(arm, angles), rtol=1e-15)
+    positions = jnp.ones((2, 3))
+    assert Camera().sees(positions) is positions
+
+
+def test_a_camera_turned_by_a_right_angle(plain):
+    """The camera's x axis is y of the base, and its y axis is -x of the base."""
+    turned = model(**{"camera.rotation": [0.0, 0.0, np.pi / 2]})
+    seen = points(giajax.predict(turned, run_of(), EVERYTHING))
+    x, y, z = np.moveaxis(points(plain), -1, 0)
+    np.testing.assert_allclose(seen, np.stack([y, -x, z], -1), atol=1e-12)
+
+
+def test_scale_acts_on_what_is_seen_from_the_origin(plain):
+    changes = {"camera.origin": [0.1, 0.2, -0.3], "camera.scale": 2.0}
+    changes["camera.rotation"] = [np.pi, 0.0, 0.0]
+    seen = giajax.predict(model(**changes), run_of(), EVERYTHING)
+    expected = 2 * (points(plain) - [0.1, 0.2, -0.3]) * [1, -1, -1]
+    np.testing.assert_allclose(points(seen), expected, atol=1e-12)
+    np.testing.assert_allclose(seen["tip_z"], -2 * (plain["tip_z"] + 0.3), atol=1e-12)
+    np.testing.assert_array_equal(seen["joint01_angle"], plain["joint01_angle"])
+
+
+def test_markers_move_with_their_link():
+    """The base joint raises the arm upright: along is z, left is y and up is -x of the base."""
+    arm, upright = giajax.takeichi_20m(LINKS), jnp.asarray([np.pi / 2, 0.0, 0.0])
+    marker = Marker(along=0.1, left=[0.2, 0.0, 0.0], up=0.3, tip=[0.1, 0.2, 0.3])
+    shift = marker.on_links(arm, upright) - link_centres(arm, upright)
+    np.testing.assert_allclose(shift[0], [-0.3, 0.2, 0.1], atol=1e-12)
+    np.testing.assert_allclose(shift[1], [-0.3, 0.0, 0.1], atol=1e-12)
+    shift = marker.at_tip(arm, upright) - tip_position(arm, upright)
+    np.testing.assert_allclose(shift, [-0.3, 0.2, 0.1], atol=1e-12)
+
+
+def test_angle_sensors_have_a_zero_and_a_scale(plain):
+    changes = {"encoder.offset": [0.1, 0.2, 0.4], "encoder.scale": 1.5}
+    seen = giajax.predict(model(**changes), run_of(), EVERYTHING)
+    np.testing.assert_allclose(seen["joint01_angle"], 1.5 * plain["joint01_angle"] + 0.1)
+    np.testing.assert_allclose(seen["joint02_rate"], 1.5 * plain["joint02_rate"])
+    # Absolute angles are sums of what the joints' sensors show.
+    np.testing.assert_allclose(seen["link03_angle"], 1.5 * plain["link03_angle"] + 0.7, atol=1e-12)
+    np.testing.assert_array_equal(seen["link03_z"], plain["link03_z"])
+
+
+def test_a_late_camera_shows_what_was(plain):
+    """Two samples late: the same values two rows later, and at first the arm at rest."""
+    late = giajax.predict(model(**{"camera.delay": 0.2}), run_of(), EVERYTHING)
+    for name in ("link03_z", "tip_y"):
+        np.testing.assert_allclose(late[name][2:], plain[name][:-2], atol=1e-7)
+        np.testing.assert_allclose(late[name][:2], plain[name][0], atol=1e-12)
+    np.testing.assert_allclose(late["joint01_angle"], plain["joint01_angle"], atol=1e-7)
+
+
+def test_clocks_of_camera_and_encoder_are_their_own(plain):
+    changes = {"camera.delay": 0.3, "encoder.delay": -0.1}
+    seen = giajax.predict(model(**changes), run_of(), EVERYTHING)
+    np.testing.assert_allclose(seen["link03_z"][3:], plain["link03_z"][:-3], atol=1e-7)
+    for name in ("joint01_angle", "joint02_rate", "link03_angle"):
+        np.testing.assert_allclose(seen[name][:-1], plain[name][1:], atol=1e-7)
+
+
+def test_an_early_clock_goes_on_beyond_the_end():
+    """With the last command: as a run that lasts longer does."""
+    longer = np.linspace(0.0, 4.3, 44)
+    command = {name: np.interp(longer, TIMES, row) for name, row in COMMAND.items()}
+    more = Run.from_arrays(
+        longer, {**command, "tip_z": 0 * longer}, definition={"arm": {"links": LINKS}}
+    )
+    expected = giajax.predict(model(), more)["tip_z"][3:]
+    seen = giajax.predict(model(**{"camera.delay": -0.3}), run_of(), ("tip_z",))["tip_z"]
+    np.testing.assert_allclose(seen, expected, atol=1e-7)
+
+
+def test_before_the_run_a_moving_arm_moves_on(plain):
+    """With the rates of its first sample, which is right to the first order."""
+    moving = run_of(initial={"angle_deg": 5.0, "rate_deg_per_s": 20.0})
+    late = model(**{"encoder.delay": 0.15})
+    angles = giajax.predict(late, moving, ("joint01_angle",))["joint01_angle"]
+    rate = np.deg2rad(20.0)
+    np.testing.assert_allclose(angles[0], np.deg2rad(5.0) - 0.15 * rate, atol=1e-9)
+    np.testing.assert_allclose(angles[1], np.deg2rad(5.0) - 0.05 * rate, atol=1e-9)
+
+
+NEUTRAL = {
+    path: np.broadcast_to(off.declaration.default, np.shape(EACH[path])).astype(float)
+    for path, off in giajax.parameters.left_out(model()).items()
+    if path in EACH
+}
+ELEMENTS = [(path, i) for path in EACH for i in range(np.size(EACH[path]))]
+
+
+@pytest.fixture(scope="module")
+def recording():
+    """What is recorded with all sensors switched on, of all their values in one row."""
+    base, inputs = model(**EACH), model().prepare(run_of())
+    ends = np.cumsum([np.size(value) for value in EACH.values()])[:-1]
+
+    def table(row):
+        parts = jnp.split(row, ends)
+        values = {
+            path: part.reshape(np.shape(EACH[path])) for path, part in zip(EACH, parts, strict=True)
+        }
+        predicted, _ = giajax.replace(base, values).predict(inputs, EVERYTHING)
+        return jnp.stack([predicted[name] for name in EVERYTHING])
+
+    return jax.jit(table), jax.jit(jax.jacfwd(table))
+
+
+@pytest.mark.parametrize("where", [NEUTRAL, EACH], ids=["neutral", "elsewhere"])
+def test_derivatives_by_every_parameter_are_those_of_differences(recording, where):
+    """From where they change nothing, the arm at rest, and with all of them at work."""
+    table, jacobian = recording
+    row = np.concatenate([np.ravel(where[path]) for path in EACH])
+    derivatives = jacobian(jnp.asarray(row))
+    for index, (path, _) in enumerate(ELEMENTS):
+        # Samples of a right clock lie on corners of the command, where the jerk jumps.
+        h = 1e-6 if path.endswith("delay") else 1e-4
+        step = np.zeros(len(row))
+        step[index] = h
+        difference = (table(jnp.asarray(row + step)) - table(jnp.asarray(row - step))) / (2 * h)
+        error = derivatives[:, :, index] - difference
+        size = float(jnp.linalg.norm(difference))
+        assert size > 0.01, path
+        assert float(jnp.linalg.norm(error)) < 1e-5 * size, path
+
+
+TRUE_FRAME = {
+    "camera.rotation": np.deg2rad(5.0) * np.array([2.0, -1.0, 2.0]) / 3,
+    "camera.origin": 0.1 * np.array([-2.0, 2.0, 1.0]) / 3,
+    "air.drag_coefficient": 1.35,
+}
+FRAME = [f"camera.{part}[{i}]" for part in ("rotation", "origin") for i in range(3)]
+
+
+def recorded(channels=CHANNELS, command=COMMAND, sigma=0.005, **changes):
+    return synthesise(
+        model(**changes),
+        TIMES,
+        command,
+        channels,
+        noise={"position": sigma},
+        seed=5,
+        definition={"arm": {"links": LINKS}},
+        stated=model(),
+    )
+
+
+def test_a_camera_frame_is_found_together_with_the_drag_coefficient():
+    run = recorded(**TRUE_FRAME)
+    assert run.definition.sensors.given() == {}
+    result = giajax.fit(
+        model_for([run]),
+        run,
+        free=["camera.rotation", "camera.origin", "air.drag_coefficient"],
+        start={
+            "air.drag_coefficient": 0.7,
+            "joints.pitch_stiffness": 2.0,
+            "joints.yaw_stiffness": 5.0,
+        },
+    )
+    assert result.status == "converged"
+    for path in (*FRAME, "air.drag_coefficient"):
+        name, _, index = path.rstrip("]").partition("[")
+        truth = TRUE_FRAME[name][int(index)] if index else TRUE_FRAME[name]
+        found = result.parameters[path]
+        assert abs(found.value - truth) < 2 * found.standard_error, path
+        assert found.standard_error < 0.3 * abs(truth), path
+    assert result.gradient_check["relative_difference"] < 1e-5
+
+
+def test_a_camera_frame_that_is_ignored_spoils_the_fit():
+    """What the sensors are for: without them the residuals say that something is wrong."""
+    run = recorded(**TRUE_FRAME)
+    result = giajax.fit(model_for([run]), run, free=["air.drag_coefficient"], check=False)
+    assert result.reduced_chi_square > 20
+
+
+def test_what_a_planar_recording_cannot_tell_of_the_frame_is_named():
+    """Heights of a motion in pitch: no turn about x or z, no shift along x or y shows."""
+    planar = {"joint01_command": COMMAND["joint01_command"]}
+    run = recorded(("link01_z", "link02_z", "link03_z"), planar)
+    free = ["camera.rotation", "camera.origin", "air.drag_coefficient"]
+    start = {"joints.pitch_stiffness": 2.0, "air.drag_coefficient": 0.9}
+    found = giajax.fit(model_for([run]), run, free=free, start=start, check=False).parameters
+    for path in ("camera.rotation[0]", "camera.rotation[2]", "camera.origin[0]"):
+        assert "no channel responds" in found[path].remark
+    assert found["camera.rotation[1]"].standard_error < 0.01
+    assert found["camera.origin[2]"].standard_error < 0.01
+
+
+def test_the_turn_of_base_and_camera_are_one():
+    """Without gravity and wind only the turn of the arm against the camera is determined."""
+    run = recorded(**TRUE_FRAME)
+    result = giajax.fit(
+        model_for([run]), run, free=["camera.rotation", "base_rotation"], check=False
+    )
+    for index in range(3):
+        remark = result.parameters[f"camera.rotation[{index}]"].remark
+        assert "only a combination" in remark
+        assert "base_rotation" in remark
+
+
+STATED = {
+    "camera_rotation_deg": [5.0, 0.0, 0.0],
+    "camera_origin_m": [0.0, 0.1, 0.0],
+    "camera_scale": 1.02,
+    "camera_delay_s": 0.05,
+    "marker_along_m": 0.1,
+    "marker_left_m": [0.1, 0.2, 0.3],
+    "marker_up_m": 0.15,
+    "marker_tip_m": [0.1, 0.0, 0.0],
+    "encoder_offset_deg": [1.0, 2.0, 3.0],
+    "encoder_scale": 0.98,
+    "encoder_delay_s": -0.02,
+}
+
+
+@pytest.mark.parametrize("key", STATED)
+def test_each_key_of_the_section_changes_the_prediction(key, plain):
+    stated = model_for([run_of(sensors={key: STATED[key]})])
+    off = model_for([run_of()])
+    names = ("link03_x", "link03_y", "link03_z", "tip_x", "joint02_angle")
+    one, other = (giajax.predict(m, run_of(), names) for m in (stated, off))
+    changed = {name for name in names if np.abs(one[name] - other[name]).max() > 1e-3}
+    prefixes = {"camera": ("link", "tip"), "marker": ("link", "tip"), "encoder": ("joint",)}
+    assert changed
+    assert all(name.startswith(prefixes[key.partition("_")[0]]) for name in changed)
+    # Through its stored form the model is the same.
+    again = build_model("arm", stated.definition(), parameter_values(stated))
+    assert eqx.tree_equal(again, stated, rtol=1e-14, atol=1e-15)
+
+
+def test_stated_angles_are_degrees():
+    stated = model_for([run_of(sensors={"camera_rotation_deg": [90.0, 0.0, 0.0]})])
+    np.testing.assert_allclose(stated.sensors.camera.rotation, [np.pi / 2, 0, 0], rtol=1e-15)
+
+
+def test_recordings_that_disagree_about_the_sensors_are_refused():
+    one, two = run_of(sensors={"camera_delay_s": 0.1}), run_of()
+    with pytest.raises(InputError, match=r"\[sensors\] camera_delay_s \(0.1 and nothing\)"):
+        model_for([one, two])
+    with pytest.raises(InputError, match=r"\[sensors\] camera_delay_s \(nothing and 0.1\)"):
+        model_for([two, one])
+
+
+def test_lists_of_another_length_are_refused():
+    with pytest.raises(InputError, match=r"marker.up has 2 values for an arm of 3 links"):
+        model_for([run_of(sensors={"marker_up_m": [0.1, 0.2]})])
+
+
+def test_what_the_sensors_are_conditional_on_is_said():
+    sentences = model(**EACH).conditions(["camera.scale", "camera.delay", "encoder.offset"], [])
+    assert any(s.startswith("camera.scale: holds for links.length = 0.99 m") for s in sentences)
+    assert any(s.startswith("camera.delay: counted from the clock") for s in sentences)
+    assert any(s.startswith("encoder.offset: counted from") for s in sentences)
+    assert model(**EACH).conditions(["camera.rotation[0]"], []) == []
