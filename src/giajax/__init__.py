@@ -11,8 +11,11 @@ if TYPE_CHECKING:
     from ._errors import InputError as InputError
     from .arm import (
         Arm as Arm,
+        Buoyancy as Buoyancy,
+        PointMasses as PointMasses,
         acceleration as acceleration,
         chain as chain,
+        cylinder_drag_coefficient as cylinder_drag_coefficient,
         damping_power as damping_power,
         drag_force as drag_force,
         drag_power as drag_power,
@@ -23,10 +26,14 @@ if TYPE_CHECKING:
         link_centres as link_centres,
         link_velocities as link_velocities,
         mass_matrix as mass_matrix,
+        net_lift as net_lift,
+        pendulum as pendulum,
         potential_energy as potential_energy,
         preset as preset,
         takeichi_20m as takeichi_20m,
+        takeichi_20m_full as takeichi_20m_full,
         tip_position as tip_position,
+        trimmed as trimmed,
     )
     from .fitting import (
         FitResult as FitResult,
@@ -77,13 +84,17 @@ if TYPE_CHECKING:
         logged as logged,
         simulate as simulate,
     )
+    from .study import compare as compare, multi_start as multi_start
 
 _ROOMS = {
     "_errors": ("InputError",),
     "arm": (
         "Arm",
+        "Buoyancy",
+        "PointMasses",
         "acceleration",
         "chain",
+        "cylinder_drag_coefficient",
         "damping_power",
         "drag_force",
         "drag_power",
@@ -94,10 +105,14 @@ _ROOMS = {
         "link_centres",
         "link_velocities",
         "mass_matrix",
+        "net_lift",
+        "pendulum",
         "potential_energy",
         "preset",
         "takeichi_20m",
+        "takeichi_20m_full",
         "tip_position",
+        "trimmed",
     ),
     "fitting": ("FitResult", "Marquardt", "fit", "load_result", "predict", "prediction_errors"),
     "joint": (
@@ -131,6 +146,7 @@ _ROOMS = {
         "logged",
         "simulate",
     ),
+    "study": ("compare", "multi_start"),
 }
 _HOME = {name: room for room, names in _ROOMS.items() for name in names}
 
