@@ -11,6 +11,7 @@ import numpy as np
 
 from ..parameters import Declaration, Parameter, replace
 from ..runs import Run
+from ._derived import derived_estimates
 from ._fitter import Fitter
 from ._identifiability import largest_correlations, responds, undetermined_groups
 from ._problem import Sigmas, predictions_by_run
@@ -77,6 +78,9 @@ def report(fitter: Fitter, runs: Sequence[Run], outcome: Outcome, *, check: bool
         message=outcome.message + errors.note(outcome),
         model=model,
         parameters={**estimates, **held_estimates(model, paths)},
+        derived=derived_estimates(
+            model, problem.paths, errors.alive, errors.root, errors.covariance
+        ),
         correlation={
             "parameters": [paths[i] for i in determined],
             "matrix": errors.correlation[np.ix_(rows, rows)].tolist(),
@@ -111,7 +115,8 @@ class _Errors:
         jacobian = fitter.natural_jacobian()
         moved = responds(jacobian.norms(), fitter.sizes)
         alive = np.flatnonzero(np.asarray(fitter.active) & moved)
-        groups = undetermined_groups(jacobian.reduced()[:, alive])
+        root = jacobian.reduced()[:, alive]
+        groups = undetermined_groups(root)
         self.together = [[int(alive[i]) for i in group] for group in groups]
         loose = {index for group in self.together for index in group}
         self.determined = [int(i) for i in alive if i not in loose]
@@ -121,6 +126,7 @@ class _Errors:
         measured = weights > 0
         weighted = np.where(measured, (predicted - observed) * weights, 0.0)
         found = uncertainty(weighted, jacobian, loss=problem.loss, measured=measured, columns=alive)
+        self.alive, self.root, self.covariance = alive, root, found.covariance
         rows = [int(np.flatnonzero(alive == i)[0]) for i in self.determined]
         covariance = found.covariance[np.ix_(rows, rows)]
         self.correlation = correlation_matrix(covariance)

@@ -67,6 +67,7 @@ class FitResult:
         starts: where the fit was started (`giajax.multi_start`), each with its end: {"start",
             "status", "misfit", "parameters"}; empty for one start.
         validation: errors of prediction of runs that were not fitted, as `prediction_errors`.
+        derived: `Estimate` by name of what follows from the parameters (`AbstractModel.derived`).
         predictions: predicted channels (SI) of each run, by name; empty after `load_result`.
     """
 
@@ -88,6 +89,7 @@ class FitResult:
     history: list[dict[str, Any]]
     starts: list[dict[str, Any]] = dataclasses.field(default_factory=list)
     validation: list[dict[str, Any]] = dataclasses.field(default_factory=list)
+    derived: dict[str, Estimate] = dataclasses.field(default_factory=dict)
     predictions: list[dict[str, np.ndarray]] = dataclasses.field(default_factory=list, repr=False)
 
     @property
@@ -106,9 +108,10 @@ class FitResult:
             for field in dataclasses.fields(self)
             if field.name not in ("model", "predictions")
         }
-        record["parameters"] = {
-            path: dataclasses.asdict(estimate) for path, estimate in self.parameters.items()
-        }
+        for table in ("parameters", "derived"):
+            record[table] = {
+                name: dataclasses.asdict(estimate) for name, estimate in record[table].items()
+            }
         record = {"schema_version": SCHEMA_VERSION, "model": self.model.kind, **record}
         return json.dumps(_finite(record), indent=2, allow_nan=False) + "\n"
 
@@ -136,7 +139,9 @@ def load_result(path: str | Path) -> FitResult:
             record["config"]["definition"],
             {name: estimate.value for name, estimate in estimates.items()},
         )
-        return FitResult(model=model, **{**record, "parameters": estimates})
+        derived = {name: Estimate(**item) for name, item in record.pop("derived", {}).items()}
+        record["parameters"] = estimates
+        return FitResult(model=model, derived=derived, **record)
     except FileNotFoundError:
         raise InputError(f"{path} does not exist; give the folder of a finished fit") from None
     except InputError:

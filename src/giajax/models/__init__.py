@@ -11,5 +11,10 @@ from ._definition import (
     arm_to_definition as arm_to_definition,
 )
 from ._drive import Drive as Drive, Move as Move, joint_moves as joint_moves, sampled as sampled
-from ._protocol import AbstractModel as AbstractModel, Channels as Channels
+from ._hysteresis import HysteresisInputs as HysteresisInputs, HysteresisModel as HysteresisModel
+from ._protocol import (
+    AbstractModel as AbstractModel,
+    Channels as Channels,
+    Derived as Derived,
+)
 from ._synthesise import synthesise as synthesise

@@ -9,9 +9,13 @@ from .._errors import InputError
 from ..parameters import declared, replace
 from ..runs import Run
 from ._arm import ArmModel
+from ._hysteresis import HysteresisModel
 from ._protocol import AbstractModel
 
-MODELS: dict[str, type[AbstractModel]] = {ArmModel.kind: ArmModel}
+MODELS: dict[str, type[AbstractModel]] = {
+    ArmModel.kind: ArmModel,
+    HysteresisModel.kind: HysteresisModel,
+}
 """The models by name; nothing else in the toolkit knows which there are."""
 
 

@@ -2,14 +2,21 @@
 
 import abc
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
 
-from .._typing import Array, Bool, Float
+from .._typing import Array, Bool, Float, Scalar
 from ..runs import Run
 
 Channels = dict[str, Float[Array, " sample"]]
+
+
+class Derived(NamedTuple):
+    """A quantity that follows from the parameters: its value and its unit."""
+
+    value: Scalar
+    unit: str
 
 
 class AbstractModel(eqx.Module):
@@ -75,3 +82,11 @@ class AbstractModel(eqx.Module):
     @abc.abstractmethod
     def definition(self) -> dict[str, Any]:
         """Plain data from which `build_model` makes this model again, its parameters apart."""
+
+    def derived(self) -> dict[str, Derived]:
+        """Quantities that follow from the parameters and may be determined where those are not.
+
+        Such as the products of parameters that show only together. Differentiable; a fit gives
+        each a standard error. By name, which is no path of a parameter.
+        """
+        return {}

@@ -24,14 +24,17 @@ def check_figures(model: AbstractModel, definition: Definition) -> None:
     Raises:
         InputError: naming the path and the nearest one.
     """
+    derived = model.derived()
     for path in definition.figures:
-        find(model, path)
+        if path not in derived:
+            find(model, path)
 
 
 def reached(result: FitResult, definition: Definition) -> list[Reached]:
     """Compare a result with the `[figures]` of a fit definition."""
+    estimates = {**result.parameters, **result.derived}
     return [
-        Reached(path, *_compare(result.parameters.get(path), figure))
+        Reached(path, *_compare(estimates.get(path), figure))
         for path, figure in definition.figures.items()
     ]
 

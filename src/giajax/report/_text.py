@@ -170,10 +170,10 @@ def _errors(run: dict[str, Any]) -> list[str]:
 
 
 def _shown(result: FitResult) -> dict[str, Estimate]:
-    """The free parameters, then those that somebody chose to hold."""
+    """The free parameters, what follows from them, and those that somebody chose to hold."""
     chosen = [path.partition("[")[0] for path in result.config.get("fix", {})]
     held = {path: result.parameters[path] for path in chosen if path in result.parameters}
-    return {**result.free, **held}
+    return {**result.free, **result.derived, **held}
 
 
 def _row(path: str, estimate: Estimate) -> list[str]:

@@ -12,5 +12,9 @@ from ._read import (
 from ._run import Run as Run
 from ._select import observing as observing, windows as windows
 from ._template import sidecar_template as sidecar_template
-from ._vocabulary import Definition as Definition, Figure as Figure
+from ._vocabulary import (
+    Definition as Definition,
+    Figure as Figure,
+    Hysteresis as Hysteresis,
+)
 from ._write import write_files as write_files, write_run as write_run

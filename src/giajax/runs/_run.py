@@ -18,7 +18,7 @@ from ._vocabulary import Definition
 # Key of [noise] by quantity -> (kinds it holds for, quantity, unit).
 _NOISE_KEYS: dict[str, tuple[tuple[str, ...], str, str]] = {
     "position_m": (("link_position", "tip_position"), "length", "m"),
-    "angle_deg": (("joint_angle", "link_angle"), "angle", "deg"),
+    "angle_deg": (("joint_angle", "link_angle", "angle"), "angle", "deg"),
     "rate_deg_per_s": (("joint_rate",), "angular_velocity", "deg_per_s"),
 }
 _NOISE_QUANTITIES = {"position": "position_m", "angle": "angle_deg", "rate": "rate_deg_per_s"}

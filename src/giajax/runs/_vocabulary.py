@@ -278,6 +278,72 @@ class Noise(_Section):
         return self
 
 
+Count = Annotated[int, Field(ge=1)]
+CountOrPositive = Count | Annotated[list[Positive], Field(min_length=1)]
+_EITHER = "a whole number of at least 1, or a list of positive numbers"
+
+
+class Hysteresis(_Section):
+    """`[hysteresis]`: which operator, and what of it is no parameter. Values in SI units."""
+
+    operator: (
+        Literal[
+            "prandtl_ishlinskii",
+            "modified_prandtl_ishlinskii",
+            "preisach",
+            "bouc_wen",
+            "bouc_wen_oscillator",
+        ]
+        | None
+    ) = key(
+        "one of prandtl_ishlinskii, modified_prandtl_ishlinskii, preisach, bouc_wen and "
+        "bouc_wen_oscillator",
+        "the operator; bouc_wen_oscillator is a mass on a spring with a Bouc-Wen element",
+        preset="prandtl_ishlinskii",
+    )
+    elements: Literal["play", "stop"] | None = key(
+        '"play" or "stop"', "what a Prandtl-Ishlinskii operator is made of", preset="play"
+    )
+    thresholds: CountOrPositive | None = key(
+        _EITHER,
+        "thresholds of its elements (SI), or how many there are, evenly up to half the input",
+        preset=10,
+    )
+    upper_dead_zones: CountOrPositive | None = key(
+        _EITHER,
+        "dead zones of the modified form above 0 (SI), or how many, densest at 0",
+        preset=5,
+    )
+    lower_dead_zones: CountOrPositive | None = key(
+        _EITHER, "the same below 0, as distances from it", preset=5
+    )
+    rows: Annotated[int, Field(ge=2)] | None = key(
+        "a whole number of at least 2", "rows of the Preisach mesh", preset=40
+    )
+    input_range: Annotated[list[Finite], Field(min_length=2, max_length=2)] | None = key(
+        "a list of two numbers, the lower one first",
+        "range of the input (SI) that the operator covers; that of the runs unless stated",
+        preset=[-1.0, 1.0],
+    )
+    previous_extremes: Count | Annotated[list[Finite], Field(min_length=1)] | None = key(
+        "a whole number of at least 1, or a list of numbers",
+        "turning points of the input before the run (SI), or how many a fit may find",
+        preset=1,
+    )
+    interpolation: Literal["linear", "band_limited"] | None = key(
+        '"linear" or "band_limited" (one period of evenly sampled rows)',
+        "force between two rows of an oscillator's run",
+        preset="linear",
+    )
+
+    @field_validator("input_range")
+    @classmethod
+    def _range_is_one(cls, ends: Any) -> Any:
+        if ends is not None and not ends[0] < ends[1]:
+            raise ValueError(f"is {ends}, but must have the lower number first: correct it")
+        return ends
+
+
 class Fit(_Section):
     """`[fit]`: what to fit to what. Only in a fit definition."""
 
@@ -368,6 +434,7 @@ class Definition(_Section):
     initial: Initial = Field(default_factory=Initial)
     command: Command = Field(default_factory=Command)
     wind: Wind = Field(default_factory=Wind)
+    hysteresis: Hysteresis = Field(default_factory=Hysteresis)
     noise: Noise = Field(default_factory=Noise)
     truth: dict[str, Any] = key(
         "a table", "what the maker of the data knows; never read by a fit", default={}

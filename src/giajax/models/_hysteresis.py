@@ -1,0 +1,228 @@
+"""Hysteresis as a model: from the history of an input to that of an output."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Self
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from .._errors import InputError
+from .._typing import Array, Bool, Float, Scalar
+from ..hysteresis import MOST_STEPS, AbstractOperator, BoucWen, BoucWenOscillator
+from ..parameters import inline, parameter
+from ..runs import Channel, Definition, Run
+from ._hysteresis_definition import HysteresisSettings, Scale, operator_from_settings, settings_for
+from ._protocol import AbstractModel, Channels, Derived
+
+INPUTS = ("input", "command")
+OUTPUTS = ("output", "angle")
+
+
+class HysteresisInputs(eqx.Module):
+    """What the model needs of a run: the input at the samples, and before each of them.
+
+    Attributes:
+        values: SI; for an oscillator the forces since the sample before, see
+            `BoucWenOscillator.motion`; else one column.
+        intervals: s, since the sample before; 0 where the run has no times.
+    """
+
+    values: Float[Array, "sample part"]
+    intervals: Float[Array, " sample"]
+
+
+class HysteresisModel(AbstractModel):
+    """Predicts `output` from `input`, or the `angle` of a joint from its `command`.
+
+    Units of parameters in terms of "input" and "output" are the SI units of those channels.
+
+    Arguments:
+        settings: what of the `[hysteresis]` section is no parameter.
+        operator: the operator, or an oscillator with one; its parameters keep their own paths.
+        offset: added to the output, such as the inclination of a camera.
+        previous_extremes: turning points of the input before the run, the latest last. What a
+            rate-independent operator remembers of its past is a list of such extremes.
+    """
+
+    kind: ClassVar[str] = "hysteresis"
+
+    settings: HysteresisSettings = eqx.field(static=True)
+    operator: AbstractOperator | BoucWenOscillator = inline()
+    offset: Scalar = parameter(0.0, unit="output", frozen=False, doc="added to the output")
+    previous_extremes: Float[Array, " extreme"] = parameter(
+        0.0, unit="input", doc="turning points of the input before the run, the latest last"
+    )
+
+    @classmethod
+    def for_runs(cls, runs: Sequence[Run]) -> Self:
+        """The operator that the sidecars state, with start values of the size of the data.
+
+        Raises:
+            InputError: the sidecars disagree in [hysteresis], or no input ever turns.
+        """
+        inputs = [_input_of(run) for run in runs]
+        outputs = [values for run in runs for values in run.observations.values()]
+        first, *others = runs
+        stated = first.definition.hysteresis
+        for other in others:
+            if other.definition.hysteresis != stated:
+                raise InputError(
+                    f"the sidecars of '{first.name}' and '{other.name}' disagree in [hysteresis]; "
+                    "correct one, or fit the runs separately"
+                )
+        settings = settings_for(stated, inputs)
+        if not any(_turns(values) for values in inputs):
+            raise InputError(
+                f"the input of '{first.name}' never turns back, and hysteresis shows only where it "
+                "does; give a run that goes up and down"
+            )
+        return cls._made(settings, Scale.of(inputs, outputs))
+
+    @classmethod
+    def from_definition(cls, definition: Mapping[str, Any]) -> Self:
+        """The operator that `definition()` described."""
+        stated = Definition.parse({"hysteresis": definition["hysteresis"]}, "stored result")
+        return cls._made(settings_for(stated.hysteresis, []), Scale())
+
+    @classmethod
+    def _made(cls, settings: HysteresisSettings, scale: Scale) -> Self:
+        extremes = settings.previous_extremes
+        values = np.zeros(extremes) if isinstance(extremes, int) else np.asarray(extremes)
+        operator = operator_from_settings(settings, scale)
+        return cls(settings, operator, previous_extremes=jnp.asarray(values))
+
+    def definition(self) -> dict[str, Any]:
+        """The `[hysteresis]` section."""
+        return {"hysteresis": self.settings.to_dict()}
+
+    def free_inputs(self, run: Run) -> tuple[str, ...]:
+        """None: offset and memory are parameters of the model."""
+        return ()
+
+    def prepare(self, run: Run) -> HysteresisInputs:
+        """The input of a hysteresis run."""
+        values = _input_of(run)
+        if isinstance(self.operator, BoucWenOscillator):
+            if run.times is None:
+                raise InputError(
+                    f"'{run.name}' has no times, which an oscillator needs; add the column time_s"
+                )
+            parts = _forces(run.name, run.times, values, self.settings.interpolation)
+            intervals = np.diff(run.times, prepend=run.times[0])
+        else:
+            parts, intervals = values[:, None], np.zeros(len(values))
+        dtype = jnp.result_type(float)
+        return HysteresisInputs(jnp.asarray(parts, dtype), jnp.asarray(intervals, dtype))
+
+    def predict(
+        self, inputs: HysteresisInputs, channels: tuple[str, ...]
+    ) -> tuple[Channels, Bool[Array, ""]]:
+        """The output, SI, under the name of each channel, of shape (sample,)."""
+        for name in channels:
+            if Channel.named(name).kind not in OUTPUTS:
+                raise InputError(
+                    f"'{name}' is not predicted by the hysteresis model; use one of: "
+                    f"{', '.join(OUTPUTS)}"
+                )
+        output = self.offset + self._response(inputs)
+        return dict.fromkeys(channels, output), jnp.all(jnp.isfinite(output))
+
+    def _response(self, inputs: HysteresisInputs) -> Float[Array, " sample"]:
+        if isinstance(self.operator, BoucWenOscillator):
+            return self.operator.motion(inputs.values, inputs.intervals)[:, 0]
+        return self.operator.history(inputs.values[:, 0], self.memory())[0]
+
+    def memory(self) -> Any:
+        """Memory of the operator before the run: virgin, then through the previous extremes."""
+        if isinstance(self.operator, BoucWenOscillator):
+            raise InputError("an oscillator starts at rest; it has no memory of an input")
+        state = self.operator.reset()
+        for extreme in self.previous_extremes:
+            state, _ = self.operator.step(state, extreme)
+        return state
+
+    def failure(self, inputs: HysteresisInputs) -> str:
+        """The response is not finite."""
+        return (
+            "the response of the hysteresis model is not finite; choose start values with a "
+            "smaller beta, gamma or delta, or a larger mass and damping"
+        )
+
+    def refined(self, factor: float) -> Self:
+        """The same model with a finer integration, where it has one."""
+        return eqx.tree_at(lambda model: model.operator, self, self.operator.refined(factor))
+
+    def conditions(self, free: Sequence[str], runs: Sequence[Run] = ()) -> list[str]:
+        """That beta, gamma and delta count only as products."""
+        names = [path for path in free if path in ("beta", "gamma", "delta")]
+        held = [path for path in ("beta", "gamma", "delta") if path not in free]
+        if not names or isinstance(self.operator, BoucWen | BoucWenOscillator) is False:
+            return []
+        how = f"; held: {', '.join(held)}" if held else ""
+        return [
+            f"{', '.join(names)}: only the products beta gamma and beta delta are determined{how}"
+        ]
+
+    def derived(self) -> dict[str, Derived]:
+        """The products of the Bouc-Wen parameters that a history determines."""
+        operator = self.operator
+        if not isinstance(operator, BoucWen | BoucWenOscillator):
+            return {}
+        unit = "1/m" if isinstance(operator, BoucWenOscillator) else "1/input"
+        return {
+            "beta*gamma": Derived(operator.beta * operator.gamma, unit),
+            "beta*delta": Derived(operator.beta * operator.delta, unit),
+        }
+
+
+def _input_of(run: Run) -> np.ndarray:
+    if run.model != HysteresisModel.kind:
+        raise InputError(f"'{run.name}' is a run of the {run.model} model, not of hysteresis")
+    names = [name for name, channel in run.channels.items() if channel.kind in INPUTS]
+    if len(names) != 1:
+        found = " and ".join(names) or "none"
+        raise InputError(
+            f"'{run.name}' must have one column of input or command, and has {found}; "
+            "rename or remove columns"
+        )
+    outputs = [name for name, channel in run.channels.items() if channel.kind in OUTPUTS]
+    if len(outputs) > 1:
+        raise InputError(f"'{run.name}' has both output and angle; remove one of the columns")
+    return np.asarray(run.values[names[0]], dtype=float)
+
+
+def _turns(values: np.ndarray) -> bool:
+    steps = np.diff(values)
+    steps = steps[steps != 0]
+    return bool(np.any(steps[1:] * steps[:-1] < 0))
+
+
+# Neighbouring intervals that differ by more than this part are not rounding of a file.
+_UNEVEN = 1e-5
+
+
+def _forces(name: str, times: np.ndarray, values: np.ndarray, interpolation: str) -> np.ndarray:
+    """Forces at equal distances after the sample before, shape (sample, 2 MOST_STEPS)."""
+    count = 2 * MOST_STEPS
+    if interpolation == "linear":
+        fractions = np.arange(1, count + 1) / count
+        steps = np.diff(values)[:, None] * fractions[None]
+        rows = values[:-1, None] + steps
+    else:
+        intervals = np.diff(times)
+        if np.ptp(intervals) > _UNEVEN * np.mean(intervals):
+            raise InputError(
+                f"'{name}' is not sampled evenly, which interpolation = \"band_limited\" needs; "
+                'state "linear" in [hysteresis]'
+            )
+        rows = _band_limited(values, count)[1 : count * (len(values) - 1) + 1].reshape(-1, count)
+    return np.concatenate([np.full((1, count), values[0]), rows])
+
+
+def _band_limited(values: np.ndarray, factor: int) -> np.ndarray:
+    """One period of a band-limited signal, sampled more often: zeros beyond its spectrum."""
+    spectrum = np.fft.rfft(values)
+    if len(values) % 2 == 0:
+        spectrum[-1] /= 2  # the highest frequency is shared by the two sides of the spectrum
+    return factor * np.fft.irfft(spectrum, factor * len(values))
