@@ -10,7 +10,18 @@ from typing import Annotated
 
 import typer
 
-from . import _check, _examples, _fit, _init, _parameters, _predict, _simulate
+from . import (
+    _check,
+    _choose,
+    _compensate,
+    _examples,
+    _fit,
+    _hysteresis,
+    _init,
+    _parameters,
+    _predict,
+    _simulate,
+)
 from ._errors import Commands, run
 
 app = typer.Typer(
@@ -29,6 +40,12 @@ Examples:
                             fit drag, stiffness and damping to it
   giajax predict --model giajax-out/run --data other.csv
                             how well the fit predicts another run
+  giajax choose --data loops.csv
+                            which hysteresis model describes a joint
+  giajax compensate --model fit --wanted wanted.csv --out command.csv
+                            commands that undo the hysteresis
+  giajax hysteresis --out DIR
+                            the paper's 1-link experiment, simulated
 
 A run is a CSV file with one column a channel (time_s, joint01_command_deg,
 link06_z_m, ...) and, beside it, an optional sidecar of the same name ending .toml.""",
@@ -40,6 +57,9 @@ link06_z_m, ...) and, beside it, an optional sidecar of the same name ending .to
 
 app.command("check", epilog=_check.EXAMPLES)(_check.check)
 app.command("fit", epilog=_fit.EXAMPLES)(_fit.fit)
+app.command("choose", epilog=_choose.EXAMPLES)(_choose.choose)
+app.command("compensate", epilog=_compensate.EXAMPLES)(_compensate.compensate)
+app.command("hysteresis", epilog=_hysteresis.EXAMPLES)(_hysteresis.hysteresis)
 app.command("init", epilog=_init.EXAMPLES)(_init.init)
 app.command("parameters", epilog=_parameters.EXAMPLES)(_parameters.parameters)
 app.command("predict", epilog=_predict.EXAMPLES)(_predict.predict)

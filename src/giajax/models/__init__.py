@@ -6,6 +6,11 @@ from ._build import (
     model_for as model_for,
     parameter_values as parameter_values,
 )
+from ._compensate import (
+    Compensator as Compensator,
+    compensator_for_loop as compensator_for_loop,
+    compensator_for_model as compensator_for_model,
+)
 from ._definition import (
     arm_from_definition as arm_from_definition,
     arm_to_definition as arm_to_definition,

@@ -11,7 +11,7 @@ from .._errors import InputError
 from .._typing import Array, Bool, Float, Scalar
 from ..hysteresis import MOST_STEPS, AbstractOperator, BoucWen, BoucWenOscillator
 from ..parameters import inline, parameter
-from ..runs import Channel, Definition, Run
+from ..runs import Channel, Definition, Run, parse_column
 from ._hysteresis_definition import HysteresisSettings, Scale, operator_from_settings, settings_for
 from ._protocol import AbstractModel, Channels, Derived
 
@@ -43,6 +43,7 @@ class HysteresisModel(AbstractModel):
         offset: added to the output, such as the inclination of a camera.
         previous_extremes: turning points of the input before the run, the latest last. What a
             rate-independent operator remembers of its past is a list of such extremes.
+        input_column: the column that drove the runs, such as "command_deg".
     """
 
     kind: ClassVar[str] = "hysteresis"
@@ -53,6 +54,7 @@ class HysteresisModel(AbstractModel):
     previous_extremes: Float[Array, " extreme"] = parameter(
         0.0, unit="input", doc="turning points of the input before the run, the latest last"
     )
+    input_column: str = eqx.field(default="command_rad", static=True)
 
     @classmethod
     def for_runs(cls, runs: Sequence[Run]) -> Self:
@@ -77,24 +79,42 @@ class HysteresisModel(AbstractModel):
                 f"the input of '{first.name}' never turns back, and hysteresis shows only where it "
                 "does; give a run that goes up and down"
             )
-        return cls._made(settings, Scale.of(inputs, outputs))
+        return cls._made(settings, Scale.of(inputs, outputs), input_channel(first).column)
 
     @classmethod
     def from_definition(cls, definition: Mapping[str, Any]) -> Self:
         """The operator that `definition()` described."""
         stated = Definition.parse({"hysteresis": definition["hysteresis"]}, "stored result")
-        return cls._made(settings_for(stated.hysteresis, []), Scale())
+        column = definition.get("input_column", "command_rad")
+        return cls._made(settings_for(stated.hysteresis, []), Scale(), column)
 
     @classmethod
-    def _made(cls, settings: HysteresisSettings, scale: Scale) -> Self:
+    def _made(cls, settings: HysteresisSettings, scale: Scale, column: str) -> Self:
         extremes = settings.previous_extremes
         values = np.zeros(extremes) if isinstance(extremes, int) else np.asarray(extremes)
         operator = operator_from_settings(settings, scale)
-        return cls(settings, operator, previous_extremes=jnp.asarray(values))
+        return cls(settings, operator, previous_extremes=jnp.asarray(values), input_column=column)
 
     def definition(self) -> dict[str, Any]:
-        """The `[hysteresis]` section."""
-        return {"hysteresis": self.settings.to_dict()}
+        """The `[hysteresis]` section, and the column that drove the runs."""
+        return {"hysteresis": self.settings.to_dict(), "input_column": self.input_column}
+
+    def input_channel(self) -> Channel:
+        """The channel that drove the runs."""
+        return parse_column(self.input_column)
+
+    def reachable(self) -> tuple[float, float]:
+        """Least and largest output, SI, at the ends of the range of the input.
+
+        Each end is come to from the other one.
+        """
+        if isinstance(self.operator, BoucWenOscillator):
+            raise InputError("an oscillator at rest has no range of outputs")
+        low, high = (jnp.asarray(end) for end in self.settings.input_range)
+        state, _ = self.operator.step(self.operator.step(self.operator.reset(), low)[0], high)
+        state, lowest = self.operator.step(state, low)
+        _, highest = self.operator.step(state, high)
+        return float(self.offset + lowest), float(self.offset + highest)
 
     def free_inputs(self, run: Run) -> tuple[str, ...]:
         """None: offset and memory are parameters of the model."""
@@ -176,7 +196,12 @@ class HysteresisModel(AbstractModel):
         }
 
 
-def _input_of(run: Run) -> np.ndarray:
+def input_channel(run: Run) -> Channel:
+    """The channel that drives a hysteresis run.
+
+    Raises:
+        InputError: a run of another model, or with none or several.
+    """
     if run.model != HysteresisModel.kind:
         raise InputError(f"'{run.name}' is a run of the {run.model} model, not of hysteresis")
     names = [name for name, channel in run.channels.items() if channel.kind in INPUTS]
@@ -189,7 +214,11 @@ def _input_of(run: Run) -> np.ndarray:
     outputs = [name for name, channel in run.channels.items() if channel.kind in OUTPUTS]
     if len(outputs) > 1:
         raise InputError(f"'{run.name}' has both output and angle; remove one of the columns")
-    return np.asarray(run.values[names[0]], dtype=float)
+    return run.channels[names[0]]
+
+
+def _input_of(run: Run) -> np.ndarray:
+    return np.asarray(run.values[input_channel(run).name], dtype=float)
 
 
 def _turns(values: np.ndarray) -> bool:

@@ -7,6 +7,16 @@ from ._figures import (
 )
 from ._files import check_folder as check_folder, write_result as write_result
 from ._reached import Reached as Reached, check_figures as check_figures, reached as reached
+from ._style import (
+    BLUE as BLUE,
+    GREEN as GREEN,
+    GREY as GREY,
+    INK as INK,
+    VERMILLION as VERMILLION,
+    new_figure as new_figure,
+    plain as plain,
+    to_png as to_png,
+)
 from ._text import (
     format_estimate as format_estimate,
     parameter_table as parameter_table,

@@ -1,5 +1,11 @@
 """Questions that take many fits or derivatives of a model."""
 
+from ._choose import (
+    CANDIDATES as CANDIDATES,
+    Candidate as Candidate,
+    Choice as Choice,
+    choose_hysteresis as choose_hysteresis,
+)
 from ._compare import compare as compare
 from ._multi_start import (
     SAME_END as SAME_END,

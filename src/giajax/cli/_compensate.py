@@ -1,0 +1,102 @@
+"""`giajax compensate`: commands that make a hysteretic joint go where it is wanted."""
+
+import math
+import shlex
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+EXAMPLES = """\b
+Examples:
+  giajax fit --data loop.csv --out loop
+  giajax compensate --model loop/result.json --wanted wanted.csv --out command.csv
+  giajax compensate --loop loop.csv --travel 0.5 --wanted wanted.csv --out command.csv
+
+wanted.csv has one column of the wanted angle (angle_deg) or output, and the time if there is
+one. What the fitted model predicts for the commands is written beside them."""
+
+
+def compensate(
+    wanted: Annotated[Path, typer.Option(metavar="RUN.csv", help="The wanted outputs.")],
+    out: Annotated[Path, typer.Option(metavar="RUN.csv", help="The commands to write.")],
+    model: Annotated[
+        Path | None,
+        typer.Option(metavar="RESULT", help="A fit (result.json or its folder) to invert."),
+    ] = None,
+    loop: Annotated[
+        Path | None,
+        typer.Option(metavar="RUN.csv", help="A measured loop for eq. (12), instead of a fit."),
+    ] = None,
+    travel: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SI",
+            help="With --loop: travel (rad for an angle) between its branches. "
+            "[default: a third of the range]",
+        ),
+    ] = None,
+    rename: Annotated[
+        list[str] | None,
+        typer.Option(metavar="OLD=NEW", help="Read column OLD of the runs as NEW. Repeatable."),
+    ] = None,
+    digits: Annotated[
+        int, typer.Option(metavar="N", min=3, max=17, help="Significant digits that are written.")
+    ] = 9,
+    force: Annotated[bool, typer.Option("--force", help="Write over a run.")] = False,
+) -> None:
+    """Turn wanted outputs into the commands that give them.
+
+    With --model by the inverse of the fitted operator, exact for Prandtl-Ishlinskii and its
+    modified form; with --loop by eq. (12) of the paper.
+    """
+    if (model is None) == (loop is None):
+        raise typer.BadParameter("give --model with a fit, or --loop with a run, and not both")
+    if travel is not None and (loop is None or not 0 < travel < math.inf):
+        raise typer.BadParameter("--travel goes with --loop and is a positive number")
+    from ..runs import Definition, parse_rename, read_run, write_run
+
+    renamed = parse_rename(rename or [])
+    stated = Definition.parse({"model": "hysteresis"})
+    asked = read_run(wanted, rename=renamed, definition=stated)
+
+    from ._jax import configure
+
+    configure()
+    from .._errors import InputError
+    from ..fitting import load_result
+    from ..models import HysteresisModel, compensator_for_loop, compensator_for_model
+
+    if model is not None:
+        fitted = load_result(model).model
+        if not isinstance(fitted, HysteresisModel):
+            raise InputError(f"{model} is a fit of the {fitted.kind} model; give one of hysteresis")
+        compensator = compensator_for_model(fitted)
+        origin = f"commands by giajax compensate, inverse of {model}, for {wanted.name}"
+    else:
+        assert loop is not None
+        compensator = compensator_for_loop(read_run(loop, rename=renamed), travel)
+        fitted = None
+        origin = f"commands by giajax compensate, eq. (12) from {loop.name}, for {wanted.name}"
+    commands = compensator.commands_for(asked)
+    channel = compensator.input_channel
+    values, units = {channel.name: commands}, {channel.name: channel.unit}
+    if fitted is not None:
+        from ..fitting import predict
+        from ..runs import Run
+
+        name = next(iter(asked.observations))
+        blank = {channel.name: commands, name: asked.values[name]}
+        run = Run.from_arrays(asked.times, blank, definition=stated)
+        values[name] = predict(fitted, run)[name]
+        units[name] = asked.channels[name].unit
+        origin += f"; {name} is what the fitted model predicts"
+    definition = stated.merged_with(Definition.parse({"origin": origin}))
+    write_run(
+        out, asked.times, values, units=units, definition=definition, digits=digits, force=force
+    )
+    low, high = (float(channel.from_si(end)) for end in (commands.min(), commands.max()))
+    typer.echo(
+        f"wrote {out}: {len(commands)} commands from {low:.4g} to {high:.4g} {channel.unit}; "
+        f"see: giajax check {shlex.quote(str(out))}"
+    )

@@ -1,0 +1,21 @@
+"""Simulated experiments: what no public recording exists for."""
+
+from ._bouc_wen_benchmark import (
+    BoucWenBenchmark as BoucWenBenchmark,
+    bouc_wen_benchmark as bouc_wen_benchmark,
+    decibels as decibels,
+)
+from ._figure_12 import figure_12 as figure_12
+from ._files import (
+    check_one_link_folder as check_one_link_folder,
+    write_one_link as write_one_link,
+)
+from ._one_link import (
+    OneLink as OneLink,
+    Trial as Trial,
+    history as history,
+    one_link as one_link,
+    other_history as other_history,
+    paper_history as paper_history,
+)
+from ._simulated_joint import SimulatedJoint as SimulatedJoint

@@ -1,0 +1,64 @@
+"""Fig. 12 of the paper: measured against wanted angles, without and with compensation."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ..report import BLUE, GREEN, GREY, INK, VERMILLION, new_figure, plain
+from ._one_link import OneLink, Trial
+
+_NAMES = {
+    "none": ("without compensation", VERMILLION),
+    "branches": ("eq. (12)", BLUE),
+    "inverse": ("inverse of the modified Prandtl-Ishlinskii form", GREEN),
+}
+_HISTORIES = {"paper": "the paper's history", "other": "other amplitudes and minor loops"}
+
+
+def figure_12(study: OneLink) -> Figure:
+    """One row a history, one column a compensation."""
+    histories = list(dict.fromkeys(trial.history.name for trial in study.trials))
+    columns = list(dict.fromkeys(trial.compensation for trial in study.trials))
+    title = "One link: measured against wanted angle, simulated joint, offset removed"
+    figure = new_figure(3.6 * len(columns), 3.4 * len(histories) + 0.5, title)
+    grid = figure.subplots(len(histories), len(columns), sharex=True, sharey=True, squeeze=False)
+    for row, name in enumerate(histories):
+        for column, compensation in enumerate(columns):
+            axes = grid[row, column]
+            _draw(axes, study.trial(name, compensation))
+            if column == 0:
+                axes.set_ylabel(f"{_HISTORIES.get(name, name)}\nmeasured angle (deg)")
+            if row == len(histories) - 1:
+                axes.set_xlabel("wanted angle (deg)")
+            if row == 0:
+                axes.set_title(_NAMES[compensation][0], fontsize=9, loc="left", color=INK)
+    return figure
+
+
+def _draw(axes: Axes, trial: Trial) -> None:
+    ends = np.asarray([-65.0, 65.0])
+    axes.plot(ends, ends, color=GREY, linewidth=0.8, linestyle=(0, (4, 3)))
+    measured = trial.history.measured
+    axes.plot(
+        trial.history.wanted[measured],
+        trial.angles[measured],
+        color=_NAMES[trial.compensation][1],
+        linewidth=0.9,
+        marker="o",
+        markersize=1.8,
+        markeredgewidth=0,
+    )
+    plain(axes)
+    axes.set_xlim(*ends)
+    axes.set_ylim(-70, 70)
+    axes.set_xticks(range(-60, 61, 20))
+    axes.set_yticks(range(-60, 61, 20))
+    axes.text(
+        0.03,
+        0.97,
+        f"error: mean {trial.mean:.1f}, largest {trial.largest:.1f} deg",
+        transform=axes.transAxes,
+        fontsize=8,
+        color=INK,
+        va="top",
+    )

@@ -1,0 +1,75 @@
+"""The 1-link experiment as files."""
+
+from pathlib import Path
+
+import numpy as np
+
+from .._errors import InputError
+from ..report import to_png
+from ..runs import write_files, write_run
+from ._figure_12 import figure_12
+from ._one_link import OneLink
+
+_FILES = ("fig12.png", "fig12.csv", "errors.csv", "result.json", "recording.csv", "recording.toml")
+
+
+def check_one_link_folder(folder: Path, *, force: bool) -> None:
+    """Refuse a folder that cannot be written or already has such files, before the experiment.
+
+    Raises:
+        InputError: naming the file.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder} is a file; give the name of a folder")
+    for name in _FILES:
+        if (folder / name).exists() and not force:
+            raise InputError(
+                f"{folder / name} exists and is not written over; give another folder or --force"
+            )
+
+
+def write_one_link(study: OneLink, folder: Path, *, force: bool = False) -> list[Path]:
+    """Write the figure, its numbers, the errors, the recording and the fit; returns the paths.
+
+    Raises:
+        InputError: the folder cannot be made, or (without `force`) a file is there.
+    """
+    check_one_link_folder(folder, force=force)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"the folder {folder} cannot be made ({error.strerror}); give another one"
+        ) from None
+    contents = {
+        folder / "fig12.png": to_png(figure_12(study)),
+        folder / "fig12.csv": _numbers(study).encode(),
+        folder / "errors.csv": _errors(study).encode(),
+        folder / "result.json": study.result.to_json().encode(),
+    }
+    write_files(contents, force=force)
+    run = study.recording
+    recording = folder / "recording.csv"
+    write_run(recording, run.times, run.values, definition=run.definition, force=force, digits=7)
+    return [*contents, recording, recording.with_suffix(".toml")]
+
+
+def _numbers(study: OneLink) -> str:
+    lines = ["history,compensation,time_s,wanted_deg,command_deg,angle_deg"]
+    for trial in study.trials:
+        plan = trial.history
+        rows = zip(plan.times, plan.wanted, trial.commands, trial.angles, strict=True)
+        for time, wanted, command, angle in rows:
+            cell = "" if np.isnan(angle) else f"{angle:.4f}"
+            lines.append(
+                f"{plan.name},{trial.compensation},{time:g},{wanted:g},{command:.4f},{cell}"
+            )
+    return "\n".join(lines) + "\n"
+
+
+def _errors(study: OneLink) -> str:
+    lines = ["history,compensation,mean_error_deg,largest_error_deg"]
+    for trial in study.trials:
+        names = f"{trial.history.name},{trial.compensation}"
+        lines.append(f"{names},{trial.mean:.4f},{trial.largest:.4f}")
+    return "\n".join(lines) + "\n"

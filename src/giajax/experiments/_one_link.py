@@ -1,0 +1,225 @@
+"""The paper's experiment with one link (section IV.A, fig. 12), on a simulated joint.
+
+The joint is recorded while it follows commands; from the recording two compensations are made,
+eq. (12) and the inverse of a modified Prandtl-Ishlinskii operator; and each is judged by how far
+the joint is from where it is wanted, on the paper's own history and on another one.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ..fitting import FitResult, fit
+from ..models import (
+    Compensator,
+    HysteresisModel,
+    compensator_for_loop,
+    compensator_for_model,
+    model_for,
+)
+from ..runs import Run
+from ._simulated_joint import RANGE, SimulatedJoint
+
+Degrees = npt.NDArray[np.float64]
+
+# Within this angle a command is held for longer.
+_SLOW = 30.0
+_SLOW_SECONDS, _SECONDS = 20.0, 5.0
+
+# Nested and displaced loops: where eq. (12) needs one loop, an operator with memory needs more.
+_NESTED = (0, 50, -50, 40, -40, 30, -30, 20, -20, 10, -10, 0, 50, 20, 45, 10, -45, -15, -40, -5, 0)
+_OTHER = (0, 45, -35, 30, -20, 50, 10, 40, -10, 20, -50, -5, -30, 15, 0)
+_PAPER = (0, 60, -60, 0)
+
+# The paper does not say within which travel xi goes from 0 to 1.
+TRAVEL = np.deg2rad(40.0)
+
+_THRESHOLDS = 20
+_DEAD_ZONES = tuple(float(value) for value in np.deg2rad([0.5, 1, 2, 4, 8, 16, 32, 48]))
+
+
+@dataclass(frozen=True)
+class History:
+    """Wanted angles one degree apart.
+
+    Attributes:
+        name: what to call it.
+        times: when the joint has come to rest and is measured, s, shape (sample,).
+        wanted: deg, shape (sample,).
+        measured: which samples are measured, after the preparatory movement; shape (sample,).
+    """
+
+    name: str
+    times: npt.NDArray[np.float64]
+    wanted: Degrees
+    measured: npt.NDArray[np.bool_]
+
+
+def history(name: str, turns: Sequence[float]) -> History:
+    """The paper's preparatory movement, then from turn to turn by 1 deg.
+
+    A step takes 5 s, and 20 s where the command is within 30 deg of 0.
+    """
+    before = _steps(_PAPER)
+    wanted = np.concatenate([before, _steps(turns)[1:]])
+    held = np.where(np.abs(wanted) <= _SLOW, _SLOW_SECONDS, _SECONDS)
+    return History(name, np.cumsum(held), wanted, np.arange(len(wanted)) >= len(before) - 1)
+
+
+def _steps(turns: Sequence[float]) -> Degrees:
+    pieces = [
+        np.linspace(a, b, round(abs(b - a)) + 1)[1:]
+        for a, b in zip(turns[:-1], turns[1:], strict=True)
+    ]
+    return np.concatenate([[turns[0]], *pieces]).astype(float)
+
+
+def paper_history() -> History:
+    """0, 60, -60, 0 deg, after the same as a preparation."""
+    return history("paper", _PAPER)
+
+
+def other_history() -> History:
+    """Other amplitudes and minor loops, which nothing is identified on."""
+    return history("other", _OTHER)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One history followed with one compensation.
+
+    Attributes:
+        history: what was wanted.
+        compensation: "none", "branches" (eq. 12) or "inverse".
+        commands: what was sent, deg, shape (sample,).
+        angles: what was measured, the offset removed, deg, NaN during the preparation.
+    """
+
+    history: History
+    compensation: str
+    commands: Degrees
+    angles: Degrees
+
+    @property
+    def errors(self) -> Degrees:
+        """Measured less wanted angles where measured, deg."""
+        return (self.angles - self.history.wanted)[self.history.measured]
+
+    @property
+    def largest(self) -> float:
+        """Largest absolute error, deg."""
+        return float(np.max(np.abs(self.errors)))
+
+    @property
+    def mean(self) -> float:
+        """Mean absolute error, deg."""
+        return float(np.mean(np.abs(self.errors)))
+
+
+@dataclass(frozen=True)
+class OneLink:
+    """What the experiment gives.
+
+    Attributes:
+        trials: by history, then by compensation.
+        recording: what was identified on, as a run.
+        result: the fit of the modified Prandtl-Ishlinskii operator.
+        offset: of the camera, as found on the paper's history, deg.
+    """
+
+    trials: tuple[Trial, ...]
+    recording: Run
+    result: FitResult
+    offset: float
+
+    def trial(self, history: str, compensation: str) -> Trial:
+        """One of the trials by its names."""
+        return next(
+            trial
+            for trial in self.trials
+            if (trial.history.name, trial.compensation) == (history, compensation)
+        )
+
+
+def one_link(
+    joint: SimulatedJoint | None = None,
+    *,
+    travel: float = TRAVEL,
+    progress: Callable[[str], None] | None = None,
+) -> OneLink:
+    """Run the experiment.
+
+    Offsets are removed as the paper does: on its own history the one that makes the mean error
+    least, for each trial. On the other history the camera has not moved: the one found before.
+
+    Arguments:
+        joint: the simulated joint.
+        travel: of eq. (12), rad.
+        progress: called with what is being done.
+    """
+    joint = SimulatedJoint() if joint is None else joint
+    say = progress or (lambda text: None)
+    say("recording the joint")
+    plan = history("identification", (*_PAPER, *_NESTED[1:]))
+    angles = joint.measured(plan.wanted)
+    paper = paper_history()
+    on_paper = paper.measured & (np.arange(len(paper.wanted)) < len(plan.wanted))
+    offset = _least_offset((angles[: len(paper.wanted)] - paper.wanted)[on_paper])
+    recording = _run(plan, angles - offset)
+    say("eq. (12): the branches of the loop")
+    branches = compensator_for_loop(_run(paper, angles[: len(paper.wanted)] - offset), travel)
+    say("fitting the modified Prandtl-Ishlinskii operator")
+    result = identify(recording)
+    assert isinstance(result.model, HysteresisModel)
+    inverse = compensator_for_model(result.model)
+    trials, number = [], 0
+    for wanted in (paper, other_history()):
+        for name, compensator in (("none", None), ("branches", branches), ("inverse", inverse)):
+            say(f"the {wanted.name} history, compensation: {name}")
+            number += 1
+            commands = _commands(compensator, wanted.wanted)
+            seen = joint.measured(commands, trial=number)
+            error = (seen - wanted.wanted)[wanted.measured]
+            removed = _least_offset(error) if wanted is paper else offset
+            shown = np.where(wanted.measured, seen - removed, np.nan)
+            trials.append(Trial(wanted, name, commands, shown))
+    return OneLink(tuple(trials), recording, result, offset)
+
+
+def identify(recording: Run) -> FitResult:
+    """Fit the modified Prandtl-Ishlinskii operator to a recording of a joint."""
+    return fit(model_for([recording]), recording, check=False, max_iterations=150)
+
+
+def _least_offset(errors: Degrees) -> float:
+    """What the measured angles are too large by: the median makes the mean error least."""
+    return float(np.median(errors))
+
+
+def _commands(compensator: Compensator | None, wanted: Degrees) -> Degrees:
+    if compensator is None:
+        return wanted
+    low, high = compensator.reachable
+    commands = np.rad2deg(compensator.commands(np.clip(np.deg2rad(wanted), low, high)))
+    # The joint takes no command beyond its range.
+    return np.clip(commands, -RANGE, RANGE)
+
+
+def _run(plan: History, angles: Degrees) -> Run:
+    seen = np.where(plan.measured, np.deg2rad(angles), np.nan)
+    return Run.from_arrays(
+        plan.times,
+        {"command": np.deg2rad(plan.wanted), "angle": seen},
+        name=plan.name,
+        definition={
+            "origin": "simulated 1-link arm (giajax hysteresis)",
+            "hysteresis": {
+                "operator": "modified_prandtl_ishlinskii",
+                "thresholds": _THRESHOLDS,
+                "upper_dead_zones": list(_DEAD_ZONES),
+                "lower_dead_zones": list(_DEAD_ZONES),
+            },
+        },
+    )

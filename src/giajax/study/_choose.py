@@ -1,0 +1,181 @@
+"""Which hysteresis model: by loops that it was not fitted to, and by AIC and BIC."""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from .._errors import InputError
+from ..fitting import FitResult, fit
+from ..models import HysteresisModel, model_for
+from ..parameters import default_free
+from ..runs import Definition, Run
+
+# Name: what of [hysteresis] makes it, and what is fitted beside the defaults.
+CANDIDATES: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
+    "play": ({"operator": "prandtl_ishlinskii", "thresholds": 1}, ("thresholds",)),
+    "stop": (
+        {"operator": "prandtl_ishlinskii", "thresholds": 1, "elements": "stop"},
+        ("thresholds",),
+    ),
+    "prandtl_ishlinskii": ({"operator": "prandtl_ishlinskii"}, ()),
+    "prandtl_ishlinskii_stop": ({"operator": "prandtl_ishlinskii", "elements": "stop"}, ()),
+    "modified_prandtl_ishlinskii": ({"operator": "modified_prandtl_ishlinskii"}, ()),
+    "preisach": ({"operator": "preisach"}, ("bias",)),
+    "bouc_wen": ({"operator": "bouc_wen"}, ()),
+}
+
+# With fewer measured values than this a part of a run is no loop.
+_LEAST = 8
+
+
+@dataclasses.dataclass(frozen=True)
+class Candidate:
+    """One model and how well it does.
+
+    Attributes:
+        name: of `CANDIDATES`.
+        parameters: number of fitted parameters.
+        status: of the fit.
+        rmse: root mean square error where it was fitted, in the unit of the run's output.
+        held_out_rmse: where it was not.
+        aic: Akaike's criterion, n log(RSS / n) + 2 (k + 1): the noise counts as a parameter.
+        bic: Schwarz' criterion, n log(RSS / n) + (k + 1) log n.
+        result: the fit.
+    """
+
+    name: str
+    parameters: int
+    status: str
+    rmse: float
+    held_out_rmse: float
+    aic: float
+    bic: float
+    result: FitResult
+
+
+@dataclasses.dataclass(frozen=True)
+class Choice:
+    """All candidates, the best first, and the unit of their errors."""
+
+    candidates: tuple[Candidate, ...]
+    unit: str
+
+    @property
+    def best(self) -> Candidate:
+        """The candidate with the least error on the held-out loops."""
+        return self.candidates[0]
+
+
+def choose_hysteresis(
+    runs: Sequence[Run],
+    held_out: Sequence[Run] = (),
+    *,
+    fraction: float = 0.3,
+    candidates: Sequence[str] | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Choice:
+    """Fit several hysteresis models and compare them on loops that none of them was fitted to.
+
+    Arguments:
+        runs: hysteresis runs to fit to.
+        held_out: other runs to judge by. Without any, the last part of each run is held out: the
+            model follows the whole input, and only its earlier output counts in the fit.
+        fraction: the part that is held out where no run is given, between 0 and 1.
+        candidates: names of `CANDIDATES`; all by default.
+        progress: called with each name before it is fitted.
+
+    Raises:
+        InputError: an unknown name, a fraction that leaves nothing to fit or to judge by, or no
+            hysteresis run.
+    """
+    names = list(CANDIDATES) if candidates is None else list(candidates)
+    for name in names:
+        if name not in CANDIDATES:
+            raise InputError(
+                f"there is no candidate '{name}'; use some of: {', '.join(CANDIDATES)}"
+            )
+    if not runs or any(run.model != HysteresisModel.kind for run in (*runs, *held_out)):
+        raise InputError("a choice is between models of hysteresis; give runs of hysteresis")
+    for run in (*runs, *held_out):
+        run.require_observations()
+    if held_out:
+        fitted, judged = list(runs), list(held_out)
+    else:
+        parts = [_parted(run, fraction) for run in runs]
+        fitted, judged = [a for a, _ in parts], [b for _, b in parts]
+    found = []
+    for name in names:
+        if progress is not None:
+            progress(name)
+        found.append(_candidate(name, fitted, judged))
+    found.sort(key=lambda candidate: candidate.held_out_rmse)
+    channel = runs[0].channels[next(iter(runs[0].observations))]
+    return Choice(tuple(found), channel.unit)
+
+
+def _candidate(name: str, fitted: Sequence[Run], judged: Sequence[Run]) -> Candidate:
+    section, more = CANDIDATES[name]
+    fitted = [_stating(run, section) for run in fitted]
+    model = model_for(fitted)
+    result = fit(model, fitted, free=[*default_free(model), *more], check=False, max_iterations=100)
+    residuals = _residuals(result, fitted)
+    count, size = len(residuals), len(result.free)
+    spread = count * np.log(np.mean(residuals**2))
+    channel = fitted[0].channels[next(iter(fitted[0].observations))]
+    return Candidate(
+        name=name,
+        parameters=size,
+        status=result.status,
+        rmse=float(channel.from_si(_rms(residuals))),
+        held_out_rmse=float(channel.from_si(_rms(_residuals(result, judged)))),
+        aic=float(spread + 2 * (size + 1)),
+        bic=float(spread + np.log(count) * (size + 1)),
+        result=result,
+    )
+
+
+def _residuals(result: FitResult, runs: Sequence[Run]) -> np.ndarray:
+    parts = []
+    for run in runs:
+        predicted = result.predict(run)
+        parts += [values - predicted[name] for name, values in run.observations.items()]
+    together = np.concatenate(parts)
+    return together[~np.isnan(together)]
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _stating(run: Run, section: Mapping[str, Any]) -> Run:
+    """The run with this candidate's [hysteresis]; what else the sidecar states of it stays."""
+    stated = run.definition.given()
+    kept = {
+        key: value
+        for key, value in stated.get("hysteresis", {}).items()
+        if key not in ("operator", "elements") and key not in section
+    }
+    stated["hysteresis"] = {**kept, **section}
+    return dataclasses.replace(run, definition=Definition.parse(stated, run.name))
+
+
+def _parted(run: Run, fraction: float) -> tuple[Run, Run]:
+    """The run without its last measurements, and with only those."""
+    if not 0 < fraction < 1:
+        raise InputError(f"the held-out fraction is {fraction:g}; give one between 0 and 1")
+    name, values = next(iter(run.observations.items()))
+    measured = np.flatnonzero(~np.isnan(values))
+    first = round(len(measured) * (1 - fraction))
+    if first < _LEAST or len(measured) - first < _LEAST:
+        raise InputError(
+            f"'{run.name}' has {len(measured)} measured values, too few to hold out "
+            f"{fraction:.0%} of them; give a longer run, or another run to judge by"
+        )
+    parts = []
+    for kept in (measured[:first], measured[first:]):
+        part = np.full(len(values), np.nan)
+        part[kept] = values[kept]
+        parts.append(dataclasses.replace(run, values={**run.values, name: part}))
+    return parts[0], parts[1]
