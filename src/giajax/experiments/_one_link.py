@@ -5,6 +5,7 @@ eq. (12) and the inverse of a modified Prandtl-Ishlinskii operator; and each is 
 the joint is from where it is wanted, on the paper's own history and on another one.
 """
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -69,10 +70,7 @@ def history(name: str, turns: Sequence[float]) -> History:
 
 
 def _steps(turns: Sequence[float]) -> Degrees:
-    pieces = [
-        np.linspace(a, b, round(abs(b - a)) + 1)[1:]
-        for a, b in zip(turns[:-1], turns[1:], strict=True)
-    ]
+    pieces = [np.linspace(a, b, round(abs(b - a)) + 1)[1:] for a, b in itertools.pairwise(turns)]
     return np.concatenate([[turns[0]], *pieces]).astype(float)
 
 
