@@ -41,14 +41,14 @@ class SimulatedJoint:
         seed: of the noise.
     """
 
-    gap: tuple[float, float] = (13.0, 12.5)
-    decay: float = 16.0
+    gap: tuple[float, float] = (12.8, 12.5)
+    decay: float = 30.0
     snap: float = 0.3
-    film: float = 0.7
-    film_width: float = 15.0
+    film: float = 0.95
+    film_width: float = 14.0
     film_spread: float = 0.6
-    film_scatter: float = 25.0
-    muscle: float = 0.06
+    film_scatter: float = 40.0
+    muscle: float = 0.04
     muscle_travel: float = 8.0
     pressure_noise: float = 0.1
     inclination: float = 1.5

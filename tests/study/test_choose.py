@@ -1,0 +1,75 @@
+"""The choice between operators: the one behind the data wins, and the criteria are right."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from giajax import InputError, Run
+from giajax.hysteresis import Preisach
+from giajax.study import CANDIDATES, choose_hysteresis
+
+
+def recording(seed=0, turns=(0, 1, -1, 0.7, -0.5, 0.9, 0.1, 0.6, -0.8, 0.3, -0.3, 0.5)):
+    truth = Preisach(
+        slope=0.2,
+        saturation=0.9,
+        coercivity=0.25,
+        coercivity_spread=0.5,
+        bias=0.12,
+        interaction=0.25,
+        extent=1.05,
+    )
+    inputs = np.concatenate([np.linspace(a, b, 30)[1:] for a, b in itertools.pairwise(turns)])
+    outputs = np.asarray(truth.history(inputs)[0])
+    noise = 0.003 * np.random.default_rng(seed).standard_normal(len(inputs))
+    return Run.from_arrays(None, {"input": inputs, "output": outputs + noise}, name="loops")
+
+
+@pytest.fixture(scope="module")
+def choice():
+    return choose_hysteresis([recording()], candidates=["play", "preisach", "bouc_wen"])
+
+
+def test_the_operator_behind_the_data_is_chosen(choice):
+    assert choice.best.name == "preisach"
+    held_out = {candidate.name: candidate.held_out_rmse for candidate in choice.candidates}
+    assert held_out["preisach"] < 0.004
+    assert held_out["play"] > 5 * held_out["preisach"]
+    assert list(held_out.values()) == sorted(held_out.values())
+    assert min(choice.candidates, key=lambda c: c.aic).name == "preisach"
+    assert min(choice.candidates, key=lambda c: c.bic).name == "preisach"
+
+
+def test_the_criteria_are_what_they_say(choice):
+    for candidate in choice.candidates:
+        record = candidate.result.runs[0]["channels"]["output"]
+        assert record["rmse"] == pytest.approx(candidate.rmse)
+        n, k = record["n"], candidate.parameters + 1
+        assert candidate.aic == pytest.approx(n * np.log(candidate.rmse**2) + 2 * k)
+        assert candidate.bic - candidate.aic == pytest.approx(k * (np.log(n) - 2))
+        # 30 % are held out.
+        assert n == round(0.7 * 319)
+
+
+def test_another_run_judges():
+    other = recording(seed=1, turns=(0, 0.8, -0.2, 0.6, -0.9, 0.4))
+    choice = choose_hysteresis([recording()], [other], candidates=["play"])
+    only = choice.best
+    predicted = only.result.predict(other)["output"] - other.values["output"]
+    assert only.held_out_rmse == pytest.approx(np.sqrt(np.mean(predicted**2)))
+    assert only.result.runs[0]["channels"]["output"]["n"] == 319
+
+
+def test_bad_questions_are_refused():
+    run = recording()
+    with pytest.raises(InputError, match="no candidate 'duhem'"):
+        choose_hysteresis([run], candidates=["duhem"])
+    with pytest.raises(InputError, match="between 0 and 1"):
+        choose_hysteresis([run], fraction=1.0)
+    with pytest.raises(InputError, match="too few to hold out"):
+        choose_hysteresis([run], fraction=0.01)
+    arm = Run.from_arrays([0.0, 1.0], {"tip_z": [0.0, 0.1]}, definition={"free_motion": True})
+    with pytest.raises(InputError, match="runs of hysteresis"):
+        choose_hysteresis([arm])
+    assert set(CANDIDATES) > {"preisach", "bouc_wen", "modified_prandtl_ishlinskii"}
