@@ -37,7 +37,7 @@ _PAPER = (0, 60, -60, 0)
 # The paper does not say within which travel xi goes from 0 to 1.
 TRAVEL = np.deg2rad(40.0)
 
-_THRESHOLDS = 14
+_THRESHOLDS = 12
 _DEAD_ZONES = tuple(float(value) for value in np.deg2rad([0.5, 1, 2, 4, 8, 16, 32, 48]))
 
 

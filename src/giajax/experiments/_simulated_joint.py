@@ -41,7 +41,7 @@ class SimulatedJoint:
         seed: of the noise.
     """
 
-    gap: tuple[float, float] = (12.8, 12.5)
+    gap: tuple[float, float] = (12.6, 12.3)
     decay: float = 30.0
     snap: float = 0.3
     film: float = 0.95
@@ -50,7 +50,7 @@ class SimulatedJoint:
     film_scatter: float = 40.0
     muscle: float = 0.04
     muscle_travel: float = 8.0
-    pressure_noise: float = 0.1
+    pressure_noise: float = 0.05
     inclination: float = 1.5
     marker_noise: float = 0.001
     marker_distance: float = 0.4
