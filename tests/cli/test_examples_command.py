@@ -30,6 +30,7 @@ def test_a_copy_can_be_read_and_is_complete(tmp_path, capsys):
     assert str(target) in capsys.readouterr().out
     for pattern in ("fits/*.toml", "data/synthetic/*.csv", "data/synthetic/inputs/*.csv"):
         assert names(target, pattern) == names(ROOT, pattern) != []
+    assert names(target, "data/recorded/*/LICENSE") == names(ROOT, "data/recorded/*/LICENSE") != []
     assert names(target, "**/*.py") == []
     for path in (target / "fits").glob("*.toml"):
         for name in Definition.load(path).fit.data:
@@ -62,6 +63,6 @@ def test_an_installed_package_has_them_inside(tmp_path, monkeypatch):
     monkeypatch.setattr(_examples.resources, "files", lambda _: package)
     with pytest.raises(ValueError, match="not part of this installation"):
         _examples.examples_root()
-    for folder in ("fits", "data/synthetic", "data/independent"):
+    for folder in ("fits", "data/synthetic", "data/independent", "data/recorded"):
         (package / "_examples" / folder).mkdir(parents=True)
     assert _examples.examples_root() == package / "_examples"

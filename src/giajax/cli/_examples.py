@@ -13,8 +13,10 @@ Examples:
   giajax examples --copy work
   giajax fit work/fits/base_step.toml"""
 
-_FOLDERS = ("fits", "data/synthetic", "data/independent")
-_COPIED = (".csv", ".toml", ".md")
+_FOLDERS = ("fits", "data/synthetic", "data/independent", "data/recorded")
+_MANY = 5
+# A licence has no suffix.
+_COPIED = (".csv", ".toml", ".md", "")
 
 
 def examples(
@@ -68,7 +70,8 @@ def _fit(path: Path, root: Path) -> list[str | None]:
     from ..runs import Definition
 
     fit = Definition.load(path).fit
-    data = ", ".join(Path(name).name for name in fit.data or [])
+    names = [Path(name).name for name in fit.data or []]
+    data = ", ".join(names) if len(names) < _MANY else f"{names[0]} and {len(names) - 1} others"
     free = "the default parameters" if fit.free is None else ", ".join(fit.free)
     return [path.relative_to(root).as_posix(), free, data]
 
