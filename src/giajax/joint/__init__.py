@@ -15,10 +15,12 @@ from ._equilibria import (
     equilibria as equilibria,
     joint_spring as joint_spring,
 )
+from ._friction import Friction as Friction
 from ._geometry import (
     LARGEST_ANGLE as LARGEST_ANGLE,
     JointGeometry as JointGeometry,
     check_geometry as check_geometry,
+    is_possible as is_possible,
 )
 from ._muscle import (
     AbstractMuscle as AbstractMuscle,

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._errors import InputError
-from .._typing import Array, Float, Scalar
+from .._typing import Array, Bool, Float, Scalar
 from ..parameters import is_concrete, parameter
 
 # How far the joint bends (table 2), rad.
@@ -87,6 +87,18 @@ def outer_bush_height(geometry: JointGeometry, angle: Float[Array, "*shape"]) ->
     return jnp.maximum(geometry.anchor(angle)[1], geometry.contact(angle)[1])
 
 
+def is_possible(
+    geometry: JointGeometry, angle: Float[Array, "*shape"], inner: Bool[Array, "*shape"]
+) -> Bool[Array, "*shape"]:
+    """Whether a muscle has a path, and the wire room, at bending angles (rad); may be traced."""
+    possible = jnp.ones(angle.shape, bool)
+    for bad, _ in _complaints(geometry, angle, inner=True):
+        possible = possible & ~(inner & bad)
+    for bad, _ in _complaints(geometry, angle, inner=False):
+        possible = possible & (inner | ~bad)
+    return possible
+
+
 def check_geometry(geometry: JointGeometry, angles: np.ndarray | None = None) -> None:
     """Refuse a geometry that has no path or no wire at some angle.
 
@@ -106,38 +118,39 @@ def check_geometry(geometry: JointGeometry, angles: np.ndarray | None = None) ->
         if len(side) == 0:
             continue
         inner = bool(side[-1] > 0)
-        for bad, sentence in _complaints(geometry, side, inner=inner):
-            if np.any(bad):
-                at = np.rad2deg(side[np.flatnonzero(bad)[0]])
+        angle = jnp.asarray(side, dtype=jnp.result_type(float))
+        for bad, sentence in _complaints(geometry, angle, inner=inner):
+            if bool(jnp.any(bad)):
+                at = np.rad2deg(side[int(jnp.argmax(bad))])
                 raise InputError(f"the joint cannot be built at {at:.3g} deg: {sentence}")
 
 
 def _complaints(
-    geometry: JointGeometry, angles: np.ndarray, *, inner: bool
-) -> list[tuple[np.ndarray, str]]:
-    angle = jnp.asarray(angles, dtype=jnp.result_type(float))
-    wire = float(geometry.wire_length)
-    anchor_x, anchor_y = (np.asarray(item) for item in geometry.anchor(angle))
-    contact_x, contact_y = (np.asarray(item) for item in geometry.contact(angle))
-    wire_x, wire_y = (np.asarray(item) for item in geometry.wire_end(angle))
+    geometry: JointGeometry, angle: Float[Array, "*shape"], *, inner: bool
+) -> list[tuple[Array, str]]:
+    """What may be impossible on one side: where it is, and a sentence."""
+    wire = geometry.wire_length
+    anchor_x, anchor_y = geometry.anchor(angle)
+    contact_x, contact_y = geometry.contact(angle)
+    wire_x, wire_y = geometry.wire_end(angle)
     if inner:
         return [
             (
                 wire_x >= wire / 2,
-                f"D_x is not below L_wire / 2 = {wire / 2:.4g} m, so that the wire cannot reach "
-                "the bush; make the wire longer or wire_x smaller",
+                "D_x is not below half of L_wire, so that the wire cannot reach the bush; make "
+                "wire_length larger or wire_x smaller",
             ),
             (
                 anchor_x <= 0,
                 "the muscle's ends A and C have crossed; make anchor_x larger or anchor_y smaller",
             ),
         ]
-    crossing = np.maximum(anchor_y, contact_y)
+    crossing = jnp.maximum(anchor_y, contact_y)
     return [
         (
-            2 * np.hypot(wire_x, crossing - wire_y) > wire,
-            f"the wire of L_wire = {wire:.4g} m does not reach around the outer muscle, where it "
-            "is to be slack; make it longer, or contact_y smaller",
+            2 * jnp.hypot(wire_x, crossing - wire_y) > wire,
+            "the wire does not reach around the outer muscle, where it is to be slack; make "
+            "wire_length larger or contact_y smaller",
         ),
         (
             (contact_x <= 0) | (crossing <= 0),

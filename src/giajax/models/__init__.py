@@ -17,6 +17,12 @@ from ._definition import (
 )
 from ._drive import Drive as Drive, Move as Move, joint_moves as joint_moves, sampled as sampled
 from ._hysteresis import HysteresisInputs as HysteresisInputs, HysteresisModel as HysteresisModel
+from ._joint import (
+    JointInputs as JointInputs,
+    JointModel as JointModel,
+    joint_from_section as joint_from_section,
+)
+from ._muscle import MuscleInputs as MuscleInputs, MuscleModel as MuscleModel
 from ._protocol import (
     AbstractModel as AbstractModel,
     Channels as Channels,

@@ -10,11 +10,15 @@ from ..parameters import declared, replace
 from ..runs import Run
 from ._arm import ArmModel
 from ._hysteresis import HysteresisModel
+from ._joint import JointModel
+from ._muscle import MuscleModel
 from ._protocol import AbstractModel
 
 MODELS: dict[str, type[AbstractModel]] = {
     ArmModel.kind: ArmModel,
     HysteresisModel.kind: HysteresisModel,
+    JointModel.kind: JointModel,
+    MuscleModel.kind: MuscleModel,
 }
 """The models by name; nothing else in the toolkit knows which there are."""
 

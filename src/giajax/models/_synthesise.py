@@ -16,7 +16,7 @@ from ._protocol import AbstractModel, Channels
 
 def synthesise(
     model: AbstractModel,
-    times: npt.ArrayLike,
+    times: npt.ArrayLike | None,
     inputs: Mapping[str, npt.ArrayLike],
     channels: Sequence[str],
     *,
@@ -38,7 +38,7 @@ def synthesise(
 
     Arguments:
         model: the truth.
-        times: increasing, s, shape (sample,).
+        times: increasing, s, shape (sample,); None for a static run.
         inputs: what drives the model, by channel (`joint01_command`, `wind_x`), SI, each of
             shape (sample,). Without any the definition must allow a free motion.
         channels: names of the channels to record (`link06_z`, `tip_x`).
@@ -72,11 +72,12 @@ def synthesise(
     """
     if not 0 <= missing < 1:
         raise InputError(f"the missing fraction is {missing:g}; it must be at least 0 and below 1")
-    times = np.asarray(times, dtype=float)
+    times = None if times is None else np.asarray(times, dtype=float)
     if not isinstance(definition, Definition):
         definition = Definition.parse(definition or {}, f"{name}: definition")
     # The model is prepared by a run that has the channels, as yet without values.
-    blank = {channel: np.zeros(len(times)) for channel in channels}
+    samples = len(np.asarray(next(iter(inputs.values()))) if times is None else times)
+    blank = {channel: np.zeros(samples) for channel in channels}
     plan = Run.from_arrays(
         times,
         {**inputs, **blank},

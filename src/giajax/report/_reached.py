@@ -56,6 +56,10 @@ def _compare(estimate: Estimate | None, figure: Figure) -> tuple[bool, str]:
         away = abs(estimate.value - value) / error
         good &= away <= allowed
         sentences.append(f"{away:.2g} standard errors from {value:g} (at most {allowed:g})")
+    if value is not None and figure.within is not None:
+        off = abs(estimate.value / value - 1) if value else abs(estimate.value)
+        good &= off <= figure.within
+        sentences.append(f"{off:.2%} from {value:g} (at most {figure.within:.2%})")
     if relative is not None:
         achieved = error / abs(estimate.value) if estimate.value else float("inf")
         good &= achieved <= relative

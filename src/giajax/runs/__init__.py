@@ -16,5 +16,6 @@ from ._vocabulary import (
     Definition as Definition,
     Figure as Figure,
     Hysteresis as Hysteresis,
+    Muscle as Muscle,
 )
 from ._write import write_files as write_files, write_run as write_run

@@ -16,7 +16,12 @@ DEFAULT_PRESET = "takeichi_20m"
 DEFAULT_LINKS = 20
 
 # A model needs these at every sample; a gap in them is not a missing measurement.
-_WITHOUT_GAPS = ("joint_command", "joint_torque", "wind", "input", "command")
+_WITHOUT_GAPS = {
+    "arm": ("joint_command", "joint_torque", "wind"),
+    "hysteresis": ("input", "command"),
+    "joint": GIVEN["joint"],
+    "muscle": GIVEN["muscle"],
+}
 
 
 @dataclass(frozen=True)
@@ -60,7 +65,8 @@ def check_content(
         if channel.quantity == "text":
             _check_text(values[name], channel, wording)
         else:
-            _check_numbers(values[name], channel, wording)
+            gaps = channel.kind not in _WITHOUT_GAPS[model]
+            _check_numbers(values[name], channel, wording, gaps=gaps)
     for column in definition.noise.columns:
         if parse_column(column).name not in {
             name for name, channel in channels.items() if channel.kind in PREDICTED[model]
@@ -71,6 +77,10 @@ def check_content(
             )
     if model == "arm":
         _check_arm(channels, definition, wording)
+    if model == "joint":
+        _check_joint(values, channels, wording)
+    if model == "muscle":
+        _check_muscle(times, channels, definition, wording)
 
 
 def check_times(times: npt.NDArray[np.float64], wording: Wording) -> None:
@@ -131,7 +141,9 @@ def _check_text(array: npt.NDArray[Any], channel: Channel, wording: Wording) -> 
             )
 
 
-def _check_numbers(array: npt.NDArray[Any], channel: Channel, wording: Wording) -> None:
+def _check_numbers(
+    array: npt.NDArray[Any], channel: Channel, wording: Wording, *, gaps: bool
+) -> None:
     missing = np.isnan(array)
     if missing.all():
         raise InputError(
@@ -145,7 +157,7 @@ def _check_numbers(array: npt.NDArray[Any], channel: Channel, wording: Wording) 
             "must be a finite number or empty: correct it"
         )
     bad = np.flatnonzero(missing)
-    if bad.size and channel.kind in _WITHOUT_GAPS:
+    if bad.size and not gaps:
         raise InputError(
             f"{wording.source}: {wording.of(channel)} is empty in {wording.at(bad[0])}, but what "
             "drives the model must be known at every sample: fill the gap"
@@ -192,4 +204,58 @@ def _check_arm(channels: Mapping[str, Channel], definition: Definition, wording:
         raise InputError(
             f"{wording.source}: wind.velocity_m_per_s states a constant wind, but "
             f"{wording.of(windy[0])} records it: remove one or the other"
+        )
+
+
+def _check_joint(
+    values: Mapping[str, npt.NDArray[Any]], channels: Mapping[str, Channel], wording: Wording
+) -> None:
+    for name, column in (("angle", "angle_deg"), ("side", "side")):
+        if name not in channels:
+            raise InputError(
+                f"{wording.source} has no {name}: a joint run must have one for each sample, so "
+                f"add the column {column}"
+            )
+    angle, side = values["angle"], values["side"]
+    wrong = np.flatnonzero(((side == "inner") & (angle < 0)) | ((side == "outer") & (angle > 0)))
+    if wrong.size:
+        row = wrong[0]
+        raise InputError(
+            f"{wording.source}: in {wording.at(row)} the muscle is the {side[row]} one at "
+            f"{np.rad2deg(angle[row]):.4g} deg, but the angle must be positive where the joint "
+            "bends towards the muscle (inner): correct the side or the sign"
+        )
+    beyond = np.flatnonzero(np.abs(angle) > np.pi / 2)
+    if beyond.size:
+        row = beyond[0]
+        raise InputError(
+            f"{wording.source}: {wording.of(channels['angle'])} is {np.rad2deg(angle[row]):.4g} "
+            f"deg in {wording.at(row)}, but a joint bends by at most 90 deg: correct it"
+        )
+
+
+def _check_muscle(
+    times: npt.NDArray[np.float64] | None,
+    channels: Mapping[str, Channel],
+    definition: Definition,
+    wording: Wording,
+) -> None:
+    if "pressure" not in channels:
+        raise InputError(
+            f"{wording.source} has no pressure: a muscle run must have one for each sample, so "
+            "add a column such as pressure_kPa"
+        )
+    stated = definition.muscle
+    moves = {"contraction", "position"} & set(channels)
+    if stated.law != "piston" and not moves:
+        raise InputError(
+            f"{wording.source} has neither contraction nor position: a muscle's force depends on "
+            "how far it has shortened, so add a column such as contraction"
+        )
+    friction = stated.friction or ("coulomb" if stated.law == "piston" else "none")
+    directed = "phase" in channels or (moves and times is not None)
+    if friction == "coulomb" and not directed:
+        raise InputError(
+            f"{wording.source}: friction needs the direction of motion, from a phase column, or "
+            'from time and position: add them, or state friction = "none" in [muscle]'
         )

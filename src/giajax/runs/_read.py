@@ -11,7 +11,17 @@ from ._table import Table, read_table
 from ._vocabulary import Definition
 
 # What a definition may say about a run; the rest of it (data, checksum, [fit]) is not the run's.
-_ABOUT_RUNS = ("model", "free_motion", "arm", "initial", "command", "wind", "noise")
+_ABOUT_RUNS = (
+    "model",
+    "free_motion",
+    "arm",
+    "initial",
+    "command",
+    "wind",
+    "joint",
+    "muscle",
+    "noise",
+)
 
 
 def read_run(

@@ -2,6 +2,7 @@
 
 import tomllib
 from collections.abc import Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -344,6 +345,73 @@ class Hysteresis(_Section):
         return ends
 
 
+Point = Annotated[list[Finite], Field(min_length=2, max_length=2)]
+_POINT = "a list of two numbers: along the link, and off its axis towards the muscle"
+
+
+class Joint(_Section):
+    """`[joint]`: one joint with its muscle. Points are in the frame of their link."""
+
+    correction: Literal["continuous", "printed", "none"] | None = key(
+        '"continuous", "printed" or "none"',
+        "alpha and beta read with the size of the angle, as printed (an erratum), or zero",
+        preset="continuous",
+    )
+    blend_deg: Annotated[float, Field(ge=0, le=30, allow_inf_nan=False)] | None = key(
+        "a number from 0 to 30", "half-width about 0 in which alpha and beta join", preset=0.0
+    )
+    torque_N_m: Positive | None = key(  # noqa: N815
+        "a positive number", "torque on the joint where no column gives it", preset=0.3
+    )
+    anchor_m: Point | None = key(_POINT, "ends A, C, M, N of the muscle", preset=[0.9, 0.18])
+    wire_m: Point | None = key(_POINT, "ends B, D of the wire", preset=[0.03, 0.04])
+    contact_m: Point | None = key(_POINT, "shoulders P, Q of the balloon", preset=[0.055, 0.15])
+    wire_length_m: Positive | None = key("a positive number", "length of the wire", preset=0.34)
+    muscle_length_m: Positive | None = key(
+        "a positive number", "length of the muscle at rest", preset=1.96
+    )
+
+
+class Muscle(_Section):
+    """`[muscle]`: which law, what is known of the muscle, and whether it has friction."""
+
+    law: Literal["braided", "empirical", "piston"] | None = key(
+        '"braided", "empirical" or "piston"',
+        "statics of a braid, a normalised shape for any length, or a cylinder",
+        preset="braided",
+    )
+    length_m: Positive | None = key("a positive number", "length at rest", preset=1.96)
+    diameter_m: Positive | None = key(
+        "a positive number", "diameter of a braided muscle at rest", preset=0.0035
+    )
+    braid_angle_deg: Annotated[float, Field(gt=0, lt=54.7)] | None = key(
+        "a number between 0 and 54.7", "angle of the braid from the axis at rest", preset=18.0
+    )
+    pressure_limit_kPa: Positive | None = key(  # noqa: N815
+        "a positive number", "highest pressure", preset=300.0
+    )
+    pressure: Literal["measured", "mean"] | None = key(
+        '"measured" or "mean"',
+        "the pressure at each row, or its mean: what was set, where friction moves the gauge",
+        preset="measured",
+    )
+    friction: Literal["coulomb", "none"] | None = key(
+        '"coulomb" or "none"', "force between filling and exhausting; needs phase or time"
+    )
+    friction_pressures_kPa: Annotated[list[NotNegative], Field(min_length=1)] | None = key(  # noqa: N815
+        "a list of increasing numbers",
+        "pressures at which friction has its half-widths, linear between them",
+        preset=[0.0],
+    )
+
+    @field_validator("friction_pressures_kPa")
+    @classmethod
+    def _pressures_increase(cls, pressures: Any) -> Any:
+        if pressures is not None and any(a >= b for a, b in pairwise(pressures)):
+            raise ValueError(f"is {pressures}, but must increase: sort it, each pressure once")
+        return pressures
+
+
 class Fit(_Section):
     """`[fit]`: what to fit to what. Only in a fit definition."""
 
@@ -393,20 +461,24 @@ class Figure(_Section):
     relative_error: Positive | None = key(
         "a positive number", "largest standard error, relative to the fitted value"
     )
+    within: Positive | None = key(
+        "a positive number", "how far the result may be from the value, relative to it"
+    )
     determined: bool | None = key("true or false", "false: the run must not determine it")
 
     @model_validator(mode="after")
     def _says_one_thing(self) -> "Figure":
-        stated = [self.value, self.standard_errors, self.relative_error]
+        distances = [self.standard_errors, self.within]
+        stated = [self.value, *distances, self.relative_error]
         if self.determined is False:
             if any(item is not None for item in stated):
                 raise ValueError(
                     "says determined = false and a figure to reach, but must say one of them: "
                     "remove the other"
                 )
-        elif (self.value is None) != (self.standard_errors is None) or stated == [None] * 3:
+        elif (self.value is None) != (distances == [None, None]) or stated == [None] * 4:
             raise ValueError(
-                "must have value and standard_errors, or relative_error, or all three: "
+                "must have value and standard_errors (or within), or relative_error, or all: "
                 "add what is missing"
             )
         return self
@@ -435,6 +507,8 @@ class Definition(_Section):
     command: Command = Field(default_factory=Command)
     wind: Wind = Field(default_factory=Wind)
     hysteresis: Hysteresis = Field(default_factory=Hysteresis)
+    joint: Joint = Field(default_factory=Joint)
+    muscle: Muscle = Field(default_factory=Muscle)
     noise: Noise = Field(default_factory=Noise)
     truth: dict[str, Any] = key(
         "a table", "what the maker of the data knows; never read by a fit", default={}

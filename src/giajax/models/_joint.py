@@ -1,0 +1,182 @@
+"""The joint at rest as a model: from angle, side and torque to contraction and force."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Self
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from .._errors import InputError
+from .._typing import Array, Bool, Float
+from ..joint import Correction, Joint, JointGeometry, balanced, check_geometry, is_possible
+from ..parameters import get, inline
+from ..runs import Channel, Definition, Run
+from ._protocol import AbstractModel, Channels
+
+_POINTS = {"anchor_m": "anchor", "wire_m": "wire", "contact_m": "contact"}
+_LENGTHS = {"wire_length_m": "wire_length", "muscle_length_m": "muscle_length"}
+
+
+class JointInputs(eqx.Module):
+    """What the joint needs of a run.
+
+    Attributes:
+        angle: bending angles of the muscle, rad.
+        inner: whether it is the inner one.
+        torque: on the joint, N m; None where the run does not record it.
+    """
+
+    angle: Float[Array, " sample"]
+    inner: Bool[Array, " sample"]
+    torque: Float[Array, " sample"] | None
+
+
+class JointModel(AbstractModel):
+    """Predicts `contraction` and `force` of one muscle of a joint.
+
+    Arguments:
+        joint: its parameters keep their own paths (`alpha.offset`, `geometry.anchor_x`).
+    """
+
+    kind: ClassVar[str] = "joint"
+
+    joint: Joint = inline()
+
+    @classmethod
+    def for_runs(cls, runs: Sequence[Run]) -> Self:
+        """The joint that the sidecars state, which must agree.
+
+        Raises:
+            InputError: the sidecars disagree in [joint], or state an impossible joint.
+        """
+        first, *others = runs
+        section = joint_to_section(joint_from_section(first.definition))
+        for other in others:
+            theirs = joint_to_section(joint_from_section(other.definition))
+            for key, value in section.items():
+                if theirs[key] != value:
+                    raise InputError(
+                        f"the sidecars of '{first.name}' and '{other.name}' disagree in [joint] "
+                        f"{key} ({value} and {theirs[key]}); correct one, or fit the runs "
+                        "separately"
+                    )
+        joint = joint_from_section(first.definition)
+        for run in runs:
+            check_geometry(joint.geometry, run.values.get("angle"))
+        return cls(joint)
+
+    @classmethod
+    def from_definition(cls, definition: Mapping[str, Any]) -> Self:
+        """The joint that `definition()` described."""
+        stated = Definition.parse({"joint": definition["joint"]}, "stored result")
+        return cls(joint_from_section(stated))
+
+    def definition(self) -> dict[str, Any]:
+        """The `[joint]` section."""
+        return {"joint": joint_to_section(self.joint)}
+
+    def free_inputs(self, run: Run) -> tuple[str, ...]:
+        """None."""
+        return ()
+
+    def prepare(self, run: Run) -> JointInputs:
+        """Angles, sides and torques of a joint run."""
+        if run.model != self.kind:
+            raise InputError(f"'{run.name}' is a run of the {run.model} model, not of a joint")
+        dtype = jnp.result_type(float)
+        torque = run.values.get("torque")
+        return JointInputs(
+            angle=jnp.asarray(run.values["angle"], dtype=dtype),
+            inner=jnp.asarray(np.asarray(run.values["side"] == "inner", dtype=bool)),
+            torque=None if torque is None else jnp.asarray(torque, dtype=dtype),
+        )
+
+    def predict(
+        self, inputs: JointInputs, channels: tuple[str, ...]
+    ) -> tuple[Channels, Bool[Array, ""]]:
+        """Contraction and force (N) at the samples; fails where the joint cannot be built."""
+        torque = self.joint.torque if inputs.torque is None else inputs.torque
+        torque = jnp.broadcast_to(torque, inputs.angle.shape)
+        state = balanced(self.joint, inputs.angle, torque, inputs.inner)
+        known = {"contraction": state.contraction, "force": state.force}
+        possible = is_possible(self.joint.geometry, inputs.angle, inputs.inner)
+        predicted = {}
+        for name in channels:
+            if Channel.named(name).kind not in known:
+                raise InputError(
+                    f"'{name}' is not predicted by the joint model; use one of: {', '.join(known)}"
+                )
+            # NaN makes a fit reject a step into a joint that cannot be built.
+            predicted[name] = jnp.where(possible, known[name], jnp.nan)
+        return predicted, jnp.all(possible)
+
+    def failure(self, inputs: JointInputs) -> str:
+        """What is impossible about the geometry."""
+        try:
+            check_geometry(self.joint.geometry, np.asarray(inputs.angle))
+        except InputError as error:
+            return str(error)
+        return "the force of the joint is not finite; choose another geometry or torque"
+
+    def refined(self, factor: float) -> Self:
+        """The same: it is in closed form."""
+        return self
+
+    def conditions(self, free: Sequence[str], runs: Sequence[Run] = ()) -> list[str]:
+        """That alpha and beta are what the geometry and the torque leave over."""
+        corrections = [path for path in free if path.startswith(("alpha.", "beta."))]
+        if not corrections:
+            return []
+        held = [
+            f"geometry.{name}"
+            for name in ("anchor_x", "anchor_y", "contact_x", "contact_y", "wire_length")
+        ]
+        held = [path for path in held if path not in free]
+        sentences = []
+        if held:
+            shown = ", ".join(f"{path} = {float(get(self, path)):.4g} m" for path in held)
+            sentences.append(
+                f"{', '.join(corrections)}: what this geometry leaves over of the torque; held at "
+                f"{shown}"
+            )
+        if "torque" not in free and any("torque" not in run.values for run in runs):
+            sentences.append(
+                f"{', '.join(corrections)}: for a torque of {float(self.joint.torque):.4g} N m, "
+                "which the run does not record"
+            )
+        return sentences
+
+
+def joint_from_section(definition: Definition) -> Joint:
+    """The joint that the `[joint]` section states; what it does not state is the preset's."""
+    given = definition.joint.given()
+    geometry: dict[str, Any] = {}
+    for key, name in _POINTS.items():
+        if given.get(key) is not None:
+            geometry[f"{name}_x"], geometry[f"{name}_y"] = given[key]
+    for key, name in _LENGTHS.items():
+        if given.get(key) is not None:
+            geometry[name] = given[key]
+    correction = Correction(
+        reading=given.get("correction") or "continuous",
+        blend=np.deg2rad(given.get("blend_deg") or 0.0),
+    )
+    more = {} if given.get("torque_N_m") is None else {"torque": given["torque_N_m"]}
+    return Joint(JointGeometry(**geometry), correction, **more)
+
+
+def joint_to_section(joint: Joint) -> dict[str, Any]:
+    """The `[joint]` section of a joint, whole."""
+    geometry = joint.geometry
+    points = {
+        key: [float(getattr(geometry, f"{name}_{axis}")) for axis in "xy"]
+        for key, name in _POINTS.items()
+    }
+    return {
+        "correction": joint.correction.reading,
+        "blend_deg": float(np.rad2deg(joint.correction.blend)),
+        "torque_N_m": float(joint.torque),
+        **points,
+        **{key: float(getattr(geometry, name)) for key, name in _LENGTHS.items()},
+    }

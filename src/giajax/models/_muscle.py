@@ -1,0 +1,212 @@
+"""A muscle as a model: from pressure and contraction to force."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Self
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from .._errors import InputError
+from .._typing import Array, Bool, Float, Scalar
+from ..joint import AbstractMuscle, BraidedMuscle, EmpiricalMuscle, Friction, Piston
+from ..parameters import get, parameter
+from ..runs import Channel, Definition, Muscle, Run
+from ._protocol import AbstractModel, Channels
+
+LAWS: dict[str, type[AbstractMuscle]] = {
+    law.name: law for law in (BraidedMuscle, EmpiricalMuscle, Piston)
+}
+"""The laws by the name that `[muscle] law` gives them."""
+
+_PASCAL = 1e3  # in a kilopascal
+_DIRECTION = {"fill": -1.0, "exhaust": 1.0}
+
+
+class MuscleInputs(eqx.Module):
+    """What a muscle needs of a run.
+
+    Attributes:
+        pressure: Pa.
+        contraction: relative to the length at rest; None where only a position is recorded.
+        position: displacement, m; None where it is not recorded.
+        direction: +1 where the muscle is moved against its own pull (exhausting), -1 where it
+            moves by itself (filling); None where friction follows the displacement, or is none.
+    """
+
+    pressure: Float[Array, " sample"]
+    contraction: Float[Array, " sample"] | None
+    position: Float[Array, " sample"] | None
+    direction: Float[Array, " sample"] | None
+
+
+class MuscleModel(AbstractModel):
+    """Predicts the `force` of a muscle or a cylinder.
+
+    Arguments:
+        muscle: the law, without friction.
+        friction: None where there is none.
+        length: at rest, m.
+        mean_pressure: whether the pressure of a run is taken as its mean, which is what was set
+            where friction moves the gauge.
+    """
+
+    kind: ClassVar[str] = "muscle"
+
+    muscle: AbstractMuscle = eqx.field(default_factory=BraidedMuscle)
+    friction: Friction | None = None
+    length: Scalar = parameter(1.96, unit="m", lower=0, doc="length at rest", assumed=True)
+    mean_pressure: bool = eqx.field(default=False, static=True)
+
+    @classmethod
+    def for_runs(cls, runs: Sequence[Run]) -> Self:
+        """The muscle that the sidecars state, which must agree.
+
+        Raises:
+            InputError: the sidecars disagree in [muscle], or state what their law does not know.
+        """
+        first, *others = runs
+        stated = first.definition.muscle
+        for other in others:
+            theirs = other.definition.muscle
+            for key in Muscle.model_fields:
+                if getattr(stated, key) != getattr(theirs, key):
+                    raise InputError(
+                        f"the sidecars of '{first.name}' and '{other.name}' disagree in [muscle] "
+                        f"{key} ({getattr(stated, key)} and {getattr(theirs, key)}); correct one, "
+                        "or fit the runs separately"
+                    )
+        return cls._stated(stated)
+
+    @classmethod
+    def from_definition(cls, definition: Mapping[str, Any]) -> Self:
+        """The muscle that `definition()` described."""
+        return cls._stated(
+            Definition.parse({"muscle": definition["muscle"]}, "stored result").muscle
+        )
+
+    @classmethod
+    def _stated(cls, stated: Muscle) -> Self:
+        law = LAWS[stated.law or BraidedMuscle.name]
+        values: dict[str, Any] = {}
+        if stated.diameter_m is not None:
+            values["diameter"] = stated.diameter_m
+        if stated.braid_angle_deg is not None:
+            values["braid_angle"] = np.deg2rad(stated.braid_angle_deg)
+        for name in values:
+            if name not in law.__dataclass_fields__:
+                raise InputError(
+                    f"[muscle] states {name}, which the law '{law.name}' does not know; remove it, "
+                    "or give another law"
+                )
+        if stated.pressure_limit_kPa is not None:
+            values["pressure_limit"] = stated.pressure_limit_kPa * _PASCAL
+        rubs = stated.friction or ("coulomb" if law is Piston else "none")
+        if rubs == "none" and stated.friction_pressures_kPa is not None:
+            raise InputError(
+                "[muscle] states friction_pressures_kPa, but there is no friction; remove it, or "
+                'state friction = "coulomb"'
+            )
+        nodes = tuple(p * _PASCAL for p in stated.friction_pressures_kPa or [0.0])
+        more: dict[str, Any] = {} if stated.length_m is None else {"length": stated.length_m}
+        return cls(
+            muscle=law(**values),
+            friction=None if rubs == "none" else Friction.at_pressures(nodes),
+            mean_pressure=stated.pressure == "mean",
+            **more,
+        )
+
+    def definition(self) -> dict[str, Any]:
+        """The `[muscle]` section."""
+        section: dict[str, Any] = {
+            "law": self.muscle.name,
+            "length_m": float(self.length),
+            "pressure": "mean" if self.mean_pressure else "measured",
+            "pressure_limit_kPa": float(self.muscle.limit) / _PASCAL,
+            "friction": "none" if self.friction is None else "coulomb",
+        }
+        if isinstance(self.muscle, BraidedMuscle):
+            section["diameter_m"] = float(self.muscle.diameter)
+            section["braid_angle_deg"] = float(np.rad2deg(self.muscle.braid_angle))
+        if self.friction is not None:
+            section["friction_pressures_kPa"] = [p / _PASCAL for p in self.friction.pressures]
+        return {"muscle": section}
+
+    def free_inputs(self, run: Run) -> tuple[str, ...]:
+        """None: the half-widths of friction are parameters by pressure, not by run."""
+        return ()
+
+    def prepare(self, run: Run) -> MuscleInputs:
+        """Pressure, displacement and direction of a muscle run."""
+        if run.model != self.kind:
+            raise InputError(f"'{run.name}' is a run of the {run.model} model, not of a muscle")
+        dtype = jnp.result_type(float)
+
+        def column(name: str) -> Array | None:
+            values = run.values.get(name)
+            return None if values is None else jnp.asarray(values, dtype=dtype)
+
+        pressure = column("pressure")
+        if pressure is None:
+            raise InputError(f"'{run.name}' has no pressure; add a column such as pressure_kPa")
+        phase = run.values.get("phase")
+        directed = self.friction is not None and phase is not None
+        direction = [_DIRECTION[text] for text in phase] if directed and phase is not None else None
+        return MuscleInputs(
+            pressure=jnp.full_like(pressure, jnp.mean(pressure))
+            if self.mean_pressure
+            else pressure,
+            contraction=column("contraction"),
+            position=column("position"),
+            direction=None if direction is None else jnp.asarray(direction, dtype=dtype),
+        )
+
+    def predict(
+        self, inputs: MuscleInputs, channels: tuple[str, ...]
+    ) -> tuple[Channels, Bool[Array, ""]]:
+        """Force, N, at the samples."""
+        for name in channels:
+            if Channel.named(name).kind != "force":
+                raise InputError(f"'{name}' is not predicted by the muscle model; use force")
+        contraction, position = self._displaced(inputs)
+        force = self.muscle.force(inputs.pressure, contraction, self.length)
+        if self.friction is not None:
+            share = inputs.direction
+            if share is None:
+                # Friction resists: it takes from the force where the muscle moves by itself.
+                share = -self.muscle.own_motion * self.friction.engagement(position)
+            force = force + self.friction.width(inputs.pressure) * share
+        return dict.fromkeys(channels, force), jnp.all(jnp.isfinite(force))
+
+    def _displaced(self, inputs: MuscleInputs) -> tuple[Array, Array]:
+        """Contraction and displacement, each from the other where it is not recorded."""
+        contraction, position = inputs.contraction, inputs.position
+        if contraction is None:
+            still = jnp.zeros_like(inputs.pressure)
+            contraction = still if position is None else position / self.length
+        if position is None:
+            position = contraction * self.length
+        return contraction, position
+
+    def failure(self, inputs: MuscleInputs) -> str:
+        """The force is not finite."""
+        return "the force of the muscle is not finite; choose other start values"
+
+    def refined(self, factor: float) -> Self:
+        """The same: it is in closed form."""
+        return self
+
+    def conditions(self, free: Sequence[str], runs: Sequence[Run] = ()) -> list[str]:
+        """What is referred to values that were held."""
+        referred = {
+            "muscle.effectiveness": ("muscle.diameter", "muscle.braid_angle"),
+            "muscle.force_limit": ("muscle.end_length", "muscle.length_scale", "length"),
+            "muscle.contraction_limit": ("muscle.pressure_limit",),
+        }
+        sentences = []
+        for path, others in referred.items():
+            held = [other for other in others if other not in free]
+            if path in free and held:
+                shown = ", ".join(f"{other} = {float(get(self, other)):.4g}" for other in held)
+                sentences.append(f"{path}: holds for {shown} (SI)")
+        return sentences
