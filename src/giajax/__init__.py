@@ -63,8 +63,12 @@ if TYPE_CHECKING:
     from .models import (
         AbstractModel as AbstractModel,
         ArmModel as ArmModel,
+        JointModel as JointModel,
+        MuscleModel as MuscleModel,
         arm_from_definition as arm_from_definition,
+        build_model as build_model,
         model_for as model_for,
+        synthesise as synthesise,
     )
     from .parameters import declared as declared, get as get, replace as replace
     from .runs import (
@@ -132,7 +136,16 @@ _ROOMS = {
         "muscle_state",
         "pair_command",
     ),
-    "models": ("AbstractModel", "ArmModel", "arm_from_definition", "model_for"),
+    "models": (
+        "AbstractModel",
+        "ArmModel",
+        "JointModel",
+        "MuscleModel",
+        "arm_from_definition",
+        "build_model",
+        "model_for",
+        "synthesise",
+    ),
     "parameters": ("declared", "get", "replace"),
     "runs": ("Definition", "Run", "read_run", "write_run"),
     "simulation": (

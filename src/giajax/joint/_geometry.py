@@ -90,11 +90,15 @@ def outer_bush_height(geometry: JointGeometry, angle: Float[Array, "*shape"]) ->
 def is_possible(
     geometry: JointGeometry, angle: Float[Array, "*shape"], inner: Bool[Array, "*shape"]
 ) -> Bool[Array, "*shape"]:
-    """Whether a muscle has a path, and the wire room, at bending angles (rad); may be traced."""
+    """Whether a muscle has a path at bending angles (rad); may be traced.
+
+    A wire that is too short for the outer muscle is no matter here: the outer equations do not
+    know of it, and a fit may pass through such a joint. `check_geometry` refuses it.
+    """
     possible = jnp.ones(angle.shape, bool)
     for bad, _ in _complaints(geometry, angle, inner=True):
         possible = possible & ~(inner & bad)
-    for bad, _ in _complaints(geometry, angle, inner=False):
+    for bad, _ in _complaints(geometry, angle, inner=False)[1:]:
         possible = possible & (inner | ~bad)
     return possible
 
@@ -128,7 +132,7 @@ def check_geometry(geometry: JointGeometry, angles: np.ndarray | None = None) ->
 def _complaints(
     geometry: JointGeometry, angle: Float[Array, "*shape"], *, inner: bool
 ) -> list[tuple[Array, str]]:
-    """What may be impossible on one side: where it is, and a sentence."""
+    """What may be impossible on one side: where it is, and a sentence; of the outer wire first."""
     wire = geometry.wire_length
     anchor_x, anchor_y = geometry.anchor(angle)
     contact_x, contact_y = geometry.contact(angle)

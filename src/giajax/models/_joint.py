@@ -125,15 +125,20 @@ class JointModel(AbstractModel):
 
     def conditions(self, free: Sequence[str], runs: Sequence[Run] = ()) -> list[str]:
         """That alpha and beta are what the geometry and the torque leave over."""
+        sentences = []
+        if any(path.startswith("geometry.") for path in free):
+            try:
+                check_geometry(self.joint.geometry)
+            except InputError as error:
+                sentences.append(f"geometry: {error}")
         corrections = [path for path in free if path.startswith(("alpha.", "beta."))]
         if not corrections:
-            return []
+            return sentences
         held = [
             f"geometry.{name}"
             for name in ("anchor_x", "anchor_y", "contact_x", "contact_y", "wire_length")
         ]
         held = [path for path in held if path not in free]
-        sentences = []
         if held:
             shown = ", ".join(f"{path} = {float(get(self, path)):.4g} m" for path in held)
             sentences.append(
