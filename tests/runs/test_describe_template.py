@@ -77,7 +77,8 @@ def test_notes_say_what_is_assumed():
 
 
 def test_text_channels_are_counted():
-    run = Run.from_arrays(None, {"side": ["inner", "outer", "inner"], "force": [1, 2, 3]})
+    sides = {"side": ["inner", "outer", "inner"], "angle": [0.1, -0.1, 0.2]}
+    run = Run.from_arrays(None, {**sides, "force": [1, 2, 3]})
     facts = describe(run)
     assert facts["channels"][0]["texts"] == {"inner": 2, "outer": 1}
     assert facts["command"] is None
@@ -98,9 +99,15 @@ def offered(text):
             {"arm", "sensors", "initial", "wind", "noise", "free_motion"},
         ),
         ("command_deg,angle_deg\n0,1\n", {"model": "hysteresis"}, {"noise"}),
+        ("angle_deg,side,force_N\n1,inner,1\n", {"model": "joint"}, {"joint", "noise"}),
+        (
+            "pressure_bar,contraction,phase,force_N\n1,0,fill,1\n",
+            {"model": "muscle"},
+            {"muscle", "noise"},
+        ),
         ("force_N,angle_deg\n0,1\n", {}, set()),
     ],
-    ids=["commanded", "free", "hysteresis", "unclear"],
+    ids=["commanded", "free", "hysteresis", "joint", "muscle", "unclear"],
 )
 def test_every_line_of_the_template_is_legal(tmp_path, text, stated, keys):
     path = tmp_path / "run.csv"
@@ -117,6 +124,8 @@ def test_every_line_of_the_template_is_legal(tmp_path, text, stated, keys):
     everything = Definition.load(sidecar).given()
     common = {"schema_version", "model", "origin", "licence", "sha256"}
     assert set(everything) == common | keys
+    for section in {"joint", "muscle"} & keys:
+        assert set(everything[section]) == set(type(getattr(Definition(), section)).model_fields)
     if "arm" in keys:
         assert set(everything["arm"]) == set(type(Definition().arm).model_fields)
         read_run(path)

@@ -52,7 +52,7 @@ def test_a_run_is_frozen_and_leaves_the_callers_arrays_alone():
     ],
 )
 def test_channels_tell_the_model(names, model, given, predicted):
-    values = {name: ["inner"] * 4 if name == "side" else [0.0, 1.0, 2.0, 3.0] for name in names}
+    values = {name: ["inner"] * 4 if name == "side" else [0.0, 0.1, 0.2, 0.3] for name in names}
     run = Run.from_arrays(TIMES if model == "arm" else None, values)
     assert run.model == model
     assert list(run.commands) == given
@@ -119,7 +119,8 @@ def test_static_runs_have_no_times():
     assert run.times is None
     assert run.values["side"].dtype == object
     assert list(run.values["side"]) == ["inner", "outer"]
-    assert len(Run.from_arrays(None, {"pressure": [1e5], "force": [2.0]}).values["force"]) == 1
+    single = {"pressure": [1e5], "contraction": [0.1], "force": [2.0]}
+    assert len(Run.from_arrays(None, single).values["force"]) == 1
 
 
 COMMAND = {"joint01_command": [0.0, 0.1, 0.2, 0.3]}

@@ -18,6 +18,7 @@ from . import (
     _fit,
     _hysteresis,
     _init,
+    _joint,
     _parameters,
     _predict,
     _simulate,
@@ -36,6 +37,7 @@ Examples:
   giajax simulate --ramp 1=30 --out run.csv
                             a run made by the model
   giajax examples           runs and fit definitions to start from
+  giajax joint --out DIR    one joint at rest: paths, forces, equilibria
   giajax fit --data run.csv
                             fit drag, stiffness and damping to it
   giajax predict --model giajax-out/run --data other.csv
@@ -61,6 +63,7 @@ app.command("choose", epilog=_choose.EXAMPLES)(_choose.choose)
 app.command("compensate", epilog=_compensate.EXAMPLES)(_compensate.compensate)
 app.command("hysteresis", epilog=_hysteresis.EXAMPLES)(_hysteresis.hysteresis)
 app.command("init", epilog=_init.EXAMPLES)(_init.init)
+app.command("joint", epilog=_joint.EXAMPLES)(_joint.joint)
 app.command("parameters", epilog=_parameters.EXAMPLES)(_parameters.parameters)
 app.command("predict", epilog=_predict.EXAMPLES)(_predict.predict)
 app.command("simulate", epilog=_simulate.EXAMPLES)(_simulate.simulate)

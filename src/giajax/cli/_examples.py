@@ -60,7 +60,9 @@ def _show(root: Path) -> None:
     fits = sorted((root / "fits").glob("*.toml"))
     print_table(["fit definition", "fits", "to"], [_fit(path, root) for path in fits], left=3)
     print()
-    runs = [path for data in _FOLDERS[1:] for path in sorted((root / data).glob("*.csv"))]
+    tables = [path for data in _FOLDERS[1:] for path in sorted((root / data).rglob("*.csv"))]
+    # A table without a sidecar is something that a run was made from.
+    runs = [path for path in tables if path.with_suffix(".toml").exists()]
     headings = ["run", "driven", "rows", "seconds", "channels", "missing %"]
     print_table(headings, [_run(path, root) for path in runs], left=2)
     print(f"\nThey are in {root}; to start from them: giajax examples --copy DIR")
@@ -84,8 +86,9 @@ def _run(path: Path, root: Path) -> list[str | int | float | None]:
     gaps = sum(channel["missing_percent"] for channel in measured) / max(len(measured), 1)
     names = [name.removesuffix("_command") for name in (facts["command"] or {}).get("channels", [])]
     windy = [] if facts["wind"] is None else ["wind"]
-    seconds = facts["time"]["end_s"] - facts["time"]["start_s"]
-    driven = ", ".join([*names, *windy])
+    time = facts["time"]
+    seconds = None if time is None else time["end_s"] - time["start_s"]
+    driven = ", ".join([*names, *windy]) or (facts["model"] if facts["model"] != "arm" else None)
     return [path.relative_to(root).as_posix(), driven, facts["rows"], seconds, len(measured), gaps]
 
 

@@ -76,17 +76,22 @@ class MuscleModel(AbstractModel):
                         f"{key} ({getattr(stated, key)} and {getattr(theirs, key)}); correct one, "
                         "or fit the runs separately"
                     )
-        return cls._stated(stated)
+        return cls.stated(stated)
 
     @classmethod
     def from_definition(cls, definition: Mapping[str, Any]) -> Self:
         """The muscle that `definition()` described."""
-        return cls._stated(
+        return cls.stated(
             Definition.parse({"muscle": definition["muscle"]}, "stored result").muscle
         )
 
     @classmethod
-    def _stated(cls, stated: Muscle) -> Self:
+    def stated(cls, stated: Muscle) -> Self:
+        """The muscle that a `[muscle]` section states.
+
+        Raises:
+            InputError: it states what its law does not know, or contradicts itself.
+        """
         law = LAWS[stated.law or BraidedMuscle.name]
         values: dict[str, Any] = {}
         if stated.diameter_m is not None:

@@ -6,6 +6,15 @@ from ._figures import (
     residuals_figure as residuals_figure,
 )
 from ._files import check_folder as check_folder, write_result as write_result
+from ._joint import (
+    angle_figure as angle_figure,
+    angle_table as angle_table,
+    correction_figure as correction_figure,
+    equilibria_figure as equilibria_figure,
+    equilibria_table as equilibria_table,
+    joint_figure as joint_figure,
+    joint_points as joint_points,
+)
 from ._reached import Reached as Reached, check_figures as check_figures, reached as reached
 from ._style import (
     BLUE as BLUE,

@@ -11,7 +11,20 @@ from ._checks import DEFAULT_LINKS, DEFAULT_PRESET
 from ._model import GIVEN, PREDICTED, infer_model
 from ._table import Table, read_table
 from ._toml import key_path, toml_value
-from ._vocabulary import Arm, Command, Definition, Initial, Noise, Sensors, Wind
+from ._vocabulary import (
+    Arm,
+    Command,
+    Definition,
+    Initial,
+    Joint,
+    Muscle,
+    Noise,
+    Sensors,
+    Wind,
+)
+
+# Sections of one model, all of whose keys are offered.
+_SECTIONS: dict[str, type[BaseModel]] = {"joint": Joint, "muscle": Muscle}
 
 # A value to show where the preset has none.
 _EXAMPLES: dict[str, Any] = {
@@ -58,7 +71,9 @@ def sidecar_template(path: str | Path, rename: Mapping[str, str] | None = None) 
     model = infer_model(table.channels.values())
     lines = [
         f"# Sidecar of {path.name}. Remove the '#' before a key to state it; what is not stated",
-        f"# is as in the preset {DEFAULT_PRESET}." if model == "arm" else "# is unknown to a fit.",
+        f"# is as in the preset {DEFAULT_PRESET}."
+        if model == "arm"
+        else "# is assumed or unknown.",
         "schema_version = 1",
         _line(Definition, "model", model),
         _line(Definition, "origin"),
@@ -67,8 +82,12 @@ def sidecar_template(path: str | Path, rename: Mapping[str, str] | None = None) 
     ]
     if model == "arm":
         lines += _arm(table)
+    if model in _SECTIONS:
+        section = _SECTIONS[model]
+        lines += ["", f"[{model}]  # unless stated: what giajax assumes"]
+        lines += [_line(section, name) for name in section.model_fields]
     lines += _noise(table, model)
-    lines += ["", "# [truth]  what you know about the arm and a fit should find; no fit reads it"]
+    lines += ["", "# [truth]  what you know and a fit should find; no fit reads it"]
     return "\n".join(lines) + "\n"
 
 

@@ -396,7 +396,9 @@ class Muscle(_Section):
         preset="measured",
     )
     friction: Literal["coulomb", "none"] | None = key(
-        '"coulomb" or "none"', "force between filling and exhausting; needs phase or time"
+        '"coulomb" or "none"',
+        "force between filling and exhausting; needs phase or time",
+        preset="none",
     )
     friction_pressures_kPa: Annotated[list[NotNegative], Field(min_length=1)] | None = key(  # noqa: N815
         "a list of increasing numbers",

@@ -1,0 +1,206 @@
+"""`giajax joint`: one joint at rest, in pictures and numbers."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from ..runs import Definition
+
+EXAMPLES = """\b
+Examples:
+  giajax joint --out joint
+  giajax joint --out joint --torque 0.5 --angle 45 --angle 0 --angle -45
+  giajax joint --out joint --definition joint.toml --wanted 30
+  giajax joint --out joint --set alpha.offset=0.05 --force
+
+\b
+It writes
+  fig09.png, fig09.csv    contraction and force against angle, without corrections
+  fig10.png, fig10.csv    the same with alpha and beta
+  corrections.png         alpha and beta, as read and as printed (an erratum)
+  joint.png, points.csv   the joint itself at a few angles, and its lettered points
+  equilibria.png, .csv    where the pressures for an angle hold the joint, and how stiffly
+
+A definition is a TOML file with [joint] and [muscle] sections, such as the sidecar of a run."""
+
+_ANGLES = (60.0, 30.0, 10.0, 2.0, -2.0, -10.0, -30.0, -60.0)
+
+
+def joint(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for pictures and numbers.")],
+    definition: Annotated[
+        Path | None, typer.Option(metavar="FILE.toml", help="[joint] and [muscle] to use.")
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="PATH=VALUE", help="A parameter of joint or muscle, SI. Repeatable."
+        ),
+    ] = None,
+    torque: Annotated[
+        float | None, typer.Option(metavar="N_M", help="Torque on the joint. [default: 0.3]")
+    ] = None,
+    angle: Annotated[
+        list[float] | None,
+        typer.Option(metavar="DEG", help="Draw the joint at this angle. Repeatable."),
+    ] = None,
+    wanted: Annotated[
+        float, typer.Option(metavar="DEG", help="Angle whose two pressures are shown.")
+    ] = 20.0,
+    force: Annotated[bool, typer.Option("--force", help="Write over files.")] = False,
+) -> None:
+    """Draw one joint at rest: paths, forces, corrections and equilibria.
+
+    The paper's figs 9 and 10, the joint itself at a few angles, and where two pressures hold it.
+    """
+    from ..runs import Definition, write_files
+
+    stated = Definition() if definition is None else Definition.load(definition)
+    angles = list(angle or _ANGLES)
+    for option, values in (("--angle", angles), ("--wanted", [wanted])):
+        for value in values:
+            if not -60 <= value <= 60:
+                raise _wrong(f"{option} is {value:g}; a joint bends from -60 to 60 deg")
+    names = ("fig09.png", "fig09.csv", "fig10.png", "fig10.csv", "corrections.png", "joint.png",
+             "points.csv", "equilibria.png", "equilibria.csv")  # fmt: skip
+    for name in names:
+        if (out / name).exists() and not force:
+            raise _wrong(
+                f"{out / name} exists and is not written over; give another --out or --force"
+            )
+
+    from ._jax import configure
+
+    configure()
+    pair = _pair(stated, settings or [], torque)
+    typer.echo("drawing, and solving for every equilibrium ...", err=True)
+    contents = _contents(pair, angles, wanted)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise _wrong(f"the folder {out} cannot be made ({error.strerror}); give another") from None
+    write_files({out / name: contents[name] for name in names}, force=force)
+    _show(pair, wanted)
+    typer.echo(f"\nwrote {out}: {', '.join(names)}")
+
+
+def _pair(stated: "Definition", settings: list[str], torque: float | None) -> Any:
+    """The joint and muscle that are stated, with the parameters that were set."""
+    import math
+
+    from ..joint import JointPair, check_geometry
+    from ..models import MuscleModel, joint_from_section
+    from ..parameters import check_within_bounds, elements, replace
+
+    muscle = MuscleModel.stated(stated.muscle).muscle
+    pair = JointPair(joint_from_section(stated), muscle)
+    values: dict[str, float] = {} if torque is None else {"joint.torque": torque}
+    for setting in settings:
+        path, _, text = setting.rpartition("=")
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not path or not math.isfinite(value):
+            raise _wrong(f"--set {setting!r} must be PATH=VALUE with a number; correct it")
+        # The joint's own paths need no prefix, as in a fit of a joint.
+        values[path if path.startswith(("joint.", "muscle.")) else f"joint.{path}"] = value
+    for path, value in values.items():
+        for element in elements(pair, path):
+            check_within_bounds(element, value, free=False)
+    if torque is not None and not 0 < torque < math.inf:
+        raise _wrong(f"--torque is {torque:g}; give a positive number of N m")
+    pair = replace(pair, values)
+    check_geometry(pair.joint.geometry)
+    return pair
+
+
+def _contents(pair: Any, angles: list[float], wanted: float) -> dict[str, bytes]:
+    import numpy as np
+
+    from ..report import (
+        angle_figure,
+        angle_table,
+        correction_figure,
+        equilibria_figure,
+        equilibria_table,
+        joint_figure,
+        joint_points,
+        to_png,
+    )
+
+    joint = pair.joint
+    holding, _ = equilibria_table(pair, np.linspace(-60, 60, 121))
+    points: dict[str, list[Any]] = {"angle_deg": [], "point": [], "x_m": [], "y_m": []}
+    for degrees in angles:
+        for name, (x, y) in joint_points(joint, np.deg2rad(degrees)).items():
+            for column, cell in zip(points.values(), (degrees, name, x, y), strict=True):
+                column.append(cell)
+    return {
+        "fig09.png": to_png(angle_figure(joint, corrected=False)),
+        "fig09.csv": _csv(angle_table(joint, corrected=False)),
+        "fig10.png": to_png(angle_figure(joint, corrected=True)),
+        "fig10.csv": _csv(angle_table(joint, corrected=True)),
+        "corrections.png": to_png(correction_figure(joint)),
+        "joint.png": to_png(joint_figure(joint, angles)),
+        "points.csv": _csv(points),
+        "equilibria.png": to_png(equilibria_figure(pair, holding, wanted)),
+        "equilibria.csv": _csv(holding),
+    }
+
+
+def _csv(columns: dict[str, Any]) -> bytes:
+    def cell(value: Any) -> str:
+        if isinstance(value, str):
+            return f'"{value}"' if "," in value else value
+        # A truth value is a number to numpy, and so to float.
+        return (
+            str(value).lower() if str(value) in ("True", "False") else f"{float(value) + 0.0:.9g}"
+        )
+
+    rows = zip(*columns.values(), strict=True)
+    return (
+        "\n".join([",".join(columns), *(",".join(map(cell, row)) for row in rows)]) + "\n"
+    ).encode()
+
+
+def _show(pair: Any, wanted: float) -> None:
+    """What a person wants to know first: branches, pressures and every equilibrium."""
+    import numpy as np
+
+    from ..joint import branch_angles, equilibria, pair_command
+    from ._output import print_table
+
+    taut, wrapped = np.rad2deg(branch_angles(pair.joint.geometry))
+    command = pair_command(pair, np.deg2rad(wanted))
+    sides = {"first": command.first_pressure, "second": command.second_pressure}
+    rows = [
+        ("inner wire taut", f"above {taut:.2f} deg"),
+        ("outer muscle wraps", f"below {wrapped:.2f} deg"),
+    ]
+    for name, answer in sides.items():
+        rows.append(
+            (f"{name} muscle", f"{float(answer.pressure) / 1e3:.2f} kPa, {answer.message()}")
+        )
+    print_table(["", f"for {wanted:g} deg"], rows, left=2)
+    print()
+    found = equilibria(pair, command.pressures)
+    headings = ["equilibrium (deg)", "", "stiffness (N m/rad)", "first muscle", "second muscle"]
+    cells = [
+        (
+            f"{np.rad2deg(item.angle) + 0.0:.2f}",
+            "stable" if item.stable else "unstable",
+            f"{item.stiffness:.3g}",
+            *item.branches,
+        )
+        for item in found.found
+    ]
+    print_table(headings, cells, left=5)
+
+
+def _wrong(sentence: str) -> Exception:
+    from .._errors import InputError
+
+    return InputError(sentence)

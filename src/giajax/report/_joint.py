@@ -1,0 +1,364 @@
+"""Pictures of one joint: figs 9 and 10, the joint itself, and what holds a pair of muscles."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Polygon
+
+from ..joint import (
+    BRANCHES,
+    LARGEST_ANGLE,
+    Correction,
+    Equilibria,
+    Joint,
+    JointPair,
+    branch_angles,
+    equilibria,
+    muscle_state,
+    net_torque,
+    pair_command,
+)
+from ._style import BLUE, GREEN, GREY, INK, LIGHT, VERMILLION, new_figure, plain
+
+DEGREE = "\N{DEGREE SIGN}"
+MINUS = "\N{MINUS SIGN}"
+
+_DRAWN = (60.0, 30.0, 10.0, 2.0, -2.0, -10.0, -30.0, -60.0)
+
+
+def angle_table(joint: Joint, *, corrected: bool, step_deg: float = 0.5) -> dict[str, np.ndarray]:
+    """Everything about one muscle against its bending angle: the numbers of figs 9 and 10.
+
+    Arguments:
+        joint: the joint.
+        corrected: with its corrections (fig. 10), or with none (fig. 9).
+        step_deg: between two angles, deg.
+
+    Returns:
+        Columns of equal length, in the units that their names say. The angle 0 is there twice,
+        as the outer and as the inner muscle.
+    """
+    if not corrected:
+        joint = Joint(joint.geometry, Correction(reading="none"), joint.torque)
+    end = np.rad2deg(LARGEST_ANGLE)
+    sizes = np.linspace(0, end, round(end / step_deg) + 1)
+    columns: dict[str, list[np.ndarray]] = {}
+    for side, degrees in (("outer", -sizes[::-1]), ("inner", sizes)):
+        state = muscle_state(joint, np.deg2rad(degrees), side=side)
+        for name, values in {
+            "angle_deg": degrees + 0.0,
+            "side": np.full(len(degrees), side),
+            "torque_N_m": state.torque,
+            "contraction": state.contraction,
+            "force_N": state.force,
+            "wire_tension_N": state.wire_tension,
+            "wire_slack_m": state.path.wire_slack,
+            "push_x_N": state.push_x,
+            "push_y_N": state.push_y,
+            "branch": np.asarray(BRANCHES)[np.asarray(state.branch)],
+        }.items():
+            columns.setdefault(name, []).append(np.asarray(values))
+    return {name: np.concatenate(parts) for name, parts in columns.items()}
+
+
+def angle_figure(joint: Joint, *, corrected: bool) -> Figure:
+    """Contraction and force of one muscle against its bending angle: figs 9 and 10 of the paper.
+
+    The grey band is where the muscle runs straight.
+
+    Arguments:
+        joint: the joint.
+        corrected: with its corrections (fig. 10), or with none (fig. 9).
+    """
+    table = angle_table(joint, corrected=corrected)
+    what = "with alpha and beta" if corrected else "without corrections"
+    title = f"One muscle under {float(joint.torque):g} N m, {what}"
+    figure = new_figure(10, 3.9, title)
+    axes = figure.subplots(1, 2)
+    for panel, name, label in zip(
+        axes, ("contraction", "force_N"), ("contraction", "force (N)"), strict=True
+    ):
+        _shade_branches(panel, joint)
+        for side, colour in (("outer", VERMILLION), ("inner", BLUE)):
+            rows = table["side"] == side
+            panel.plot(table["angle_deg"][rows], table[name][rows], color=colour, linewidth=1.6)
+        plain(panel, label)
+        _angle_axis(panel, "bending angle of the muscle")
+        panel.set_ylim(bottom=0)
+    handles = [
+        Line2D([], [], color=BLUE, linewidth=1.6, label="inner muscle"),
+        Line2D([], [], color=VERMILLION, linewidth=1.6, label="outer muscle"),
+    ]
+    figure.legend(
+        handles=handles, loc="outside upper right", ncols=len(handles), fontsize=8, frameon=False
+    )
+    return figure
+
+
+def _shade_branches(panel: Axes, joint: Joint) -> None:
+    """The window about 0 in which the muscle runs straight."""
+    taut, wrapped = np.rad2deg(branch_angles(joint.geometry))
+    if np.isfinite(taut) and np.isfinite(wrapped):
+        panel.axvspan(wrapped, taut, color=LIGHT, linewidth=0, zorder=0)
+
+
+def _angle_axis(panel: Axes, name: str) -> None:
+    end = np.rad2deg(LARGEST_ANGLE)
+    panel.set_xlim(-end, end)
+    panel.set_xticks(np.arange(-end, end + 1, 20))
+    panel.set_xlabel(f"{name} ({DEGREE})")
+
+
+def correction_figure(joint: Joint) -> Figure:
+    """Alpha and beta in both readings of the paper: the erratum."""
+    figure = new_figure(8, 3.6, "Corrections: with the size of the angle, and as printed")
+    panel = figure.subplots()
+    end = np.rad2deg(LARGEST_ANGLE)
+    outer, inner = np.linspace(-end, 0, 1201), np.linspace(0, end, 601)
+    for reading, colour, style in (("printed", GREY, (0, (3, 2))), ("continuous", VERMILLION, "-")):
+        form = Joint(joint.geometry, Correction(reading=reading), joint.torque)
+        for side, degrees in (("outer", outer), ("inner", inner)):
+            torque = np.asarray(muscle_state(form, np.deg2rad(degrees), side=side).torque)
+            panel.plot(
+                degrees,
+                torque - float(joint.torque),
+                color=BLUE if side == "inner" and reading == "continuous" else colour,
+                linestyle=style,
+                linewidth=1.4,
+            )
+    panel.axhline(-float(joint.torque), color=INK, linewidth=0.8, linestyle=(0, (1, 2)))
+    panel.text(end - 1, -float(joint.torque), "below this the muscle would have to push",
+               fontsize=8, color=INK, ha="right", va="bottom")  # fmt: skip
+    plain(panel, "added torque (N m)")
+    _angle_axis(panel, "bending angle of the muscle")
+    handles = [
+        Line2D([], [], color=BLUE, label="alpha"),
+        Line2D([], [], color=VERMILLION, label="beta, continuous"),
+        Line2D([], [], color=GREY, linestyle=(0, (3, 2)), label="beta, as printed"),
+    ]
+    panel.legend(handles=handles, fontsize=8, frameon=False, loc="lower center")
+    return figure
+
+
+def joint_figure(joint: Joint, degrees: Sequence[float] = _DRAWN) -> Figure:
+    """The joint at some bending angles: links, muscle, wire and contact points, to scale.
+
+    One muscle is drawn, on +y: the inner one at positive angles, the outer one at negative ones.
+
+    Arguments:
+        joint: the joint.
+        degrees: bending angles, deg.
+    """
+    columns = 2 if len(degrees) > 1 else 1
+    rows = -(-len(degrees) // columns)
+    figure = new_figure(11, 2.35 * rows + 0.5, "One muscle (blue) and its wire at rest, to scale")
+    grid = figure.subplots(rows, columns, squeeze=False)
+    # Down the columns, so that one shows the inner and one the outer muscle.
+    for index, panel in enumerate(grid.T.flat):
+        if index >= len(degrees):
+            panel.set_visible(False)
+            continue
+        _draw_joint(panel, joint, degrees[index])
+    handles = [
+        Line2D([], [], color=BLUE, linewidth=2, label="muscle"),
+        Line2D([], [], color=GREEN, linewidth=1.4, label="wire, taut"),
+        Line2D([], [], color=GREEN, linewidth=1.4, linestyle=(0, (2, 2)), label="wire, slack"),
+        Line2D([], [], color=GREY, linewidth=6, alpha=0.3, label="balloon"),
+    ]
+    figure.legend(
+        handles=handles, loc="outside upper right", ncols=len(handles), fontsize=8, frameon=False
+    )
+    return figure
+
+
+def joint_points(joint: Joint, angle: float) -> dict[str, np.ndarray]:
+    """Where the lettered points of figs 7 and 8 are at a bending angle.
+
+    Arguments:
+        joint: the joint.
+        angle: bending angle of the muscle, rad.
+
+    Returns:
+        Points in the frame of the bisector, m, each of shape (2,): A, B, C, D, E and H of an
+        inner muscle; M, P, O, Q, N, B, D and E of an outer one.
+    """
+    at = np.asarray(angle, dtype=float)
+    state = muscle_state(joint, at)
+    geometry = joint.geometry
+    right = {
+        name: np.array([float(part) for part in point])
+        for name, point in (
+            ("C", geometry.anchor(state.angle)),
+            ("D", geometry.wire_end(state.angle)),
+            ("Q", geometry.contact(state.angle)),
+        )
+    }
+    mirror = np.array([-1.0, 1.0])
+    bush = np.array([0.0, float(state.path.height)])
+    shared = {"E": np.zeros(2), "B": right["D"] * mirror, "D": right["D"]}
+    if bool(state.path.inner):
+        return {"A": right["C"] * mirror, "C": right["C"], "H": bush, **shared}
+    outer = {"M": right["C"] * mirror, "N": right["C"], "O": bush}
+    return {**outer, "P": right["Q"] * mirror, "Q": right["Q"], **shared}
+
+
+def _draw_joint(panel: Axes, joint: Joint, degrees: float) -> None:
+    angle = np.deg2rad(degrees)
+    points = joint_points(joint, angle)
+    state = muscle_state(joint, angle)
+    for sign in (1, -1):
+        panel.add_patch(_balloon(joint, angle, sign))
+        axis = np.array([np.cos(angle / 2) * sign, np.sin(angle / 2)])
+        panel.plot(
+            *zip((0, 0), axis, strict=True), color=GREY, linewidth=0.7, linestyle=(0, (6, 3))
+        )
+    engaged = bool(state.path.engaged)
+    if bool(state.path.inner):
+        path = ["A", "H", "C"] if engaged else ["A", "C"]
+        tops = {"B": "H", "D": "H"}
+    else:
+        path = ["M", "P", "Q", "N"] if engaged else ["M", "N"]
+        tops = {"B": "O", "D": "O"}
+    panel.plot(*zip(*(points[name] for name in path), strict=True), color=BLUE, linewidth=2)
+    slack = float(state.path.wire_slack) > 0
+    for end, top in tops.items():
+        line = _hanging(points[end], points[top], float(state.path.wire_slack) / 2)
+        style = (0, (2, 2)) if slack else "-"
+        panel.plot(*line, color=GREEN, linewidth=1.4, linestyle=style)
+    below = {"E", "B", "D"}
+    for name, point in points.items():
+        panel.plot(*point, "o", color=INK, markersize=2.6, zorder=5)
+        left = name in "AMBP"
+        panel.annotate(
+            name,
+            (point[0], point[1]),
+            xytext=(-3 if left else 3, -3 if name in below else 3),
+            textcoords="offset points",
+            fontsize=7.5,
+            color=INK,
+            ha="right" if left else "left",
+            va="top" if name in below else "bottom",
+        )
+    branch = BRANCHES[int(state.branch)]
+    force = f"{float(state.force):.2f}".replace("-", MINUS)
+    shown = f"{degrees:g}".replace("-", MINUS)
+    plain(
+        panel, f"{shown}{DEGREE}: {branch}; contraction {float(state.contraction):.3f}, {force} N"
+    )
+    panel.set_aspect("equal")
+    panel.set_xlim(-1.02, 1.02)
+    low = min(-0.22, float(np.sin(angle / 2)) - 0.14)
+    panel.set_ylim(low, max(0.34, float(np.sin(angle / 2)) + 0.3))
+
+
+def _balloon(joint: Joint, angle: float, sign: int) -> Polygon:
+    """Outline of one link: narrow at the joint, and as wide as its shoulder from there on."""
+    geometry = joint.geometry
+    x, y = float(geometry.contact_x), float(geometry.contact_y)
+    outline = np.array([[0, 0], [x, y], [1.0, y], [1.0, -y], [x, -y]])
+    cosine, sine = np.cos(angle / 2), np.sin(angle / 2)
+    turned = outline @ np.array([[cosine, sine], [-sine, cosine]])
+    return Polygon(turned * [sign, 1], closed=True, color=GREY, alpha=0.22, linewidth=0)
+
+
+def _hanging(end: np.ndarray, top: np.ndarray, slack: float) -> tuple[np.ndarray, np.ndarray]:
+    """One half of the wire; where it is slack, a bow of about the right length."""
+    along = np.linspace(0, 1, 40)
+    line = end[None] + along[:, None] * (top - end)[None]
+    span = float(np.linalg.norm(top - end))
+    if slack <= 0 or span == 0:
+        return line[:, 0], line[:, 1]
+    # A shallow bow of rise r over a span s is 8 r^2 / (3 s) longer than the span.
+    rise = np.sqrt(3 * slack * span / 8)
+    outwards = np.array([np.sign(end[0]) or 1.0, 0.0])
+    bow = 4 * rise * along * (1 - along)
+    line = line + bow[:, None] * outwards[None]
+    return line[:, 0], line[:, 1]
+
+
+def equilibria_table(
+    pair: JointPair, degrees: np.ndarray
+) -> tuple[dict[str, np.ndarray], list[Equilibria]]:
+    """Pressures of the controller for some angles, and every equilibrium of each pair of them.
+
+    Arguments:
+        pair: joint and muscles.
+        degrees: wanted angles, deg, shape (angle,).
+
+    Returns:
+        Columns, one row an equilibrium, in the units that their names say; and the equilibria of
+        each wanted angle.
+    """
+    command = pair_command(pair, np.deg2rad(degrees))
+    pressures = np.asarray(command.pressures)
+    everything = [equilibria(pair, both) for both in pressures]
+    rows: dict[str, list[object]] = {
+        name: []
+        for name in (
+            "wanted_deg", "reached", "first_pressure_kPa", "second_pressure_kPa", "angle_deg",
+            "stable", "stiffness_N_m_per_rad", "muscle_stiffness_N_m_per_rad", "at_step",
+            "first_branch", "second_branch",
+        )
+    }  # fmt: skip
+    for wanted, reached, both, found in zip(
+        degrees, np.asarray(command.reached), pressures, everything, strict=True
+    ):
+        for item in found.found:
+            cells: tuple[object, ...] = (
+                wanted, bool(reached), both[0] / 1e3, both[1] / 1e3, np.rad2deg(item.angle),
+                item.stable, item.stiffness, item.muscle_stiffness, item.at_step, *item.branches,
+            )  # fmt: skip
+            for column, cell in zip(rows.values(), cells, strict=True):
+                column.append(cell)
+    return {name: np.asarray(values) for name, values in rows.items()}, everything
+
+
+def equilibria_figure(pair: JointPair, table: dict[str, np.ndarray], example_deg: float) -> Figure:
+    """Where a pair rests: every equilibrium against the wanted angle, and the torque of one.
+
+    Arguments:
+        pair: joint and muscles.
+        table: of `equilibria_table`.
+        example_deg: wanted angle whose two pressures are drawn, deg.
+    """
+    figure = new_figure(11, 4.2, "Two pressures hold a joint at more than one angle")
+    left, right = figure.subplots(1, 2)
+    _shade_branches(left, pair.joint)
+    wanted, angle, stable = table["wanted_deg"], table["angle_deg"], table["stable"]
+    end = np.rad2deg(LARGEST_ANGLE)
+    left.plot([-end, end], [-end, end], color=LIGHT, linewidth=3, zorder=1)
+    for held, colour, name in ((True, BLUE, "stable"), (False, VERMILLION, "unstable")):
+        rows = stable == held
+        left.plot(wanted[rows], angle[rows], ".", color=colour, markersize=4, label=name)
+    plain(left, f"equilibria of its two pressures ({DEGREE})")
+    _angle_axis(left, "wanted angle")
+    left.set_ylim(-end, end)
+    left.set_yticks(np.arange(-end, end + 1, 20))
+    left.legend(fontsize=8, frameon=False, loc="upper left")
+
+    _shade_branches(right, pair.joint)
+    _draw_torque(right, pair, example_deg)
+    return figure
+
+
+def _draw_torque(panel: Axes, pair: JointPair, example_deg: float) -> None:
+    import jax.numpy as jnp
+
+    pressures = pair_command(pair, np.deg2rad(example_deg)).pressures
+    sizes = np.deg2rad(np.linspace(0, np.rad2deg(LARGEST_ANGLE), 601))
+    load = jnp.asarray(0.0, dtype=pressures.dtype)
+    for ahead in (False, True):
+        angle = jnp.asarray(sizes if ahead else -sizes[::-1], dtype=pressures.dtype)
+        side = jnp.full(angle.shape, ahead)
+        torque = net_torque(pair, pressures, load, angle, side)
+        panel.plot(np.rad2deg(angle), torque, color=INK, linewidth=1.4)
+    panel.axhline(0, color=GREY, linewidth=0.8)
+    for item in equilibria(pair, pressures).found:
+        colour = BLUE if item.stable else VERMILLION
+        panel.plot(np.rad2deg(item.angle), 0, "o", color=colour, markersize=6)
+    kilopascals = " and ".join(f"{float(p) / 1e3:.1f}" for p in pressures)
+    plain(panel, f"torque at {kilopascals} kPa, for {example_deg:g}{DEGREE} (N m)")
+    _angle_axis(panel, "angle")

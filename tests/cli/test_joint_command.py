@@ -1,0 +1,142 @@
+"""`giajax joint`: pictures and numbers of one joint at rest."""
+
+import csv
+
+import numpy as np
+import pytest
+
+from giajax.cli import main
+
+PICTURES = ("fig09.png", "fig10.png", "corrections.png", "joint.png", "equilibria.png")
+
+
+def rows(path):
+    with path.open() as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("joint") / "new" / "out"
+    assert main(["joint", "--out", str(folder), "--wanted", "25"]) == 0
+    return folder
+
+
+def test_it_draws_and_writes_the_numbers(written):
+    for name in PICTURES:
+        assert (written / name).read_bytes().startswith(b"\x89PNG")
+    plain, corrected = rows(written / "fig09.csv"), rows(written / "fig10.csv")
+    assert len(plain) == len(corrected) == 242
+    at = {float(row["angle_deg"]): row for row in corrected if row["side"] == "inner"}
+    assert float(at[60]["force_N"]) == pytest.approx(2.97, abs=0.005)
+    assert float(at[60]["contraction"]) == pytest.approx(0.194, abs=5e-4)
+    at = {float(row["angle_deg"]): row for row in plain if row["side"] == "outer"}
+    assert float(at[-60]["force_N"]) == pytest.approx(2.93, abs=0.005)
+    assert at[-60]["branch"] == "outer, wrapped"
+
+
+def test_the_points_are_where_they_should_be(written):
+    points = {}
+    for row in rows(written / "points.csv"):
+        points.setdefault(float(row["angle_deg"]), {})[row["point"]] = np.array(
+            [float(row["x_m"]), float(row["y_m"])]
+        )
+    inner, outer = points[30], points[-30]
+    assert set(inner) == set("ABCDEH")
+    assert set(outer) == set("BDEMNOPQ")
+    # H lies on the bisector, at half the wire from B and D, below A and C.
+    assert inner["H"][0] == 0
+    for end in "BD":
+        assert np.linalg.norm(inner["H"] - inner[end]) == pytest.approx(0.17, abs=1e-8)
+    assert inner["H"][1] < inner["C"][1]
+    # The muscle goes over P and Q at one height, and down to M and N.
+    assert outer["P"][1] == outer["Q"][1] == outer["O"][1] > outer["N"][1]
+    for letter, image in (("A", "C"), ("B", "D")):
+        np.testing.assert_allclose(inner[letter], inner[image] * [-1, 1])
+    # Angles and lengths of the links are kept.
+    for point, size in (("C", np.hypot(0.9, 0.18)), ("D", np.hypot(0.03, 0.04))):
+        assert np.linalg.norm(inner[point]) == pytest.approx(size, abs=1e-8)
+
+
+def test_the_equilibria_hold_what_was_wanted(written):
+    table = rows(written / "equilibria.csv")
+    wanted = {float(row["wanted_deg"]) for row in table}
+    assert len(wanted) == 121
+    for angle in wanted:
+        found = [row for row in table if float(row["wanted_deg"]) == angle]
+        assert min(abs(float(row["angle_deg"]) - angle) for row in found) < 1e-6
+    several = [angle for angle in wanted if sum(float(r["wanted_deg"]) == angle for r in table) > 1]
+    assert max(np.abs(several)) < 25
+    assert 20.0 in several
+
+
+def test_it_says_where_the_pressures_hold_the_joint(tmp_path, capsys):
+    arguments = ["joint", "--out", str(tmp_path), "--torque", "0.4", "--angle", "45"]
+    assert main([*arguments, "--set", "muscle.diameter=0.0045", "--wanted", "-30"]) == 0
+    out, err = capsys.readouterr()
+    assert "above 3.64 deg" in out
+    assert "-30.00" in out
+    assert "stable" in out
+    assert "solving" in err
+    assert {row["angle_deg"] for row in rows(tmp_path / "points.csv")} == {"45"}
+    torque = {row["torque_N_m"] for row in rows(tmp_path / "fig09.csv")}
+    assert torque == {"0.4"}
+
+
+def test_nothing_is_written_over_without_force(tmp_path, capsys):
+    (tmp_path / "joint.png").write_text("mine")
+    assert main(["joint", "--out", str(tmp_path)]) == 2
+    out, err = capsys.readouterr()
+    assert (out, err.count("\n")) == ("", 1)
+    assert "joint.png exists" in err
+    assert [path.name for path in tmp_path.iterdir()] == ["joint.png"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--angle", "70"], "from -60 to 60 deg"),
+        (["--wanted", "-90"], "from -60 to 60 deg"),
+        (["--set", "geometry.wire_length=0.05"], "cannot be built"),
+        (["--set", "geometry.wire_lenght=0.3"], "did you mean 'joint.geometry.wire_length'"),
+        (["--set", "alpha.offset"], "PATH=VALUE"),
+        (["--set", "muscle.diameter=-1"], "outside its bounds"),
+        (["--torque", "0"], "positive number"),
+        (["--definition", "none.toml"], "does not exist"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_exit_status_2(arguments, sentence, tmp_path, capsys):
+    assert main(["joint", "--out", str(tmp_path / "out"), *arguments]) == 2
+    out, err = capsys.readouterr()
+    assert sentence in err
+    assert out == ""
+    assert len([line for line in err.splitlines() if line.startswith("giajax: ")]) == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_definition_states_joint_and_muscle(tmp_path, capsys):
+    stated = tmp_path / "mine.toml"
+    stated.write_text('[joint]\ncorrection = "none"\n[muscle]\ndiameter_m = 0.0045\n')
+    out = tmp_path / "out"
+    assert main(["joint", "--out", str(out), "--definition", str(stated)]) == 0
+    capsys.readouterr()
+    assert (out / "fig09.csv").read_bytes() == (out / "fig10.csv").read_bytes()
+    stated.write_text("[joint]\nwire = 3\n")
+    assert main(["joint", "--out", str(out), "--definition", str(stated)]) == 2
+    assert "wire" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["joint", "muscle"])
+def test_a_run_is_checked_and_fitted_like_any_other(name, tmp_path, capsys):
+    from pathlib import Path
+
+    run = Path(__file__).parents[2] / "data" / "synthetic" / f"{name}.csv"
+    assert main(["check", str(run)]) == 0
+    assert name in capsys.readouterr().out
+    assert main(["fit", "--data", str(run), "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    assert (tmp_path / "out" / "result.json").exists()
+    template = tmp_path / f"{name}.csv"
+    template.write_bytes(run.read_bytes())
+    assert main(["init", str(template)]) == 0
+    assert f"[{name}]" in template.with_suffix(".toml").read_text()
+    assert main(["check", str(template)]) == 0
