@@ -36,27 +36,20 @@ def read(path):
 @pytest.mark.parametrize("path", FITS, ids=lambda path: path.stem)
 def test_it_states_the_truth_and_starts_away_from_it(path):
     definition, runs = read(path)
-    assert set(definition.figures) <= freed(definition, runs)
-    recorded = all("recorded" in run.path.parts for run in runs)
-    assert recorded or set(definition.figures) == freed(definition, runs)
+    model = model_for(runs)
+    freed = {element.path for path in definition.fit.free for element in elements(model, path)}
+    assert set(definition.figures) == freed
     for run in runs:
         stated = run.definition.truth
         for name, figure in definition.figures.items():
-            truth = stated.get(name, stated.get(ENGINE.get(name, "")))
-            # Of a recording nobody knows the truth but in part.
-            if figure.determined is False or (recorded and truth is None):
+            if figure.determined is False:
                 continue
+            truth = stated.get(name, stated.get(ENGINE.get(name, "")))
             assert figure.value == truth
-            assert (figure.standard_errors or 0) <= 3
+            assert figure.standard_errors <= 3
             # A geometry that is half wrong cannot be built.
             off = 0.15 if name.startswith("geometry.") else 0.4
             assert abs(np.log(definition.fit.start[name] / truth)) > off
-
-
-def freed(definition, runs):
-    """Elements of all free parameters, and arrays of one element by their own name too."""
-    model = model_for(runs)
-    return {e.path for path in definition.fit.free for e in elements(model, path)}
 
 
 @pytest.mark.slow
@@ -79,8 +72,6 @@ def test_it_reaches_its_figures(path):
     assert len(found) == len(definition.figures)
     missed = [f"{figure.path} {figure.sentence}" for figure in found if not figure.reached]
     assert missed == []
-    if all("recorded" in run.path.parts for run in runs):
-        return
     # The residuals are the noise that the sidecars state, to the accuracy of so many cells.
     cells = sum(np.isfinite(values).sum() for run in runs for values in run.observations.values())
     assert abs(result.reduced_chi_square - 1) < 4 * np.sqrt(2 / cells)
