@@ -1,6 +1,7 @@
 """`giajax parameters`: the declarations, as a table and as JSON."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 
@@ -57,3 +58,14 @@ def test_an_arm_without_links(capsys):
     out, err = capsys.readouterr()
     assert (out, err.count("\n")) == ("", 1)
     assert "at least 1" in err
+
+
+def test_a_run_decides_the_model(capsys):
+    folder = Path(__file__).parents[2] / "data" / "synthetic"
+    joint = listed(capsys, str(folder / "joint.csv"))
+    assert joint["geometry.wire_length"]["assumed"]
+    assert joint["alpha.threshold"]["free"]
+    muscle = listed(capsys, str(folder / "muscle.csv"))
+    assert muscle["friction.half_width"]["elements"] == 1
+    assert main(["parameters", str(folder / "none.csv")]) == 2
+    assert "does not exist" in capsys.readouterr().err

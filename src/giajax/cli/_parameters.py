@@ -1,6 +1,7 @@
 """`giajax parameters`: what can be fitted, set and held."""
 
 import math
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -11,6 +12,7 @@ if TYPE_CHECKING:
 EXAMPLES = """\b
 Examples:
   giajax parameters
+  giajax parameters joint.csv
   giajax parameters --json
   giajax fit --data run.csv --free air.drag_coefficient --free "links.mass[19]"
 
@@ -20,19 +22,30 @@ An array has one element for each link or joint; links.mass[0] is its first one.
 
 
 def parameters(
+    run: Annotated[
+        Path | None,
+        typer.Argument(metavar="[RUN]", help="List those of the model of this run. [the arm]"),
+    ] = None,
     links: Annotated[int, typer.Option(metavar="N", help="Number of links of the arm.")] = 20,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
 ) -> None:
-    """List every parameter of the arm: path, unit, default, bounds and meaning."""
+    """List every parameter of the arm, or of a run's model.
+
+    Path, unit, default, bounds and meaning of each.
+    """
+    from ..runs import read_run
+
+    recorded = None if run is None else read_run(run)
+
     from ._jax import configure
 
     configure()
 
     from ..arm import takeichi_20m
-    from ..models import ArmModel
+    from ..models import ArmModel, model_for
     from ..parameters import declared
 
-    model = ArmModel(takeichi_20m(links))
+    model = ArmModel(takeichi_20m(links)) if recorded is None else model_for([recorded])
     facts = [_facts(parameter, model) for parameter in declared(model).values()]
     if as_json:
         import json
