@@ -10,10 +10,11 @@ import numpy as np
 
 from .._errors import InputError
 from .._typing import Array, Float, Scalar
-from ..arm import Arm, acceleration
+from ..arm import Arm
 from ..parameters import is_concrete
 from ._controller import fastest_rate, step_size_controller
 from ._derivatives import Derivatives, adjoint, guard_inputs, guard_outputs
+from ._motion import Inputs, motion
 from ._signal import Signal, constant
 from ._solvers import solver as solver_named
 from ._trajectory import RESULTS, SimulationError, Trajectory
@@ -181,13 +182,13 @@ def integrate(
     rtol, atol = tolerances
     method = solver_named(solver)
     solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(_motion),
+        diffrax.ODETerm(motion),
         method,
         t0=begin,
         t1=end,
         dt0=None,
         y0=state,
-        args=(arm, command, wind, torque, eqxi.prevbefore(end)),
+        args=Inputs(arm, command, wind, torque, eqxi.prevbefore(end)),
         saveat=diffrax.SaveAt(ts=times),
         stepsize_controller=step_size_controller(
             method,
@@ -222,17 +223,6 @@ def integrate(
         result=_result(solution, jnp.all(jnp.isfinite(solution.ys))),
         steps=steps,
     )
-
-
-def _motion(time: Any, state: Float[Array, "2 joint"], args: Any) -> Float[Array, "2 joint"]:
-    arm, command, wind, torque, end = args
-    # A jump at the very end is no part of the motion, and would be bisected for nothing.
-    time = jnp.minimum(time, end)
-    angles, rates = state
-    air = None if wind is None else wind(time)
-    gust = None if wind is None else wind.rate(time)
-    drive = None if torque is None else torque(time)
-    return jnp.stack([rates, acceleration(arm, angles, rates, command(time), air, gust, drive)])
 
 
 def _result(solution: diffrax.Solution, finite: Array) -> RESULTS:

@@ -1,0 +1,237 @@
+"""The linearly implicit method: its order conditions, its order, and what it is for."""
+
+from functools import lru_cache
+from itertools import combinations_with_replacement
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from arms import driven_arm
+from giajax.arm import takeichi_20m
+from giajax.parameters import replace
+from giajax.simulation import constant, joint_ramps, joint_steps, simulate
+from giajax.simulation._linearly_implicit import LinearlyImplicit, tableau
+from giajax.simulation._motion import Inputs, motion, springs
+
+# Order conditions of W-methods (Hairer and Wanner, Solving ODEs II, IV.7). A tree is a node of
+# the equation's f, with any number of branches, or of the matrix J, which is linear and has one.
+# Written as W-method, a stage is Y = y0 + sum A h f(Y) + sum B h J Y. The solution has no J in
+# it, whatever J is: the weight of a tree with a J must vanish, that of any other one is 1 / gamma.
+
+
+@lru_cache
+def trees(order):
+    """Trees of a number of nodes, as (kind, branches)."""
+    found = [("J", (tree,)) for tree in (trees(order - 1) if order > 1 else ())]
+    return [("f", branches) for branches in forests(order - 1)] + found
+
+
+def forests(order, largest=None):
+    """Multisets of trees of so many nodes in all."""
+    if order == 0:
+        return [()]
+    found = []
+    for size in range(min(order, largest or order), 0, -1):
+        for count in range(order // size, 0, -1):
+            for together in combinations_with_replacement(trees(size), count):
+                rest = order - size * count
+                smaller = forests(rest, size - 1) if size > 1 else ([()] if rest == 0 else [])
+                found += [together + more for more in smaller]
+    return found
+
+
+def nodes(tree):
+    return 1 + sum(nodes(branch) for branch in tree[1])
+
+
+def density(tree):
+    return nodes(tree) * np.prod([density(branch) for branch in tree[1]])
+
+
+def has_matrix(tree):
+    return tree[0] == "J" or any(has_matrix(branch) for branch in tree[1])
+
+
+def stages(tree, A, B):
+    """What a branch adds to each stage, before its own sum over stages."""
+    grown = [(A if branch[0] == "f" else B) @ stages(branch, A, B) for branch in tree[1]]
+    return np.prod([np.ones(len(A)), *grown], axis=0)
+
+
+def residuals(weights, order):
+    """How far every condition up to an order is from being met."""
+    combine, _, _, gamma = tableau()
+    size = len(combine) - 1
+    A, B = combine[:-1, :size], combine[:-1, size + 1 : -1]
+    B = B + gamma * np.diag([0, *[1] * (size - 1)])
+    return [
+        weights @ stages(tree, A, B) - (0 if has_matrix(tree) else 1 / density(tree))
+        for nodes_of in range(1, order + 1)
+        for tree in trees(nodes_of)
+        if tree[0] == "f"  # the end of the step is a sum of slopes
+    ]
+
+
+def test_there_are_as_many_trees_as_there_are():
+    found = [[tree for tree in trees(order) if tree[0] == "f"] for order in range(1, 6)]
+    # The rooted trees, and by hand those with a J: none, none, f(J(f)) and then f(f, J(f)),
+    # f(f(J(f))), f(J(f(f))) and f(J(J(f))).
+    assert [sum(not has_matrix(tree) for tree in each) for each in found] == [1, 1, 2, 4, 9]
+    assert [sum(has_matrix(tree) for tree in each) for each in found[:4]] == [0, 0, 1, 4]
+
+
+def test_the_conditions_hold_for_any_matrix():
+    combine, _, error, _ = tableau()
+    weights = combine[-1, : len(error) - 1]
+    # The coefficients are quotients of integers of thirteen digits.
+    assert_allclose(residuals(weights, 5), 0, atol=1e-11)
+    embedded = weights - error[:-1]
+    assert_allclose(residuals(embedded, 4), 0, atol=1e-11)
+    assert np.abs(residuals(weights, 6)).max() > 1e-5
+    assert np.abs(residuals(embedded, 5)).max() > 1e-5
+
+
+TIMES = np.linspace(0.0, 1.0, 41)
+
+
+def pushed(stiffness, steps, solver=None):
+    """A second of an arm that is let go of, in a cross-wind, by steps of one length."""
+    arm = replace(takeichi_20m(6), {"joints.yaw_stiffness": stiffness, "joints.damping": 0.3})
+    inputs = Inputs(
+        arm, constant([0.6, 0.0, 0.3, 0.0, 0.0, 0.0]), constant([0.1, 0.5, 0.2]), None, jnp.ones(())
+    )
+    return diffrax.diffeqsolve(
+        diffrax.ODETerm(motion),
+        LinearlyImplicit(springs) if solver is None else solver,
+        t0=TIMES[0],
+        t1=TIMES[-1],
+        dt0=jnp.asarray(1 / steps),
+        y0=jnp.zeros((2, 6)),
+        args=inputs,
+        saveat=diffrax.SaveAt(ts=TIMES),
+        max_steps=None,
+    ).ys
+
+
+def observed_orders(stiffness, steps):
+    """Of the angles and the rates at 41 times, from coarse to fine."""
+    exact = pushed(stiffness, 4096)
+    errors = np.stack(
+        [np.abs(pushed(stiffness, count) - exact).max(axis=(0, 2)) for count in steps]
+    )
+    return np.diff(np.log(errors), axis=0).T / -np.diff(np.log(steps))
+
+
+def test_the_order_is_five_where_nothing_is_stiff():
+    angles, rates = observed_orders(3.0, [16, 32, 64, 128])
+    assert_allclose(angles, 5, atol=0.35)
+    assert rates.mean() > 4.7
+
+
+def test_the_order_is_five_on_a_stiff_arm_once_steps_are_short():
+    angles, rates = observed_orders(300.0, [128, 256, 512])
+    assert np.all(angles > 4.4)
+    assert rates.mean() > 4.4
+
+
+def test_a_stiff_arm_is_stable_with_steps_that_an_explicit_method_cannot_take():
+    exact = pushed(3000.0, 4096)
+    assert np.abs(pushed(3000.0, 8) - exact)[:, 0].max() < 1e-3
+    explicit = pushed(3000.0, 64, diffrax.Tsit5())
+    assert not np.abs(explicit - exact)[:, 0].max() < 1
+
+
+def test_the_springs_are_those_of_the_motion():
+    """At rest in still air nothing but springs and dampers changes the accelerations."""
+    arm = replace(takeichi_20m(4), {"joints.damping": 0.3})
+    inputs = Inputs(arm, constant(np.zeros(4)), None, None, jnp.ones(()))
+    rest = jnp.zeros((2, 4))
+    mass, stiffness, damping = springs(0.0, rest, inputs)
+    jacobian = jax.jacfwd(lambda state: motion(0.0, state, inputs))(rest)[1]
+    assert_allclose(-mass @ jacobian[:, 0], np.diag(stiffness), atol=1e-10)
+    assert_allclose(-mass @ jacobian[:, 1], np.diag(damping), atol=1e-10)
+    assert_allclose(stiffness, arm.joints.stiffness)
+    assert_allclose(damping, 0.3)
+
+
+ARM, COMMAND = driven_arm(4)
+RUN = np.linspace(0.0, 4.0, 21)
+NAMES = ["air.drag_coefficient", "joints.pitch_stiffness", "joints.yaw_stiffness", "links.mass"]
+POINT = jnp.array([1.2, 3.0, 300.0, 0.05, 0.0, 0.0, 0.0])
+
+
+def angles(vector, solver, tolerance=1e-8, derivatives="forward"):
+    """Of a run, by parameters and the wind across, which is at rest."""
+    values = dict(zip(NAMES, vector[:4], strict=True))
+    return simulate(
+        replace(ARM, values),
+        COMMAND,
+        RUN,
+        wind=vector[4:],
+        solver=solver,
+        rtol=tolerance,
+        atol=tolerance,
+        derivatives=derivatives,
+        throw=False,
+    ).angles
+
+
+@eqx.filter_jit
+def jacobian(solver, tolerance):
+    return jax.jacfwd(lambda x: angles(x, solver, tolerance))(POINT)
+
+
+def test_derivatives_are_those_of_an_explicit_method():
+    """Which are those of central differences: see the test of derivatives."""
+    expected = jacobian("dopri8", 1e-11)
+    scale = np.abs(expected).max(axis=(0, 1))
+    assert np.all(scale > 1e-4)
+    assert_allclose(jacobian("springs5", 1e-10) / scale, expected / scale, rtol=0, atol=1e-6)
+    # At a tolerance of the motion, the derivatives are about as exact.
+    assert_allclose(jacobian("springs5", 1e-6) / scale, expected / scale, rtol=0, atol=1e-3)
+
+
+def test_reverse_mode_is_forward_mode():
+    seen = jnp.asarray(np.random.default_rng(0).normal(size=(21, 4)))
+
+    @jax.jit
+    def gradient(vector):
+        return jax.grad(lambda x: jnp.vdot(seen, angles(x, "springs5", 1e-6, "reverse")))(vector)
+
+    expected = jnp.tensordot(seen, jacobian("springs5", 1e-6), 2)
+    assert_allclose(gradient(POINT), expected, rtol=1e-8, atol=1e-10)
+
+
+def test_a_batch_is_each():
+    stiffnesses = [3.0, 30.0, 3000.0]
+    points = jnp.stack([POINT.at[2].set(stiffness) for stiffness in stiffnesses])
+    together = jax.vmap(lambda x: angles(x, "springs5", 1e-6))(points)
+    for one, point in zip(together, points, strict=True):
+        assert_allclose(one, angles(point, "springs5", 1e-6), rtol=0, atol=1e-9)
+
+
+def test_steps_do_not_grow_with_the_stiffness_as_those_of_explicit_methods():
+    arm = replace(takeichi_20m(4), {"joints.yaw_stiffness": 3e4})
+    command = joint_ramps(4, {1: 0.5}, start=0.5, duration=1.0)
+    options = {"wind": [0.0, 0.1, 0.0], "rtol": 1e-6, "atol": 1e-6}
+    explicit, implicit = (
+        simulate(arm, command, RUN, solver=solver, **options) for solver in ("tsit5", "springs5")
+    )
+    assert_allclose(implicit.angles, explicit.angles, rtol=0, atol=1e-5)
+    assert 10 * int(implicit.steps.sum()) < int(explicit.steps.sum())
+
+
+def test_a_jump_starts_anew():
+    """A slope from before the jump would spoil the first step after it."""
+    command = joint_steps(4, {1: 0.5, 2: 0.3}, time=1.234)
+    options = {"rtol": 1e-9, "atol": 1e-9}
+    explicit, implicit = (
+        simulate(ARM, command, RUN, solver=solver, **options).angles
+        for solver in ("dopri8", "springs5")
+    )
+    assert_allclose(implicit, explicit, rtol=0, atol=1e-7)
