@@ -188,23 +188,27 @@ def jacobian(solver, tolerance):
 
 def test_derivatives_are_those_of_an_explicit_method():
     """Which are those of central differences: see the test of derivatives."""
-    expected = jacobian("dopri8", 1e-11)
+    expected, tight, loose = (
+        np.asarray(jacobian(solver, tolerance))
+        for solver, tolerance in (("dopri8", 1e-11), ("springs5", 1e-10), ("springs5", 1e-6))
+    )
     scale = np.abs(expected).max(axis=(0, 1))
-    assert np.all(scale > 1e-4)
-    assert_allclose(jacobian("springs5", 1e-10) / scale, expected / scale, rtol=0, atol=1e-6)
-    # At a tolerance of the motion, the derivatives are about as exact.
-    assert_allclose(jacobian("springs5", 1e-6) / scale, expected / scale, rtol=0, atol=1e-3)
+    assert np.all(scale > 1e-5)
+    assert_allclose(tight / scale, expected / scale, rtol=0, atol=2e-5)
+    # Least exact for the stiffness of the fast joints, which is that of their frequency.
+    assert_allclose(loose / scale, expected / scale, rtol=0, atol=2e-2)
 
 
+@pytest.mark.slow
 def test_reverse_mode_is_forward_mode():
     seen = jnp.asarray(np.random.default_rng(0).normal(size=(21, 4)))
 
     @jax.jit
     def gradient(vector):
-        return jax.grad(lambda x: jnp.vdot(seen, angles(x, "springs5", 1e-6, "reverse")))(vector)
+        return jax.grad(lambda x: jnp.vdot(seen, angles(x, "springs5", 1e-9, "reverse")))(vector)
 
-    expected = jnp.tensordot(seen, jacobian("springs5", 1e-6), 2)
-    assert_allclose(gradient(POINT), expected, rtol=1e-8, atol=1e-10)
+    expected = jnp.tensordot(seen, jacobian("springs5", 1e-9), 2)
+    assert_allclose(gradient(POINT), expected, rtol=1e-5)
 
 
 def test_a_batch_is_each():

@@ -96,7 +96,7 @@ def simulate(
     ] = 0.0,
     seed: Annotated[int, typer.Option(metavar="N", min=0, help="Of the noise and the gaps.")] = 0,
     solver: Annotated[
-        str, typer.Option(metavar="NAME", help="Integration method, such as tsit5, kvaerno5.")
+        str, typer.Option(metavar="NAME", help="Integration method, such as tsit5, springs5.")
     ] = "tsit5",
     tolerance: Annotated[
         float, typer.Option(metavar="TOL", help="Tolerance of the integration.")

@@ -182,7 +182,9 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
         y_error = jnp.tensordot(error, parts[: end + 1], 1)
         return y1, y_error, dense, (jnp.asarray(True), f1), diffrax.RESULTS.successful
 
-    def _solver(self, scale: Scalar, time: Any, state: State, args: Any) -> Callable[[State], State]:
+    def _solver(
+        self, scale: Scalar, time: Any, state: State, args: Any
+    ) -> Callable[[State], State]:
         """What solves (1 - scale J) x = b."""
         # The order holds for every J, so that of the equation for a derivative holds with J
         # taken for a constant, too: that equation has J again, and terms that are not stiff.

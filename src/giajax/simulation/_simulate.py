@@ -52,7 +52,8 @@ def simulate(
         torque: of the joints' drives over time, beside springs and dampers, N m; width = number
             of joints.
         initial: angles (rad) and rates (rad/s) at the first time, each of shape (joint,).
-        solver: one of `giajax.SOLVERS`.
+        solver: one of `giajax.SOLVERS`; "springs5" is the fastest wherever springs, not accuracy,
+            limit the steps of the default.
         rtol, atol: relative and absolute tolerance of a step, on angles (rad) and rates (rad/s).
             The default keeps the tip of the 20 m arm within about 1e-4 m.
         max_steps: step limit.

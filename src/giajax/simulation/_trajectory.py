@@ -16,7 +16,7 @@ class RESULTS(eqx.Enumeration):
     successful = ""
     max_steps_reached = (
         "the simulation reached its step limit before the last time; raise max_steps, loosen "
-        "rtol and atol, or choose an implicit solver (solver='kvaerno5') for a stiff arm"
+        "rtol and atol, or choose solver='springs5' for a stiff arm"
     )
     not_finite = "the simulation became infinite or NaN; check the parameters and the initial state"
     step_too_small = (
