@@ -63,7 +63,7 @@ def runs(arm: Arm, command: Signal, times: Any, values: Any, chunk: int | None, 
             command,
             (command.values * value[4], command.slopes * value[4]),
         )
-        options = {"solver": solver, "rtol": 1e-5, "atol": 1e-5, "throw": False}
+        options: dict[str, Any] = {"solver": solver, "rtol": 1e-5, "atol": 1e-5, "throw": False}
         motion = simulate(changed, driven, times, **options)
         return motion.tip, motion.steps
 

@@ -27,3 +27,31 @@ def test_the_benchmark_runs(tmp_path):
     for heading in ("value + 4", "One evaluation", "Ratios"):
         assert heading in ended.stdout
     assert [path.name for path in tmp_path.iterdir()] == ["new"]
+
+
+@pytest.mark.slow
+def test_the_benchmark_of_stiff_joints_runs(tmp_path):
+    program = str(ROOT / "benchmarks" / "stiffness.py")
+    command = [sys.executable, program, "--quick", "--out", str(tmp_path / "out")]
+    ended = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    found = json.loads((tmp_path / "out" / "stiffness.json").read_text())
+    at_error = found["seconds_at_error"]["30"]["0.0001"]
+    assert set(at_error) == {"tsit5", "springs5", "kvaerno5"}
+    assert all(seconds > 0 for seconds in at_error.values())
+    # A fifth of a fifth order is lost at most, from 16 to 64 steps.
+    errors = found["order"]["3"]["at every time"]
+    assert errors[0] / errors[-1] > 4**4.5
+    for name in ("order.png", "work_precision.png"):
+        assert (tmp_path / "out" / name).read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.slow
+def test_the_benchmark_of_batches_runs(tmp_path):
+    out = tmp_path / "new" / "batch.json"
+    command = [sys.executable, str(ROOT / "benchmarks" / "batch.py"), "--quick", "--out", str(out)]
+    ended = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    found = json.loads(out.read_text())
+    assert {"1 None", "4 None", "4 1", "4 2"} <= set(found["evaluation"])
+    assert all(seconds > 0 for part in ("evaluation", "run") for seconds in found[part].values())

@@ -72,8 +72,8 @@ class QuinticInterpolation(diffrax.AbstractLocalInterpolation):
     Kennedy and Carpenter give is of the third.
     """
 
-    t0: Scalar
-    t1: Scalar
+    t0: Scalar  # type: ignore[misc]
+    t1: Scalar  # type: ignore[misc]
     y0: State
     y1: State
     f0: State
@@ -146,11 +146,11 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
         args: Any,
         solver_state: Carried,
         made_jump: Any,
-    ) -> tuple[State, State, dict[str, State], Carried, diffrax.RESULTS]:
+    ) -> tuple[State, State, dict[str, State], Carried, Any]:
         """One step."""
         step = t1 - t0
-        combine, times, error, gamma = tableau()
-        combine, times, error = (jnp.asarray(x, y0.dtype) for x in (combine, times, error))
+        *arrays, gamma = tableau()
+        combine, times, error = (jnp.asarray(array, y0.dtype) for array in arrays)
         end = len(times) - 1
         solve = self._solver(gamma * step, t0, y0, args)
         known, slope = solver_state
