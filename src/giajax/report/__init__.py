@@ -16,6 +16,11 @@ from ._joint import (
     joint_points as joint_points,
 )
 from ._reached import Reached as Reached, check_figures as check_figures, reached as reached
+from ._sensitivity import (
+    information_shares as information_shares,
+    sensitivity_figure as sensitivity_figure,
+    sensitivity_files as sensitivity_files,
+)
 from ._style import (
     BLUE as BLUE,
     GREEN as GREEN,

@@ -12,3 +12,8 @@ from ._multi_start import (
     misfit as misfit,
     multi_start as multi_start,
 )
+from ._sensitivity import (
+    Sensitivity as Sensitivity,
+    planned as planned,
+    sensitivity as sensitivity,
+)

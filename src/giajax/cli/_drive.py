@@ -1,0 +1,197 @@
+"""What an arm is told to do: the options of commands that simulate one, as definitions and drives.
+
+Shared by `giajax simulate` and `giajax sensitivity`; JAX is imported where it is needed only.
+"""
+
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from ..models import ArmModel, Drive
+    from ..runs import Definition, Run
+
+DURATION = 25.0
+"""Length of a run, s, when nothing is said."""
+
+_START = 0.5
+_RAMP_DURATION = 1.0
+_DEFAULT_LINKS = (2, 6, 12, 20)
+
+_NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
+_MOVE = re.compile(
+    rf"(?P<joint>[0-9]+)=(?P<angle>{_NUMBER})(?:@(?P<start>{_NUMBER})(?::(?P<duration>{_NUMBER}))?)?"
+)
+
+
+def wrong(sentence: str) -> Exception:
+    from .._errors import InputError
+
+    return InputError(sentence)
+
+
+def stated_definition(arm: Path | None, links: int | None, wind: str | None) -> "Definition":
+    """What the arm file and the options say, the options on top."""
+    from ..runs import Definition
+
+    stated = Definition() if arm is None else Definition.load(arm)
+    if stated.model not in (None, "arm"):
+        raise wrong(f"{arm} describes a {stated.model}; give the TOML file of an arm")
+    if links is not None:
+        if links < 1:
+            raise wrong(f"--links is {links}; an arm has at least 1 link")
+        stated = stated.merged_with(Definition.parse({"arm": {"links": links}}))
+    if wind is not None:
+        velocity = [number(part) for part in wind.split(",")]
+        if len(velocity) != 3 or None in velocity:
+            raise wrong(f"--wind is {wind!r}; give three numbers in m/s, such as 0,0.2,0")
+        stated = stated.merged_with(Definition.parse({"wind": {"velocity_m_per_s": velocity}}))
+    return stated
+
+
+def number(text: str) -> float | None:
+    text = text.strip()
+    if not re.fullmatch(_NUMBER, text):
+        return None
+    return float(text) if math.isfinite(float(text)) else None
+
+
+def replayed_run(command: Path, stated: "Definition") -> "Run":
+    """The run whose commands are used, with the arm file's word on what is between its rows."""
+    from ..runs import Definition, read_run, read_sidecar
+
+    # Which joints there are is told by the arm that recorded it, where the sidecar states one.
+    recorded = bool(read_sidecar(command).arm.given())
+    keys = ("command", "wind") if recorded else ("arm", "command", "wind")
+    given = {key: item for key, item in stated.given().items() if key in keys}
+    return read_run(command, definition=Definition.parse(given))
+
+
+def drives_of(run: "Run", rate: float) -> tuple[float, float, list["Drive"]]:
+    """Start of a recorded run, its length in whole samples, its commands and wind."""
+    from ..models import Drive
+
+    if run.model != "arm" or run.times is None:
+        raise wrong(f"{run.path} is a run of the {run.model} model; give the run of an arm")
+    length = float(run.times[-1] - run.times[0])
+    if rate > 0:
+        length = max(math.floor(length * rate + 1e-6), 1) / rate
+    definition, drives = run.definition, []
+    if run.commands:
+        drives.append(Drive(run.times, run.commands, definition.command.interpolation))
+    if run.winds:
+        drives.append(Drive(run.times, run.winds, definition.wind.interpolation))
+    return float(run.times[0]), length, drives
+
+
+def moves_of(step: Sequence[str], ramp: Sequence[str], count: int, duration: float) -> "Drive":
+    from ..models import Move, joint_moves
+
+    moves = []
+    for option, texts in (("--step", step), ("--ramp", ramp)):
+        for text in texts:
+            match = _MOVE.fullmatch(text.replace(" ", ""))
+            if match is None or (match["duration"] and option == "--step"):
+                form = "JOINT=DEG[@T]" if option == "--step" else "JOINT=DEG[@START:DURATION]"
+                raise wrong(f"{option} {text!r} must be {form}, such as 1=30@0.5; correct it")
+            length = float(match["duration"] or _RAMP_DURATION) if option == "--ramp" else 0.0
+            if option == "--ramp" and length == 0:
+                raise wrong(f"{option} {text!r} has the duration 0; give a longer one, or --step")
+            start = _START if match["start"] is None else float(match["start"])
+            angle = math.radians(float(match["angle"]))
+            moves.append(Move(int(match["joint"]), angle, start, length))
+    return joint_moves(moves, joints=count, end=duration)
+
+
+def model_and_truth(
+    stated: "Definition", settings: Sequence[str], solver: str, tolerance: float
+) -> tuple["ArmModel", dict[str, float]]:
+    """The model with the parameters that were set, and the truth to state."""
+    import jax.numpy as jnp
+
+    from ..models import ArmModel, arm_from_definition
+    from ..parameters import check_within_bounds, default_free, elements, get, replace
+
+    model = ArmModel(arm_from_definition(stated), tolerance=jnp.asarray(tolerance), solver=solver)
+    values: dict[str, float] = {}
+    for setting in settings:
+        path, _, text = setting.rpartition("=")
+        path, value = path.strip(), number(text)
+        if not path or value is None:
+            raise wrong(
+                f"--set {setting!r} must be PATH=VALUE with a number, such as "
+                "air.drag_coefficient=1.0; correct it"
+            )
+        if path in values:
+            raise wrong(f"--set gives {path} twice; remove one")
+        for element in elements(model, path):
+            check_within_bounds(element, value, free=False)
+        values[path] = value
+    model = replace(model, values)
+    truth = {
+        path: float(get(model, path)) for path in default_free(model) if not get(model, path).ndim
+    }
+    return model, {**truth, **values}
+
+
+def channel_names(selections: Sequence[str], count: int) -> list[str]:
+    """Channel names of what was asked for, each once, in the order of asking."""
+    from ..runs import Channel
+
+    if not selections:
+        selections = [f"link{link:02d}" for link in _DEFAULT_LINKS if link <= count] + ["tip"]
+    names: list[str] = []
+    for selection in (part.strip() for item in selections for part in item.split(",")):
+        if selection == "all":
+            names += [f"link{i:02d}_{axis}" for i in range(1, count + 1) for axis in "xyz"]
+        elif selection == "joints":
+            names += [f"joint{i:02d}_angle" for i in range(1, count + 1)]
+        elif re.fullmatch(r"tip|link[0-9]+", selection):
+            names += [f"{selection}_{axis}" for axis in "xyz"]
+        else:
+            names.append(selection)
+    for name in names:
+        channel = Channel.named(name)
+        if channel.kind not in ("joint_angle", "joint_rate", "link_position", "tip_position"):
+            raise wrong(
+                f"--channels {name!r} is not something an arm is measured by; "
+                "give link06, link06_z, tip, joint03_angle, joint03_rate, joints or all"
+            )
+        if (channel.index or 1) > count:
+            part = "link" if channel.kind == "link_position" else "joint"
+            raise wrong(
+                f"--channels {name!r} is of {part} {channel.index}, but the arm has {count} links; "
+                "correct the number, or simulate a longer arm"
+            )
+    return list(dict.fromkeys(names))
+
+
+def facts_of(
+    stated: "Definition", replayed: "Run | None", drives: Sequence["Drive"], model: "ArmModel"
+) -> dict[str, Any]:
+    """The sections of the sidecar that say what moves the arm."""
+    source = stated if replayed is None else replayed.definition
+    driven = {name: drive for drive in drives for name in drive.values}
+    facts: dict[str, Any] = {"schema_version": 1}
+    initial = stated.initial.given()
+    commanded = [drive for name, drive in driven.items() if name.startswith("joint")]
+    winds = [drive for name, drive in driven.items() if name.startswith("wind")]
+    velocity = source.wind.velocity_m_per_s
+    if not (driven or initial or velocity or float(model.arm.gravity)):
+        raise wrong(
+            "nothing moves the arm; give --step, --ramp, --command or --wind, or --arm with an "
+            "[initial] state"
+        )
+    if not commanded:
+        facts["free_motion"] = True
+    if initial:
+        facts["initial"] = initial
+    if commanded:
+        facts["command"] = {"interpolation": commanded[0].interpolation}
+    if velocity is not None:
+        facts["wind"] = {"velocity_m_per_s": velocity}
+    elif winds:
+        facts["wind"] = {"interpolation": winds[0].interpolation}
+    return facts

@@ -1,0 +1,111 @@
+"""Sensitivities along a run, and what they promise to a fit."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import giajax
+from giajax import ArmModel, InputError, model_for
+from giajax.models import synthesise
+from giajax.study import planned, sensitivity
+from giajax.study._sensitivity import expected_errors
+
+TIMES = np.linspace(0.0, 4.0, 41)
+COMMAND = {"joint01_command": np.interp(TIMES, [0.5, 1.5], [0.0, 0.5])}
+FREE = ["air.drag_coefficient", "joints.pitch_stiffness"]
+RUN = planned(TIMES, COMMAND, links=3)
+
+
+def model():
+    return ArmModel(giajax.takeichi_20m(3), tolerance=jnp.asarray(1e-9))
+
+
+@pytest.fixture(scope="module")
+def found():
+    return sensitivity(model(), RUN, FREE)
+
+
+def test_derivatives_are_those_of_differences(found):
+    for row, path in enumerate(FREE):
+        value = float(giajax.get(model(), path))
+        step = 1e-4 * value
+        ahead, behind = (
+            giajax.predict(giajax.replace(model(), {path: value + sign * step}), RUN)
+            for sign in (1, -1)
+        )
+        for column, name in enumerate(found.channels):
+            if name.endswith("_y"):
+                continue
+            difference = (ahead[name] - behind[name]) / (2 * step)
+            error = np.linalg.norm(found.derivatives[row, :, column] - difference)
+            assert error < 1e-5 * np.linalg.norm(difference)
+
+
+def test_a_body_is_its_three_components(found):
+    names, lengths = found.lengths()
+    assert names == ("link01", "link02", "link03")
+    assert lengths.shape == (2, 41, 3)
+    np.testing.assert_allclose(
+        lengths[0, 7, 1] ** 2, np.sum(found.derivatives[0, 7, 3:6] ** 2), rtol=1e-12
+    )
+    # Before the command moves, nothing depends on anything.
+    assert np.all(lengths[:, :5] == 0)
+
+
+def test_information_adds_and_promises_what_a_fit_finds(found):
+    """The Cramer-Rao bound is the standard error that a fit with that noise states."""
+    sigma = 0.005
+    truth = dict(zip(FREE, found.values, strict=True))
+    recorded = synthesise(model(), TIMES, COMMAND, found.channels, noise={"position": sigma})
+    start = {path: 0.7 * value for path, value in truth.items()}
+    result = giajax.fit(model_for([recorded]), recorded, free=FREE, start=start, check=False)
+    stated = [result.parameters[path].standard_error for path in FREE]
+    np.testing.assert_allclose(found.standard_errors(sigma), stated, rtol=0.05)
+    whole = found.information(sigma).sum(axis=0)
+    np.testing.assert_allclose(
+        found.standard_errors(sigma) ** 2, np.diag(np.linalg.inv(whole)), rtol=1e-10
+    )
+    by_body = found.errors_by_body(sigma)
+    np.testing.assert_allclose(np.sum(by_body[:, 0] ** -2.0), whole[0, 0], rtol=1e-12)
+    # The end of the arm moves most, and tells most.
+    assert np.all(np.diff(by_body[:, 0]) < 0)
+
+
+def test_noise_by_channel(found):
+    deviations = np.full(9, 0.01)
+    deviations[6:] = np.inf
+    one = found.information(deviations)
+    np.testing.assert_allclose(one[:2], found.information(0.01)[:2])
+    assert np.all(one[2] == 0)
+    with pytest.raises(InputError, match="noise is 0"):
+        found.information(0.0)
+
+
+def test_what_no_channel_tells_has_an_infinite_error():
+    both = np.array([[4.0, 4.0, 0.0], [4.0, 4.0, 0.0], [0.0, 0.0, 25.0]])
+    np.testing.assert_allclose(expected_errors(both), [np.inf, np.inf, 0.2])
+    planar = sensitivity(model(), RUN, ["joints.yaw_stiffness", "joints.damping"])
+    errors = planar.standard_errors(0.01)
+    assert np.isinf(errors[0])
+    assert np.isfinite(errors[1])
+
+
+def test_arrays_are_taken_element_by_element_and_options_are_switched_on():
+    some = sensitivity(model(), RUN, ["camera.origin", "links.mass[1]"], ["link03_z"])
+    assert some.parameters == (*(f"camera.origin[{i}]" for i in range(3)), "links.mass[1]")
+    np.testing.assert_allclose(some.derivatives[:3, :, 0], [[0.0] * 41, [0.0] * 41, [-1.0] * 41])
+    assert some.units == ("m", "m", "m", "kg")
+
+
+def test_without_air_there_is_no_drag_to_feel():
+    still = giajax.replace(model(), {"air.density": 0.0})
+    assert np.all(sensitivity(still, RUN, FREE).derivatives[0] == 0)
+
+
+def test_what_makes_no_sense_is_one_sentence():
+    with pytest.raises(InputError, match="no parameter is given"):
+        sensitivity(model(), RUN, [])
+    with pytest.raises(InputError, match=r"did you mean 'air\.drag_coefficient'"):
+        sensitivity(model(), RUN, ["drag_coefficient"])
+    with pytest.raises(InputError, match="no measured channel"):
+        sensitivity(model(), RUN, FREE, [])
