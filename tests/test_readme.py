@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import giajax
+from giajax.joint import Friction
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -38,16 +39,31 @@ def test_the_readme_starts_with_the_two_commands():
     assert README.index("make demo") < README.index("make test") < 200
 
 
-def assumed_table():
-    rows = ["| parameter | assumed | unit | meaning |", "| --- | --- | --- | --- |"]
-    model = giajax.ArmModel(giajax.takeichi_20m())
+def assumed_rows(model):
+    rows = []
     for path, parameter in giajax.declared(model).items():
         declaration = parameter.declaration
         if declaration.assumed:
             unit = declaration.unit or "-"
             rows.append(f"| `{path}` | {declaration.default:g} | {unit} | {declaration.doc} |")
-    return "\n".join(rows)
+    return rows
 
 
-def test_every_assumed_number_is_in_the_readme():
-    assert assumed_table() in README, f"the table must read\n{assumed_table()}"
+MODELS = {
+    "arm": lambda: giajax.ArmModel(giajax.takeichi_20m()),
+    "joint": lambda: giajax.JointModel(giajax.Joint()),
+    "braided": lambda: giajax.MuscleModel(friction=Friction()),
+}
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_every_assumed_number_is_in_the_readme(name):
+    rows = ["| parameter | assumed | unit | meaning |", "| --- | --- | --- | --- |"]
+    table = "\n".join([*rows, *assumed_rows(MODELS[name]())])
+    assert table in README, f"the table must read\n{table}"
+
+
+@pytest.mark.parametrize("law", [giajax.EmpiricalMuscle, giajax.Piston])
+def test_the_other_muscle_laws_are_there_too(law):
+    missing = [row for row in assumed_rows(giajax.MuscleModel(law())) if row not in README]
+    assert missing == []
