@@ -72,7 +72,7 @@ def test_an_unknown_command_is_one_line_with_a_suggestion(capsys):
     assert main(["chek", "run.csv"]) == 2
     out, err = capsys.readouterr()
     assert (out, err.count("\n")) == ("", 1)
-    assert err.startswith("giajax: no such command 'chek': did you mean 'check'?")
+    assert err.startswith("giajax: no such command 'chek': did you mean 'check'")
 
 
 @pytest.mark.parametrize("arguments", [[], ["--help"], ["check", "--help"], ["init", "-h"]])

@@ -251,3 +251,18 @@ def test_what_a_muscle_cannot_do_is_said():
     assert "pressure limit" in command.first_pressure.message()
     pushed = pair_command(JointPair(), np.deg2rad(30.0), load=-0.5)
     assert "push" in pushed.first_pressure.message()
+
+
+def test_two_near_roots_are_both_found():
+    """A load that almost lifts the torque off its lowest point: both roots lie in one interval."""
+    pair = JointPair(Joint(correction=Correction(blend=np.deg2rad(2))))
+    pressures = jnp.asarray([26e3, 26e3])
+    angle = jnp.deg2rad(jnp.linspace(0.3, 1.0, 70_001))
+    values = np.asarray(torque(pair, pressures, LOAD, angle, jnp.ones(angle.shape, bool)))
+    lowest = int(np.argmin(values))
+    assert 0 < lowest < len(values) - 1
+    found = equilibria(pair, pressures, values[lowest] + 1e-10)
+    near = [e for e in found.found if abs(e.angle - angle[lowest]) < np.deg2rad(0.1)]
+    assert [e.stable for e in near] == [True, False]
+    assert 0 < near[1].angle - near[0].angle < np.deg2rad(0.1) / 5
+    assert len(equilibria(pair, pressures, values[lowest] - 1e-8).found) == len(found.found) - 2

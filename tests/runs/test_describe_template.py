@@ -84,6 +84,21 @@ def test_text_channels_are_counted():
     assert facts["command"] is None
 
 
+def test_what_a_joint_or_a_muscle_assumes_is_told():
+    joint = Run.from_arrays(None, {"angle": [0.1], "side": ["inner"], "force": [1.0]})
+    told = " ".join(describe(joint)["notes"])
+    assert "the geometry that giajax assumes" in told
+    assert "torque not recorded: 0.3 N m" in told
+    channels = {"pressure": [1e5], "contraction": [0.1], "phase": ["fill"], "force": [1.0]}
+    muscle = Run.from_arrays(None, channels)
+    told = " ".join(describe(muscle)["notes"])
+    assert "a braided muscle is assumed" in told
+    assert "states no friction" in told
+    section = {"muscle": {"law": "braided", "friction": "coulomb"}}
+    stated = Run.from_arrays(None, channels, definition=section)
+    assert all("noise" in note for note in describe(stated)["notes"])
+
+
 def offered(text):
     """The template with every key that it offers stated."""
     return re.sub(r"^# (\w+ = )", r"\1", text, flags=re.MULTILINE)

@@ -250,7 +250,7 @@ def _draw_joint(panel: Axes, joint: Joint, degrees: float) -> None:
     )
     panel.set_aspect("equal")
     panel.set_xlim(-1.02, 1.02)
-    low = min(-0.22, float(np.sin(angle / 2)) - 0.14)
+    low = min(-0.22, float(np.sin(angle / 2)) - 0.18)
     panel.set_ylim(low, max(0.34, float(np.sin(angle / 2)) + 0.3))
 
 

@@ -148,6 +148,19 @@ def _notes(run: Run) -> list[str]:
         absent = [f"wind_{c}" for c in "xyz" if run.winds and f"wind_{c}" not in run.winds]
         if absent:
             notes.append(f"{' and '.join(absent)} not recorded: taken as zero")
+    if run.model == "joint":
+        if not definition.joint.given():
+            notes.append("no [joint] in the sidecar: the geometry that giajax assumes is taken")
+        if "torque" not in run.channels:
+            notes.append(
+                f"torque not recorded: {definition.joint.torque_N_m or 0.3:g} N m is taken"
+            )
+    if run.model == "muscle":
+        if definition.muscle.law is None:
+            notes.append("law not stated in [muscle]: a braided muscle is assumed")
+        without = None if definition.muscle.law == "piston" else "none"
+        if "phase" in run.channels and (definition.muscle.friction or without) == "none":
+            notes.append("the phase is recorded, but [muscle] states no friction: it is not used")
     if not run.observations:
         notes.append("no measured channel: the run can be simulated, but not fitted")
     silent = [name for name in run.observations if run.noise(name) is None]
