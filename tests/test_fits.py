@@ -38,7 +38,9 @@ def test_it_states_the_truth_and_starts_away_from_it(path):
     definition, runs = read(path)
     model = model_for(runs)
     freed = {element.path for path in definition.fit.free for element in elements(model, path)}
-    assert set(definition.figures) == freed
+    # Of parameters that are determined only together, what is determined has a figure too.
+    derived = set(definition.figures) & set(model.derived())
+    assert set(definition.figures) == freed | derived
     for run in runs:
         stated = run.definition.truth
         for name, figure in definition.figures.items():
@@ -47,6 +49,8 @@ def test_it_states_the_truth_and_starts_away_from_it(path):
             truth = stated.get(name, stated.get(ENGINE.get(name, "")))
             assert figure.value == truth
             assert figure.standard_errors <= 3
+            if name in derived:
+                continue
             # A geometry that is half wrong cannot be built.
             off = 0.15 if name.startswith("geometry.") else 0.4
             assert abs(np.log(definition.fit.start[name] / truth)) > off
@@ -67,7 +71,7 @@ def test_it_reaches_its_figures(path):
         check=False,
     )
     assert result.status == "converged", result.message
-    assert result.iterations <= 12
+    assert result.iterations <= (25 if result.model.kind == "hysteresis" else 12)
     found = reached(result, definition)
     assert len(found) == len(definition.figures)
     missed = [f"{figure.path} {figure.sentence}" for figure in found if not figure.reached]

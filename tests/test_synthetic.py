@@ -31,8 +31,10 @@ def test_the_runs_have_noise_gaps_and_a_truth():
     for path in FOLDER.glob("*.csv"):
         run = read_run(path)
         assert run.definition.sha256 == run.sha256
-        assert run.definition.truth
-        assert all(run.noise(name) > 0 for name in run.observations)
+        # The simulated prototype has no truth in terms of a model that is fitted to it.
+        if path.stem != "one_link":
+            assert run.definition.truth
+            assert all(run.noise(name) > 0 for name in run.observations)
 
 
 @pytest.fixture

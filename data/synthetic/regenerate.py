@@ -3,15 +3,17 @@
     python data/synthetic/regenerate.py           write all of them (`make synthetic`)
     python data/synthetic/regenerate.py --check   compare: exit status 1 where one differs
 
-Each run of an arm is one `giajax simulate` command line of the table below; runs of a joint and of
-a muscle, which do not move, come from `giajax.models.synthesise`. `--check` compares the files
+Each run of an arm is one `giajax simulate` command line of the table below; runs of a
+joint, of a muscle and of hysteresis come from the functions below. `--check` compares the files
 with the checksums in their sidecars, and their values with newly simulated ones. Two machines
 do not round alike in the last bit, so values are compared before they are rounded to the digits
 of the file.
 """
 
 import contextlib
+import dataclasses
 import io
+import itertools
 import os
 import shlex
 import sys
@@ -20,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from giajax import InputError, Run, read_run, write_run
+from giajax import Definition, InputError, Run, read_run, write_run
 from giajax.cli import main as giajax
 from giajax.runs import sidecar_path
 
@@ -115,6 +117,48 @@ def muscle_run(name: str, section: dict[str, object], truth: dict[str, float]) -
     )
 
 
+def joint_loops(name: str, truth: dict[str, float]) -> Run:
+    """Nested loops of a joint that is a Prandtl-Ishlinskii operator, with noise and gaps."""
+    from giajax import build_model, synthesise
+
+    turns = [0, 55, -55, 40, -30, 50, -10, 20, -45, -5, -25, 30, 0]
+    ways = [np.linspace(a, b, round(abs(b - a)) + 1)[1:] for a, b in itertools.pairwise(turns)]
+    command = np.concatenate([[0.0], *ways])
+    section = {
+        "operator": "prandtl_ishlinskii",
+        "thresholds": [0.15, 0.35, 0.55, 0.75],
+        "input_range": [-1.0, 1.0],
+    }
+    return synthesise(
+        build_model("hysteresis", {"hysteresis": section}, truth),
+        5.0 * np.arange(len(command)),
+        {"command": np.deg2rad(command)},
+        ["angle"],
+        noise={"angle": np.deg2rad(0.3)},
+        missing=0.05,
+        seed=5,
+        definition={"truth": truth},
+        name=name,
+    )
+
+
+def bouc_wen_multisine(name: str) -> Run:
+    """The estimation run of the Bouc-Wen benchmark, in its usual units."""
+    from giajax.experiments import bouc_wen_benchmark
+
+    run = bouc_wen_benchmark(seed=6).multisine
+    stated = run.definition.given()
+    stated["noise"] = {"output_mm": 0.008}
+    return dataclasses.replace(run, definition=Definition.parse(stated, name))
+
+
+def one_link(name: str) -> Run:
+    """What `giajax hysteresis` identifies the simulated joint from."""
+    from giajax.experiments import record_joint
+
+    return record_joint()
+
+
 _CORRECTIONS = {
     "alpha.offset": 0.035,
     "alpha.threshold": 0.66,
@@ -178,7 +222,36 @@ STILL = {
             },
         ),
     ),
+    "joint_loops": (
+        "Loops within loops of a joint with hysteresis, a Prandtl-Ishlinskii operator of plays.",
+        joint_loops,
+        (
+            {
+                "elastic": 0.52,
+                "weights[0]": 0.09,
+                "weights[1]": 0.25,
+                "weights[2]": 0.14,
+                "weights[3]": 0.2,
+                "offset": 0.03,
+            },
+        ),
+    ),
+    "bouc_wen_multisine": (
+        "A mass on a spring and a damper with a Bouc-Wen element, driven by a multisine of 50 N "
+        "RMS from 5 to 150 Hz: the estimation run of a benchmark of nonlinear identification.",
+        bouc_wen_multisine,
+        (),
+    ),
+    "one_link": (
+        "A simulated 1-link arm that snaps through about 0 deg, on the paper's history and on "
+        "loops within it (`giajax hysteresis`).",
+        one_link,
+        (),
+    ),
 }
+
+# Of runs whose channels may have any quantity.
+UNITS = {"bouc_wen_multisine": {"input": "N", "output": "mm"}}
 
 
 def wind_input() -> str:
@@ -217,7 +290,8 @@ def make(name: str, out: Path, digits: int = DIGITS) -> None:
     if name in STILL:
         _, function, arguments = STILL[name]
         run = function(name, *arguments)
-        write_run(out, run.times, run.values, definition=run.definition, digits=digits, force=True)
+        facts = {"definition": run.definition, "units": UNITS.get(name), "digits": digits}
+        write_run(out, run.times, run.values, **facts, force=True)
         return
     more = ["--digits", str(digits), "--out", str(out), "--force"]
     words = [*shlex.split(command_line(name))[1:], *more]
@@ -248,7 +322,7 @@ def readme() -> str:
             "",
             meaning,
             "",
-            f"- truth: {truth}",
+            f"- truth: {truth or 'made of other parts than any model that is fitted'}",
             f"- SHA-256: `{run.sha256}`",
             "",
             "```",

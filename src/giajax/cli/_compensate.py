@@ -1,17 +1,21 @@
 """`giajax compensate`: commands that make a hysteretic joint go where it is wanted."""
 
+import dataclasses
 import math
 import shlex
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from ..runs import Channel, Run
 
 EXAMPLES = """\b
 Examples:
   giajax fit --data loop.csv --out loop
   giajax compensate --model loop/result.json --wanted wanted.csv --out command.csv
-  giajax compensate --loop loop.csv --travel 0.5 --wanted wanted.csv --out command.csv
+  giajax compensate --loop loop.csv --travel 40 --wanted wanted.csv --out command.csv
 
 wanted.csv has one column of the wanted angle (angle_deg) or output, and the time if there is
 one. What the fitted model predicts for the commands is written beside them."""
@@ -31,8 +35,8 @@ def compensate(
     travel: Annotated[
         float | None,
         typer.Option(
-            metavar="SI",
-            help="With --loop: travel (rad for an angle) between its branches. "
+            metavar="X",
+            help="With --loop: travel from branch to branch, in the unit of the wanted column. "
             "[default: a third of the range]",
         ),
     ] = None,
@@ -75,19 +79,24 @@ def compensate(
         origin = f"commands by giajax compensate, inverse of {model}, for {wanted.name}"
     else:
         assert loop is not None
+        if travel is not None:
+            travel = float(_wanted(asked)[0].to_si(travel))
         compensator = compensator_for_loop(read_run(loop, rename=renamed), travel)
         fitted = None
         origin = f"commands by giajax compensate, eq. (12) from {loop.name}, for {wanted.name}"
     commands = compensator.commands_for(asked)
     channel = compensator.input_channel
+    # Commands in the unit that the angles are wanted in, where both are angles.
+    same = [other.unit for other in _wanted(asked) if other.quantity == channel.quantity]
+    channel = dataclasses.replace(channel, unit=(same or [channel.unit])[0])
     values, units = {channel.name: commands}, {channel.name: channel.unit}
     if fitted is not None:
         from ..fitting import predict
-        from ..runs import Run
+        from ..runs import Run as _Run
 
         name = next(iter(asked.observations))
         blank = {channel.name: commands, name: asked.values[name]}
-        run = Run.from_arrays(asked.times, blank, definition=stated)
+        run = _Run.from_arrays(asked.times, blank, definition=stated)
         values[name] = predict(fitted, run)[name]
         units[name] = asked.channels[name].unit
         origin += f"; {name} is what the fitted model predicts"
@@ -100,3 +109,7 @@ def compensate(
         f"wrote {out}: {len(commands)} commands from {low:.4g} to {high:.4g} {channel.unit}; "
         f"see: giajax check {shlex.quote(str(out))}"
     )
+
+
+def _wanted(run: "Run") -> list["Channel"]:
+    return [run.channels[name] for name in run.observations]

@@ -17,5 +17,6 @@ from ._one_link import (
     one_link as one_link,
     other_history as other_history,
     paper_history as paper_history,
+    record_joint as record_joint,
 )
 from ._simulated_joint import SimulatedJoint as SimulatedJoint

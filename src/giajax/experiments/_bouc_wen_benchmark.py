@@ -44,7 +44,8 @@ def bouc_wen_benchmark(seed: int = 0) -> BoucWenBenchmark:
     truth = {path: float(get(model, path)) for path in _PATHS}
     truth |= {name: float(derived.value) for name, derived in model.derived().items()}
     force = multisine(np.random.default_rng(seed))
-    times = np.arange(SAMPLES) / RATE
+    # To the digits of a file, so that a run that is read again is the same.
+    times = np.round(np.arange(SAMPLES) / RATE, 9)
     recorded = synthesise(
         model,
         times,

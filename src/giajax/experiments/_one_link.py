@@ -160,14 +160,11 @@ def one_link(
     joint = SimulatedJoint() if joint is None else joint
     say = progress or (lambda text: None)
     say("recording the joint")
-    plan = history("identification", (*_PAPER, *_NESTED[1:]))
-    angles = joint.measured(plan.wanted)
+    recording, offset = _record(joint)
     paper = paper_history()
-    on_paper = paper.measured & (np.arange(len(paper.wanted)) < len(plan.wanted))
-    offset = _least_offset((angles[: len(paper.wanted)] - paper.wanted)[on_paper])
-    recording = _run(plan, angles - offset)
     say("eq. (12): the branches of the loop")
-    branches = compensator_for_loop(_run(paper, angles[: len(paper.wanted)] - offset), travel)
+    on_paper = np.rad2deg(recording.values["angle"][: len(paper.wanted)])
+    branches = compensator_for_loop(_run(paper, on_paper), travel)
     say("fitting the modified Prandtl-Ishlinskii operator")
     result = identify(recording)
     assert isinstance(result.model, HysteresisModel)
@@ -184,6 +181,19 @@ def one_link(
             shown = np.where(wanted.measured, seen - removed, np.nan)
             trials.append(Trial(wanted, name, commands, shown))
     return OneLink(tuple(trials), recording, result, offset)
+
+
+def record_joint(joint: SimulatedJoint | None = None) -> Run:
+    """What the compensations are identified from: the paper's history, then loops within it."""
+    return _record(SimulatedJoint() if joint is None else joint)[0]
+
+
+def _record(joint: SimulatedJoint) -> tuple[Run, float]:
+    plan, paper = history("identification", (*_PAPER, *_NESTED[1:])), paper_history()
+    angles = joint.measured(plan.wanted)
+    error = (angles[: len(paper.wanted)] - paper.wanted)[paper.measured]
+    offset = _least_offset(error)
+    return _run(plan, angles - offset), offset
 
 
 def identify(recording: Run) -> FitResult:

@@ -3,7 +3,6 @@
 import hashlib
 import os
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -127,7 +126,7 @@ def _recorded(name: str, units: Mapping[str, str]) -> Channel:
     wanted = units.get(
         name, units.get(channel.quantity, DEFAULT_UNITS.get(channel.quantity, channel.unit))
     )
-    return replace(channel, unit=Channel.named(name, wanted).unit)
+    return Channel.named(name, wanted)
 
 
 def _cells(values: npt.NDArray[np.float64], digits: int) -> list[str]:
