@@ -55,3 +55,16 @@ def test_the_benchmark_of_batches_runs(tmp_path):
     found = json.loads(out.read_text())
     assert {"1 None", "4 None", "4 2"} <= set(found["evaluation"])
     assert all(seconds > 0 for part in ("evaluation", "run") for seconds in found[part].values())
+
+
+def test_the_benchmark_of_the_scans_runs(tmp_path):
+    size = ["--samples", "500", "--thresholds", "5", "--repeats", "1"]
+    command = [sys.executable, str(ROOT / "benchmarks" / "hysteresis.py"), *size, "--json"]
+    ended = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    found = {row["method"]: row for row in json.loads(ended.stdout)}
+    assert list(found) == ["scan", "associative", "numpy"]
+    for row in found.values():
+        assert row["sum_of_gradient"] == found["numpy"]["sum_of_gradient"]
+        assert row["gradient_s"] > 0
+        assert row["peak_mib"] >= row["history_mib"] >= 0

@@ -1,0 +1,155 @@
+"""`giajax compensate`, `choose` and `hysteresis`, and a fit of a hysteresis run."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from giajax import fit, model_for, predict, read_run
+from giajax.cli import main
+from giajax.models import compensator_for_loop
+
+LOOPS = "data/synthetic/joint_loops.csv"
+
+
+@pytest.fixture(scope="module")
+def fitted(request, tmp_path_factory):
+    run = read_run(request.config.rootpath / LOOPS)
+    folder = tmp_path_factory.mktemp("fit")
+    (folder / "result.json").write_text(fit(model_for([run]), run).to_json())
+    return folder
+
+
+@pytest.fixture
+def loops(request):
+    return str(request.config.rootpath / LOOPS)
+
+
+def wanted_file(path, angles):
+    rows = [f"{5 * k},{angle:g}" for k, angle in enumerate(angles)]
+    path.write_text("\n".join(["time_s,angle_deg", *rows]) + "\n")
+    return str(path)
+
+
+ANGLES = [*range(0, 31, 2), *range(30, -21, -2), *range(-20, 11, 2)]
+
+
+def test_commands_make_the_fitted_joint_go_where_it_is_wanted(fitted, tmp_path, capsys):
+    wanted = wanted_file(tmp_path / "wanted.csv", ANGLES)
+    out = tmp_path / "command.csv"
+    arguments = ["compensate", "--model", str(fitted), "--wanted", wanted, "--out", str(out)]
+    assert main(arguments) == 0
+    assert "commands from" in capsys.readouterr().out
+    run = read_run(out)
+    assert list(run.commands) == ["command"]
+    assert run.channels["command"].unit == "deg"
+    np.testing.assert_allclose(np.rad2deg(run.values["angle"]), ANGLES, atol=1e-6)
+    assert np.max(np.abs(run.values["command"] - run.values["angle"])) > 0.05
+    from giajax import load_result
+
+    again = predict(load_result(fitted).model, run)["angle"]
+    np.testing.assert_allclose(np.rad2deg(again), ANGLES, atol=1e-5)
+    # Nothing is written over.
+    assert main(arguments) == 2
+    assert main([*arguments, "--force"]) == 0
+
+
+def test_eq_12_from_a_loop(loops, tmp_path):
+    wanted = wanted_file(tmp_path / "wanted.csv", ANGLES)
+    out = tmp_path / "command.csv"
+    arguments = ["compensate", "--loop", loops, "--travel", "10", "--wanted", wanted]
+    assert main([*arguments, "--out", str(out)]) == 0
+    run = read_run(out)
+    assert not run.observations
+    expected = compensator_for_loop(read_run(loops), np.deg2rad(10)).commands(np.deg2rad(ANGLES))
+    np.testing.assert_allclose(run.values["command"], expected, atol=1e-6)
+
+
+def refused(capsys, arguments, words):
+    assert main(arguments) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert words in said
+
+
+def test_bad_input_is_one_sentence(fitted, loops, tmp_path, capsys):
+    good = wanted_file(tmp_path / "wanted.csv", ANGLES)
+    far = wanted_file(tmp_path / "far.csv", [0, 20, 85])
+    out = ["--out", str(tmp_path / "x.csv")]
+    model = ["compensate", "--model", str(fitted)]
+    refused(
+        capsys,
+        [*model, "--wanted", far, *out],
+        "wants 85 deg in sample 3, beyond the reachable range from",
+    )
+    refused(capsys, ["compensate", "--loop", loops, "--wanted", far, *out], "beyond the reachable")
+    refused(capsys, ["compensate", "--wanted", good, *out], "give --model with a fit, or --loop")
+    refused(capsys, [*model, "--travel", "3", "--wanted", good, *out], "--travel goes with --loop")
+    unordered = tmp_path / "unordered.csv"
+    unordered.write_text("time_s,angle_deg\n0,0\n2,1\n1,2\n")
+    refused(capsys, [*model, "--wanted", str(unordered), *out], "must strictly increase")
+    gap = tmp_path / "gap.csv"
+    gap.write_text("time_s,angle_deg\n0,0\n1,\n2,2\n")
+    refused(capsys, [*model, "--wanted", str(gap), *out], "no wanted angle in sample 2")
+    short = tmp_path / "short.csv"
+    short.write_text("time_s,command_deg,angle_deg\n0,0,0\n1,9,5\n2,0,3\n")
+    refused(capsys, ["fit", "--data", str(short)], "3 measured values cannot determine")
+    refused(capsys, ["choose", "--data", str(short)], "too few to hold out")
+    rising = tmp_path / "rising.csv"
+    rows = [f"{k},{k},{k}" for k in range(40)]
+    rising.write_text("\n".join(["time_s,command_deg,angle_deg", *rows]) + "\n")
+    refused(capsys, ["fit", "--data", str(rising)], "never turns back")
+    refused(capsys, ["hysteresis", "--out", str(short)], "is a file")
+    refused(capsys, ["hysteresis", "--out", str(tmp_path), "--travel", "-1"], "positive number")
+    assert sorted(path.name for path in tmp_path.glob("x*")) == []
+
+
+def test_the_choice_is_a_table(loops, capsys):
+    arguments = ["choose", "--data", loops, "--only", "play", "--only", "prandtl_ishlinskii"]
+    assert main([*arguments, "--quiet"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    headings = "model parameters held out deg fitted deg AIC BIC fit"
+    assert " ".join(lines[0].split()) == headings
+    assert lines[1].startswith("prandtl_ishlinskii ")
+    assert main([*arguments, "--quiet", "--json"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    assert record["unit"] == "deg"
+    first, second = record["candidates"]
+    assert (first["model"], second["model"]) == ("prandtl_ishlinskii", "play")
+    assert first["delta_aic"] == first["delta_bic"] == 0
+    # As good as the noise of 0.3 deg, where one play is not.
+    assert first["held_out_rmse"] < 0.4 < second["held_out_rmse"]
+
+
+@pytest.mark.slow
+def test_the_experiment_writes_its_figure_and_numbers(tmp_path, capsys):
+    out = tmp_path / "fig12"
+    assert main(["hysteresis", "--out", str(out), "--quiet"]) == 0
+    printed = capsys.readouterr().out.splitlines()
+    assert len(printed) == 7
+    with (out / "errors.csv").open() as file:
+        errors = list(csv.DictReader(file))
+    for line, row in zip(printed[1:], errors, strict=True):
+        cells = line.split()
+        assert cells[:2] == [row["history"], row["compensation"]]
+        assert float(cells[2]) == pytest.approx(float(row["mean_error_deg"]), abs=0.006)
+    # The numbers of the figure are those of the table.
+    with (out / "fig12.csv").open() as file:
+        rows = [row for row in csv.DictReader(file) if row["angle_deg"]]
+    for row in errors:
+        found = [
+            abs(float(r["angle_deg"]) - float(r["wanted_deg"]))
+            for r in rows
+            if (r["history"], r["compensation"]) == (row["history"], row["compensation"])
+        ]
+        assert np.mean(found) == pytest.approx(float(row["mean_error_deg"]), abs=2e-4)
+        assert np.max(found) == pytest.approx(float(row["largest_error_deg"]), abs=2e-4)
+    assert (out / "fig12.png").read_bytes()[:4] == b"\x89PNG"
+    assert read_run(out / "recording.csv").model == "hysteresis"
+    # The fit that it wrote can be used.
+    wanted = wanted_file(tmp_path / "wanted.csv", ANGLES)
+    command = ["compensate", "--model", str(out), "--wanted", wanted]
+    assert main([*command, "--out", str(tmp_path / "command.csv")]) == 0
+    capsys.readouterr()
+    refused(capsys, ["hysteresis", "--out", str(out)], "exists and is not written over")
