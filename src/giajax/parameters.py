@@ -296,10 +296,14 @@ def _suggestion(name: str, known: Iterable[str]) -> str:
     names = list(known)
     last = {path.rsplit(".", 1)[-1]: path for path in names}
     begun = [path for path in names if name and path.startswith(name)]
-    near = begun or difflib.get_close_matches(name, names, n=1, cutoff=0.5) or [
-        last[match]
-        for match in difflib.get_close_matches(name.rsplit(".", 1)[-1], last, n=1, cutoff=0.5)
-    ]
+    near = (
+        begun
+        or difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+        or [
+            last[match]
+            for match in difflib.get_close_matches(name.rsplit(".", 1)[-1], last, n=1, cutoff=0.5)
+        ]
+    )
     if near:
         return f"did you mean '{near[0]}'?"
     return "'giajax parameters' lists them all"
