@@ -66,6 +66,30 @@ def test_eq_12_from_a_loop(loops, tmp_path):
     np.testing.assert_allclose(run.values["command"], expected, atol=1e-6)
 
 
+def test_a_prediction_is_a_run_of_the_same_operator(loops, tmp_path):
+    assert main(["fit", "--data", loops, "--out", str(tmp_path / "fit"), "--quiet"]) == 0
+    run = read_run(tmp_path / "fit" / "prediction.csv")
+    stated = run.definition.hysteresis
+    assert stated.operator == "prandtl_ishlinskii"
+    assert stated.thresholds == read_run(loops).definition.hysteresis.thresholds
+    # What it predicted is found again, without noise.
+    again = fit(model_for([run]), run, check=False)
+    assert again.runs[0]["channels"]["angle"]["rmse"] < 1e-3
+
+
+def test_a_sidecar_offers_the_operators(tmp_path, capsys):
+    path = tmp_path / "loops.csv"
+    path.write_text("time_s,command_deg,angle_deg\n0,0,0\n1,9,5\n2,0,3\n")
+    assert main(["init", str(path)]) == 0
+    text = (tmp_path / "loops.toml").read_text()
+    assert "[hysteresis]" in text
+    assert '# operator = "prandtl_ishlinskii"' in text
+    assert "# rows = 40" in text
+    capsys.readouterr()
+    assert main(["check", str(path)]) == 0
+    assert "operator not stated in [hysteresis]" in capsys.readouterr().out
+
+
 def refused(capsys, arguments, words):
     assert main(arguments) == 2
     said = capsys.readouterr().err

@@ -113,7 +113,7 @@ def offered(text):
             {"model": "arm", "free_motion": True, "arm": {"links": 22}},
             {"arm", "sensors", "initial", "wind", "noise", "free_motion"},
         ),
-        ("command_deg,angle_deg\n0,1\n", {"model": "hysteresis"}, {"noise"}),
+        ("command_deg,angle_deg\n0,1\n", {"model": "hysteresis"}, {"hysteresis", "noise"}),
         ("angle_deg,side,force_N\n1,inner,1\n", {"model": "joint"}, {"joint", "noise"}),
         (
             "pressure_bar,contraction,phase,force_N\n1,0,fill,1\n",
@@ -139,7 +139,7 @@ def test_every_line_of_the_template_is_legal(tmp_path, text, stated, keys):
     everything = Definition.load(sidecar).given()
     common = {"schema_version", "model", "origin", "licence", "sha256"}
     assert set(everything) == common | keys
-    for section in {"joint", "muscle"} & keys:
+    for section in {"hysteresis", "joint", "muscle"} & keys:
         assert set(everything[section]) == set(type(getattr(Definition(), section)).model_fields)
     if "arm" in keys:
         assert set(everything["arm"]) == set(type(Definition().arm).model_fields)

@@ -24,6 +24,7 @@ _MOST_RUNS = 6
 # What makes two fits the same fit; the iterations allowed and the folder do not.
 _SAME = ("definition", "runs", "free", "start", "fix", "loss")
 _WORDS = {"definition": "the model's constants", "runs": "what the sidecar states", "loss": "loss"}
+_SECTIONS = ("arm", "hysteresis")
 _KEPT = ("free_motion", "initial", "command", "wind")
 
 
@@ -243,7 +244,8 @@ def _csv(columns: Mapping[str, list[str]]) -> bytes:
 def _sidecar(result: FitResult, run: Run, checksum: str) -> Definition:
     """What the prediction was made with, so that it can be read, checked and fitted as a run."""
     stated = run.definition.given()
-    model = {key: value for key, value in result.model.definition().items() if key == "arm"}
+    definition = result.model.definition()
+    model = {key: definition[key] for key in _SECTIONS if key in definition}
     return Definition.parse(
         {
             "model": run.model,

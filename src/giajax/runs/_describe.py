@@ -148,6 +148,8 @@ def _notes(run: Run) -> list[str]:
         absent = [f"wind_{c}" for c in "xyz" if run.winds and f"wind_{c}" not in run.winds]
         if absent:
             notes.append(f"{' and '.join(absent)} not recorded: taken as zero")
+    if run.model == "hysteresis" and definition.hysteresis.operator is None:
+        notes.append("operator not stated in [hysteresis]: Prandtl-Ishlinskii of ten is assumed")
     if run.model == "joint":
         if not definition.joint.given():
             notes.append("no [joint] in the sidecar: the geometry that giajax assumes is taken")

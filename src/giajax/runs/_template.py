@@ -15,6 +15,7 @@ from ._vocabulary import (
     Arm,
     Command,
     Definition,
+    Hysteresis,
     Initial,
     Joint,
     Muscle,
@@ -24,7 +25,11 @@ from ._vocabulary import (
 )
 
 # Sections of one model, all of whose keys are offered.
-_SECTIONS: dict[str, type[BaseModel]] = {"joint": Joint, "muscle": Muscle}
+_SECTIONS: dict[str, type[BaseModel]] = {
+    "hysteresis": Hysteresis,
+    "joint": Joint,
+    "muscle": Muscle,
+}
 
 # A value to show where the preset has none.
 _EXAMPLES: dict[str, Any] = {
