@@ -21,7 +21,9 @@ from . import (
     _joint,
     _parameters,
     _predict,
+    _sensitivity,
     _simulate,
+    _synth,
 )
 from ._errors import Commands, run
 
@@ -66,7 +68,9 @@ app.command("init", epilog=_init.EXAMPLES)(_init.init)
 app.command("joint", epilog=_joint.EXAMPLES)(_joint.joint)
 app.command("parameters", epilog=_parameters.EXAMPLES)(_parameters.parameters)
 app.command("predict", epilog=_predict.EXAMPLES)(_predict.predict)
+app.command("sensitivity", epilog=_sensitivity.EXAMPLES)(_sensitivity.sensitivity)
 app.command("simulate", epilog=_simulate.EXAMPLES)(_simulate.simulate)
+app.command("synth", epilog=_synth.EXAMPLES)(_synth.synth)
 app.command("examples", epilog=_examples.EXAMPLES)(_examples.examples)
 
 

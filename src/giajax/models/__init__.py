@@ -28,4 +28,9 @@ from ._protocol import (
     Channels as Channels,
     Derived as Derived,
 )
+from ._recording import (
+    RecordingErrors as RecordingErrors,
+    recorded_again as recorded_again,
+    with_errors as with_errors,
+)
 from ._synthesise import synthesise as synthesise

@@ -91,7 +91,7 @@ def synthesise(
             f"'{unknown[0]}' is given to the model and not predicted by it; record another channel"
         )
     prepared = model.prepare(plan)
-    predicted, successful = _predict(model, prepared, tuple(channels))
+    predicted, successful = predict_prepared(model, prepared, tuple(channels))
     if not successful:
         raise SimulationError(model.failure(prepared))
     recorded = {
@@ -111,9 +111,10 @@ def _constants(model: AbstractModel) -> Definition:
 
 
 @eqx.filter_jit
-def _predict(
+def predict_prepared(
     model: AbstractModel, inputs: Any, channels: tuple[str, ...]
 ) -> tuple[Channels, Bool[Array, ""]]:
+    """What a model predicts for a prepared run, compiled, and whether that succeeded."""
     return model.predict(inputs, channels)
 
 

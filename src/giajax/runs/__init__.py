@@ -9,7 +9,7 @@ from ._read import (
     read_sidecar as read_sidecar,
     sidecar_path as sidecar_path,
 )
-from ._run import Run as Run
+from ._run import Run as Run, stated_noise as stated_noise
 from ._select import observing as observing, windows as windows
 from ._template import sidecar_template as sidecar_template
 from ._vocabulary import (

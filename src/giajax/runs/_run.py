@@ -13,7 +13,7 @@ from ._channels import TEXTS, Channel, parse_column
 from ._checks import Wording, check_content
 from ._model import GIVEN, PREDICTED, decide_model
 from ._units import from_si, to_si
-from ._vocabulary import Definition
+from ._vocabulary import Definition, Noise
 
 # Key of [noise] by quantity -> (kinds it holds for, quantity, unit).
 _NOISE_KEYS: dict[str, tuple[tuple[str, ...], str, str]] = {
@@ -125,18 +125,7 @@ class Run:
 
         What is stated for the column wins over what is stated for its quantity.
         """
-        channel = self.channels[name]
-        stated = self.definition.noise
-        for column, deviation in stated.columns.items():
-            if column.startswith(name):
-                recorded = parse_column(column)
-                if recorded.name == name:
-                    return float(recorded.to_si(deviation))
-        for key, (kinds, quantity, unit) in _NOISE_KEYS.items():
-            deviation = getattr(stated, key)
-            if channel.kind in kinds and deviation is not None:
-                return float(to_si(quantity, unit, deviation))
-        return None
+        return stated_noise(self.definition.noise, self.channels[name])
 
     def require_observations(self) -> None:
         """Raise `InputError` if the run holds nothing that a fit could compare."""
@@ -182,6 +171,20 @@ def build_run(
     for array in (*values.values(), *(() if times is None else (times,))):
         array.setflags(write=False)
     return Run(name, model, times, values, channels, definition, path, sha256)
+
+
+def stated_noise(stated: Noise, channel: Channel) -> float | None:
+    """The standard deviation (SI) that `[noise]` states for a channel, or None."""
+    for column, deviation in stated.columns.items():
+        if column.startswith(channel.name):
+            recorded = parse_column(column)
+            if recorded.name == channel.name:
+                return float(recorded.to_si(deviation))
+    for key, (kinds, quantity, unit) in _NOISE_KEYS.items():
+        deviation = getattr(stated, key)
+        if channel.kind in kinds and deviation is not None:
+            return float(to_si(quantity, unit, deviation))
+    return None
 
 
 def _noise_section(noise: Mapping[str, float], channels: Mapping[str, Channel]) -> dict[str, Any]:

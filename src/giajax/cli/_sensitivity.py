@@ -1,0 +1,197 @@
+"""`giajax sensitivity`: what a recording would tell about parameters."""
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ._drive import (
+    DURATION,
+    channel_names,
+    drives_of,
+    facts_of,
+    model_and_truth,
+    moves_of,
+    replayed_run,
+    stated_definition,
+    wrong,
+)
+
+if TYPE_CHECKING:
+    from ..models import AbstractModel
+    from ..runs import Run
+
+EXAMPLES = """\b
+Examples:
+  giajax sensitivity --parameter air.drag_coefficient --out drag
+  giajax sensitivity --parameter air.drag_coefficient --parameter joints.pitch_stiffness
+                     --ramp 1=20 --ramp 9=-15@3:2 --noise 0.02 --out both
+  giajax sensitivity --parameter camera.origin --arm my_arm.toml --channels tip --out camera
+  giajax sensitivity run.csv --parameter joints.damping --out recorded
+
+\b
+Without a run: the base joint to 30 deg within a second, all links filmed.
+Writes sensitivity.png, sensitivity.csv (derivatives over time) and information.csv
+(share of each link, and the standard error with it alone)."""
+
+_DEFAULT_RAMP = "1=30"
+_FILES = ("sensitivity.png", "sensitivity.csv", "information.csv")
+
+
+def sensitivity(
+    parameter: Annotated[
+        list[str], typer.Option(metavar="PATH", help="A parameter ('giajax parameters').")
+    ],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for picture and tables.")],
+    run: Annotated[
+        Path | None,
+        typer.Argument(metavar="[RUN.csv]", help="A run of any model, as it was recorded."),
+    ] = None,
+    arm: Annotated[
+        Path | None, typer.Option(metavar="FILE.toml", help="The arm: [arm] of this file.")
+    ] = None,
+    links: Annotated[int | None, typer.Option(metavar="N", help="Number of links.")] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="PATH=VALUE", help="A parameter's value. Repeatable."),
+    ] = None,
+    step: Annotated[
+        list[str] | None, typer.Option(metavar="JOINT=DEG[@T]", help="Step of a command.")
+    ] = None,
+    ramp: Annotated[
+        list[str] | None,
+        typer.Option(metavar="JOINT=DEG[@START:DURATION]", help="Linear change of a command."),
+    ] = None,
+    command: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.csv", help="A run whose commands and wind are used instead."),
+    ] = None,
+    wind: Annotated[
+        str | None, typer.Option(metavar="X,Y,Z", help="Constant velocity of the air, m/s.")
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option(metavar="S", help="Length of the run, s. [25]")
+    ] = None,
+    rate: Annotated[float, typer.Option(metavar="HZ", help="Samples per second.")] = 10.0,
+    channels: Annotated[
+        list[str] | None,
+        typer.Option(metavar="CHANNELS", help="What is recorded: link06, tip, joints, all. [all]"),
+    ] = None,
+    noise: Annotated[
+        float, typer.Option(metavar="M", help="Standard deviation of positions, m.")
+    ] = 0.01,
+    noise_angle: Annotated[
+        float, typer.Option(metavar="DEG", help="Standard deviation of joint angles, deg.")
+    ] = 0.5,
+    force: Annotated[bool, typer.Option("--force", help="Write over files.")] = False,
+) -> None:
+    """Show how strongly, when and where a motion responds to parameters.
+
+    And what that is worth: the standard errors to expect of a fit, before anything is recorded.
+    """
+    from ..runs import read_run, write_files
+
+    if not (0 < noise < math.inf and 0 < noise_angle < math.inf):
+        raise wrong("--noise and --noise-angle are standard deviations; give positive numbers")
+    for name in _FILES:
+        if (out / name).exists() and not force:
+            raise wrong(f"{out / name} exists and is not written over; give another DIR or --force")
+    if run is not None and (arm or step or ramp or command or wind or links):
+        raise wrong("a run says what moves which arm; leave out the options that say it again")
+    recorded = None if run is None else read_run(run)
+    stated = stated_definition(arm, links, wind)
+    if command is not None and (step or ramp):
+        raise wrong("--command gives the commands, and so do --step and --ramp; give one of them")
+    replayed = None if command is None else replayed_run(command, stated)
+
+    from ._jax import configure
+
+    configure()
+
+    from ..models import Drive, model_for, parameter_values, sampled
+    from ..parameters import replace
+    from ..report import information_shares, sensitivity_figure, sensitivity_files, to_png
+    from ..runs import Definition
+    from ..simulation import SimulationError
+    from ..study import planned, sensitivity as along
+
+    model: AbstractModel
+    names: list[str] | None
+    if recorded is not None:
+        from ._synth import set_parameters
+
+        model, _ = set_parameters(model_for([recorded]), settings or [])
+        names = channels
+    else:
+        arm_model, _ = model_and_truth(stated, settings or [], "tsit5", 1e-8)
+        count, drives = arm_model.arm.count, list[Drive]()
+        start, length = 0.0, DURATION
+        if replayed is not None:
+            start, length, drives = drives_of(replayed, rate)
+        else:
+            still = bool(wind or stated.initial.given())
+            moves = ramp or ([] if step or still else [_DEFAULT_RAMP])
+            if moves or step:
+                drives = [moves_of(step or [], moves, count, duration or length)]
+        facts = facts_of(stated, replayed, drives, arm_model)
+        times, inputs = sampled(drives, start=start, duration=duration or length, rate=rate)
+        names = channel_names(channels or ["all"], count)
+        facts["arm"] = stated.arm.given()
+        facts["sensors"] = stated.sensors.given()
+        definition = Definition.parse({k: v for k, v in facts.items() if v}, "sensitivity")
+        recorded = planned(
+            times, inputs, links=count, channels=names, definition=definition.given()
+        )
+        model = replace(model_for([recorded]), parameter_values(arm_model))
+    try:
+        found = along(model, recorded, parameter, names)
+    except SimulationError as error:
+        typer.echo(f"giajax: {error} (option --set)", err=True)
+        raise typer.Exit(1) from None
+    deviations = _noise_of(recorded, found.channels, noise, noise_angle)
+    files = {name: text.encode() for name, text in sensitivity_files(found, deviations).items()}
+    title = f"{recorded.name}: sensitivity, and what each body tells"
+    files["sensitivity.png"] = to_png(sensitivity_figure(found, deviations, title))
+    out.mkdir(parents=True, exist_ok=True)
+    write_files({out / name: files[name] for name in _FILES}, force=force)
+    _show(found, deviations, information_shares(found, deviations))
+    typer.echo(f"\nwrote {out}: {', '.join(_FILES)}")
+
+
+def _noise_of(run: "Run", channels: tuple[str, ...], noise: float, angle: float) -> list[float]:
+    """What the run states of its noise, and the options where it states nothing; SI."""
+    from ..runs import Channel
+
+    found = []
+    for name in channels:
+        stated = run.noise(name) if name in run.channels else None
+        if stated is None and Channel.named(name).quantity == "length":
+            stated = noise
+        elif stated is None and Channel.named(name).quantity.startswith("ang"):
+            stated = math.radians(angle)
+        elif stated is None:
+            raise wrong(f"the noise of {name} is not stated; state it in [noise] of the run")
+        found.append(stated)
+    return found
+
+
+def _show(found, deviations, shares) -> None:  # type: ignore[no-untyped-def]
+    from ._output import print_table
+
+    bodies = list(found.bodies())
+    rows = []
+    for index, path in enumerate(found.parameters):
+        error = float(found.standard_errors(deviations)[index])
+        most = int(shares[:, index].argmax())
+        tells = f"{bodies[most]} ({100 * shares[most, index]:.0f} %)" if error < math.inf else None
+        rows.append(
+            [
+                path,
+                float(found.values[index]),
+                error if error < math.inf else "not determined",
+                found.units[index] or None,
+                tells,
+            ]
+        )
+    print_table(["parameter", "value", "expected error", "unit", "tells most"], rows)
