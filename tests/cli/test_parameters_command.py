@@ -7,7 +7,7 @@ import numpy as np
 
 from giajax import ArmModel, declared, takeichi_20m
 from giajax.cli import main
-from giajax.parameters import default_free
+from giajax.parameters import default_free, left_out
 
 MODEL = ArmModel(takeichi_20m())
 
@@ -21,9 +21,10 @@ def test_the_table_has_a_row_for_every_declaration(capsys):
     assert main(["parameters"]) == 0
     heading, *rows = capsys.readouterr().out.splitlines()
     assert heading.split()[:4] == ["parameter", "unit", "default", "bounds"]
-    known = declared(MODEL)
+    known = {**declared(MODEL), **left_out(MODEL)}
     assert [row.split()[0] for row in rows] == list(known)
     for row, (path, parameter) in zip(rows, known.items(), strict=True):
+        assert (" off " in row) == (not parameter.is_on(MODEL))
         declaration = parameter.declaration
         assert row.endswith(declaration.doc), path
         assert f" {declaration.default:.10g} " in row
@@ -69,3 +70,18 @@ def test_a_run_decides_the_model(capsys):
     assert muscle["friction.half_width"]["elements"] == 1
     assert main(["parameters", str(folder / "none.csv")]) == 2
     assert "does not exist" in capsys.readouterr().err
+
+
+def test_what_an_arm_file_or_preset_switches_on_is_on(capsys, tmp_path):
+    plain = listed(capsys)
+    assert not plain["air.added_mass_coefficient"]["on"]
+    assert plain["air.added_mass_coefficient"]["default"] == 1.0
+    assert plain["camera.origin"]["elements"] == 3
+    assert listed(capsys, "--preset", "takeichi_20m_full")["air.added_mass_coefficient"]["on"]
+    path = tmp_path / "arm.toml"
+    path.write_text("[arm]\nlinks = 3\n[sensors]\ncamera_scale = 1.1\n")
+    mine = listed(capsys, "--arm", str(path))
+    assert mine["camera.scale"]["on"]
+    assert mine["links.mass"]["elements"] == 3
+    assert main(["parameters", "--preset", "none"]) == 2
+    assert "no arm preset 'none'" in capsys.readouterr().err

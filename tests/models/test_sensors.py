@@ -9,8 +9,16 @@ import pytest
 import giajax
 from giajax import ArmModel, InputError, Run
 from giajax.arm import link_centres, tip_position
-from giajax.models import build_model, model_for, parameter_values, synthesise
+from giajax.models import (
+    RecordingErrors,
+    build_model,
+    model_for,
+    parameter_values,
+    synthesise,
+    with_errors,
+)
 from giajax.models._sensors import Camera, Marker, Sensors
+from giajax.study import sensitivity
 
 LINKS = 3
 TIMES = np.linspace(0.0, 4.0, 41)
@@ -228,6 +236,26 @@ def test_a_camera_frame_is_found_together_with_the_drag_coefficient():
         assert abs(found.value - truth) < 2 * found.standard_error, path
         assert found.standard_error < 0.3 * abs(truth), path
     assert result.gradient_check["relative_difference"] < 1e-5
+
+
+def test_a_camera_frame_is_found_as_often_as_its_errors_say():
+    """Of many draws of the noise, 95 % of the estimates are within 2 standard errors."""
+    truth = model(**TRUE_FRAME)
+    blank = dict.fromkeys(CHANNELS, np.zeros_like(TIMES))
+    run = Run.from_arrays(TIMES, {**COMMAND, **blank}, definition={"arm": {"links": LINKS}})
+    found = sensitivity(truth, run, ["camera.rotation", "camera.origin", "air.drag_coefficient"])
+    exact = {name: found.predicted[:, i] for i, name in enumerate(CHANNELS)}
+    exact_run = Run.from_arrays(TIMES, {**COMMAND, **exact}, definition={"arm": {"links": LINKS}})
+    jacobian = np.stack([table.ravel() for table in found.derivatives], axis=1)
+    stated = found.standard_errors(0.005)
+    errors = []
+    for seed in range(200):
+        noisy = with_errors(exact_run, RecordingErrors(white={"position": 0.005}), seed=seed)
+        residual = np.stack([noisy.values[name] - exact[name] for name in CHANNELS], axis=-1)
+        errors.append(np.linalg.lstsq(jacobian, residual.ravel(), rcond=None)[0] / stated)
+    within = np.mean(np.abs(errors) < 2, axis=0)
+    assert np.all((within > 0.90) & (within < 0.99))
+    assert np.mean(within) == pytest.approx(0.954, abs=0.02)
 
 
 def test_a_camera_frame_that_is_ignored_spoils_the_fit():

@@ -13,10 +13,14 @@ EXAMPLES = """\b
 Examples:
   giajax parameters
   giajax parameters joint.csv
+  giajax parameters --preset takeichi_20m_full
+  giajax parameters --arm my_arm.toml
   giajax parameters --json
   giajax fit --data run.csv --free air.drag_coefficient --free "links.mass[19]"
 
 \b
+'off': left out of the model, at no cost; --start or --free of a fit switches it on,
+with the default listed.
 An array has one element for each link or joint; links.mass[0] is its first one.
 'assumed': the paper gives no figure, and a fit should find one."""
 
@@ -26,27 +30,53 @@ def parameters(
         Path | None,
         typer.Argument(metavar="[RUN]", help="List those of the model of this run. [the arm]"),
     ] = None,
-    links: Annotated[int, typer.Option(metavar="N", help="Number of links of the arm.")] = 20,
+    arm: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.toml", help="The arm, and its sensors, of this file."),
+    ] = None,
+    preset: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Preset of the arm. [takeichi_20m]")
+    ] = None,
+    links: Annotated[
+        int | None, typer.Option(metavar="N", help="Number of links of the arm.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
 ) -> None:
     """List every parameter of the arm, or of a run's model.
 
     Path, unit, default, bounds and meaning of each.
     """
-    from ..runs import read_run
+    from .._errors import InputError
+    from ..runs import Definition, read_run
 
+    if run is not None and (arm or preset or links is not None):
+        raise InputError("a run states its arm; leave out --arm, --preset and --links")
     recorded = None if run is None else read_run(run)
+    stated = Definition() if arm is None else Definition.load(arm)
+    said = {"preset": preset, "links": links}
+    given = {key: value for key, value in said.items() if value is not None}
+    stated = stated.merged_with(Definition.parse({"arm": given}, "the command line"))
 
     from ._jax import configure
 
     configure()
 
-    from ..arm import takeichi_20m
-    from ..models import ArmModel, model_for
-    from ..parameters import declared
+    from ..models import (
+        AbstractModel,
+        ArmModel,
+        arm_from_definition,
+        model_for,
+        sensors_from_definition,
+    )
+    from ..parameters import declared, left_out
 
-    model = ArmModel(takeichi_20m(links)) if recorded is None else model_for([recorded])
-    facts = [_facts(parameter, model) for parameter in declared(model).values()]
+    model: AbstractModel
+    if recorded is not None:
+        model = model_for([recorded])
+    else:
+        model = ArmModel(arm_from_definition(stated), sensors=sensors_from_definition(stated))
+    known = [*declared(model).values(), *left_out(model).values()]
+    facts = [_facts(parameter, model) for parameter in known]
     if as_json:
         import json
 
@@ -57,14 +87,16 @@ def parameters(
 
 def _facts(parameter: "Parameter", model: Any) -> dict[str, Any]:
     declaration = parameter.declaration
-    shape = parameter.value(model).shape
+    on = parameter.is_on(model)
+    shape = parameter.value(model).shape if on else declaration.shape
     return {
         "path": parameter.path,
         "unit": declaration.unit,
         "default": declaration.default,
         "lower": _finite(declaration.lower),
         "upper": _finite(declaration.upper),
-        "free": not declaration.frozen,
+        "on": on,
+        "free": on and not declaration.frozen,
         "assumed": declaration.assumed,
         "elements": shape[0] if shape else None,
         "meaning": declaration.doc,
@@ -88,7 +120,7 @@ def _row(fact: dict[str, Any]) -> list[Any]:
         fact["unit"] or None,
         f"{fact['default']:.10g}",
         _bounds(fact["lower"], fact["upper"]),
-        "free" if fact["free"] else "held",
+        ("free" if fact["free"] else "held") if fact["on"] else "off",
         fact["elements"],
         "assumed" if fact["assumed"] else "",
         fact["meaning"],

@@ -14,6 +14,7 @@ from ._compensate import (
 from ._definition import (
     arm_from_definition as arm_from_definition,
     arm_to_definition as arm_to_definition,
+    sensors_from_definition as sensors_from_definition,
 )
 from ._drive import Drive as Drive, Move as Move, joint_moves as joint_moves, sampled as sampled
 from ._hysteresis import HysteresisInputs as HysteresisInputs, HysteresisModel as HysteresisModel

@@ -4,7 +4,7 @@ import dataclasses
 
 from ..fitting import Estimate, FitResult
 from ..models import AbstractModel
-from ..parameters import find
+from ..parameters import find, switched_on
 from ..runs import Definition, Figure
 from ._text import format_estimate
 
@@ -24,6 +24,8 @@ def check_figures(model: AbstractModel, definition: Definition) -> None:
     Raises:
         InputError: naming the path and the nearest one.
     """
+    asked = definition.fit
+    model = switched_on(model, (*(asked.free or ()), *(asked.start or ()), *(asked.fix or ())))
     derived = model.derived()
     for path in definition.figures:
         if path not in derived:

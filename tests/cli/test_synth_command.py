@@ -1,0 +1,64 @@
+"""`giajax synth`: a run recorded again, with errors, or one sentence."""
+
+import numpy as np
+import pytest
+
+from giajax import read_run
+from giajax.cli import main
+
+CSV = "time_s,joint01_command_deg,link02_z_m\n" + "".join(
+    f"{t / 10},{min(max(t - 5, 0), 10) * 3},0\n" for t in range(31)
+)
+
+
+@pytest.fixture
+def run(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text(CSV)
+    path.with_suffix(".toml").write_text("[arm]\nlinks = 2\n")
+    return path
+
+
+def test_a_run_is_recorded_again(run, tmp_path):
+    out = tmp_path / "new.csv"
+    options = ["--noise", "position_m=0.01", "--missing", "10", "--bursts", "10", "--seed", "3"]
+    options += ["--outliers", "5", "--outlier-size", "position_m=2", "--set", "camera.origin=0,0,1"]
+    assert main(["synth", str(run), "--out", str(out), *options]) == 0
+    new = read_run(out)
+    assert new.definition.arm.links == 2
+    assert new.definition.sensors.given() == {}
+    assert new.definition.truth["camera.origin"] == [0.0, 0.0, 1.0]
+    assert new.noise("link02_z") == pytest.approx(0.01)
+    heights = new.values["link02_z"]
+    assert 3 <= np.isnan(heights).sum() <= 6
+    # Below the camera's origin by a metre.
+    assert np.nanmedian(heights[:5]) == pytest.approx(-1.0, abs=0.05)
+    assert main(["check", str(out)]) == 0
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--noise", "position_m"], "KEY=VALUE"),
+        (["--noise", "height=1"], "height"),
+        (["--noise", "angle_deg=1"], "none of the recorded channels"),
+        (["--set", "camera.origin=1,2"], "2 values for 3 elements"),
+        (["--set", "camera.delay=50"], "outside its bounds"),
+        (["--outliers", "5"], "fraction and a size"),
+        (["--missing", "100"], "fraction missing is 1"),
+    ],
+)
+def test_one_sentence(run, tmp_path, capsys, options, words):
+    out = tmp_path / "new.csv"
+    assert main(["synth", str(run), "--out", str(out), *options]) == 2
+    said = capsys.readouterr().err
+    assert words in said
+    assert said.count("\n") == 1
+    assert not out.exists()
+
+
+def test_nothing_is_written_over(run, capsys):
+    before = run.read_text()
+    assert main(["synth", str(run), "--out", str(run)]) == 2
+    assert "not written over" in capsys.readouterr().err
+    assert run.read_text() == before
