@@ -345,7 +345,7 @@ def readme() -> str:
     for name, (meaning, *_) in {**RUNS, **STILL}.items():
         run = read_run(HERE / f"{name}.csv")
         truth = ", ".join(
-            f"`{path}` " + " ".join(f"{number:.4g}" for number in np.atleast_1d(value))
+            f"`{path}` " + " ".join(f"{number:g}" for number in np.atleast_1d(value))
             for path, value in run.definition.truth.items()
             if path != "recording"
         )
