@@ -43,8 +43,7 @@ def mjcf(arm: Arm) -> str:
             f'armature="{_numbers(armature[i])}"/>'
             f'<inertial pos="{_numbers(along, 0, 0)}" mass="{_numbers(float(links.mass[i]))}" '
             f'diaginertia="{_numbers(axial, transverse, transverse)}"/>'
-            f'<site name="centre{i + 1}" pos="{_numbers(length / 2, 0, 0)}"/>\n'
-            + _carried(arm, i)
+            f'<site name="centre{i + 1}" pos="{_numbers(length / 2, 0, 0)}"/>\n' + _carried(arm, i)
         )
         closing += "</body>"
         before = length
@@ -71,10 +70,11 @@ def _carried(arm: Arm, i: int) -> str:
         bodies.append((_each(held.trim_mass, count)[i], place, (0.0, 0.0, 0.0)))
     if arm.point_masses is not None:
         fixed = arm.point_masses
-        rows = (_each(x, len(fixed.links)) for x in (fixed.position, fixed.left, fixed.up))
-        for link, mass, *place in zip(fixed.links, _each(fixed.mass, len(fixed.links)), *rows):
+        columns = (fixed.mass, fixed.position, fixed.left, fixed.up)
+        rows = (_each(x, len(fixed.links)) for x in columns)
+        for link, mass, x, y, z in zip(fixed.links, *rows, strict=True):
             if link == i + 1:
-                bodies.append((mass, tuple(place), (0.0, 0.0, 0.0)))
+                bodies.append((mass, (x, y, z), (0.0, 0.0, 0.0)))
     return "".join(
         f'<body><inertial pos="{_numbers(*place)}" mass="{_numbers(mass)}" '
         f'diaginertia="{_numbers(*inertia)}"/></body>\n'

@@ -1,7 +1,8 @@
-"""Air: drag along the links, C_D by Reynolds number, added mass and unsteady wind, in closed form."""
+"""Drag along the links, C_D by Reynolds number, added mass and unsteady wind in closed form."""
 
 import dataclasses
 import runpy
+from itertools import pairwise
 from pathlib import Path
 
 import equinox as eqx
@@ -80,7 +81,7 @@ def test_drag_along_the_link_converges_with_the_number_of_points():
 
     exact = power(100)
     errors = [np.abs(power(count) / exact - 1).max() for count in (1, 2, 3, 6, 12)]
-    assert all(after < before / 2 for before, after in zip(errors, errors[1:], strict=False))
+    assert all(after < before / 2 for before, after in pairwise(errors))
     assert errors[0] > 0.03
     assert errors[2] < 0.01
     assert errors[4] < 3e-4
@@ -152,7 +153,7 @@ def test_the_power_of_drag_is_the_loss_of_every_piece():
 
 @pytest.mark.parametrize("coefficient", [0.5, 1.0])
 def test_the_air_that_turns_with_a_link(coefficient):
-    """1/2 int C_a rho A (w s)^2 ds = 1/2 (C_a rho V L^2 / 3) w^2 about an end; about itself none."""
+    """1/2 int C_a rho A (w s)^2 ds = 1/2 (C_a rho V L^2 / 3) w^2 about an end; about itself 0."""
     rates = jnp.array([1.5])
     added = {"air.added_mass_coefficient": coefficient}
     for axis, inertia in ("yaw", coefficient * DISPLACED * LENGTH**2 / 3), ([1, 0, 0], 0.0):
@@ -189,7 +190,9 @@ def test_gravity_does_not_weigh_the_air_that_moves_along():
 def test_a_growing_wind_pushes_a_held_link():
     """rho V (1 + C_a) du/dt across it, rho V du/dt along it (pressure alone)."""
     gust, coefficient = 2.0, 0.7
-    arm = chain(2, joint_axes=["yaw", "yaw"], parameters={"air.added_mass_coefficient": coefficient})
+    arm = chain(
+        2, joint_axes=["yaw", "yaw"], parameters={"air.added_mass_coefficient": coefficient}
+    )
     still, calm = jnp.zeros(2), jnp.zeros(3)
     rate = jnp.array([0.0, gust, 0.0])
     across, along = DISPLACED * (1 + coefficient) * gust, DISPLACED * gust

@@ -12,7 +12,13 @@ import pytest
 from numpy.testing import assert_allclose
 
 from arms import full_arm, random_states
-from giajax.arm import cylinder_drag_coefficient, inverse_dynamics, kinetic_energy, mass_matrix
+from giajax.arm import (
+    cylinder_drag_coefficient,
+    forward_dynamics,
+    inverse_dynamics,
+    kinetic_energy,
+    mass_matrix,
+)
 from giajax.parameters import replace
 
 LINKS = 3
@@ -184,6 +190,18 @@ def test_the_torque_is_that_of_lagrange_with_every_option_on(arm, numbers):
     for state in zip(*rows, strict=True):
         expected, found = both(*state)
         assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+
+
+def test_inverse_dynamics_undoes_forward_dynamics_with_every_option_on(arm):
+    @jax.jit
+    @jax.vmap
+    def there_and_back(angles, rates, torques, wind, gust):
+        accelerations = forward_dynamics(arm, angles, rates, torques, wind, gust)
+        return inverse_dynamics(arm, angles, rates, accelerations, wind, gust)
+
+    torques = STATES["command"]
+    back = there_and_back(STATES["angles"], STATES["rates"], torques, STATES["wind"], GUSTS)
+    assert_allclose(back, torques, rtol=1e-9, atol=1e-10)
 
 
 def test_the_mass_matrix_is_the_hessian_of_the_energy_of_points_and_fluid(arm, numbers):
