@@ -13,8 +13,10 @@ from giajax.parameters import declared, left_out, replace
 from giajax.simulation import joint_ramps, ramps, simulate
 
 LINKS = 2
-TIMES = np.linspace(0.0, 1.5, 7)
-COMMAND = joint_ramps(LINKS, {1: 0.5}, start=0.1, duration=0.5)
+TIMES = np.linspace(0.0, 1.0, 6)
+# A ramp that goes on: links that turned back would stop in still air, where the drag has its kink
+# and no integrator is as exact as its tolerance.
+COMMAND = joint_ramps(LINKS, {1: 0.8}, start=0.1, duration=1.5)
 # Differences of rounding and of steps taken otherwise are what limits the comparison.
 TIGHT = 1e-13
 
@@ -47,7 +49,8 @@ ARMS = {"uneven": uneven, "floating": floating}
 
 @eqx.filter_jit
 def motion(arm, wind):
-    found = simulate(arm, COMMAND, TIMES, wind=wind, rtol=TIGHT, atol=TIGHT, throw=False)
+    options = {"solver": "dopri8", "rtol": TIGHT, "atol": TIGHT, "throw": False}
+    found = simulate(arm, COMMAND, TIMES, wind=wind, **options)
     return jnp.concatenate([found.angles.ravel(), found.rates.ravel()])
 
 
@@ -84,8 +87,8 @@ def test_every_number_of_the_arm_has_the_derivative_that_differences_show(name):
     flat, _ = jax.flatten_util.ravel_pytree(arm)
     names = labels(arm)
     assert len(names) == flat.size
-    # Small for what is 0: there |V| V makes the difference wrong by the step itself.
-    sizes = np.where(flat == 0, 1e-6, 1e-4 * np.abs(flat))
+    # Small: where a change sets moving what is at rest, |V| V makes a difference wrong by its step.
+    sizes = np.where(flat == 0, 1e-6, 2e-5 * np.abs(flat))
     steps = np.concatenate([np.diag(sizes), -np.diag(sizes)])
     forth, back = np.split(np.asarray(shifted(arm, wind, jnp.asarray(steps))), 2)
     expected = (forth - back) / (2 * sizes[:, None])
