@@ -30,7 +30,7 @@ def test_the_page_has_a_row_for_every_fit_and_the_biases_that_they_show():
     for name, cells in rows.items():
         value, error = float(cells[2]), float(cells[3])
         stated = float(cells[4].removesuffix("%"))
-        assert stated == pytest.approx(100 * (value / truth - 1), abs=0.06)
+        assert stated == pytest.approx(100 * (value / truth - 1), abs=0.1)
         # Only a model of all that is there finds the truth.
         assert (abs(value - truth) < 3 * error) == name.startswith(("what made it",)) or (
             "without the wind" in name
