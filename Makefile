@@ -40,6 +40,7 @@ types: $(VENV)/.installed-dev
 
 bench: $(VENV)/.installed-dev
 	$(BIN)/python benchmarks/bench.py $(BENCH_ARGS)
+	$(BIN)/python benchmarks/options.py
 	$(BIN)/python benchmarks/hysteresis.py
 
 synthetic: $(VENV)/.installed

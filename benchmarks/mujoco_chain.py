@@ -1,18 +1,22 @@
 """The arm again, in MuJoCo: an independent reference for the tests, a peer for the benchmark.
 
-The chain is an MJCF string made from the numbers of a giajax `Arm`. Springs (about zero) and
-dampers are MuJoCo's own; the commanded angle and the drag of the paper's eq. (1) enter through the
-passive-force callback, in Python, as a MuJoCo user would add a force that MuJoCo does not have.
+The chain is an MJCF string made from the numbers of a giajax `Arm`. Springs (about zero), dampers,
+armature and everything with a mass are MuJoCo's own; the commanded angle, the drag of the paper's
+eq. (1) or that along the links, the lift of the air and friction enter through the passive-force
+callback, in Python, as a MuJoCo user would add a force that MuJoCo does not have. Added mass and a
+C_D that depends on the Reynolds number are not offered here.
 """
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from giajax.arm import Arm
+from giajax.arm._bodies import lift
 from giajax.simulation import Signal
 from scipy_chain import NumpySignal, cross
 
@@ -24,7 +28,8 @@ def mjcf(arm: Arm) -> str:
     links = arm.links
     quaternion = Rotation.from_rotvec(np.array(arm.base_rotation)).as_quat(scalar_first=True)
     stiffness = np.asarray(arm.joints.stiffness).tolist()
-    damping = np.broadcast_to(np.asarray(arm.joints.damping), (arm.count,)).tolist()
+    damping = _each(arm.joints.damping, arm.count)
+    armature = _each(arm.joints.armature, arm.count)
     opening, closing = "", ""
     before = 0.0
     for i in range(arm.count):
@@ -34,10 +39,11 @@ def mjcf(arm: Arm) -> str:
         opening += (
             f'<body name="link{i + 1}" pos="{_numbers(before, 0, 0)}"{turn}>'
             f'<joint name="joint{i + 1}" type="hinge" axis="{_numbers(*arm.joints.axes[i])}" '
-            f'stiffness="{_numbers(stiffness[i])}" damping="{_numbers(damping[i])}"/>'
+            f'stiffness="{_numbers(stiffness[i])}" damping="{_numbers(damping[i])}" '
+            f'armature="{_numbers(armature[i])}"/>'
             f'<inertial pos="{_numbers(along, 0, 0)}" mass="{_numbers(float(links.mass[i]))}" '
             f'diaginertia="{_numbers(axial, transverse, transverse)}"/>'
-            f'<site name="centre{i + 1}" pos="{_numbers(length / 2, 0, 0)}"/>\n'
+            f'<site name="centre{i + 1}" pos="{_numbers(length / 2, 0, 0)}"/>\n' + _carried(arm, i)
         )
         closing += "</body>"
         before = length
@@ -47,6 +53,38 @@ def mjcf(arm: Arm) -> str:
         '<flag contact="disable" constraint="disable"/></option>\n'
         f"<worldbody>{opening}{closing}</worldbody></mujoco>"
     )
+
+
+def _carried(arm: Arm, i: int) -> str:
+    """Helium, trim weight and point masses of a link, as bodies that are fixed to it."""
+    bodies = []
+    if arm.buoyancy is not None:
+        held, count = arm.buoyancy, arm.count
+        length, diameter = float(arm.links.length[i]), float(arm.links.diameter[i])
+        helium = float(held.helium_density * arm.links.volume[i])
+        # A cylinder that does not spin about its own axis.
+        across = helium * (length**2 / 12 + diameter**2 / 16)
+        bodies.append((helium, (length / 2, 0.0, 0.0), (0.0, across, across)))
+        depth = _each(held.trim_depth, count)[i]
+        place = (_each(held.trim_position, count)[i], 0.0, -depth)
+        bodies.append((_each(held.trim_mass, count)[i], place, (0.0, 0.0, 0.0)))
+    if arm.point_masses is not None:
+        fixed = arm.point_masses
+        columns = (fixed.mass, fixed.position, fixed.left, fixed.up)
+        rows = (_each(x, len(fixed.links)) for x in columns)
+        for link, mass, x, y, z in zip(fixed.links, *rows, strict=True):
+            if link == i + 1:
+                bodies.append((mass, (x, y, z), (0.0, 0.0, 0.0)))
+    return "".join(
+        f'<body><inertial pos="{_numbers(*place)}" mass="{_numbers(mass)}" '
+        f'diaginertia="{_numbers(*inertia)}"/></body>\n'
+        for mass, place, inertia in bodies
+    )
+
+
+def _each(values: Any, count: int) -> list[float]:
+    """One number for each; zeros for what the arm leaves out."""
+    return np.broadcast_to(0.0 if values is None else np.asarray(values), (count,)).tolist()
 
 
 def _numbers(*values: float) -> str:
@@ -66,12 +104,32 @@ class MujocoChain:
         self.count = arm.count
         self.model = mujoco.MjModel.from_xml_string(mjcf(arm))
         self.data = mujoco.MjData(self.model)
+        # A slice where it can be one: the links alone, without the bodies fixed to them.
+        self._bodies: Any = slice(1, None)
+        if self.model.nbody > 1 + arm.count:
+            names = (f"link{link}" for link in range(1, arm.count + 1))
+            self._bodies = np.array([self.model.body(name).id for name in names])
         self.command = None if command is None else NumpySignal(command)
         self.wind = None if wind is None else NumpySignal(wind)
         self._stiffness = np.array(arm.joints.stiffness, dtype=float)
         area = np.asarray(arm.links.length * arm.links.diameter, dtype=float)
         factor = 0.5 * float(arm.air.density) * float(arm.air.drag_coefficient)
         self._drag_factor = factor * area
+        self._lift = None if (upwards := lift(arm)) is None else np.asarray(upwards, dtype=float)
+        self._friction = np.asarray(_each(arm.joints.friction, arm.count))
+        self._friction_rate = float(arm.joints.friction_rate)
+        self._rubs = arm.joints.friction is not None
+        self._own_wind = None if arm.air.wind is None else np.asarray(arm.air.wind, dtype=float)
+        if arm.air.added_mass_coefficient is not None or arm.air.drag_curve != "constant":
+            raise ValueError("MuJoCo has neither added mass nor this drag curve; leave them out")
+        self._strip: list[tuple[float, float]] | None = None
+        if arm.air.drag == "strip":
+            nodes, weights = np.polynomial.legendre.leggauss(arm.air.strip_points)
+            self._strip = list(zip(nodes.tolist(), (weights / 2).tolist(), strict=True))
+        self._half_length = np.asarray(arm.links.length, dtype=float)[:, None] / 2
+        axial = arm.air.axial_coefficient
+        ratio = 0.0 if axial is None else float(axial) / float(arm.air.drag_coefficient)
+        self._axial_factor = ratio * self._drag_factor
         self._command_now: Callable[[float], Array] = lambda _: np.zeros(self.count)
         self._wind_now: Callable[[float], Array] | None = None
 
@@ -89,21 +147,50 @@ class MujocoChain:
             mujoco.set_mju_user_warning(None)
 
     def _passive(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Add k * command, and the drag of eq. (1), to the passive torques.
+        """Add k * command, the forces of the air and friction to the passive torques.
 
         MuJoCo keeps velocities `cvel` and joint axes `cdof` as spatial vectors (turning, then
         translation) about the centre of mass of the whole chain, which saves twenty Jacobians.
         """
-        offset = data.site_xpos - data.subtree_com[1]
-        velocity = data.cvel[1:, 3:] + cross(data.cvel[1:, :3], offset)
-        if self._wind_now is not None:
-            velocity = velocity - self._wind_now(data.time)
-        speed = np.sqrt(np.einsum("ij,ij->i", velocity, velocity))
-        force = -(self._drag_factor * speed)[:, None] * velocity
-        wrench = np.concatenate([cross(offset, force), force], axis=1)
+        centre = data.site_xpos - data.subtree_com[1]
+        wind = self._wind_now(data.time) if self._wind_now is not None else None
+        if self._own_wind is not None:
+            wind = self._own_wind if wind is None else wind + self._own_wind
+        if self._strip is None:
+            velocity = self._velocity(data, centre, wind)
+            speed = np.sqrt(np.einsum("ij,ij->i", velocity, velocity))
+            wrench = _wrench(centre, -(self._drag_factor * speed)[:, None] * velocity)
+        else:
+            wrench = self._along_the_links(data, centre, wind)
+        if self._lift is not None:
+            wrench = wrench + _wrench(centre, self._lift[:, None] * np.array([0.0, 0.0, 1.0]))
         carried = np.cumsum(wrench[::-1], axis=0)[::-1]
-        drag = np.einsum("ij,ij->i", data.cdof, carried)
-        data.qfrc_passive[:] += self._stiffness * self._command_now(data.time) + drag
+        torque = np.einsum("ij,ij->i", data.cdof, carried)
+        if self._rubs:
+            torque -= self._friction * np.tanh(data.qvel / self._friction_rate)
+        data.qfrc_passive[:] += self._stiffness * self._command_now(data.time) + torque
+
+    def _velocity(self, data: mujoco.MjData, offset: Array, wind: Array | None) -> Array:
+        """Velocity of a point of each link relative to the air."""
+        spatial = data.cvel[self._bodies]
+        velocity = spatial[:, 3:] + cross(spatial[:, :3], offset)
+        return velocity if wind is None else velocity - wind
+
+    def _along_the_links(self, data: mujoco.MjData, centre: Array, wind: Array | None) -> Array:
+        """Cross-flow drag at the Gauss points of each link, and the axial drag at its centre."""
+        assert self._strip is not None
+        direction = data.xmat[self._bodies, ::3]
+        slip = np.einsum("ij,ij->i", self._velocity(data, centre, wind), direction)
+        axial = -(self._axial_factor * np.abs(slip) * slip)[:, None] * direction
+        wrench = _wrench(centre, axial)
+        for node, weight in self._strip:
+            place = centre + node * self._half_length * direction
+            velocity = self._velocity(data, place, wind)
+            velocity = velocity - np.einsum("ij,ij->i", velocity, direction)[:, None] * direction
+            speed = np.linalg.norm(velocity, axis=1)
+            force = -(weight * self._drag_factor * speed)[:, None] * velocity
+            wrench = wrench + _wrench(place, force)
+        return wrench
 
     def acceleration(
         self, angles: Array, rates: Array, command: Array, wind: Array | None = None
@@ -156,6 +243,10 @@ class MujocoChain:
                     found[sample] = data.qpos, data.qvel
                     sample += 1
         return found
+
+
+def _wrench(offset: Array, force: Array) -> Array:
+    return np.concatenate([cross(offset, force), force], axis=1)
 
 
 def _whole(steps: Array, what: str) -> Array:

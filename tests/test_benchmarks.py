@@ -68,3 +68,18 @@ def test_the_benchmark_of_the_scans_runs(tmp_path):
         assert row["sum_of_gradient"] == found["numpy"]["sum_of_gradient"]
         assert row["gradient_s"] > 0
         assert row["peak_mib"] >= row["history_mib"] >= 0
+
+
+@pytest.mark.slow
+def test_the_cost_of_every_option_is_measured(tmp_path):
+    out = tmp_path / "options.json"
+    script = ROOT / "benchmarks" / "options.py"
+    ended = subprocess.run(
+        [sys.executable, str(script), "--quick", "--out", str(out)], capture_output=True, text=True
+    )
+    assert ended.returncode == 0, ended.stderr
+    found = json.loads(out.read_text())["options"]
+    assert found["plain"]["ratio"] == 1
+    assert all(each["min"] > 0 for each in found.values())
+    # Tiny arms in few turns: the limits themselves are for `make bench`.
+    assert {each["allowed"] for each in found.values()} == {1.0, 1.5, 2.0, None}

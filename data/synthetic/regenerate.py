@@ -59,6 +59,13 @@ RUNS = {
         f"{_ARM} --command inputs/wind.csv --channels link06,link12,link20,tip --noise 0.015 "
         "--missing 5 --seed 3",
     ),
+    "full_air": (
+        "The arm in all of its air: trimmed until it floats, drag along the links, and added mass.",
+        "--arm inputs/full_air.toml --set air.drag_coefficient=1.2 "
+        "--set joints.pitch_stiffness=3.2 --set joints.yaw_stiffness=28 "
+        "--set joints.damping=0.055 --ramp 1=25@0.5:1 --ramp 1=-5@9:2 --ramp 2=-20@1:1.5 "
+        "--ramp 2=15@11:2 --channels link06,link12,link20 --noise 0.01 --seed 5",
+    ),
     "short_arm_steps": (
         "An arm of six links whose commands jump; the angles of its joints are measured too.",
         "--links 6 --set air.drag_coefficient=1.05 --set joints.pitch_stiffness=2.2 "

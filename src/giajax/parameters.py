@@ -135,7 +135,9 @@ class Parameter:
             value = jnp.asarray(value, dtype=jnp.result_type(float))
             if value.ndim == 0:
                 value = jnp.broadcast_to(value, self.declaration.shape)
-            return eqx.tree_at(self.getter, model, value, is_leaf=lambda leaf: leaf is None)
+            model = eqx.tree_at(self.getter, model, value, is_leaf=lambda leaf: leaf is None)
+            _check(model)
+            return model
         value = jnp.asarray(value, dtype=old.dtype)
         if self.index is not None:
             new = old.at[self.index].set(value)
@@ -180,6 +182,16 @@ def _walk(node: eqx.Module, prefix: str, getter: Callable[[Any], Any]) -> Iterab
         elif isinstance(child := getattr(node, field.name), eqx.Module):
             inner = prefix if field.metadata.get(_INLINE) else f"{prefix}{field.name}."
             yield from _walk(child, inner, reach)
+
+
+def _check(node: eqx.Module) -> None:
+    """What the classes of a model check when it is built: not every option suits every model."""
+    check = getattr(node, "__check_init__", None)
+    if check is not None:
+        check()
+    for field in dataclasses.fields(node):
+        if isinstance(child := getattr(node, field.name), eqx.Module):
+            _check(child)
 
 
 def _attribute(getter: Callable[[Any], Any], name: str) -> Callable[[Any], Any]:

@@ -1,12 +1,14 @@
 """Accelerations against MuJoCo, and against a second formulation in numpy."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from arms import general_arm, random_states
+from arms import full_arm, general_arm, random_states
 from giajax.arm import acceleration, takeichi_20m
 from mujoco_chain import MujocoChain
 from scipy_chain import ScipyChain
@@ -31,6 +33,25 @@ def test_a_hundred_states_of_a_general_arm(reference):
     """Random axes, per-link numbers, a turned base, gravity, wind, springs, dampers and drag."""
     arm = general_arm(20)
     compare(reference(arm), arm, random_states(20, 100))
+
+
+def without_what_mujoco_lacks(arm):
+    air = {"added_mass_coefficient": None, "drag_curve": "constant"}
+    return dataclasses.replace(arm, air=dataclasses.replace(arm.air, **air))
+
+
+@pytest.mark.parametrize("links", [2, 8])
+def test_everything_that_mujoco_can_do_at_once(links):
+    """Armature, helium, trim weights and point masses off the axis as MuJoCo's own bodies; lift,
+    imbalance, a constant wind, friction, cross-flow and axial drag as forces in numpy."""
+    arm = without_what_mujoco_lacks(full_arm(links))
+    compare(MujocoChain(arm), arm, random_states(links, 20))
+
+
+def test_what_mujoco_lacks_is_refused():
+    arm = full_arm(2)
+    with pytest.raises(ValueError, match="neither added mass nor this drag curve"):
+        MujocoChain(arm)
 
 
 @pytest.mark.parametrize("links", [1, 2])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from arms import general_arm
+from arms import full_arm, general_arm
 from giajax.arm import (
     damping_power,
     drag_power,
@@ -31,7 +31,7 @@ def thirty_degrees(links):
 def energies(motion):
     def at(angles, rates, command, wind):
         kinetic = kinetic_energy(motion.arm, angles, rates)
-        potential = potential_energy(motion.arm, angles, command)
+        potential = potential_energy(motion.arm, angles, command, wind)
         power = drag_power(motion.arm, angles, rates, wind) + damping_power(motion.arm, rates)
         return kinetic, potential, power
 
@@ -49,11 +49,21 @@ def gauss_times(end, panels, order=6):
     return np.concatenate([[0.0], times, [end]]), (half * weights).ravel()
 
 
+def with_added_mass(arm):
+    return replace(arm, {"air.added_mass_coefficient": 1.0})
+
+
+def without_losses(arm):
+    return replace(arm, {"air.axial_coefficient": 0.0, "joints.friction": 0.0})
+
+
 @pytest.mark.parametrize(
     "arm",
     [
         pytest.param(takeichi_20m(), id="the paper's arm"),
         pytest.param(general_arm(4), id="a general arm in gravity"),
+        pytest.param(with_added_mass(takeichi_20m()), id="the paper's arm with added mass"),
+        pytest.param(without_losses(full_arm(4)), id="every option, in a steady wind"),
     ],
 )
 def test_energy_is_conserved_without_air_and_damping(arm):
@@ -74,6 +84,12 @@ def test_energy_is_conserved_without_air_and_damping(arm):
             joint_ramps(4, {1: 0.5, 2: 0.3}, start=0.5, duration=1.0),
             constant([0.3, -0.2, 0.5]),
             id="a general arm, driven, in wind",
+        ),
+        pytest.param(
+            full_arm(4),
+            joint_ramps(4, {1: 0.5, 2: 0.3}, start=0.5, duration=1.0),
+            constant([0.3, -0.2, 0.5]),
+            id="every option, driven, in wind",
         ),
     ],
 )

@@ -2,7 +2,7 @@
 
 log10 C_D is a line in log10 Re and three smooth steps: the end of creeping flow, the growth of the
 wake, and the drag crisis. The coefficients are a least-squares fit to 247 digitised points (Re 0.1
-to 8.5e6) that scatter by 0.035 about it; `data/recorded/cylinder_cd` holds them and the fit.
+to 8.5e6) that scatter by 0.037 about it; `data/recorded/cylinder_cd` holds them and the fit.
 """
 
 import jax.numpy as jnp
@@ -16,8 +16,8 @@ _HEIGHT = np.asarray([-0.27163, 2.87305, 0.48415])
 _PLACE = np.asarray([5.56961, 3.91454, 6.32711])
 _WIDTH = np.asarray([0.04694, 2.98417, 0.46406])
 
-# The points end here; the curve goes on level.
-_LOWEST, _HIGHEST = 0.1, 1e7
+# The curve goes on level outside; the points end at 0.1 and 8.5e6.
+_LOWEST, _HIGHEST = 0.01, 1e7
 
 # The Reynolds number at which `air.drag_coefficient` is meant.
 _REFERENCE = 1e5

@@ -10,6 +10,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from .._maths import cross, dot, scaled
 from .._typing import Array, Float
@@ -69,58 +70,71 @@ def _inertia_times(body: Bodies, here: Pose, vector: Rows) -> Rows:
 
 def _about_origin(
     mass: Array, x: Rows, direction: Rows, transverse: Array, ring: Array
-) -> Float[Array, "10 link"]:
-    """Spatial inertia, about the base origin, of bodies that are round about the links' axes.
+) -> Float[Array, "12 link"]:
+    """Moments of mass, about the base origin, of bodies that are round about the links' axes.
 
-    Mass, first moments, and the inertia xx, yy, zz, xy, xz, yz; `ring` is axial - transverse.
+    The first moments, and the inertia as nine rows, where six would do: they come out of one
+    product, and a stack of rows that are computed one by one costs more than their sum.
+    `ring` is axial - transverse.
     """
-    first, e = scaled(mass, x), direction
+    first = scaled(mass, x)
     round_part = transverse + dot(first, x)
+    inertia = (
+        scaled(ring, direction)[:, None] * direction[None]
+        - first[:, None] * x[None]
+        + np.eye(3, dtype=first.dtype)[:, :, None] * round_part[None, None]
+    )
+    return jnp.concatenate([first, inertia.reshape(9, -1)])
 
-    def entry(i: int, j: int) -> Array:
-        return ring * e[i] * e[j] - first[i] * x[j]
 
-    inertia = [round_part + entry(i, i) for i in range(3)]
-    return jnp.stack([mass, *first, *inertia, entry(0, 1), entry(0, 2), entry(1, 2)])
-
-
-def _mass_matrix_upper(arm: Arm, here: Pose) -> Float[Array, "joint joint"]:
-    """The mass matrix, right on and above the diagonal only."""
+def _carried_inertia(arm: Arm, here: Pose) -> Float[Array, "12 link"]:
+    """Moments of mass of each link and of the air that it moves, to be summed from the tip."""
     body, e = bodies(arm), here.direction
     ring = body.axial - body.transverse
     spatial = _about_origin(body.mass, here.mass_centre, e, body.transverse, ring)
     uneven = _uneven(body, here)
     if uneven is not None:
-        spatial = spatial.at[4:].add(uneven)
+        xx, yy, zz, xy, xz, yz = uneven
+        spatial = spatial.at[3:].add(jnp.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz]))
     rod = added_mass(arm)
     if rod is not None:
-        # A rod that had its mass along itself, too; what is too much goes again below.
+        # A rod that had its mass along itself, too; `_mass_matrix_upper` takes it away again.
         spatial = spatial + _about_origin(rod.mass, here.centre, e, rod.inertia, -rod.inertia)
-    composite = sum_from_tip(spatial)
-    mass, first, inertia = composite[0], composite[1:4], composite[4:]
+    return spatial
+
+
+def _mass_matrix_upper(
+    arm: Arm, here: Pose, carried: Float[Array, "12 link"]
+) -> Float[Array, "joint joint"]:
+    """The mass matrix, right on and above the diagonal only, from summed moments of mass."""
+    e, rod = here.direction, added_mass(arm)
+    mass = bodies(arm).mass if rod is None else bodies(arm).mass + rod.mass
+    first, inertia = carried[:3], carried[3:].reshape(3, 3, -1)
     w = here.axis
     v = cross(here.joint, w)  # velocity, at the origin, of a body turning about the joint
-    screw = jnp.concatenate([w, v])
-    momentum = scaled(mass, v) + cross(w, first)
-    angular_momentum = _tensor_times(inertia, w) + cross(first, v)
-    upper = screw.T @ jnp.concatenate([angular_momentum, momentum])
+    momentum = scaled(sum_from_tip(mass[None])[0], v) + cross(w, first)
+    turn = sum(scaled(w[i], inertia[:, i]) for i in range(3))
+    upper = w.T @ (turn + cross(first, v)) + v.T @ momentum
     if rod is not None:
         # Velocity of each link's centre along itself, by the rate of each joint before it.
-        slip = jnp.triu(screw.T @ jnp.concatenate([cross(here.centre, e), e]))
+        slip = jnp.triu(w.T @ cross(here.centre, e) + v.T @ e)
         upper = upper - (slip * rod.mass[None]) @ slip.T
     if arm.joints.armature is not None:
         upper = upper + jnp.diag(jnp.broadcast_to(arm.joints.armature, w.shape[1:]))
     return upper
 
 
-def _required_torque(
+def _carried_load(
     arm: Arm,
     here: Pose,
     rates: Float[Array, " joint"],
     accelerations: Float[Array, " joint"] | None,
     wind: Flow,
-) -> Float[Array, " joint"]:
-    """Inverse dynamics; no accelerations stand for zero accelerations."""
+) -> Float[Array, "6 link"]:
+    """Force that each link needs and its moment about the origin, to be summed from the tip.
+
+    No accelerations stand for zero accelerations.
+    """
     links, body, e = arm.links, bodies(arm), here.direction
     span = scaled(links.length, e)
 
@@ -130,14 +144,16 @@ def _required_torque(
     gain = cross(omega, turning)
     if accelerations is not None:
         gain = gain + scaled(accelerations, here.axis)
-    alpha = sum_from_base(gain)
+    span_velocity = cross(omega, span)
+    # Sums along the chain are what an evaluation spends its time on, few rows or many.
+    summed = sum_from_base(jnp.concatenate([gain, span_velocity]))
+    alpha, end_velocity = summed[:3], summed[3:]
 
     def acceleration_of(offset: Rows) -> Rows:
         return cross(alpha, offset) + cross(omega, cross(omega, offset))
 
-    span_velocity = cross(omega, span)
     span_acceleration = cross(alpha, span) + cross(omega, span_velocity)
-    centre_velocity = sum_from_base(span_velocity) - span_velocity / 2
+    centre_velocity = end_velocity - span_velocity / 2
     joint_acceleration = sum_from_base(span_acceleration) - span_acceleration
     mass_acceleration = joint_acceleration + acceleration_of(here.mass_centre - here.joint)
     upwards = jnp.zeros((3, 1), span.dtype).at[2, 0].set(1) * arm.gravity
@@ -161,9 +177,25 @@ def _required_torque(
         )
         force, spin = force + push, spin - couple
     moment = spin + cross(here.mass_centre, inertial) - cross(here.centre, force)
-    carried = sum_from_tip(jnp.concatenate([inertial - force, moment]))
-    torque = dot(here.axis, carried[3:] - cross(here.joint, carried[:3]))
-    if arm.joints.armature is not None and accelerations is not None:
+    return jnp.concatenate([inertial - force, moment])
+
+
+def _load_torque(here: Pose, carried: Float[Array, "6 link"]) -> Float[Array, " joint"]:
+    """Torque about each joint's axis of what is carried beyond it."""
+    return dot(here.axis, carried[3:] - cross(here.joint, carried[:3]))
+
+
+def _required_torque(
+    arm: Arm,
+    here: Pose,
+    rates: Float[Array, " joint"],
+    accelerations: Float[Array, " joint"],
+    wind: Flow,
+) -> Float[Array, " joint"]:
+    """Inverse dynamics."""
+    carried = sum_from_tip(_carried_load(arm, here, rates, accelerations, wind))
+    torque = _load_torque(here, carried)
+    if arm.joints.armature is not None:
         torque = torque + arm.joints.armature * accelerations
     return torque
 
@@ -175,7 +207,8 @@ def mass_matrix(arm: Arm, angles: Float[Array, " joint"]) -> Float[Array, "joint
         arm: the arm.
         angles: joint angles, rad.
     """
-    upper = jnp.triu(_mass_matrix_upper(arm, pose(arm, angles)))
+    here = pose(arm, angles)
+    upper = jnp.triu(_mass_matrix_upper(arm, here, sum_from_tip(_carried_inertia(arm, here))))
     return upper + jnp.triu(upper, 1).T
 
 
@@ -229,10 +262,12 @@ def forward_dynamics(
 def _factor_and_solve(
     arm: Arm, here: Pose, rates: Array, torques: Array, wind: Flow
 ) -> tuple[Array, Array]:
+    load, inertia = _carried_load(arm, here, rates, None, wind), _carried_inertia(arm, here)
+    carried = sum_from_tip(jnp.concatenate([load, inertia]))
     # LAPACK reads the lower triangle only, so the upper one need not be copied there.
-    factor = jax.lax.linalg.cholesky(_mass_matrix_upper(arm, here).T, symmetrize_input=False)
-    load = _required_torque(arm, here, rates, None, wind)
-    return factor, _solve(factor, torques - load)
+    matrix = _mass_matrix_upper(arm, here, carried[6:]).T
+    factor = jax.lax.linalg.cholesky(matrix, symmetrize_input=False)
+    return factor, _solve(factor, torques - _load_torque(here, carried[:6]))
 
 
 def _solve(factor: Float[Array, "joint joint"], b: Float[Array, " joint"]) -> Array:

@@ -53,7 +53,8 @@ def chain(
         strip_points: Gauss points of strip drag.
         drag_curve: "constant", or "cylinder": C_D follows the Reynolds number.
         buoyancy: whether displaced air, helium and trim weights count; gravity must be given, too.
-        trim: hang the trim weights that make each link float.
+        trim: hang the trim weights that make each link float, and float level unless
+            `buoyancy.trim_position` is given.
         point_masses: bodies fixed to links, such as a camera at the tip.
         parameters: values of any parameters by path, SI (`giajax parameters` lists them); one
             that is left out by default, such as `air.added_mass_coefficient`, is switched on.
@@ -114,8 +115,9 @@ def chain(
         base_rotation=jnp.asarray(base_rotation, dtype=float),
         gravity=gravity,
     )
-    arm = _with_parameters(arm, dict(parameters or {}))
-    return trimmed(arm) if trim else arm
+    given = dict(parameters or {})
+    arm = _with_parameters(arm, given)
+    return trimmed(arm, level="buoyancy.trim_position" not in given) if trim else arm
 
 
 def _with_parameters(arm: Arm, values: Mapping[str, Any]) -> Arm:
@@ -158,8 +160,8 @@ def takeichi_20m_full(links: int = 20, **changes: Any) -> Arm:
     """The same arm with the air that the paper leaves out.
 
     Cross-flow drag along the links with C_D by Reynolds number, added mass, gravity and
-    buoyancy, trim weights that make each link float and hang 0.15 m below its axis, and the
-    camera of 3 g at the tip.
+    buoyancy, trim weights that make each link float level and hang 0.15 m below its axis, and
+    the camera of 3 g at the tip.
 
     Arguments:
         links: number of links.

@@ -1,0 +1,136 @@
+"""What each option of the arm costs: one evaluation with it, over the plain one, in one run.
+
+The plain arm is the paper's 20 links. Every contender evaluates the accelerations many times in
+one compiled loop, each from the result of the one before; contenders take turns. What the model
+leaves out must cost nothing, and what it takes in at most 1.5 times the plain evaluation, drag
+along the links by 3 points at most twice.
+
+    python benchmarks/options.py [--quick] [--out FILE]
+"""
+
+import argparse
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from rich.console import Console
+from rich.table import Table
+
+from arms import random_states
+from bench import spread, timed
+from giajax.arm import Arm, PointMasses, acceleration, takeichi_20m, takeichi_20m_full
+
+ROOT = Path(__file__).resolve().parents[1]
+RESULTS = ROOT / "benchmarks" / "results" / "options.json"
+
+
+def variants(links: int) -> dict[str, tuple[Arm, float | None]]:
+    """Arms with one option each, and the most that it may cost; None: no limit of its own."""
+
+    def arm(**changes: Any) -> Arm:
+        return takeichi_20m(links, **changes)
+
+    def having(**values: Any) -> dict[str, Any]:
+        return {"parameters": {path.replace("__", "."): value for path, value in values.items()}}
+
+    def masses(**places: float) -> PointMasses:
+        row = {name: jnp.full(2, value) for name, value in places.items()}
+        return PointMasses(links=(1, links), mass=jnp.full(2, 0.003), **row)
+
+    floating: dict[str, Any] = {"gravity": 9.81, "trim": True}
+    depth = having(buoyancy__trim_depth=0.15)
+    strip: dict[str, Any] = {"drag": "strip"}
+    return {
+        "plain": (arm(), 1.0),
+        "gravity": (arm(gravity=9.81), 1.5),
+        "Coulomb friction": (arm(**having(joints__friction=0.1)), 1.5),
+        "armature": (arm(**having(joints__armature=1e-3)), 1.5),
+        "constant wind": (arm(**having(air__wind=[0.1, 0.1, 0.1])), 1.5),
+        "C_D by Reynolds number": (arm(drag_curve="cylinder"), 1.5),
+        "added mass": (arm(**having(air__added_mass_coefficient=1.0)), 1.5),
+        "buoyancy, trimmed": (arm(**floating), 1.5),
+        "the same, trim below the axis": (arm(**floating, **depth), 1.5),
+        "lift left over": (arm(**floating, **having(buoyancy__imbalance=0.01)), 1.5),
+        "point masses on the axis": (arm(point_masses=masses(position=0.9)), 1.5),
+        "point masses off the axis": (
+            arm(point_masses=masses(position=0.9, left=0.1, up=0.1)),
+            1.5,
+        ),
+        "strip drag, 3 points": (arm(**strip), 2.0),
+        "the same, with axial drag": (arm(**strip, **having(air__axial_coefficient=0.02)), 2.0),
+        "the same, C_D by Reynolds number": (arm(**strip, drag_curve="cylinder"), None),
+        "all of it (takeichi_20m_full)": (takeichi_20m_full(links), None),
+    }
+
+
+def evaluations(arms: dict[str, Arm], loop: int, repeats: int) -> dict[str, dict[str, float]]:
+    """Seconds of one evaluation of each arm."""
+    links = next(iter(arms.values())).count
+    state = {name: value[0] for name, value in random_states(links, 1).items()}
+    start = tuple(state[name] for name in ("angles", "rates", "command"))
+
+    @jax.jit
+    def many(arm: Arm, angles: Any, rates: Any, command: Any) -> Any:
+        # Each evaluation needs the one before: none may be left out or done at once.
+        def again(_: Any, angles: Any) -> Any:
+            return angles + 1e-9 * acceleration(arm, angles, rates, command)
+
+        return jax.lax.fori_loop(0, loop, again, angles)
+
+    def contender(arm: Arm) -> Callable[[], Any]:
+        return lambda: many(arm, *start)
+
+    found = timed({name: contender(arm) for name, arm in arms.items()}, repeats)
+    return {
+        name: {key: value / loop for key, value in each.items()} for name, each in found.items()
+    }
+
+
+def measure(quick: bool) -> dict[str, Any]:
+    links, loop, repeats = (3, 50, 1) if quick else (20, 5_000, 25)
+    options = variants(links)
+    found = evaluations({name: arm for name, (arm, _) in options.items()}, loop, repeats)
+    plain = found["plain"]["min"]
+    return {
+        "links": links,
+        "options": {
+            name: {**found[name], "ratio": found[name]["min"] / plain, "allowed": allowed}
+            for name, (_, allowed) in options.items()
+        },
+    }
+
+
+def show(found: dict[str, Any], console: Console) -> None:
+    table = Table(title=f"One evaluation of {found['links']} links")
+    for heading in ("", "us: min / median", "over plain", "allowed"):
+        table.add_column(heading, justify="right" if heading else "left")
+    for name, each in found["options"].items():
+        allowed = each["allowed"]
+        table.add_row(
+            name,
+            spread(each, 1e6),
+            f"{each['ratio']:.2f}",
+            "" if allowed is None else f"{allowed:g}",
+        )
+    console.print(table)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="a short arm, once: does it run?")
+    parser.add_argument("--out", type=Path, default=RESULTS, help="JSON file to write")
+    arguments = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    found = measure(arguments.quick)
+    console = Console()
+    show(found, console)
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
+    arguments.out.write_text(json.dumps(found, indent=2) + "\n")
+    console.print(f"written to {arguments.out}")
+
+
+if __name__ == "__main__":
+    main()

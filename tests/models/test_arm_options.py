@@ -1,0 +1,141 @@
+"""The arm's options as a model: through their files and back, and as parameters of a fit."""
+
+import equinox as eqx
+import numpy as np
+import pytest
+
+import giajax
+from arms import full_arm
+from giajax import InputError, Run
+from giajax.fitting import fit
+from giajax.models import (
+    ArmModel,
+    arm_from_definition,
+    arm_to_definition,
+    build_model,
+    parameter_values,
+)
+from giajax.runs import Definition
+
+TIMES = np.linspace(0.0, 3.0, 31)
+RAMP = np.clip(TIMES - 0.3, 0, 0.7)
+
+
+def through_toml(definition):
+    return Definition.parse({"arm": definition})
+
+
+@pytest.mark.parametrize("links", [1, 3])
+def test_a_full_arm_goes_through_its_definition(links):
+    model = ArmModel(full_arm(links))
+    again = build_model("arm", model.definition(), parameter_values(model))
+    # The base's rotation is in degrees in the file, and rounds.
+    assert eqx.tree_equal(again.arm, model.arm, rtol=1e-14, atol=1e-15)
+    # What a fit frees by default is no constant; the rest comes back without the parameters.
+    constants = arm_from_definition(through_toml(arm_to_definition(model.arm)))
+    again, stated = arm_to_definition(constants), arm_to_definition(model.arm)
+    np.testing.assert_allclose(again.pop("base_rotation_deg"), stated.pop("base_rotation_deg"))
+    assert again == stated
+
+
+def test_the_floating_preset_goes_through_its_definition():
+    arm = giajax.takeichi_20m_full(5)
+    again = arm_from_definition(through_toml(arm_to_definition(arm)))
+    assert eqx.tree_equal(again, arm, rtol=1e-15, atol=0)
+
+
+@pytest.mark.parametrize(
+    ("section", "same"),
+    [
+        ({"links": 3, "drag": "strip", "strip_points": 5}, {"drag": "strip", "strip_points": 5}),
+        ({"links": 3, "drag_curve": "cylinder"}, {"drag_curve": "cylinder"}),
+        ({"links": 3, "trim": True, "gravity_m_per_s2": 9.8}, {"trim": True, "gravity": 9.8}),
+        (
+            {"links": 3, "parameters": {"air": {"added_mass_coefficient": 0.9}}},
+            {"parameters": {"air.added_mass_coefficient": 0.9}},
+        ),
+        (
+            {"links": 3, "buoyancy": True, "parameters": {"buoyancy.imbalance": [0.1, 0.2, 0.3]}},
+            {"buoyancy": True, "parameters": {"buoyancy.imbalance": [0.1, 0.2, 0.3]}},
+        ),
+    ],
+)
+def test_every_key_is_an_argument_of_chain(section, same):
+    stated = arm_from_definition(through_toml(section))
+    assert eqx.tree_equal(stated, giajax.chain(3, **same))
+    assert not eqx.tree_equal(stated, giajax.chain(3))
+
+
+def run_of(model, channels, **changes):
+    values = {"joint01_command": RAMP, **dict.fromkeys(channels, np.zeros_like(TIMES))}
+    blank = Run.from_arrays(TIMES, values, **changes)
+    exact = giajax.predict(model, blank)
+    random = np.random.default_rng(3)
+    noisy = {name: value + random.normal(scale=1e-3, size=31) for name, value in exact.items()}
+    return Run.from_arrays(TIMES, values | noisy, noise={"position": 1e-3}, **changes)
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    """Added mass, friction and a wind of a short arm, found from what each of them does to it."""
+    options = {
+        "air.added_mass_coefficient": 0.9,
+        "air.wind": [0.1, 0.2, -0.3],
+        "joints.friction": 0.06,
+    }
+    truth = ArmModel(giajax.takeichi_20m(2, drag="strip", parameters=options))
+    section = arm_to_definition(truth.arm)
+    run = run_of(
+        truth, ("link01_z", "link02_x", "link02_y", "link02_z"), definition={"arm": section}
+    )
+    start = {
+        "air.added_mass_coefficient": 0.4,
+        "joints.friction": 0.15,
+        "air.wind[1]": 0.05,
+        "air.wind[2]": -0.1,
+    }
+    held = (
+        "air.drag_coefficient",
+        "joints.pitch_stiffness",
+        "joints.damping",
+        "joints.yaw_stiffness",
+    )
+    known = {path: float(giajax.get(truth, path)) for path in held}
+    model = ArmModel(arm_from_definition(through_toml(section)))
+    result = fit(model, run, free=list(start), start=start, fix=known)
+    return truth, run, result
+
+
+def test_options_are_fitted(fitted):
+    truth, _, result = fitted
+    assert result.status == "converged", result.message
+    for path, estimate in result.free.items():
+        value = float(giajax.parameters.find(truth, path).value(truth))
+        assert abs(estimate.value - value) < 3 * estimate.standard_error, path
+        assert estimate.standard_error < 0.2 * abs(value), path
+    assert result.gradient_check["relative_difference"] < 1e-5
+
+
+def test_a_result_with_options_rebuilds_its_model(fitted, tmp_path):
+    _, run, result = fitted
+    (tmp_path / "result.json").write_text(result.to_json())
+    loaded = giajax.load_result(tmp_path)
+    for name, values in result.predict(run).items():
+        np.testing.assert_allclose(loaded.predict(run)[name], values, rtol=0, atol=1e-12)
+    assert loaded.parameters == result.parameters
+
+
+def test_a_wind_that_jumps_is_refused_where_added_mass_is_on():
+    gust = {"wind_y": np.where(TIMES < 1, 0.0, 0.5), "joint01_command": RAMP, "tip_z": 0 * TIMES}
+    section = {"links": 2, "parameters": {"air.added_mass_coefficient": 1.0}}
+    for interpolation, jumps in ("zoh", True), ("linear", False):
+        definition = {"arm": section, "wind": {"interpolation": interpolation}}
+        run = Run.from_arrays(TIMES, gust, definition=definition)
+        model = giajax.model_for([run])
+        if jumps:
+            with pytest.raises(
+                InputError, match=r"the wind jumps, .* \(interpolation = \"linear\""
+            ):
+                model.prepare(run)
+        else:
+            model.prepare(run)

@@ -1,0 +1,110 @@
+"""Derivatives of `simulate` from rest by every number of an arm with every option on."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from arms import full_arm
+from giajax.arm import takeichi_20m_full
+from giajax.parameters import declared, left_out, replace
+from giajax.simulation import joint_ramps, ramps, simulate
+
+LINKS = 2
+TIMES = np.linspace(0.0, 1.0, 6)
+# A ramp that goes on: links that turned back would stop in still air, where the drag has its kink
+# and no integrator is as exact as its tolerance.
+COMMAND = joint_ramps(LINKS, {1: 0.8}, start=0.0, duration=1.5)
+# Differences of rounding and of steps taken otherwise are what limits the comparison.
+TIGHT = 1e-13
+
+
+def uneven():
+    """Nothing alike, in a wind that grows, so that all of it moves at once."""
+    wind = ramps([0.0, 1.0], [[0.2, -0.1, 0.3], [0.5, 0.2, 0.1]])
+    return full_arm(LINKS), wind
+
+
+def floating():
+    """The paper's arm in its air: straight, still and afloat when the command comes.
+
+    |V| V has its kink there, and a joint with friction its steepest slope.
+    """
+    options = {
+        "air.wind": [0.0, 0.0, 0.0],
+        "buoyancy.imbalance": 0.0,
+        "joints.friction": 0.05,
+        "joints.friction_rate": 0.3,
+        "joints.armature": 0.01,
+    }
+    # By Reynolds number C_D is so large at first that a difference would have to be tiny.
+    arm = takeichi_20m_full(LINKS, drag_curve="constant", parameters=options)
+    camera = {"point_masses.left": jnp.zeros(1), "point_masses.up": jnp.zeros(1)}
+    return replace(arm, camera), None
+
+
+ARMS = {"uneven": uneven, "floating": floating}
+
+
+@eqx.filter_jit
+def motion(arm, wind):
+    options = {"solver": "dopri8", "rtol": TIGHT, "atol": TIGHT, "throw": False}
+    found = simulate(arm, COMMAND, TIMES, wind=wind, **options)
+    return jnp.concatenate([found.angles.ravel(), found.rates.ravel()])
+
+
+@eqx.filter_jit
+def shifted(arm, wind, steps):
+    """Motions of arms whose parameters are a little off, one row each; `steps` are flat."""
+    flat, unflatten = jax.flatten_util.ravel_pytree(arm)
+    return jax.vmap(lambda step: motion(unflatten(flat + step), wind))(steps)
+
+
+@eqx.filter_jit
+def columns(arm, wind):
+    flat, unflatten = jax.flatten_util.ravel_pytree(arm)
+
+    def push(direction):
+        return jax.jvp(lambda x: motion(unflatten(x), wind), (flat,), (direction,))[1]
+
+    return jax.vmap(push)(jnp.eye(flat.size))
+
+
+def labels(arm):
+    """The path of every number of the arm, in the order in which it is flattened."""
+    numbered = {}
+    for path, parameter in declared(arm).items():
+        for index in range(np.size(parameter.value(arm))):
+            numbered[(path, index)] = parameter
+    return [f"{path}[{index}]" for path, index in numbered]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ARMS)
+def test_every_number_of_the_arm_has_the_derivative_that_differences_show(name):
+    arm, wind = ARMS[name]()
+    assert not left_out(arm)
+    flat, _ = jax.flatten_util.ravel_pytree(arm)
+    names = labels(arm)
+    assert len(names) == flat.size
+    found = np.asarray(columns(arm, wind))
+    assert np.all(np.isfinite(found))
+    # Steps that all move the arm by about 1e-5: far above the errors of the integrator, and so
+    # small that |V| V of what is set moving hardly shows.
+    moved = np.maximum(np.abs(found).max(axis=1), 1e-9)
+    sizes = np.minimum(1e-5 / moved, np.where(flat == 0, 2e-6, 1e-3 * np.abs(flat)))
+    steps = np.concatenate([np.diag(sizes), -np.diag(sizes)])
+    forth, back = np.split(np.asarray(shifted(arm, wind, jnp.asarray(steps))), 2)
+    expected = (forth - back) / (2 * sizes[:, None])
+    still, wrong = [], {}
+    for label, column, difference in zip(names, found, expected, strict=True):
+        scale = np.abs(difference).max()
+        if scale < 1e-6:
+            still.append(label)
+        error = np.abs(column - difference).max() / max(scale, 0.1)
+        if error > 1e-5:
+            wrong[label] = error
+    assert wrong == {}
+    if name == "uneven":
+        assert still == []

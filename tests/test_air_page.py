@@ -1,0 +1,48 @@
+"""The page about the air says what its script measures."""
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+FOLDER = Path(__file__).parents[1] / "docs"
+
+
+def script():
+    spec = importlib.util.spec_from_file_location("air_bias", FOLDER / "air_bias.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def written():
+    """The cells of each row of the table, by what was fitted."""
+    bias = script()
+    text = (FOLDER / "air.md").read_text().partition(bias.BEGIN)[2].partition(bias.END)[0]
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line]
+    return {cells[1]: cells for cells in rows[2:]}
+
+
+def test_the_page_has_a_row_for_every_fit_and_the_biases_that_they_show():
+    bias, rows = script(), written()
+    assert list(rows) == list(bias.ROWS)
+    truth = bias.TRUTH["air.drag_coefficient"]
+    for name, cells in rows.items():
+        value, error = float(cells[2]), float(cells[3])
+        stated = float(cells[4].removesuffix("%"))
+        assert stated == pytest.approx(100 * (value / truth - 1), abs=0.1)
+        # Only a model of all that is there finds the truth.
+        assert (abs(value - truth) < 3 * error) == name.startswith(("what made it",)) or (
+            "without the wind" in name
+        )
+
+
+@pytest.mark.slow
+def test_the_table_comes_out_of_its_script():
+    bias, rows = script(), written()
+    runs = {"calm": bias.calm()}
+    for name in "what made it", "the paper's: eq. (1), 0.047 kg a link":
+        line = bias.line(name, bias.fitted(name, runs))
+        found = [cell.strip() for cell in line.split("|")[1:-1]]
+        for index in 2, 3, 5, 6, 8:
+            assert float(found[index]) == pytest.approx(float(rows[name][index]), rel=0.02), name
