@@ -5,6 +5,7 @@ cumulative sum and M[k, j] = S_k . (I_composite_j S_j) for k <= j (Featherstone,
 Dynamics Algorithms, ch. 6, in base coordinates).
 """
 
+from collections.abc import Iterable
 from typing import Any
 
 import equinox as eqx
@@ -28,36 +29,26 @@ from ._chain import Arm
 from ._kinematics import Pose, Rows, angular_velocities, pose, sum_from_base, sum_from_tip
 
 
-def _uneven(body: Bodies, here: Pose) -> Float[Array, "6 link"] | None:
-    """What off-axis masses add to the inertia, in the base frame: xx, yy, zz, xy, xz, yz."""
+def _uneven(body: Bodies, here: Pose) -> Float[Array, "3 3 link"] | None:
+    """What off-axis masses add to the inertia, in the base frame."""
     if body.uneven is None:
         return None
     assert here.left is not None
     frame = jnp.stack([here.direction, here.left, here.up])
-    xx, yy, zz, xy, xz, yz = body.uneven[:, None]
-    a, b, c = frame
-    # Rows of (tensor . frame): R^T X, component first.
-    first, second, third = (
-        xx * a + xy * b + xz * c,
-        xy * a + yy * b + yz * c,
-        xz * a + yz * b + zz * c,
-    )
-
-    def entry(i: int, j: int) -> Array:
-        return a[i] * first[j] + b[i] * second[j] + c[i] * third[j]
-
-    return jnp.stack([entry(0, 0), entry(1, 1), entry(2, 2), entry(0, 1), entry(0, 2), entry(1, 2)])
+    xx, yy, zz, xy, xz, yz = body.uneven
+    tensor = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
+    # X R', then R X R', with the columns of R in the rows of `frame`.
+    turned = [_sum3(scaled(row[k], frame[k]) for k in range(3)) for row in tensor]
+    return _sum3(frame[k][:, None] * turned[k][None] for k in range(3))
 
 
-def _tensor_times(tensor: Float[Array, "6 *shape"], v: Rows) -> Rows:
-    xx, yy, zz, xy, xz, yz = tensor
-    return jnp.stack(
-        [
-            xx * v[0] + xy * v[1] + xz * v[2],
-            xy * v[0] + yy * v[1] + yz * v[2],
-            xz * v[0] + yz * v[1] + zz * v[2],
-        ]
-    )
+def _tensor_times(tensor: Float[Array, "3 3 *shape"], v: Rows) -> Rows:
+    return _sum3(scaled(v[i], tensor[:, i]) for i in range(3))
+
+
+def _sum3(terms: Iterable[Array]) -> Array:
+    x, y, z = terms
+    return x + y + z
 
 
 def _inertia_times(body: Bodies, here: Pose, vector: Rows) -> Rows:
@@ -94,8 +85,7 @@ def _carried_inertia(arm: Arm, here: Pose) -> Float[Array, "12 link"]:
     spatial = _about_origin(body.mass, here.mass_centre, e, body.transverse, ring)
     uneven = _uneven(body, here)
     if uneven is not None:
-        xx, yy, zz, xy, xz, yz = uneven
-        spatial = spatial.at[3:].add(jnp.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz]))
+        spatial = spatial.at[3:].add(uneven.reshape(9, -1))
     rod = added_mass(arm)
     if rod is not None:
         # A rod that had its mass along itself, too; `_mass_matrix_upper` takes it away again.
@@ -113,7 +103,7 @@ def _mass_matrix_upper(
     w = here.axis
     v = cross(here.joint, w)  # velocity, at the origin, of a body turning about the joint
     momentum = scaled(sum_from_tip(mass[None])[0], v) + cross(w, first)
-    turn = sum(scaled(w[i], inertia[:, i]) for i in range(3))
+    turn = _tensor_times(inertia, w)
     upper = w.T @ (turn + cross(first, v)) + v.T @ momentum
     if rod is not None:
         # Velocity of each link's centre along itself, by the rate of each joint before it.
