@@ -9,8 +9,9 @@ from numpy.testing import assert_allclose
 from scipy.linalg import eigh
 
 from arms import general_arm, random_states
-from giajax.arm import mass_matrix
+from giajax.arm import mass_matrix, pendulum
 from giajax.parameters import replace
+from giajax.simulation import constant, simulate
 from giajax.simulation._controller import fastest_rate, step_size_controller
 
 
@@ -22,7 +23,7 @@ def test_a_step_into_nowhere_is_tried_smaller():
 
     tolerance = jnp.asarray(1e-8)
     controller = step_size_controller(
-        diffrax.Tsit5(), tolerance, tolerance, jnp.zeros(1), jnp.ones(()), None
+        diffrax.Tsit5(), tolerance, tolerance, jnp.zeros(1), jnp.ones(()), jnp.ones(()), None
     )
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(decay),
@@ -42,7 +43,7 @@ def test_a_step_into_nowhere_is_tried_smaller():
 
 @pytest.mark.parametrize("damping", [0.0, 0.04, 5.0])
 def test_the_fastest_rate_is_that_of_the_springs_and_dampers(damping):
-    arm = replace(general_arm(6), {"joints.damping": damping})
+    arm = replace(general_arm(6), {"joints.damping": damping, "gravity": 0.0})
     angles = random_states(6, 1)["angles"][0]
     matrix, springs = np.asarray(mass_matrix(arm, angles)), np.diag(arm.joints.stiffness)
     oscillation = np.sqrt(eigh(springs, matrix, eigvals_only=True)[-1])
@@ -59,3 +60,22 @@ def test_the_fastest_rate_is_that_of_the_springs_and_dampers(damping):
         )
     )
     assert found > 0.95 * np.abs(poles).max()
+
+
+@pytest.mark.parametrize("solver", ["tsit5", "springs5"])
+def test_the_derivatives_of_what_hangs_at_rest_do_not_diverge(solver):
+    """A pendulum at rest has no error and no spring; its first angle still swings, as cos(w t)."""
+    arm = pendulum(1)
+    times = np.linspace(0.0, 20.0, 41)
+    links = arm.links
+    inertia = links.inertia_transverse[0] + links.mass[0] * links.centre_of_mass[0] ** 2
+    frequency = np.sqrt(arm.gravity * links.mass[0] * links.centre_of_mass[0] / inertia)
+
+    def angles(first):
+        start = (first, jnp.zeros(1))
+        return simulate(
+            arm, constant([0.0]), times, initial=start, solver=solver, rtol=1e-9, atol=1e-9
+        ).angles[:, 0]
+
+    slope = jax.jvp(angles, (jnp.zeros(1),), (jnp.ones(1),))[1]
+    assert_allclose(slope, np.cos(frequency * times), atol=5e-3)

@@ -1,6 +1,7 @@
 """The multibody arm: chain, presets, kinematics, dynamics, air, buoyancy and energy."""
 
 from ._air import drag_force as drag_force
+from ._bodies import Bodies as Bodies, bodies as bodies, lift as lift
 from ._chain import (
     DRAG_CURVES as DRAG_CURVES,
     DRAGS as DRAGS,

@@ -52,7 +52,8 @@ def chain(
         drag: "centre" (eq. 1) or "strip" (cross flow along the link, by `strip_points` points).
         strip_points: Gauss points of strip drag.
         drag_curve: "constant", or "cylinder": C_D follows the Reynolds number.
-        buoyancy: whether displaced air, helium and trim weights count; gravity must be given, too.
+        buoyancy: whether displaced air, helium and trim weights count; without gravity only
+            their masses do.
         trim: hang the trim weights that make each link float, and float level unless
             `buoyancy.trim_position` is given.
         point_masses: bodies fixed to links, such as a camera at the tip.
@@ -116,6 +117,8 @@ def chain(
         gravity=gravity,
     )
     given = dict(parameters or {})
+    if trim and "buoyancy.trim_mass" in given:
+        raise InputError("trim finds buoyancy.trim_mass, which is given, too; give one of them")
     arm = _with_parameters(arm, given)
     return trimmed(arm, level="buoyancy.trim_position" not in given) if trim else arm
 
@@ -167,17 +170,23 @@ def takeichi_20m_full(links: int = 20, **changes: Any) -> Arm:
         links: number of links.
         changes: arguments of `chain`.
     """
-    extras = {"air.added_mass_coefficient": 1.0, "air.axial_coefficient": 0.02}
-    camera = PointMasses(links=(links,), mass=jnp.full(1, 0.003), position=jnp.full(1, 0.99))
+    extras = {"air.added_mass_coefficient": 1.0}
+    if changes.get("drag", "strip") == "strip":
+        extras["air.axial_coefficient"] = 0.02
+    floats = changes.get("buoyancy", True)
+    if floats:
+        extras["buoyancy.trim_depth"] = 0.15
+    length = 0.99 if changes.get("length") is None else np.ravel(changes["length"])[-1]
+    camera = PointMasses((links,), mass=jnp.full(1, 0.003), position=jnp.full(1, float(length)))
     defaults = {
         "gravity": STANDARD_GRAVITY,
         "drag": "strip",
         "drag_curve": "cylinder",
-        "buoyancy": True,
-        "trim": True,
+        "buoyancy": floats,
+        "trim": floats,
         "point_masses": camera,
     }
-    parameters = {**extras, "buoyancy.trim_depth": 0.15, **(changes.pop("parameters", None) or {})}
+    parameters = {**extras, **(changes.pop("parameters", None) or {})}
     return chain(links, **{**defaults, **changes}, parameters=parameters)
 
 

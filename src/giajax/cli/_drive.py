@@ -111,10 +111,22 @@ def model_and_truth(
     """The model with the parameters that were set, and the truth to state."""
     import jax.numpy as jnp
 
-    from ..models import ArmModel, arm_from_definition
-    from ..parameters import check_within_bounds, default_free, elements, get, replace
+    from ..models import ArmModel, arm_from_definition, sensors_from_definition
+    from ..parameters import (
+        check_within_bounds,
+        default_free,
+        elements,
+        get,
+        replace,
+        switched_on,
+    )
 
-    model = ArmModel(arm_from_definition(stated), tolerance=jnp.asarray(tolerance), solver=solver)
+    model = ArmModel(
+        arm_from_definition(stated),
+        tolerance=jnp.asarray(tolerance),
+        solver=solver,
+        sensors=sensors_from_definition(stated),
+    )
     values: dict[str, float] = {}
     for setting in settings:
         path, _, text = setting.rpartition("=")
@@ -126,6 +138,7 @@ def model_and_truth(
             )
         if path in values:
             raise wrong(f"--set gives {path} twice; remove one")
+        model = switched_on(model, [path])
         for element in elements(model, path):
             check_within_bounds(element, value, free=False)
         values[path] = value

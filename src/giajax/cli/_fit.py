@@ -127,7 +127,8 @@ def fit(
         "seed": seed,
         "loss": loss,
     }
-    stated = _on_top(stated, asked, {key: value for key, value in plain.items() if value})
+    given = {key: value for key, value in plain.items() if value is not None and value != []}
+    stated = _on_top(stated, asked, given)
     paths = data or [_beside(source, name) for name in stated.fit.data or []]
     if not paths:
         where = f"{source} names no data" if source else "no data is given"

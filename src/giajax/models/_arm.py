@@ -166,8 +166,19 @@ class ArmModel(AbstractModel):
             command=self._rows(run, run.times, "joint_command"),
             wind=wind,
             torque=self._rows(run, run.times, "joint_torque") if driven else None,
-            initial=InitialState(*map(jnp.asarray, initial_state(run, run.times, self.arm.count))),
+            initial=self._initial(run, run.times),
         )
+
+    def _initial(self, run: Run, times: np.ndarray) -> InitialState:
+        """The state at the first sample; a first row was seen by the angle sensors."""
+        angle, rate = map(jnp.asarray, initial_state(run, times, self.arm.count))
+        if run.definition.initial.first_row:
+            seen = self.sensors.encoder
+            if seen.offset is not None:
+                angle = angle - seen.offset
+            if seen.scale is not None:
+                angle, rate = angle / seen.scale, rate / seen.scale
+        return InitialState(angle, rate)
 
     def _rows(self, run: Run, times: np.ndarray, kind: str) -> Signal:
         """Commands or torques of all joints; those without a column are zero."""
@@ -260,17 +271,20 @@ class ArmModel(AbstractModel):
     def _scale(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
         fitted = {path.partition("[")[0] for path in free}
         scaled = [path for path in free if path.partition("[")[0] in _SCALE]
-        # A known torque sets the scale.
+        # A known force sets the scale: a drive's torque, the lift of displaced air, or the push of
+        # a changing wind on it.
         driven = any(c.kind == "joint_torque" for run in runs for c in run.channels.values())
-        if not scaled or driven:
-            return []
-        present = declared(self)
-        held = [path for path in _SCALE if path in present and path not in fitted]
-        sentences = [
-            f"{', '.join(scaled)}: determined only per unit of mass, because scaling masses, "
-            "inertias, drag, stiffness and damping together leaves the motion unchanged; "
-            + (f"held at {self._values(held)}" if held else "nothing of these is held")
-        ]
+        lifted = self.arm.buoyancy is not None and float(self.arm.gravity) != 0
+        blown = self.arm.air.added_mass_coefficient is not None and any(run.winds for run in runs)
+        sentences = []
+        if scaled and not (driven or lifted or blown):
+            present = declared(self)
+            held = [path for path in _SCALE if path in present and path not in fitted]
+            sentences.append(
+                f"{', '.join(scaled)}: determined only per unit of mass, because scaling masses, "
+                "inertias, drag, stiffness and damping together leaves the motion unchanged; "
+                + (f"held at {self._values(held)}" if held else "nothing of these is held")
+            )
         area = [path for path in _DRAG_AREA if path not in fitted]
         if "air.drag_coefficient" in fitted and area:
             sentences.append(f"air.drag_coefficient: holds for {self._values(area)}")

@@ -134,7 +134,9 @@ def arm_to_definition(arm: Arm) -> dict[str, Any]:
     others = {}
     for path, parameter in declared(arm).items():
         said, value = parameter.declaration, np.asarray(parameter.value(arm), dtype=float)
-        usual = said.frozen and not said.optional and np.all(value == said.default)
+        # `chain` hangs trim weights at half a link's length, whatever the declared default.
+        usual = said.frozen and not said.optional and bool(np.all(value == said.default))
+        usual = usual and path != "buoyancy.trim_position"
         if path not in _KEYED and path not in fitted and not usual:
             others[path] = _plain(value)
     if others:

@@ -103,6 +103,15 @@ def recorded_again(
     said = {path: np.asarray(get(model, path), dtype=float).tolist() for path in (*known, *truth)}
     made = dataclasses.asdict(errors)
     said["recording"] = {key: value for key, value in made.items() if value not in ({}, 0.0)}
+    first = getattr(prepared, "initial", None)
+    if run.definition.initial.first_row and first is not None:
+        # The first row of the new run has noise, or is not recorded.
+        said_before = {k: v for k, v in given["initial"].items() if k != "first_row"}
+        state = {
+            "angle_deg": np.rad2deg(np.asarray(first.angle)).tolist(),
+            "rate_deg_per_s": np.rad2deg(np.asarray(first.rate)).tolist(),
+        }
+        given["initial"] = {**said_before, **state}
     exact = Run.from_arrays(
         run.times,
         {**run.commands, **run.winds, **{n: np.asarray(predicted[n]) for n in names}},

@@ -15,6 +15,8 @@ _ABOUT_RUNS = (
     "model",
     "free_motion",
     "arm",
+    "sensors",
+    "hysteresis",
     "initial",
     "command",
     "wind",

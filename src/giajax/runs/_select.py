@@ -58,7 +58,7 @@ def windows(run: Run, length: float) -> list[Run]:
     short ones (multiple shooting). A remainder shorter than half a window is left out.
 
     Raises `InputError` if the initial state is stated and would be that of every window, if the
-    run has no times, or if a window would hold fewer than four samples.
+    run has no times, or if a window would hold fewer than four samples or none of a channel.
     """
     initial = run.definition.initial
     if not initial.first_row:
@@ -75,12 +75,20 @@ def windows(run: Run, length: float) -> list[Run]:
         raise InputError(
             f"a window of {length:g} s of '{run.name}' holds fewer than 4 samples; make it longer"
         )
-    return [
+    parts = [
         dataclasses.replace(
             run,
-            name=f"{run.name} {run.times[first]:.4g} s",
+            name=f"{run.name} {run.times[first] - run.times[0]:.4g} s",
             times=run.times[first:last],
             values={name: column[first:last] for name, column in run.values.items()},
         )
         for first, last in itertools.pairwise(rows)
     ]
+    for part in parts:
+        for channel, values in part.observations.items():
+            if np.all(np.isnan(values)):
+                raise InputError(
+                    f"the window '{part.name}' has no value of {channel}; make windows longer, or "
+                    "leave the channel out"
+                )
+    return parts

@@ -16,7 +16,8 @@ import jax
 import jax.numpy as jnp
 
 from .._typing import Array, Float, Scalar
-from ..arm import Arm, mass_matrix
+from ..arm import Arm, bodies, lift, mass_matrix
+from ._linearly_implicit import LinearlyImplicit
 
 # Length of a step, times the rate of the motion, that a method is stable with: where its stability
 # function reaches 1 for an oscillation with 1 % of critical damping.
@@ -26,6 +27,7 @@ _STABLE: dict[type[diffrax.AbstractSolver], float] = {
     diffrax.Dopri8: 4.4,
     diffrax.Bosh3: 1.7,
     diffrax.Heun: 0.5,
+    LinearlyImplicit: 2.0,
 }
 
 
@@ -35,6 +37,7 @@ def step_size_controller(
     atol: Scalar,
     corners: Array,
     rate: Scalar,
+    explicit_rate: Scalar,
     disturbances: Any,
 ) -> diffrax.AbstractStepSizeController:
     """Control to the tolerances that steps neither over a corner nor too far, and never hangs.
@@ -44,13 +47,15 @@ def step_size_controller(
         rtol, atol: tolerances of a step.
         corners: times that no step may cross, s.
         rate: of the fastest motion that the arm is capable of (`fastest_rate`), 1/s.
+        explicit_rate: of the fastest one that the method does not take implicitly, 1/s.
         disturbances: the arrays whose derivatives may move what is at rest.
     """
     careful = jax.lax.stop_gradient(_is_differentiated(disturbances)) == 1
     slowness = jnp.where(careful, 1 / rate, jnp.inf)
+    stable = jnp.where(careful, 1 / explicit_rate, jnp.inf)
     controller = diffrax.PIDController(rtol=rtol, atol=atol)
     return diffrax.ClipStepSizeController(
-        _Careful(controller, _STABLE.get(type(solver), jnp.inf) * slowness, slowness),
+        _Careful(controller, _STABLE.get(type(solver), jnp.inf) * stable, slowness),
         jump_ts=corners,
     )
 
@@ -68,8 +73,11 @@ def _is_differentiated_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
     return jnp.full((), differentiated, dtype=jnp.result_type(float)), jnp.zeros(())
 
 
-def fastest_rate(arm: Arm, angles: Float[Array, " joint"]) -> Scalar:
-    """Rate of the fastest motion of springs and dampers in one configuration, 1/s."""
+def fastest_rate(arm: Arm, angles: Float[Array, " joint"], *, springs: bool = True) -> Scalar:
+    """Rate of the fastest motion of springs, dampers and gravity in one configuration, 1/s.
+
+    Without `springs`, that of gravity alone.
+    """
     # Lengths of steps are no part of what is differentiated.
     arm, angles = jax.lax.stop_gradient((arm, angles))
     factor = jnp.linalg.cholesky(mass_matrix(arm, angles))
@@ -79,7 +87,17 @@ def fastest_rate(arm: Arm, angles: Float[Array, " joint"]) -> Scalar:
         root = jnp.diag(jnp.sqrt(jnp.broadcast_to(strength, (arm.count,))))
         return jnp.linalg.norm(jax.scipy.linalg.solve_triangular(factor, root, lower=True), 2)
 
-    return jnp.hypot(largest(arm.joints.stiffness), largest(arm.joints.stiffest_damping) ** 2)
+    # Gravity swings what hangs, too: a bound of its stiffness, from weights times their distances.
+    ends = jnp.cumsum(arm.links.length)
+    reach = jnp.triu(ends[None, :] - (ends - arm.links.length)[:, None])
+    weights = arm.gravity * bodies(arm).mass
+    upwards = lift(arm)
+    weights = jnp.abs(weights if upwards is None else weights - upwards)
+    hanging = reach @ weights
+    if not springs:
+        return largest(hanging)
+    oscillation = largest(arm.joints.stiffness + hanging)
+    return jnp.hypot(oscillation, largest(arm.joints.stiffest_damping) ** 2)
 
 
 class _Careful(diffrax.AbstractAdaptiveStepSizeController):
@@ -129,7 +147,8 @@ class _Careful(diffrax.AbstractAdaptiveStepSizeController):
         # motion, but for the tolerance: an oscillation of size 1 would ask for about this.
         tolerance = jnp.maximum(self.rtol, self.atol)
         exact = 25 * tolerance ** (1 / error_order) * self.slowness
-        longest = jnp.where(jnp.all(y_error == 0), jnp.minimum(exact, self.longest), self.longest)
+        resting = jnp.all(jnp.abs(y_error) <= 1e-6 * tolerance)  # but for rounding
+        longest = jnp.where(resting, jnp.minimum(exact, self.longest), self.longest)
         next_t1 = jnp.minimum(next_t1, next_t0 + longest)
 
         shortest = 4 * jnp.finfo(jnp.result_type(t1)).eps * jnp.abs(t1)

@@ -14,6 +14,7 @@ from ..arm import Arm
 from ..parameters import is_concrete
 from ._controller import fastest_rate, step_size_controller
 from ._derivatives import Derivatives, adjoint, guard_inputs, guard_outputs
+from ._linearly_implicit import LinearlyImplicit
 from ._motion import Inputs, motion
 from ._signal import Signal, constant
 from ._solvers import solver as solver_named
@@ -197,6 +198,9 @@ def integrate(
             atol,
             corners,
             rate=fastest_rate(arm, state[0]),
+            explicit_rate=fastest_rate(
+                arm, state[0], springs=not isinstance(method, LinearlyImplicit)
+            ),
             disturbances=(
                 (inputs, state, arm.base_rotation, arm.gravity, arm.air.wind),
                 (arm.buoyancy, arm.point_masses),
