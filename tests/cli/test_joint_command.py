@@ -58,6 +58,39 @@ def test_the_points_are_where_they_should_be(written):
         assert np.linalg.norm(inner[point]) == pytest.approx(size, abs=1e-8)
 
 
+def test_corrections_are_those_of_the_joint(tmp_path, written, capsys):
+    out = tmp_path / "out"
+    assert main(["joint", "--out", str(out), "--set", "alpha.offset=0.05"]) == 0
+    capsys.readouterr()
+
+    def curve(folder, reading, side):
+        table = rows(folder / "corrections.csv")
+        chosen = [row for row in table if (row["reading"], row["side"]) == (reading, side)]
+        return {float(row["angle_deg"]): float(row["added_torque_N_m"]) for row in chosen}
+
+    for reading in ("continuous", "printed"):
+        mine, paper = curve(out, reading, "inner"), curve(written, reading, "inner")
+        for angle, alpha in ((0.0, 0.05), (30.0, 0.05), (60.0, 0.05 + 400 / 1600)):
+            assert mine[angle] == pytest.approx(alpha, abs=1e-8)
+            assert paper[angle] == pytest.approx(alpha - 0.02, abs=1e-8)
+        assert curve(out, reading, "outer") == curve(written, reading, "outer")
+    assert curve(out, "continuous", "outer")[-60.0] == pytest.approx(-0.3, abs=1e-8)
+    assert curve(out, "printed", "outer")[-60.0] == pytest.approx(-1.2, abs=1e-8)
+
+
+def test_stops_and_branches_that_are_never_reached_are_told(tmp_path, capsys):
+    strong = ["--torque", "3", "--set", "muscle.pressure_limit=40e3", "--wanted", "60"]
+    assert main(["joint", "--out", str(tmp_path / "a"), *strong]) == 0
+    assert "more than the pressure limit" in capsys.readouterr().out
+    table = rows(tmp_path / "a" / "equilibria.csv")
+    assert {"at_lower_stop", "at_upper_stop", "indifferent"} <= set(table[0])
+    geometry = ["--set", "geometry.anchor_y=0.14"]
+    assert main(["joint", "--out", str(tmp_path / "b"), *geometry]) == 0
+    out = capsys.readouterr().out
+    assert "below 0.00 deg" in out
+    assert "nan" not in out
+
+
 def test_the_equilibria_hold_what_was_wanted(written):
     table = rows(written / "equilibria.csv")
     wanted = {float(row["wanted_deg"]) for row in table}
@@ -124,6 +157,10 @@ def test_a_definition_states_joint_and_muscle(tmp_path, capsys):
     stated.write_text("[joint]\nwire = 3\n")
     assert main(["joint", "--out", str(out), "--definition", str(stated)]) == 2
     assert "wire" in capsys.readouterr().err
+    for line in ("length_m = 1.5", 'friction = "coulomb"', "friction_pressures_kPa = [50, 100]"):
+        stated.write_text(f"[muscle]\n{line}\n")
+        assert main(["joint", "--out", str(tmp_path / "no"), "--definition", str(stated)]) == 2
+        assert f"[muscle] {line.split(' ')[0]} is not used here" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["joint", "muscle"])

@@ -19,7 +19,7 @@ Examples:
 It writes
   fig09.png, fig09.csv    contraction and force against angle, without corrections
   fig10.png, fig10.csv    the same with alpha and beta
-  corrections.png         alpha and beta, as read and as printed (an erratum)
+  corrections.png, .csv   alpha and beta, as read and as printed (an erratum)
   joint.png, points.csv   the joint itself at a few angles, and its lettered points
   equilibria.png, .csv    where the pressures for an angle hold the joint, and how stiffly
 
@@ -63,8 +63,9 @@ def joint(
         for value in values:
             if not -60 <= value <= 60:
                 raise _wrong(f"{option} is {value:g}; a joint bends from -60 to 60 deg")
-    names = ("fig09.png", "fig09.csv", "fig10.png", "fig10.csv", "corrections.png", "joint.png",
-             "points.csv", "equilibria.png", "equilibria.csv")  # fmt: skip
+    names = ("fig09.png", "fig09.csv", "fig10.png", "fig10.csv", "corrections.png",
+             "corrections.csv", "joint.png", "points.csv", "equilibria.png",
+             "equilibria.csv")  # fmt: skip
     for name in names:
         if (out / name).exists() and not force:
             raise _wrong(
@@ -94,6 +95,7 @@ def _pair(stated: "Definition", settings: list[str], torque: float | None) -> An
     from ..models import MuscleModel, joint_from_section
     from ..parameters import check_within_bounds, elements, replace
 
+    _refuse_unused(stated)
     muscle = MuscleModel.stated(stated.muscle).muscle
     pair = JointPair(joint_from_section(stated), muscle)
     values: dict[str, float] = {} if torque is None else {"joint.torque": torque}
@@ -117,6 +119,22 @@ def _pair(stated: "Definition", settings: list[str], torque: float | None) -> An
     return pair
 
 
+def _refuse_unused(stated: "Definition") -> None:
+    """Refuse what a [muscle] section says and a joint does not use."""
+    muscle = stated.muscle
+    unused = {
+        "length_m": muscle.length_m is not None,
+        "friction": muscle.friction not in (None, "none"),
+        "friction_pressures_kPa": muscle.friction_pressures_kPa is not None,
+    }
+    for key, given in unused.items():
+        if given:
+            raise _wrong(
+                f"[muscle] {key} is not used here: the length is muscle_length_m of [joint], and "
+                "a pair has no friction; remove it"
+            )
+
+
 def _contents(pair: Any, angles: list[float], wanted: float) -> dict[str, bytes]:
     import numpy as np
 
@@ -124,6 +142,7 @@ def _contents(pair: Any, angles: list[float], wanted: float) -> dict[str, bytes]
         angle_figure,
         angle_table,
         correction_figure,
+        correction_table,
         equilibria_figure,
         equilibria_table,
         joint_figure,
@@ -132,6 +151,8 @@ def _contents(pair: Any, angles: list[float], wanted: float) -> dict[str, bytes]
     )
 
     joint = pair.joint
+    readings = [correction_table(joint, reading=name) for name in ("continuous", "printed")]
+    corrections = {name: np.concatenate([each[name] for each in readings]) for name in readings[0]}
     holding, _ = equilibria_table(pair, np.linspace(-60, 60, 121))
     points: dict[str, list[Any]] = {"angle_deg": [], "point": [], "x_m": [], "y_m": []}
     for degrees in angles:
@@ -144,6 +165,7 @@ def _contents(pair: Any, angles: list[float], wanted: float) -> dict[str, bytes]
         "fig10.png": to_png(angle_figure(joint, corrected=True)),
         "fig10.csv": _csv(angle_table(joint, corrected=True)),
         "corrections.png": to_png(correction_figure(joint)),
+        "corrections.csv": _csv(corrections),
         "joint.png": to_png(joint_figure(joint, angles)),
         "points.csv": _csv(points),
         "equilibria.png": to_png(equilibria_figure(pair, holding, wanted)),
@@ -177,8 +199,8 @@ def _show(pair: Any, wanted: float) -> None:
     command = pair_command(pair, np.deg2rad(wanted))
     sides = {"first": command.first_pressure, "second": command.second_pressure}
     rows = [
-        ("inner wire taut", f"above {taut:.2f} deg"),
-        ("outer muscle wraps", f"below {wrapped:.2f} deg"),
+        ("inner wire taut", "never" if np.isnan(taut) else f"above {taut:.2f} deg"),
+        ("outer muscle wraps", "never" if np.isnan(wrapped) else f"below {wrapped + 0.0:.2f} deg"),
     ]
     for name, answer in sides.items():
         rows.append(
@@ -198,6 +220,16 @@ def _show(pair: Any, wanted: float) -> None:
         for item in found.found
     ]
     print_table(headings, cells, left=5)
+    notes = {
+        "the torque also drives the joint against its stop at -60 deg": found.at_lower_stop,
+        "the torque also drives the joint against its stop at 60 deg": found.at_upper_stop,
+        "in a range of angles nothing acts on the joint: it rests at any of them": (
+            found.indifferent
+        ),
+    }
+    for note, holds in notes.items():
+        if holds:
+            print(note)
 
 
 def _wrong(sentence: str) -> Exception:

@@ -10,6 +10,7 @@ from ._joint import (
     angle_figure as angle_figure,
     angle_table as angle_table,
     correction_figure as correction_figure,
+    correction_table as correction_table,
     equilibria_figure as equilibria_figure,
     equilibria_table as equilibria_table,
     joint_figure as joint_figure,

@@ -1,5 +1,6 @@
 """Pictures of one joint: figs 9 and 10, the joint itself, and what holds a pair of muscles."""
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -101,8 +102,9 @@ def angle_figure(joint: Joint, *, corrected: bool) -> Figure:
 def _shade_branches(panel: Axes, joint: Joint) -> None:
     """The window about 0 in which the muscle runs straight."""
     taut, wrapped = np.rad2deg(branch_angles(joint.geometry))
-    if np.isfinite(taut) and np.isfinite(wrapped):
-        panel.axvspan(wrapped, taut, color=LIGHT, linewidth=0, zorder=0)
+    end = np.rad2deg(LARGEST_ANGLE)
+    lower, upper = np.nan_to_num(wrapped, nan=-end), np.nan_to_num(taut, nan=end)
+    panel.axvspan(lower, upper, color=LIGHT, linewidth=0, zorder=0)
 
 
 def _angle_axis(panel: Axes, name: str) -> None:
@@ -112,19 +114,48 @@ def _angle_axis(panel: Axes, name: str) -> None:
     panel.set_xlabel(f"{name} ({DEGREE})")
 
 
+def correction_table(
+    joint: Joint, *, reading: str, step_deg: float = 0.05
+) -> dict[str, np.ndarray]:
+    """Alpha and beta of a joint against the bending angle of a muscle.
+
+    Arguments:
+        joint: the joint, whose own alpha and beta these are.
+        reading: of beta, "continuous" or "printed".
+        step_deg: between two angles, deg.
+
+    Returns:
+        Columns of equal length, in the units that their names say. The angle 0 is there twice.
+    """
+    correction = dataclasses.replace(joint.correction, reading=reading)
+    form = dataclasses.replace(joint, correction=correction)
+    end = np.rad2deg(LARGEST_ANGLE)
+    sizes = np.linspace(0, end, round(end / step_deg) + 1)
+    columns: dict[str, list[np.ndarray]] = {}
+    for side, degrees in (("outer", -sizes[::-1]), ("inner", sizes)):
+        torque = muscle_state(form, np.deg2rad(degrees), side=side).torque
+        for name, values in {
+            "reading": np.full(len(degrees), reading),
+            "side": np.full(len(degrees), side),
+            "angle_deg": degrees + 0.0,
+            "added_torque_N_m": np.asarray(torque) - float(joint.torque),
+        }.items():
+            columns.setdefault(name, []).append(values)
+    return {name: np.concatenate(parts) for name, parts in columns.items()}
+
+
 def correction_figure(joint: Joint) -> Figure:
-    """Alpha and beta in both readings of the paper: the erratum."""
+    """Alpha and beta of a joint in both readings of the paper: the erratum."""
     figure = new_figure(8, 3.6, "Corrections: with the size of the angle, and as printed")
     panel = figure.subplots()
     end = np.rad2deg(LARGEST_ANGLE)
-    outer, inner = np.linspace(-end, 0, 1201), np.linspace(0, end, 601)
     for reading, colour, style in (("printed", GREY, (0, (3, 2))), ("continuous", VERMILLION, "-")):
-        form = Joint(joint.geometry, Correction(reading=reading), joint.torque)
-        for side, degrees in (("outer", outer), ("inner", inner)):
-            torque = np.asarray(muscle_state(form, np.deg2rad(degrees), side=side).torque)
+        table = correction_table(joint, reading=reading)
+        for side in ("outer", "inner"):
+            rows = table["side"] == side
             panel.plot(
-                degrees,
-                torque - float(joint.torque),
+                table["angle_deg"][rows],
+                table["added_torque_N_m"][rows],
                 color=BLUE if side == "inner" and reading == "continuous" else colour,
                 linestyle=style,
                 linewidth=1.4,
@@ -300,7 +331,7 @@ def equilibria_table(
         for name in (
             "wanted_deg", "reached", "first_pressure_kPa", "second_pressure_kPa", "angle_deg",
             "stable", "stiffness_N_m_per_rad", "muscle_stiffness_N_m_per_rad", "at_step",
-            "first_branch", "second_branch",
+            "first_branch", "second_branch", "at_lower_stop", "at_upper_stop", "indifferent",
         )
     }  # fmt: skip
     for wanted, reached, both, found in zip(
@@ -310,6 +341,7 @@ def equilibria_table(
             cells: tuple[object, ...] = (
                 wanted, bool(reached), both[0] / 1e3, both[1] / 1e3, np.rad2deg(item.angle),
                 item.stable, item.stiffness, item.muscle_stiffness, item.at_step, *item.branches,
+                found.at_lower_stop, found.at_upper_stop, found.indifferent,
             )  # fmt: skip
             for column, cell in zip(rows.values(), cells, strict=True):
                 column.append(cell)
