@@ -147,3 +147,19 @@ def test_the_law_can_be_differentiated(muscle):
 def test_bad_arguments_are_refused_with_a_sentence(arguments, sentence):
     with pytest.raises(giajax.InputError, match=sentence):
         muscle_force(BraidedMuscle(), *arguments)
+
+
+@pytest.mark.parametrize(
+    ("muscle", "force", "contraction"),
+    [(Piston(offset=10.0), 5.0, 0.0), (EmpiricalMuscle(), 0.1, -0.1)],
+)
+def test_a_muscle_that_pulls_more_than_asked_without_pressure_says_so(muscle, force, contraction):
+    answer = muscle_pressure(muscle, force, contraction)
+    assert int(answer.code) == 4
+    assert not bool(answer.reached)
+    assert "more force than that without any pressure" in answer.message()
+    least = float(answer.force)
+    assert float(answer.pressure) == 0
+    assert least == float(muscle_force(muscle, 0.0, contraction)) > 2 * force - 1e-9
+    # What it has without pressure, and anything above, is reached.
+    assert muscle_pressure(muscle, [least, least + 1], contraction).reached.tolist() == [True, True]

@@ -35,6 +35,13 @@ _MOST = 24
 _NO_TORQUE = 1e-12
 _NO_ANGLE = 1e-9
 
+# Around a jump of the torque, as the printed beta has: how far from it its two sides are taken,
+# rad, which the search resolves, and from which rise between them (N m) on it is a jump.
+_BESIDE = 1e-12
+_JUMP = 1e-9
+# An extra node on either side of a jump, relative to its angle.
+_APART = 1e-9
+
 # Where each array of a side has what belongs to the angle 0.
 _ZERO = -1
 
@@ -50,8 +57,11 @@ class Equilibrium:
         muscle_stiffness: the muscles' part of it, without the corrections.
         stable: whether the joint comes back after a small push.
         branches: which path the first and the second muscle take.
-        at_step: the joint rests at 0 because alpha(0) and beta(0) differ: the torque changes its
-            sign in the step that the corrections have there, as at a point of friction.
+        at_step: the torque changes its sign in a step of the corrections, as at a point of
+            friction, and is zero on neither side of it: at 0, where alpha(0) and beta(0) differ,
+            and with the printed beta at its width and its threshold (2 and 20 deg). The joint
+            rests there, stiffness inf, where the torque falls through the step; where it rises
+            the stiffness is -inf.
     """
 
     angle: float
@@ -159,10 +169,13 @@ def _nodes(pair: JointPair, ahead: bool) -> np.ndarray:
     beta = correction.beta
     bends = (correction.alpha.threshold, beta.threshold, beta.width)
     kinks = [*map(float, bends), correction.blend]
+    if correction.reading == "printed":
+        jumps = np.array([float(beta.width), float(beta.threshold)])
+        kinks += [*(jumps * (1 - _APART)), *(jumps * (1 + _APART))]
     sizes = np.abs([*branch_angles(pair.joint.geometry), *kinks])
     sizes = np.unique(np.concatenate([grid, sizes[sizes < end]]))
     # A fixed number, so that other kinks need no other program.
-    sizes = np.pad(sizes, (0, _INTERVALS + 8 - len(sizes)), mode="edge")
+    sizes = np.pad(sizes, (0, _INTERVALS + 12 - len(sizes)), mode="edge")
     return sizes if ahead else -sizes[::-1]
 
 
@@ -188,14 +201,16 @@ def _resistance_slope(angle: Array, arguments: Any) -> Array:
 class _Side(eqx.Module):
     """Roots of one side: the first `count` of each array, whose last element belongs to 0.
 
-    `first` and `last` are the torques at the ends of the side, N m; `idle` whether there is none
-    between two nodes.
+    `below` and `above` are the torques just beside each root, `first` and `last` those at the ends
+    of the side, N m; `idle` whether there is none between two nodes.
     """
 
     count: Array
     angles: Array
     slopes: Array
     resistance: Array
+    below: Array
+    above: Array
     engaged: tuple[Array, Array]
     first: Array
     last: Array
@@ -215,11 +230,17 @@ def _search(arguments: Any, nodes: Array) -> _Side:
     count = jnp.sum(~jnp.isnan(roots))
     angles = jnp.append(jnp.where(jnp.isnan(roots), 0, roots), jnp.zeros(1))
     side = jnp.broadcast_to(ahead, angles.shape)
+    below, above = (_torque(angles + step, arguments) for step in (-_BESIDE, _BESIDE))
+    # At one end of a jump the slopes are those of that end.
+    smooth = jnp.where(jnp.abs(above) < jnp.abs(below), angles + _BESIDE, angles - _BESIDE)
+    smooth = jnp.where(jnp.abs(above - below) > _JUMP, smooth, angles)
     return _Side(
         count=count,
         angles=angles,
-        slopes=_slope(angles, arguments),
-        resistance=_resistance_slope(angles, arguments),
+        slopes=_slope(smooth, arguments),
+        resistance=_resistance_slope(smooth, arguments),
+        below=below,
+        above=above,
         engaged=(
             muscle_path(pair.joint.geometry, angles, side).engaged,
             muscle_path(pair.joint.geometry, -angles, ~side).engaged,
@@ -248,7 +269,20 @@ def _between(
 def _listed(side: _Side, ahead: bool) -> list[Equilibrium]:
     """The roots of one side, without one at 0."""
     rows = [row for row in range(int(side.count)) if abs(side.angles[row]) > _NO_ANGLE]
-    return [_equilibrium(side, row, ahead) for row in rows]
+    return [_equilibrium(side, row, ahead, **_in_jump(side, row)) for row in rows]
+
+
+def _in_jump(side: _Side, row: int) -> dict[str, Any]:
+    """What is different of a root that is a jump of the torque; nothing where it is none."""
+    below, above = float(side.below[row]), float(side.above[row])
+    if abs(above - below) <= _JUMP:
+        return {}
+    falls = above < below
+    if min(abs(below), abs(above)) <= _JUMP:
+        return {"stable": falls and bool(side.slopes[row] < 0)}
+    slope = float(side.slopes[row] + side.resistance[row])
+    stiffness = math.inf if falls else -math.inf
+    return {"stiffness": stiffness, "muscle_stiffness": -slope, "stable": falls, "at_step": True}
 
 
 def _equilibrium(side: _Side, row: int, ahead: bool, **more: Any) -> Equilibrium:

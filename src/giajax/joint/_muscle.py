@@ -14,12 +14,13 @@ from ..parameters import is_concrete
 # Below this (N) a force is the rounding of zero, not a push.
 _NO_FORCE = 1e-9
 
-REACHED, NEEDS_PUSH, NEEDS_PRESSURE, TOO_SHORT = range(4)
+REACHED, NEEDS_PUSH, NEEDS_PRESSURE, TOO_SHORT, PULLS_ANYWAY = range(5)
 _MEANING = {
     REACHED: "reached",
     NEEDS_PUSH: "the muscle would have to push, which it cannot; raise the co-contraction torque",
     NEEDS_PRESSURE: "it takes more than the pressure limit; ask for less, or a wider muscle",
     TOO_SHORT: "the muscle does not shorten so far at any pressure; ask for less contraction",
+    PULLS_ANYWAY: "it has more force than that without any pressure; ask for more",
 }
 
 
@@ -31,7 +32,7 @@ class PressureAnswer(eqx.Module):
             pressure that comes nearest to it.
         force: what the muscle pulls with at that pressure, N.
         code: 0 reached, 1 the muscle would have to push, 2 more than the pressure limit, 3 it
-            does not shorten so far at any pressure.
+            does not shorten so far at any pressure, 4 it has more force without any pressure.
     """
 
     pressure: Float[Array, "*shape"]
@@ -102,7 +103,11 @@ class AbstractMuscle(eqx.Module):
         pressure = jnp.where(able, jnp.clip(wanted, 0, self.limit), self.limit)
         code = jnp.where(
             able,
-            jnp.where(wanted > self.limit, NEEDS_PRESSURE, REACHED),
+            jnp.where(
+                wanted > self.limit,
+                NEEDS_PRESSURE,
+                jnp.where(wanted * gain < -_NO_FORCE, PULLS_ANYWAY, REACHED),
+            ),
             jnp.where(force > _NO_FORCE, TOO_SHORT, REACHED),
         )
         # No force is had without pressure wherever the muscle cannot pull.

@@ -274,8 +274,8 @@ def branch_angles(geometry: JointGeometry) -> tuple[float, float]:
     """Angles at which the inner wire becomes taut and the outer muscle begins to wrap, rad.
 
     The second is in closed form, tan(angle / 2) = -(N_y - Q_y) / (N_x - Q_x) in the frame of the
-    link; the first is a root of C_y = H_y, found by bisection. NaN where a branch is not reached
-    within 90 deg.
+    link; the first is a root of C_y = H_y, found by bisection. 0 where a muscle is on its branch at
+    every angle of that side, and NaN where a branch is not reached within 90 deg.
     """
     taut, wrap = _branch_angles(geometry)
     return float(taut), float(wrap)
@@ -288,11 +288,13 @@ def _branch_angles(geometry: JointGeometry) -> tuple[Array, Array]:
     def above(angle: Array) -> Array:
         return geometry.anchor(angle)[1] - taut_bush_height(geometry, angle)
 
-    taut = bisect(above, jnp.zeros_like(half_turn), half_turn)
+    straight = jnp.zeros_like(half_turn)
+    taut = bisect(above, straight, half_turn)
+    taut = jnp.where(jnp.isnan(taut) & (above(straight) > 0), 0, taut)
     wrap = 2 * jnp.arctan2(
         geometry.anchor_y - geometry.contact_y, geometry.anchor_x - geometry.contact_x
     )
-    return taut, jnp.where(wrap >= 0, -wrap, jnp.nan)
+    return taut, jnp.where(wrap > half_turn, jnp.nan, -jnp.maximum(wrap, 0))
 
 
 def _unit(tail: Point, head: Point) -> Point:
