@@ -181,9 +181,13 @@ def test_0_itself():
     assert [e.stable for e in at_zero] == [False]
 
 
-@pytest.mark.parametrize(("degrees", "falls"), [(20.0, True), (2.0, False), (-20.0, True)])
-def test_the_jumps_of_the_printed_beta_are_no_smooth_roots(degrees, falls):
-    pair, pressures = PAIRS["printed"], jnp.asarray([30e3, 27e3])
+@pytest.mark.parametrize(
+    ("degrees", "offset", "falls"),
+    [(20.0, 0.01, True), (-20.0, 0.01, True), (2.0, 0.01, True), (2.0, -0.01, False)],
+)
+def test_the_jumps_of_the_printed_beta_are_no_smooth_roots(degrees, offset, falls):
+    pair = giajax.replace(PAIRS["printed"], {"joint.beta.offset": offset})
+    pressures = jnp.asarray([30e3, 27e3])
     angle, ahead = jnp.deg2rad(jnp.asarray([degrees])), jnp.asarray([degrees > 0])
     below, above = (
         float(torque(pair, pressures, LOAD, angle + step, ahead)[0]) for step in (-1e-9, 1e-9)
