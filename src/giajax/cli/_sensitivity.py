@@ -35,6 +35,9 @@ Without a run: the base joint to 30 deg within a second, all links filmed.
 Writes sensitivity.png, sensitivity.csv (derivatives over time) and information.csv
 (share of each link, and the standard error with it alone)."""
 
+_RATE = 10.0
+_NOISE = 0.01
+_NOISE_ANGLE = 0.5
 _DEFAULT_RAMP = "1=30"
 _FILES = ("sensitivity.png", "sensitivity.csv", "information.csv")
 
@@ -73,17 +76,21 @@ def sensitivity(
     duration: Annotated[
         float | None, typer.Option(metavar="S", help="Length of the run, s. [25]")
     ] = None,
-    rate: Annotated[float, typer.Option(metavar="HZ", help="Samples per second.")] = 10.0,
+    rate: Annotated[
+        float | None, typer.Option(metavar="HZ", help="Samples per second. [10]")
+    ] = None,
     channels: Annotated[
         list[str] | None,
         typer.Option(metavar="CHANNELS", help="What is recorded: link06, tip, joints, all. [all]"),
     ] = None,
     noise: Annotated[
-        float, typer.Option(metavar="M", help="Standard deviation of positions, m.")
-    ] = 0.01,
+        float | None,
+        typer.Option(metavar="M", help="Standard deviation of positions, m. [the run's, or 0.01]"),
+    ] = None,
     noise_angle: Annotated[
-        float, typer.Option(metavar="DEG", help="Standard deviation of joint angles, deg.")
-    ] = 0.5,
+        float | None,
+        typer.Option(metavar="DEG", help="Standard deviation of angles, deg. [the run's, or 0.5]"),
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Write over files.")] = False,
 ) -> None:
     """Show how strongly, when and where a motion responds to parameters.
@@ -92,12 +99,13 @@ def sensitivity(
     """
     from ..runs import read_run, write_files
 
-    if not (0 < noise < math.inf and 0 < noise_angle < math.inf):
+    if not all(value is None or 0 < value < math.inf for value in (noise, noise_angle)):
         raise wrong("--noise and --noise-angle are standard deviations; give positive numbers")
     for name in _FILES:
         if (out / name).exists() and not force:
             raise wrong(f"{out / name} exists and is not written over; give another DIR or --force")
-    if run is not None and (arm or step or ramp or command or wind or links):
+    again = (arm, step, ramp, command, wind, links, duration, rate)
+    if run is not None and any(value is not None and value != [] for value in again):
         raise wrong("a run says what moves which arm; leave out the options that say it again")
     recorded = None if run is None else read_run(run)
     stated = stated_definition(arm, links, wind)
@@ -128,14 +136,16 @@ def sensitivity(
         count, drives = arm_model.arm.count, list[Drive]()
         start, length = 0.0, DURATION
         if replayed is not None:
-            start, length, drives = drives_of(replayed, rate)
+            start, length, drives = drives_of(replayed, rate or _RATE)
         else:
             still = bool(wind or stated.initial.given())
             moves = ramp or ([] if step or still else [_DEFAULT_RAMP])
             if moves or step:
                 drives = [moves_of(step or [], moves, count, duration or length)]
         facts = facts_of(stated, replayed, drives, arm_model)
-        times, inputs = sampled(drives, start=start, duration=duration or length, rate=rate)
+        times, inputs = sampled(
+            drives, start=start, duration=duration or length, rate=rate or _RATE
+        )
         names = channel_names(channels or ["all"], count)
         facts["arm"] = stated.arm.given()
         facts["sensors"] = stated.sensors.given()
@@ -159,17 +169,23 @@ def sensitivity(
     typer.echo(f"\nwrote {out}: {', '.join(_FILES)}")
 
 
-def _noise_of(run: "Run", channels: tuple[str, ...], noise: float, angle: float) -> list[float]:
-    """What the run states of its noise, and the options where it states nothing; SI."""
+def _noise_of(
+    run: "Run", channels: tuple[str, ...], noise: float | None, angle: float | None
+) -> list[float]:
+    """What the options say of the noise, else what the run states, else the usual; SI."""
     from ..runs import Channel
 
     found = []
     for name in channels:
-        stated = run.noise(name) if name in run.channels else None
-        if stated is None and Channel.named(name).quantity == "length":
-            stated = noise
-        elif stated is None and Channel.named(name).quantity.startswith("ang"):
-            stated = math.radians(angle)
+        quantity = Channel.named(name).quantity
+        option = {"length": noise, "angle": None if angle is None else math.radians(angle)}
+        stated = option.get(quantity)
+        if stated is None and name in run.channels:
+            stated = run.noise(name)
+        if stated is None and quantity == "length":
+            stated = _NOISE
+        elif stated is None and quantity.startswith("ang"):
+            stated = math.radians(_NOISE_ANGLE)
         elif stated is None:
             raise wrong(f"the noise of {name} is not stated; state it in [noise] of the run")
         found.append(stated)
