@@ -24,7 +24,7 @@ with install_import_hook("giajax", "beartype.beartype"):
 # Every compiled program maps memory, and a process may have 65,530 maps: beyond them the compiler
 # dies, after a thousand tests.
 MAPS = Path("/proc/self/maps")
-MOST_MAPS = 20_000
+MOST_MAPS = 8_000
 
 
 @pytest.fixture(autouse=True, scope="module")
