@@ -110,6 +110,10 @@ def test_bad_input_is_one_sentence(fitted, loops, tmp_path, capsys):
     refused(capsys, ["compensate", "--loop", loops, "--wanted", far, *out], "beyond the reachable")
     refused(capsys, ["compensate", "--wanted", good, *out], "give --model with a fit, or --loop")
     refused(capsys, [*model, "--travel", "3", "--wanted", good, *out], "--travel goes with --loop")
+    lone = tmp_path / "lone.csv"
+    lone.write_text("time_s,command_deg\n0,0\n1,1\n2,2\n")
+    nothing = ["compensate", "--loop", loops, "--travel", "3", "--wanted", str(lone), *out]
+    refused(capsys, nothing, "must have one column of wanted output or angle, and has 0")
     unordered = tmp_path / "unordered.csv"
     unordered.write_text("time_s,angle_deg\n0,0\n2,1\n1,2\n")
     refused(capsys, [*model, "--wanted", str(unordered), *out], "must strictly increase")

@@ -139,3 +139,44 @@ def test_bisection_inverts_any_rising_operator(operator):
     if isinstance(operator, PrandtlIshlinskii):
         # Two inverses that know nothing of each other.
         np.testing.assert_allclose(command, operator.inverse().history(wanted)[0], atol=1e-12)
+
+
+def test_a_narrow_knee_is_inverted_over_its_whole_range():
+    """Where a few Runge-Kutta steps over the range are unstable."""
+    operator = BoucWen(elastic=0.3, alpha=0.8, beta=20.0, gamma=0.8, delta=0.2)
+    with np.errstate(all="ignore"):
+        blown = operator.step(operator.reset(), jnp.asarray(2.0))[1]
+    assert not abs(float(blown)) < 2
+    fine = operator.for_moves_of(2.0)
+    turns = np.asarray([0.0, 0.3, -0.3, 0.2, -0.1, 0.25])
+    wanted = jnp.asarray(np.interp(np.linspace(0, 5, 101), np.arange(6), turns))
+    command, _ = InverseByBisection(fine, -1.0, 1.0).history(wanted)
+    np.testing.assert_allclose(fine.history(command)[0], wanted, atol=1e-9)
+    finest = BoucWen(0.3, 0.8, 20.0, 0.8, 0.2, substeps=2000)
+    np.testing.assert_allclose(finest.history(command)[0], wanted, atol=1e-4)
+
+
+def test_a_bisected_input_has_the_derivative_of_the_inverse():
+    turns = np.asarray([0.0, 0.5, -0.4, 0.3])
+    wanted = jnp.asarray(np.interp(np.linspace(0, 3, 40), np.arange(4), turns))
+
+    def command(slope, scale):
+        operator = Preisach(slope, 0.8, 0.3, 0.5, 0.1, 0.4, extent=2.1, rows=20)
+        return jnp.sum(InverseByBisection(operator, -2.0, 2.0).history(scale * wanted)[0] ** 2)
+
+    at, step = (jnp.asarray(0.3), jnp.asarray(1.0)), 1e-6
+    for number, gradient in enumerate(jax.grad(command, (0, 1))(*at)):
+        ends = [
+            command(*[x + sign * step * (k == number) for k, x in enumerate(at)])
+            for sign in (1, -1)
+        ]
+        assert abs(float(gradient)) > 0.1
+        assert float(gradient) == pytest.approx(float(ends[0] - ends[1]) / (2 * step), rel=1e-5)
+    forward = jax.jvp(lambda s: command(s, at[1]), at[:1], (jnp.asarray(1.0),))[1]
+    assert float(forward) == pytest.approx(float(jax.grad(command)(*at)), rel=1e-10)
+
+
+def test_a_falling_loop_is_refused():
+    there = np.concatenate([np.linspace(-1, 1, 30), np.linspace(1, -1, 30)])
+    with pytest.raises(InputError, match="falls where the input rises; change the sign"):
+        branches_from_loop(there, -there, travel=0.1)

@@ -7,9 +7,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from giajax import InputError, Run, fit, load_result, model_for, replace
+from giajax import InputError, Run, SimulationError, fit, load_result, model_for, read_run, replace
 from giajax.fitting import predict
-from giajax.models import HysteresisModel, build_model, parameter_values, synthesise
+from giajax.models import (
+    HysteresisModel,
+    build_model,
+    compensator_for_loop,
+    compensator_for_model,
+    parameter_values,
+    synthesise,
+)
 from giajax.parameters import declared, get
 
 
@@ -253,3 +260,73 @@ def test_a_band_limited_force_is_followed_between_the_rows():
     assert np.max(np.abs(coarse - fine)) < 2e-3 * np.max(np.abs(fine))
     # Which straight lines between so few rows are not good for.
     assert np.max(np.abs(response(200, "linear") - fine)) > 1e-2 * np.max(np.abs(fine))
+
+
+def narrow(**more):
+    stated = {"operator": "bouc_wen", "input_range": [-1.0, 1.0]}
+    model = HysteresisModel.from_definition({"hysteresis": stated})
+    return replace(model, {"elastic": 0.3, "alpha": 0.8, "offset": 0.0, **more})
+
+
+@pytest.mark.parametrize(
+    "values", [{"gamma": 2.0, "delta": 0.1}, {"beta": 20.0, "gamma": 0.8, "delta": 0.2}]
+)
+def test_a_narrow_knee_has_a_range_and_an_inverse(values):
+    model = narrow(**values)
+    beta, gamma, delta = (float(get(model, path)) for path in ("beta", "gamma", "delta"))
+    largest = 0.3 + 0.8 / (beta * (gamma + delta))
+    assert model.reachable() == pytest.approx((-largest, largest), rel=1e-3)
+    wanted = np.interp(np.linspace(0, 4, 121), np.arange(5), [0, 0.3, -0.3, 0.2, -0.1])
+    commands = compensator_for_model(model).commands(wanted)
+    found = predict(model.refined(1e-6), run_of(commands), ["angle"])["angle"]
+    np.testing.assert_allclose(found, wanted, atol=1e-4)
+
+
+def test_a_move_too_coarse_for_the_knee_is_refused():
+    coarse = np.asarray([0.0, 1.0, -1.0, 0.5])
+    with pytest.raises(SimulationError, match="too far between two samples for the narrow knee"):
+        synthesise(narrow(beta=20.0), TIMES[:4], {"command": coarse}, ["angle"])
+    assert np.all(np.isinf(predict(narrow(beta=20.0), run_of(coarse), ["angle"])["angle"]))
+    # The move to the first sample may be as long as it is.
+    assert np.all(np.isfinite(predict(narrow(beta=20.0), run_of(np.ones(3)), ["angle"])["angle"]))
+
+
+def of_columns(folder, text, name="loop"):
+    path = folder / f"{name}.csv"
+    path.write_text(text)
+    (folder / f"{name}.toml").write_text('model = "hysteresis"\n')
+    return read_run(path)
+
+
+def test_other_quantities_are_refused(tmp_path):
+    up = [*range(11), *range(10, -11, -1), *range(-10, 11)]
+    rows = "\n".join(f"{u},{0.5 * u + 0.1 * (u > 3)}" for u in up)
+    loop = of_columns(tmp_path, f"command_deg,output_mm\n{rows}\n")
+    wanted = run_of(np.zeros(3))
+    with pytest.raises(InputError, match="wants angle_rad, but what is inverted gives output_mm"):
+        compensator_for_loop(loop).commands_for(wanted)
+    model = model_for([loop])
+    with pytest.raises(InputError, match="wants angle_rad, but what is inverted gives output_mm"):
+        compensator_for_model(model).commands_for(wanted)
+    other = of_columns(tmp_path, f"input_kPa,output_mm\n{rows}\n", "other")
+    with pytest.raises(InputError, match="column input_kPa where the model has command_deg"):
+        model.prepare(other)
+    with pytest.raises(InputError, match="column angle_rad where the model has output_mm"):
+        model.prepare(wanted)
+    again = build_model("hysteresis", model.definition(), parameter_values(model))
+    assert again.output_column == "output_mm"
+    with pytest.raises(InputError, match="column input_kPa where the model has command_deg"):
+        again.prepare(other)
+
+
+def test_keys_of_another_operator_are_refused():
+    with pytest.raises(InputError, match="upper_dead_zones, which prandtl_ishlinskii does not"):
+        model_for([run_of(INPUT, hysteresis={"upper_dead_zones": 3})])
+    with pytest.raises(InputError, match="states rows, which bouc_wen does not have"):
+        model_for([run_of(INPUT, hysteresis={"operator": "bouc_wen", "rows": 20})])
+
+
+def test_the_range_is_that_of_the_inputs():
+    model = model_for([run_of(turning([95.0, 105.0, 97.0, 103.0]))])
+    assert model.settings.input_range == (95.0, 105.0)
+    assert float(np.max(get(model, "thresholds"))) < 5

@@ -4,12 +4,9 @@ import dataclasses
 import math
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
-
-if TYPE_CHECKING:
-    from ..runs import Channel, Run
 
 EXAMPLES = """\b
 Examples:
@@ -69,8 +66,14 @@ def compensate(
     configure()
     from .._errors import InputError
     from ..fitting import load_result
-    from ..models import HysteresisModel, compensator_for_loop, compensator_for_model
+    from ..models import (
+        HysteresisModel,
+        compensator_for_loop,
+        compensator_for_model,
+        wanted_channel,
+    )
 
+    goal = wanted_channel(asked)
     if model is not None:
         fitted = load_result(model).model
         if not isinstance(fitted, HysteresisModel):
@@ -80,25 +83,25 @@ def compensate(
     else:
         assert loop is not None
         if travel is not None:
-            travel = float(_wanted(asked)[0].to_si(travel))
+            travel = float(goal.to_si(travel))
         compensator = compensator_for_loop(read_run(loop, rename=renamed), travel)
         fitted = None
         origin = f"commands by giajax compensate, eq. (12) from {loop.name}, for {wanted.name}"
     commands = compensator.commands_for(asked)
     channel = compensator.input_channel
     # Commands in the unit that the angles are wanted in, where both are angles.
-    same = [other.unit for other in _wanted(asked) if other.quantity == channel.quantity]
-    channel = dataclasses.replace(channel, unit=(same or [channel.unit])[0])
+    if goal.quantity == channel.quantity:
+        channel = dataclasses.replace(channel, unit=goal.unit)
     values, units = {channel.name: commands}, {channel.name: channel.unit}
     if fitted is not None:
         from ..fitting import predict
         from ..runs import Run as _Run
 
-        name = next(iter(asked.observations))
+        name = goal.name
         blank = {channel.name: commands, name: asked.values[name]}
         run = _Run.from_arrays(asked.times, blank, definition=stated)
         values[name] = predict(fitted, run)[name]
-        units[name] = asked.channels[name].unit
+        units[name] = goal.unit
         origin += f"; {name} is what the fitted model predicts"
     definition = stated.merged_with(Definition.parse({"origin": origin}))
     write_run(
@@ -109,7 +112,3 @@ def compensate(
         f"wrote {out}: {len(commands)} commands from {low:.4g} to {high:.4g} {channel.unit}; "
         f"see: giajax check {shlex.quote(str(out))}"
     )
-
-
-def _wanted(run: "Run") -> list["Channel"]:
-    return [run.channels[name] for name in run.observations]

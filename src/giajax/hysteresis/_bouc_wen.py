@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._errors import InputError
-from .._typing import Array, Float, Scalar
+from .._typing import Array, Bool, Float, Scalar
 from ..parameters import parameter
 from ._operator import AbstractOperator
 
@@ -36,6 +36,17 @@ def bouc_wen_rate(
     return alpha * velocity - beta * power * (
         gamma * jnp.abs(velocity) * z + delta * velocity * jnp.abs(z)
     )
+
+
+# Substeps of a move that may be as long as the whole range.
+_LONG = 200
+
+# Substeps within the width of the knee, in an inverse: RK4 is then right to about 1e-5.
+_PER_KNEE = 4.0
+_MOST = 4000
+
+# In widths of the knee: a longer substep is wrong, and one beyond 2.8 unstable.
+_COARSE = 2.0
 
 
 class BoucWen(AbstractOperator):
@@ -76,6 +87,41 @@ class BoucWen(AbstractOperator):
     def refined(self, factor: float) -> Self:
         """With more substeps: the method is of fourth order."""
         return dataclasses.replace(self, substeps=int(np.ceil(self.substeps * factor**-0.25)))
+
+    def stiffness(self, z: Scalar) -> Scalar:
+        """How fast z is forgotten, 1/input: beta (gamma + |delta|) nu |z|^(nu-1)."""
+        size = jnp.maximum(jnp.abs(z), jnp.finfo(z.dtype).tiny)
+        factor = self.beta * (jnp.abs(self.gamma) + jnp.abs(self.delta)) * self.nu
+        return factor * size ** (self.nu - 1)
+
+    def for_moves_of(self, width: float) -> Self:
+        """With as many substeps as a move of that width needs."""
+        fine = dataclasses.replace(self, substeps=_LONG)
+        end = jnp.asarray(width, dtype=self.elastic.dtype)
+        _, z = fine.travelled(fine.reset(), end)
+        needed = _PER_KNEE * width * float(self.stiffness(z))
+        if not needed < _MOST:
+            raise InputError(
+                f"the knee of the Bouc-Wen operator is too narrow for a range of {width:g} "
+                "(SI); fit a smaller beta, gamma or nu"
+            )
+        return dataclasses.replace(self, substeps=max(self.substeps, int(np.ceil(needed))))
+
+    def travelled(self, state: tuple[Scalar, Scalar], value: Scalar) -> tuple[Scalar, Scalar]:
+        """Memory after a move that may be much longer than those between two samples."""
+        return dataclasses.replace(self, substeps=max(self.substeps, _LONG)).step(state, value)[0]
+
+    def too_coarse(
+        self, inputs: Float[Array, " sample"], outputs: Float[Array, " sample"]
+    ) -> Bool[Array, ""]:
+        """Whether a move between two samples is too long for the substeps.
+
+        Arguments:
+            inputs, outputs: a history and what `history` gave for it.
+        """
+        z = jnp.max(jnp.abs(outputs - self.elastic * inputs))
+        longest = jnp.max(jnp.abs(jnp.diff(inputs)), initial=0)
+        return longest * self.stiffness(z) > _COARSE * self.substeps
 
     def reset(self) -> tuple[Scalar, Scalar]:
         """Input and z at 0."""

@@ -114,7 +114,7 @@ def branches_from_loop(
         travel: see `BranchCompensator`.
 
     Raises:
-        InputError: a history without both branches, or too short to tell them.
+        InputError: a history without both branches, too short to tell them, or falling ones.
 
     Example:
         >>> from giajax.hysteresis import branches_from_loop
@@ -133,6 +133,11 @@ def branches_from_loop(
             raise InputError(
                 f"the {name} branch of the loop has {np.count_nonzero(on)} measured samples, too "
                 "few to tell it; give a loop that goes up and down over the whole range"
+            )
+        if np.cov(u[on], y[on])[0, 1] < 0:
+            raise InputError(
+                f"on the {name} branch the output falls where the input rises; change the sign "
+                "of one column"
             )
         curves.append(_inverse_curve(u[on], y[on]))
     rising, falling = curves

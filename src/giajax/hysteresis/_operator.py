@@ -37,6 +37,17 @@ class AbstractOperator(eqx.Module):
         """
         return self
 
+    def for_moves_of(self, width: float) -> Self:
+        """The same operator, accurate also for single moves of a width; most are exact.
+
+        The parameters must be known (no tracers).
+        """
+        return self
+
+    def travelled(self, state: Any, value: Scalar) -> Any:
+        """Memory after a move that may be much longer than those between two samples."""
+        return self.step(state, value)[0]
+
     def history(
         self, inputs: Float[Array, " sample"], state: Any = None
     ) -> tuple[Float[Array, "sample *output"], Any]:

@@ -10,6 +10,7 @@ from ._compensate import (
     Compensator as Compensator,
     compensator_for_loop as compensator_for_loop,
     compensator_for_model as compensator_for_model,
+    wanted_channel as wanted_channel,
 )
 from ._definition import (
     arm_from_definition as arm_from_definition,
@@ -18,6 +19,7 @@ from ._definition import (
 )
 from ._drive import Drive as Drive, Move as Move, joint_moves as joint_moves, sampled as sampled
 from ._hysteresis import HysteresisInputs as HysteresisInputs, HysteresisModel as HysteresisModel
+from ._hysteresis_definition import hysteresis_keys as hysteresis_keys
 from ._joint import (
     JointInputs as JointInputs,
     JointModel as JointModel,

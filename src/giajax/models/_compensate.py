@@ -16,7 +16,7 @@ from ..hysteresis import (
 )
 from ..parameters import get
 from ..runs import Channel, Run
-from ._hysteresis import OUTPUTS, HysteresisModel, input_channel
+from ._hysteresis import OUTPUTS, HysteresisModel, comparable, input_channel
 
 # A third of the range: short against the range, long against the noise.
 _TRAVEL = 1 / 3
@@ -34,6 +34,7 @@ class Compensator:
     Attributes:
         reachable: outputs that can be had.
         input_channel: what is commanded.
+        output_channel: what was measured; None where that is not known.
     """
 
     def __init__(
@@ -43,12 +44,14 @@ class Compensator:
         offset: float,
         reachable: tuple[float, float],
         channel: Channel,
+        output: Channel | None = None,
     ) -> None:
         self.operator = operator
         self.state = state
         self.offset = offset
         self.reachable = reachable
         self.input_channel = channel
+        self.output_channel = output
 
     def commands(self, wanted: np.ndarray) -> np.ndarray:
         """Inputs for a history of wanted outputs, SI, shape (sample,)."""
@@ -59,20 +62,20 @@ class Compensator:
         """Inputs for the output (or angle) of a run.
 
         Raises:
-            InputError: a run without one wanted output at every sample, or one beyond what can
-                be reached: the sample is named.
+            InputError: a run without one wanted output at every sample, of another quantity, or
+                one beyond what can be reached: the sample is named.
         """
-        names = [name for name, channel in run.channels.items() if channel.kind in OUTPUTS]
-        if len(names) != 1:
+        channel = wanted_channel(run)
+        if self.output_channel is not None and not comparable(channel, self.output_channel):
             raise InputError(
-                f"'{run.name}' must have one column of wanted output or angle, and has "
-                f"{len(names)}; correct the file"
+                f"'{run.name}' wants {channel.column}, but what is inverted gives "
+                f"{self.output_channel.column}; want the same quantity"
             )
-        values, channel = run.values[names[0]], run.channels[names[0]]
+        values = run.values[channel.name]
         if np.any(np.isnan(values)):
             row = int(np.flatnonzero(np.isnan(values))[0])
             raise InputError(
-                f"'{run.name}' has no wanted {names[0]} in sample {row + 1}; fill the gap"
+                f"'{run.name}' has no wanted {channel.name} in sample {row + 1}; fill the gap"
             )
         low, high = self.reachable
         slack = _ROUNDING * (high - low)
@@ -86,6 +89,21 @@ class Compensator:
                 "goes further"
             )
         return self.commands(np.clip(values, low, high))
+
+
+def wanted_channel(run: Run) -> Channel:
+    """The one channel of a run that is wanted.
+
+    Raises:
+        InputError: a run without one, or with several.
+    """
+    found = [channel for channel in run.channels.values() if channel.kind in OUTPUTS]
+    if len(found) != 1:
+        raise InputError(
+            f"'{run.name}' must have one column of wanted output or angle, and has "
+            f"{len(found)}; correct the file"
+        )
+    return found[0]
 
 
 def compensator_for_model(model: HysteresisModel) -> Compensator:
@@ -108,9 +126,17 @@ def compensator_for_model(model: HysteresisModel) -> Compensator:
     if isinstance(operator, PrandtlIshlinskii | ModifiedPrandtlIshlinskii):
         inverse, memory = operator.inverse(), operator.inverse_state(state)
     else:
-        inverse, memory = InverseByBisection(operator, *model.settings.input_range), state
+        # The first move may come from 0, outside the range.
+        longest = max(2 * model.settings.reach, *map(abs, model.settings.input_range))
+        fine = operator.for_moves_of(longest)
+        inverse, memory = InverseByBisection(fine, *model.settings.input_range), state
     return Compensator(
-        inverse, memory, float(get(model, "offset")), model.reachable(), model.input_channel()
+        inverse,
+        memory,
+        float(get(model, "offset")),
+        model.reachable(),
+        model.input_channel(),
+        model.output_channel(),
     )
 
 
@@ -135,4 +161,4 @@ def compensator_for_loop(run: Run, travel: float | None = None) -> Compensator:
             f"the branches of '{run.name}' have no {name} in common; give a loop that goes up and "
             "down over the same range"
         )
-    return Compensator(operator, None, 0.0, operator.reachable, channel)
+    return Compensator(operator, None, 0.0, operator.reachable, channel, run.channels[name])

@@ -11,8 +11,14 @@ from .._errors import InputError
 from .._typing import Array, Bool, Float, Scalar
 from ..hysteresis import MOST_STEPS, AbstractOperator, BoucWen, BoucWenOscillator
 from ..parameters import inline, parameter
-from ..runs import Channel, Definition, Run, parse_column
-from ._hysteresis_definition import HysteresisSettings, Scale, operator_from_settings, settings_for
+from ..runs import Channel, Definition, Hysteresis, Run, parse_column
+from ._hysteresis_definition import (
+    HysteresisSettings,
+    Scale,
+    hysteresis_keys,
+    operator_from_settings,
+    settings_for,
+)
 from ._protocol import AbstractModel, Channels, Derived
 
 INPUTS = ("input", "command")
@@ -43,7 +49,8 @@ class HysteresisModel(AbstractModel):
         offset: added to the output, such as the inclination of a camera.
         previous_extremes: turning points of the input before the run, the latest last. What a
             rate-independent operator remembers of its past is a list of such extremes.
-        input_column: the column that drove the runs, such as "command_deg".
+        input_column: the column that drove the runs, such as "command_deg"; empty if not known.
+        output_column: the column that they measured, such as "angle_deg"; empty if not known.
     """
 
     kind: ClassVar[str] = "hysteresis"
@@ -54,7 +61,8 @@ class HysteresisModel(AbstractModel):
     previous_extremes: Float[Array, " extreme"] = parameter(
         0.0, unit="input", doc="turning points of the input before the run, the latest last"
     )
-    input_column: str = eqx.field(default="command_rad", static=True)
+    input_column: str = eqx.field(default="", static=True)
+    output_column: str = eqx.field(default="", static=True)
 
     @classmethod
     def for_runs(cls, runs: Sequence[Run]) -> Self:
@@ -73,35 +81,50 @@ class HysteresisModel(AbstractModel):
                     f"the sidecars of '{first.name}' and '{other.name}' disagree in [hysteresis]; "
                     "correct one, or fit the runs separately"
                 )
+        _check_keys(first.name, stated)
         settings = settings_for(stated, inputs)
         if not any(_turns(values) for values in inputs):
             raise InputError(
                 f"the input of '{first.name}' never turns back, and hysteresis shows only where it "
                 "does; give a run that goes up and down"
             )
-        return cls._made(settings, Scale.of(inputs, outputs), input_channel(first).column)
+        measured = output_channel(first)
+        columns = input_channel(first).column, "" if measured is None else measured.column
+        return cls._made(settings, Scale.of(inputs, outputs), columns)
 
     @classmethod
     def from_definition(cls, definition: Mapping[str, Any]) -> Self:
         """The operator that `definition()` described."""
         stated = Definition.parse({"hysteresis": definition["hysteresis"]}, "stored result")
-        column = definition.get("input_column", "command_rad")
-        return cls._made(settings_for(stated.hysteresis, []), Scale(), column)
+        columns = definition.get("input_column", ""), definition.get("output_column", "")
+        return cls._made(settings_for(stated.hysteresis, []), Scale(), columns)
 
     @classmethod
-    def _made(cls, settings: HysteresisSettings, scale: Scale, column: str) -> Self:
+    def _made(cls, settings: HysteresisSettings, scale: Scale, columns: tuple[str, str]) -> Self:
         extremes = settings.previous_extremes
         values = np.zeros(extremes) if isinstance(extremes, int) else np.asarray(extremes)
         operator = operator_from_settings(settings, scale)
-        return cls(settings, operator, previous_extremes=jnp.asarray(values), input_column=column)
+        return cls(
+            settings,
+            operator,
+            previous_extremes=jnp.asarray(values),
+            input_column=columns[0],
+            output_column=columns[1],
+        )
 
     def definition(self) -> dict[str, Any]:
-        """The `[hysteresis]` section, and the column that drove the runs."""
-        return {"hysteresis": self.settings.to_dict(), "input_column": self.input_column}
+        """The `[hysteresis]` section, and the columns of input and output where known."""
+        columns = {"input_column": self.input_column, "output_column": self.output_column}
+        known = {name: column for name, column in columns.items() if column}
+        return {"hysteresis": self.settings.to_dict(), **known}
 
     def input_channel(self) -> Channel:
-        """The channel that drove the runs."""
-        return parse_column(self.input_column)
+        """The channel that drove the runs; the command of a joint where that is not known."""
+        return parse_column(self.input_column or "command_rad")
+
+    def output_channel(self) -> Channel | None:
+        """The channel that the runs measured; None where that is not known."""
+        return parse_column(self.output_column) if self.output_column else None
 
     def reachable(self) -> tuple[float, float]:
         """Least and largest output, SI, at the ends of the range of the input.
@@ -111,9 +134,12 @@ class HysteresisModel(AbstractModel):
         if isinstance(self.operator, BoucWenOscillator):
             raise InputError("an oscillator at rest has no range of outputs")
         low, high = (jnp.asarray(end) for end in self.settings.input_range)
-        state, _ = self.operator.step(self.operator.step(self.operator.reset(), low)[0], high)
-        state, lowest = self.operator.step(state, low)
-        _, highest = self.operator.step(state, high)
+        operator = self.operator
+        state = operator.travelled(operator.travelled(operator.reset(), low), high)
+        state = operator.travelled(state, low)
+        _, lowest = operator.step(state, low)
+        state = operator.travelled(state, high)
+        _, highest = operator.step(state, high)
         return float(self.offset + lowest), float(self.offset + highest)
 
     def free_inputs(self, run: Run) -> tuple[str, ...]:
@@ -123,6 +149,7 @@ class HysteresisModel(AbstractModel):
     def prepare(self, run: Run) -> HysteresisInputs:
         """The input of a hysteresis run."""
         values = _input_of(run)
+        self._check_quantities(run)
         if isinstance(self.operator, BoucWenOscillator):
             if run.times is None:
                 raise InputError(
@@ -135,6 +162,15 @@ class HysteresisModel(AbstractModel):
         dtype = jnp.result_type(float)
         return HysteresisInputs(jnp.asarray(parts, dtype), jnp.asarray(intervals, dtype))
 
+    def _check_quantities(self, run: Run) -> None:
+        own = [self.input_channel() if self.input_column else None, self.output_channel()]
+        for mine, given in zip(own, (input_channel(run), output_channel(run)), strict=True):
+            if mine is not None and given is not None and not comparable(mine, given):
+                raise InputError(
+                    f"'{run.name}' has the column {given.column} where the model has "
+                    f"{mine.column}; give a run of the same quantity"
+                )
+
     def predict(
         self, inputs: HysteresisInputs, channels: tuple[str, ...]
     ) -> tuple[Channels, Bool[Array, ""]]:
@@ -145,13 +181,21 @@ class HysteresisModel(AbstractModel):
                     f"'{name}' is not predicted by the hysteresis model; use one of: "
                     f"{', '.join(OUTPUTS)}"
                 )
-        output = self.offset + self._response(inputs)
-        return dict.fromkeys(channels, output), jnp.all(jnp.isfinite(output))
+        response = self._response(inputs)
+        output = self.offset + response
+        fine = jnp.all(jnp.isfinite(output))
+        if isinstance(self.operator, BoucWen):
+            fine &= ~self.operator.too_coarse(inputs.values[:, 0], response)
+            # No number is better than a wrong one.
+            output = jnp.where(fine, output, jnp.inf)
+        return dict.fromkeys(channels, output), fine
 
     def _response(self, inputs: HysteresisInputs) -> Float[Array, " sample"]:
         if isinstance(self.operator, BoucWenOscillator):
             return self.operator.motion(inputs.values, inputs.intervals)[:, 0]
-        return self.operator.history(inputs.values[:, 0], self.memory())[0]
+        values = inputs.values[:, 0]
+        # The move to the first sample may be a long one.
+        return self.operator.history(values, self.operator.travelled(self.memory(), values[0]))[0]
 
     def memory(self) -> Any:
         """Memory of the operator before the run: virgin, then through the previous extremes."""
@@ -159,11 +203,19 @@ class HysteresisModel(AbstractModel):
             raise InputError("an oscillator starts at rest; it has no memory of an input")
         state = self.operator.reset()
         for extreme in self.previous_extremes:
-            state, _ = self.operator.step(state, extreme)
+            state = self.operator.travelled(state, extreme)
         return state
 
     def failure(self, inputs: HysteresisInputs) -> str:
-        """The response is not finite."""
+        """The response is not finite, or the input moves too far between two samples."""
+        if isinstance(self.operator, BoucWen):
+            values = inputs.values[:, 0]
+            if bool(self.operator.too_coarse(values, self._response(inputs))):
+                return (
+                    "the input moves too far between two samples for the narrow knee of the "
+                    "Bouc-Wen operator; record more samples, or start with a smaller beta, gamma "
+                    "or nu"
+                )
         return (
             "the response of the hysteresis model is not finite; choose start values with a "
             "smaller beta, gamma or delta, or a larger mass and damping"
@@ -196,6 +248,17 @@ class HysteresisModel(AbstractModel):
         }
 
 
+def _check_keys(name: str, stated: Hysteresis) -> None:
+    operator = stated.operator or "prandtl_ishlinskii"
+    known = hysteresis_keys(operator)
+    ignored = [key for key in stated.model_dump(exclude_none=True) if key not in known]
+    if ignored:
+        raise InputError(
+            f"[hysteresis] of '{name}' states {', '.join(ignored)}, which {operator} does not "
+            "have; remove it, or state the operator that it belongs to"
+        )
+
+
 def input_channel(run: Run) -> Channel:
     """The channel that drives a hysteresis run.
 
@@ -215,6 +278,17 @@ def input_channel(run: Run) -> Channel:
     if len(outputs) > 1:
         raise InputError(f"'{run.name}' has both output and angle; remove one of the columns")
     return run.channels[names[0]]
+
+
+def output_channel(run: Run) -> Channel | None:
+    """The channel that a hysteresis run measures; None where it measures none."""
+    found = [channel for channel in run.channels.values() if channel.kind in OUTPUTS]
+    return found[0] if found else None
+
+
+def comparable(one: Channel, other: Channel) -> bool:
+    """Whether two channels may be of one quantity; a bare `input` or `output` says none."""
+    return "ratio" in (one.quantity, other.quantity) or one.quantity == other.quantity
 
 
 def _input_of(run: Run) -> np.ndarray:

@@ -30,6 +30,19 @@ _KNEE = 4.0
 _ROOM = 1.05
 
 
+def hysteresis_keys(operator: str) -> list[str]:
+    """The keys of the `[hysteresis]` section that an operator uses."""
+    used = {
+        "prandtl_ishlinskii": ("elements", "thresholds"),
+        "modified_prandtl_ishlinskii": ("thresholds", "upper_dead_zones", "lower_dead_zones"),
+        "preisach": ("rows",),
+        "bouc_wen": (),
+        "bouc_wen_oscillator": ("interpolation",),
+    }[operator]
+    memory = [] if operator == "bouc_wen_oscillator" else ["previous_extremes"]
+    return ["operator", *used, "input_range", *memory]
+
+
 @dataclasses.dataclass(frozen=True)
 class HysteresisSettings:
     """The `[hysteresis]` section with nothing left open; see `giajax.runs.Hysteresis`."""
@@ -46,17 +59,7 @@ class HysteresisSettings:
 
     def to_dict(self) -> dict[str, Any]:
         """The section as plain data, with what this operator uses."""
-        used = {
-            "prandtl_ishlinskii": ("elements", "thresholds"),
-            "modified_prandtl_ishlinskii": ("thresholds", "upper_dead_zones", "lower_dead_zones"),
-            "preisach": ("rows",),
-            "bouc_wen": (),
-            "bouc_wen_oscillator": ("interpolation",),
-        }[self.operator]
-        names = ["operator", *used, "input_range"]
-        if self.operator != "bouc_wen_oscillator":
-            names.append("previous_extremes")
-        plain = {name: getattr(self, name) for name in names}
+        plain = {name: getattr(self, name) for name in hysteresis_keys(self.operator)}
         return {
             name: list(value) if isinstance(value, tuple) else value
             for name, value in plain.items()
@@ -76,7 +79,7 @@ def settings_for(stated: Hysteresis, inputs: Sequence[np.ndarray]) -> Hysteresis
     """
     ends = stated.input_range
     if ends is None:
-        together = np.concatenate([np.asarray([0.0]), *inputs])
+        together = np.concatenate([*inputs]) if inputs else np.zeros(1)
         ends = [float(np.min(together)), float(np.max(together))]
     if not ends[0] < ends[1]:
         raise InputError(

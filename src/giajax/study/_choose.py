@@ -8,7 +8,7 @@ import numpy as np
 
 from .._errors import InputError
 from ..fitting import FitResult, fit
-from ..models import HysteresisModel, model_for
+from ..models import HysteresisModel, hysteresis_keys, model_for
 from ..parameters import default_free
 from ..runs import Definition, Run
 
@@ -151,11 +151,11 @@ def _rms(values: np.ndarray) -> float:
 
 def _stating(run: Run, section: Mapping[str, Any]) -> Run:
     """The run with this candidate's [hysteresis]; what else the sidecar states of it stays."""
-    stated = run.definition.given()
+    stated, known = run.definition.given(), hysteresis_keys(section["operator"])
     kept = {
         key: value
         for key, value in stated.get("hysteresis", {}).items()
-        if key not in ("operator", "elements") and key not in section
+        if key in known and key not in ("operator", "elements") and key not in section
     }
     stated["hysteresis"] = {**kept, **section}
     return dataclasses.replace(run, definition=Definition.parse(stated, run.name))
