@@ -201,6 +201,8 @@ def test_derivatives_are_those_of_an_explicit_method():
 
 @pytest.mark.slow
 def test_reverse_mode_is_forward_mode():
+    # The largest program of all tests needs a compiler that holds few others.
+    jax.clear_caches()
     seen = jnp.asarray(np.random.default_rng(0).normal(size=(21, 4)))
 
     @jax.jit
@@ -216,7 +218,8 @@ def test_a_batch_is_each():
     points = jnp.stack([POINT.at[2].set(stiffness) for stiffness in stiffnesses])
     together = jax.vmap(lambda x: angles(x, "springs5", 1e-6))(points)
     for one, point in zip(together, points, strict=True):
-        assert_allclose(one, angles(point, "springs5", 1e-6), rtol=0, atol=1e-9)
+        # Rounding may move the steps, by far less than the tolerance is worth.
+        assert_allclose(one, angles(point, "springs5", 1e-6), rtol=0, atol=1e-6)
 
 
 def test_steps_do_not_grow_with_the_stiffness_as_those_of_explicit_methods():
