@@ -8,7 +8,6 @@ turns, so that another load on the machine falls on all of them. Compare ratios,
     python benchmarks/bench.py [--quick] [--out FILE]
 """
 
-import argparse
 import datetime
 import json
 import os
@@ -36,11 +35,11 @@ import giajax.parameters
 from arms import driven_arm, random_states
 from giajax.arm import Arm, acceleration
 from giajax.simulation import Signal, simulate
+from measuring import RESULTS, command_line, store
 from mujoco_chain import MujocoChain
 from scipy_chain import ScipyChain
 
 ROOT = Path(__file__).resolve().parents[1]
-RESULTS = ROOT / "benchmarks" / "results" / "bench.json"
 RUN = ROOT / "data" / "synthetic" / "base_step.csv"
 
 ACCURACY = 1e-4  # m, at the tip
@@ -396,16 +395,12 @@ def spread(times: dict[str, float], unit: float) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="a short arm, once: does it run?")
-    parser.add_argument("--out", type=Path, default=RESULTS, help="JSON file to write")
-    arguments = parser.parse_args()
+    arguments = command_line(__doc__, RESULTS / "bench.json")
     jax.config.update("jax_enable_x64", True)
     console = Console()
     found = measure(arguments.quick, console)
     show(found, console)
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    arguments.out.write_text(json.dumps(found, indent=2) + "\n")
+    store(found, arguments.out)
     console.print(f"written to {arguments.out}")
 
 

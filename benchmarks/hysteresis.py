@@ -11,10 +11,10 @@ import json
 import resource
 import subprocess
 import sys
-import time
-from collections.abc import Callable
 
 import numpy as np
+
+from measuring import fastest
 
 METHODS = ("scan", "associative", "numpy")
 
@@ -39,17 +39,6 @@ def numpy_gradient(inputs: np.ndarray, thresholds: np.ndarray) -> np.ndarray:
         w = np.minimum(np.maximum(w, u - thresholds), u + thresholds)
         total += slope
     return total
-
-
-def fastest(call: Callable[[], object], repeats: int) -> float:
-    """Least time of some calls after a first one, s."""
-    call()
-    times = []
-    for _ in range(repeats):
-        began = time.perf_counter()
-        call()
-        times.append(time.perf_counter() - began)
-    return min(times)
 
 
 def peak_mib() -> float:

@@ -8,10 +8,7 @@ along the links by 3 points at most twice.
     python benchmarks/options.py [--quick] [--out FILE]
 """
 
-import argparse
-import json
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -22,9 +19,7 @@ from rich.table import Table
 from arms import random_states
 from bench import spread, timed
 from giajax.arm import Arm, PointMasses, acceleration, takeichi_20m, takeichi_20m_full
-
-ROOT = Path(__file__).resolve().parents[1]
-RESULTS = ROOT / "benchmarks" / "results" / "options.json"
+from measuring import RESULTS, command_line, store
 
 
 def variants(links: int) -> dict[str, tuple[Arm, float | None]]:
@@ -119,16 +114,12 @@ def show(found: dict[str, Any], console: Console) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="a short arm, once: does it run?")
-    parser.add_argument("--out", type=Path, default=RESULTS, help="JSON file to write")
-    arguments = parser.parse_args()
+    arguments = command_line(__doc__, RESULTS / "options.json")
     jax.config.update("jax_enable_x64", True)
     found = measure(arguments.quick)
     console = Console()
     show(found, console)
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    arguments.out.write_text(json.dumps(found, indent=2) + "\n")
+    store(found, arguments.out)
     console.print(f"written to {arguments.out}")
 
 

@@ -7,8 +7,6 @@ of steps of one length on a shorter arm, at the steps and between them.
     python benchmarks/stiffness.py [--quick] [--out DIR]
 """
 
-import argparse
-import json
 import os
 import time
 from pathlib import Path
@@ -29,8 +27,7 @@ from giajax.report._style import new_figure, plain
 from giajax.simulation import Signal, constant, simulate
 from giajax.simulation._motion import Inputs, motion
 from giajax.simulation._solvers import solver as solver_named
-
-RESULTS = Path(__file__).resolve().parents[1] / "benchmarks" / "results" / "stiffness"
+from measuring import RESULTS, command_line, store
 
 STIFFNESSES = (30.0, 300.0, 3000.0)  # N m/rad
 ERRORS = (1e-3, 1e-4)  # m, at the tip
@@ -163,10 +160,7 @@ def draw_cost(found: dict[str, Any], path: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="a short arm, once: does it run?")
-    parser.add_argument("--out", type=Path, default=RESULTS, help="folder to write to")
-    arguments = parser.parse_args()
+    arguments = command_line(__doc__, RESULTS / "stiffness", "folder to write to")
     jax.config.update("jax_enable_x64", True)
     console = Console()
     links, seconds, repeats = (4, 2.0, 1) if arguments.quick else (20, 25.0, 4)
@@ -188,10 +182,9 @@ def main() -> None:
             cells = ["-" if took is None else f"{1e3 * took:.3g}" for took in row.values()]
             table.add_row(stiffness, f"{error:g}", *cells)
     console.print(table)
-    arguments.out.mkdir(parents=True, exist_ok=True)
     load_of = {"load_before": load, "load_after": os.getloadavg()[0], "cores": os.cpu_count()}
     found = {"machine": load_of, "order": order, "work": work, "seconds_at_error": costs}
-    (arguments.out / "stiffness.json").write_text(json.dumps(found, indent=2) + "\n")
+    store(found, arguments.out / "stiffness.json")
     draw_order(order, arguments.out / "order.png")
     draw_cost(work, arguments.out / "work_precision.png")
     console.print(f"written to {arguments.out}")

@@ -5,7 +5,7 @@ import pytest
 from giajax import takeichi_20m
 from giajax.models import arm_from_definition, arm_to_definition
 from giajax.runs import Definition
-from giajax.runs._vocabulary import Arm
+from giajax.runs._arm_sections import Arm
 
 
 def test_the_vocabulary_states_the_preset_as_it_is():

@@ -173,8 +173,26 @@ def drag_force(
         rates: joint rates, rad/s.
         wind: velocity of the air in the base frame, m/s; still air by default.
     """
+    return drag_in_motion(arm, angles, rates, wind).load.force.T
+
+
+class Dragged(NamedTuple):
+    """Drag on each link, and how the links move through the air."""
+
+    load: Load
+    velocity: Rows
+    omega: Rows
+
+
+def drag_in_motion(
+    arm: Arm,
+    angles: Float[Array, " joint"],
+    rates: Float[Array, " joint"],
+    wind: Float[Array, "3"] | None,
+) -> Dragged:
+    """Drag at given angles and rates, with the velocities of the links' centres and turns."""
     here = pose(arm, angles)
     omega = angular_velocities(here, rates)
     velocity = centre_velocities(arm, here, omega)
     relative = relative_velocity(arm, velocity, flow(arm, wind))
-    return drag(arm, here, relative, cross(omega, here.direction)).force.T
+    return Dragged(drag(arm, here, relative, cross(omega, here.direction)), velocity, omega)

@@ -2,12 +2,12 @@
 
 import jax.numpy as jnp
 
-from .._maths import cross, dot
+from .._maths import dot
 from .._typing import Array, Float, Scalar
 from ._air import (
     across_link,
     added_mass,
-    drag,
+    drag_in_motion,
     flow,
     lift_force,
     relative_velocity,
@@ -15,7 +15,7 @@ from ._air import (
 from ._bodies import bodies
 from ._chain import Arm
 from ._dynamics import mass_matrix
-from ._kinematics import angular_velocities, centre_velocities, pose
+from ._kinematics import pose
 
 
 def kinetic_energy(
@@ -77,11 +77,7 @@ def drag_power(
         rates: joint rates, rad/s.
         wind: velocity of the air in the base frame, m/s; still air by default.
     """
-    here = pose(arm, angles)
-    omega = angular_velocities(here, rates)
-    velocity = centre_velocities(arm, here, omega)
-    relative = relative_velocity(arm, velocity, flow(arm, wind))
-    force, couple = drag(arm, here, relative, cross(omega, here.direction))
+    (force, couple), velocity, omega = drag_in_motion(arm, angles, rates, wind)
     power = dot(force, velocity)
     if couple is not None:
         power = power + dot(couple, omega)

@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from .._errors import InputError
+
 EXAMPLES = """\b
 Examples:
   giajax fit --data loop.csv --out loop
@@ -64,7 +66,6 @@ def compensate(
     from ._jax import configure
 
     configure()
-    from .._errors import InputError
     from ..fitting import load_result
     from ..models import (
         HysteresisModel,

@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from .._errors import InputError
+
 if TYPE_CHECKING:
     from ..models import ArmModel, Drive
     from ..runs import Definition, Run
@@ -26,27 +28,21 @@ _MOVE = re.compile(
 )
 
 
-def wrong(sentence: str) -> Exception:
-    from .._errors import InputError
-
-    return InputError(sentence)
-
-
 def stated_definition(arm: Path | None, links: int | None, wind: str | None) -> "Definition":
     """What the arm file and the options say, the options on top."""
     from ..runs import Definition
 
     stated = Definition() if arm is None else Definition.load(arm)
     if stated.model not in (None, "arm"):
-        raise wrong(f"{arm} describes a {stated.model}; give the TOML file of an arm")
+        raise InputError(f"{arm} describes a {stated.model}; give the TOML file of an arm")
     if links is not None:
         if links < 1:
-            raise wrong(f"--links is {links}; an arm has at least 1 link")
+            raise InputError(f"--links is {links}; an arm has at least 1 link")
         stated = stated.merged_with(Definition.parse({"arm": {"links": links}}))
     if wind is not None:
         velocity = [number(part) for part in wind.split(",")]
         if len(velocity) != 3 or None in velocity:
-            raise wrong(f"--wind is {wind!r}; give three numbers in m/s, such as 0,0.2,0")
+            raise InputError(f"--wind is {wind!r}; give three numbers in m/s, such as 0,0.2,0")
         stated = stated.merged_with(Definition.parse({"wind": {"velocity_m_per_s": velocity}}))
     return stated
 
@@ -74,7 +70,7 @@ def drives_of(run: "Run", rate: float) -> tuple[float, float, list["Drive"]]:
     from ..models import Drive
 
     if run.model != "arm" or run.times is None:
-        raise wrong(f"{run.path} is a run of the {run.model} model; give the run of an arm")
+        raise InputError(f"{run.path} is a run of the {run.model} model; give the run of an arm")
     length = float(run.times[-1] - run.times[0])
     if rate > 0:
         length = max(math.floor(length * rate + 1e-6), 1) / rate
@@ -95,10 +91,12 @@ def moves_of(step: Sequence[str], ramp: Sequence[str], count: int, duration: flo
             match = _MOVE.fullmatch(text.replace(" ", ""))
             if match is None or (match["duration"] and option == "--step"):
                 form = "JOINT=DEG[@T]" if option == "--step" else "JOINT=DEG[@START:DURATION]"
-                raise wrong(f"{option} {text!r} must be {form}, such as 1=30@0.5; correct it")
+                raise InputError(f"{option} {text!r} must be {form}, such as 1=30@0.5; correct it")
             length = float(match["duration"] or _RAMP_DURATION) if option == "--ramp" else 0.0
             if option == "--ramp" and length == 0:
-                raise wrong(f"{option} {text!r} has the duration 0; give a longer one, or --step")
+                raise InputError(
+                    f"{option} {text!r} has the duration 0; give a longer one, or --step"
+                )
             start = _START if match["start"] is None else float(match["start"])
             angle = math.radians(float(match["angle"]))
             moves.append(Move(int(match["joint"]), angle, start, length))
@@ -112,14 +110,7 @@ def model_and_truth(
     import jax.numpy as jnp
 
     from ..models import ArmModel, arm_from_definition, sensors_from_definition
-    from ..parameters import (
-        check_within_bounds,
-        default_free,
-        elements,
-        get,
-        replace,
-        switched_on,
-    )
+    from ..parameters import default_free, get
 
     model = ArmModel(
         arm_from_definition(stated),
@@ -132,21 +123,40 @@ def model_and_truth(
         path, _, text = setting.rpartition("=")
         path, value = path.strip(), number(text)
         if not path or value is None:
-            raise wrong(
+            raise InputError(
                 f"--set {setting!r} must be PATH=VALUE with a number, such as "
                 "air.drag_coefficient=1.0; correct it"
             )
         if path in values:
-            raise wrong(f"--set gives {path} twice; remove one")
-        model = switched_on(model, [path])
-        for element in elements(model, path):
-            check_within_bounds(element, value, free=False)
+            raise InputError(f"--set gives {path} twice; remove one")
+        model = having(model, path, [value], setting)
         values[path] = value
-    model = replace(model, values)
     truth = {
         path: float(get(model, path)) for path in default_free(model) if not get(model, path).ndim
     }
     return model, {**truth, **values}
+
+
+def having(model: Any, path: str, values: Sequence[float], setting: str) -> Any:
+    """The model with a parameter, switched on if need be: one number, or one for each element.
+
+    Raises:
+        InputError: another number of values, or one beyond its bounds; `setting` is named.
+    """
+    from ..parameters import check_within_bounds, elements, replace, switched_on
+
+    model = switched_on(model, [path])
+    parts = elements(model, path)
+    if len(values) not in (1, len(parts)):
+        raise InputError(
+            f"--set {setting!r} gives {len(values)} values for {len(parts)} elements; "
+            "give one, or one for each"
+        )
+    each = [float(value) for value in values] * (len(parts) // len(values))
+    for part, value in zip(parts, each, strict=True):
+        check_within_bounds(part, value, free=False)
+        model = replace(model, {part.path: value})
+    return model
 
 
 def channel_names(selections: Sequence[str], count: int) -> list[str]:
@@ -168,13 +178,13 @@ def channel_names(selections: Sequence[str], count: int) -> list[str]:
     for name in names:
         channel = Channel.named(name)
         if channel.kind not in ("joint_angle", "joint_rate", "link_position", "tip_position"):
-            raise wrong(
+            raise InputError(
                 f"--channels {name!r} is not something an arm is measured by; "
                 "give link06, link06_z, tip, joint03_angle, joint03_rate, joints or all"
             )
         if (channel.index or 1) > count:
             part = "link" if channel.kind == "link_position" else "joint"
-            raise wrong(
+            raise InputError(
                 f"--channels {name!r} is of {part} {channel.index}, but the arm has {count} links; "
                 "correct the number, or simulate a longer arm"
             )
@@ -193,7 +203,7 @@ def facts_of(
     winds = [drive for name, drive in driven.items() if name.startswith("wind")]
     velocity = source.wind.velocity_m_per_s
     if not (driven or initial or velocity or float(model.arm.gravity)):
-        raise wrong(
+        raise InputError(
             "nothing moves the arm; give --step, --ramp, --command or --wind, or --arm with an "
             "[initial] state"
         )

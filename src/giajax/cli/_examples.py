@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from .._errors import InputError
+
 EXAMPLES = """\b
 Examples:
   giajax examples
@@ -49,7 +51,7 @@ def examples_root() -> Path:
     for root in (package / "_examples", checkout):
         if all((root / folder).is_dir() for folder in _FOLDERS):
             return root
-    raise _wrong(
+    raise InputError(
         f"the examples are not part of this installation ({package}); install giajax again"
     )
 
@@ -105,18 +107,14 @@ def _copy(root: Path, files: list[Path], target: Path, force: bool) -> None:
     contents = {target / path.relative_to(root): path.read_bytes() for path in files}
     taken = [path for path in contents if path.exists()]
     if taken and not force:
-        raise _wrong(f"{taken[0]} exists and is not written over; give another folder or --force")
+        raise InputError(
+            f"{taken[0]} exists and is not written over; give another folder or --force"
+        )
     for folder in {path.parent for path in contents}:
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise _wrong(
+            raise InputError(
                 f"the folder {folder} cannot be made ({error.strerror}); give another one"
             ) from None
     write_files(contents, force=force)
-
-
-def _wrong(sentence: str) -> Exception:
-    from .._errors import InputError
-
-    return InputError(sentence)

@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from .._errors import InputError
+
 if TYPE_CHECKING:
     from ..runs import Definition
 
@@ -62,13 +64,13 @@ def joint(
     for option, values in (("--angle", angles), ("--wanted", [wanted])):
         for value in values:
             if not -60 <= value <= 60:
-                raise _wrong(f"{option} is {value:g}; a joint bends from -60 to 60 deg")
+                raise InputError(f"{option} is {value:g}; a joint bends from -60 to 60 deg")
     names = ("fig09.png", "fig09.csv", "fig10.png", "fig10.csv", "corrections.png",
              "corrections.csv", "joint.png", "points.csv", "equilibria.png",
              "equilibria.csv")  # fmt: skip
     for name in names:
         if (out / name).exists() and not force:
-            raise _wrong(
+            raise InputError(
                 f"{out / name} exists and is not written over; give another --out or --force"
             )
 
@@ -81,7 +83,9 @@ def joint(
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise _wrong(f"the folder {out} cannot be made ({error.strerror}); give another") from None
+        raise InputError(
+            f"the folder {out} cannot be made ({error.strerror}); give another"
+        ) from None
     write_files({out / name: contents[name] for name in names}, force=force)
     _show(pair, wanted)
     typer.echo(f"\nwrote {out}: {', '.join(names)}")
@@ -106,14 +110,14 @@ def _pair(stated: "Definition", settings: list[str], torque: float | None) -> An
         except ValueError:
             value = math.nan
         if not path or not math.isfinite(value):
-            raise _wrong(f"--set {setting!r} must be PATH=VALUE with a number; correct it")
+            raise InputError(f"--set {setting!r} must be PATH=VALUE with a number; correct it")
         # The joint's own paths need no prefix, as in a fit of a joint.
         values[path if path.startswith(("joint.", "muscle.")) else f"joint.{path}"] = value
     for path, value in values.items():
         for element in elements(pair, path):
             check_within_bounds(element, value, free=False)
     if torque is not None and not 0 < torque < math.inf:
-        raise _wrong(f"--torque is {torque:g}; give a positive number of N m")
+        raise InputError(f"--torque is {torque:g}; give a positive number of N m")
     pair = replace(pair, values)
     check_geometry(pair.joint.geometry)
     return pair
@@ -129,7 +133,7 @@ def _refuse_unused(stated: "Definition") -> None:
     }
     for key, given in unused.items():
         if given:
-            raise _wrong(
+            raise InputError(
                 f"[muscle] {key} is not used here: the length is muscle_length_m of [joint], and "
                 "a pair has no friction; remove it"
             )
@@ -230,9 +234,3 @@ def _show(pair: Any, wanted: float) -> None:
     for note, holds in notes.items():
         if holds:
             print(note)
-
-
-def _wrong(sentence: str) -> Exception:
-    from .._errors import InputError
-
-    return InputError(sentence)

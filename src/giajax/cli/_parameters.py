@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from .._errors import InputError
+
 if TYPE_CHECKING:
     from ..parameters import Parameter
 
@@ -46,7 +48,6 @@ def parameters(
 
     Path, unit, default, bounds and meaning of each.
     """
-    from .._errors import InputError
     from ..runs import Definition, read_run
 
     if run is not None and (arm or preset or links is not None):

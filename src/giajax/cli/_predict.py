@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .._errors import InputError
 from ._output import print_table
 
 if TYPE_CHECKING:
@@ -65,7 +66,6 @@ def predict(
     The runs start as their sidecars, or the fit definition, say: with first_row = true in
     [initial] as in their first row.
     """
-    from .._errors import InputError
     from ..runs import Definition, parse_rename, read_runs, write_files
 
     if out is not None and out.exists() and not force:

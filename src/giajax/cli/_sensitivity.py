@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .._errors import InputError
 from ._drive import (
     DURATION,
     channel_names,
@@ -15,7 +16,6 @@ from ._drive import (
     moves_of,
     replayed_run,
     stated_definition,
-    wrong,
 )
 
 if TYPE_CHECKING:
@@ -100,17 +100,21 @@ def sensitivity(
     from ..runs import read_run, write_files
 
     if not all(value is None or 0 < value < math.inf for value in (noise, noise_angle)):
-        raise wrong("--noise and --noise-angle are standard deviations; give positive numbers")
+        raise InputError("--noise and --noise-angle are standard deviations; give positive numbers")
     for name in _FILES:
         if (out / name).exists() and not force:
-            raise wrong(f"{out / name} exists and is not written over; give another DIR or --force")
+            raise InputError(
+                f"{out / name} exists and is not written over; give another DIR or --force"
+            )
     again = (arm, step, ramp, command, wind, links, duration, rate)
     if run is not None and any(value is not None and value != [] for value in again):
-        raise wrong("a run says what moves which arm; leave out the options that say it again")
+        raise InputError("a run says what moves which arm; leave out the options that say it again")
     recorded = None if run is None else read_run(run)
     stated = stated_definition(arm, links, wind)
     if command is not None and (step or ramp):
-        raise wrong("--command gives the commands, and so do --step and --ramp; give one of them")
+        raise InputError(
+            "--command gives the commands, and so do --step and --ramp; give one of them"
+        )
     replayed = None if command is None else replayed_run(command, stated)
 
     from ._jax import configure
@@ -187,7 +191,7 @@ def _noise_of(
         elif stated is None and quantity.startswith("ang"):
             stated = math.radians(_NOISE_ANGLE)
         elif stated is None:
-            raise wrong(f"the noise of {name} is not stated; state it in [noise] of the run")
+            raise InputError(f"the noise of {name} is not stated; state it in [noise] of the run")
         found.append(stated)
     return found
 

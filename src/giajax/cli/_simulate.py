@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from .._errors import InputError
 from ._drive import (
     DURATION,
     channel_names,
@@ -17,7 +18,6 @@ from ._drive import (
     moves_of,
     replayed_run,
     stated_definition,
-    wrong,
 )
 
 if TYPE_CHECKING:
@@ -116,7 +116,9 @@ def simulate(
     _check_free(out, force)
     stated = stated_definition(arm, links, wind)
     if command is not None and (step or ramp):
-        raise wrong("--command gives the commands, and so do --step and --ramp; give one of them")
+        raise InputError(
+            "--command gives the commands, and so do --step and --ramp; give one of them"
+        )
     replayed = None if command is None else replayed_run(command, stated)
 
     from ._jax import configure
@@ -172,11 +174,13 @@ def _write(out: Path, run: "Run", digits: int, force: bool) -> None:
 def _check_numbers(*, noise: float, noise_angle: float, missing: float, tolerance: float) -> None:
     for option, value in (("--noise", noise), ("--noise-angle", noise_angle)):
         if not 0 <= value < math.inf:
-            raise wrong(f"{option} is {value:g}, a standard deviation; give 0 or a positive number")
+            raise InputError(
+                f"{option} is {value:g}, a standard deviation; give 0 or a positive number"
+            )
     if not 0 <= missing < 100:
-        raise wrong(f"--missing is {missing:g} %; give at least 0 and less than 100")
+        raise InputError(f"--missing is {missing:g} %; give at least 0 and less than 100")
     if not 0 < tolerance <= 0.1:
-        raise wrong(f"--tolerance is {tolerance:g}; give a positive number of at most 0.1")
+        raise InputError(f"--tolerance is {tolerance:g}; give a positive number of at most 0.1")
 
 
 def _check_free(out: Path, force: bool) -> None:
@@ -184,21 +188,25 @@ def _check_free(out: Path, force: bool) -> None:
     from ..runs import sidecar_path
 
     if out.suffix != ".csv":
-        raise wrong(f"--out is {out}; a run is written as .csv, so give such a name")
+        raise InputError(f"--out is {out}; a run is written as .csv, so give such a name")
     if not out.parent.is_dir():
-        raise wrong(f"the folder {out.parent} of --out does not exist; make it or give another")
+        raise InputError(
+            f"the folder {out.parent} of --out does not exist; make it or give another"
+        )
     for path in (out, sidecar_path(out)):
         if path.exists() and not force:
-            raise wrong(f"{path} exists and is not written over; give another name or --force")
+            raise InputError(f"{path} exists and is not written over; give another name or --force")
 
 
 def _deviations(channels: Sequence[str], noise: float, noise_angle: float) -> dict[str, float]:
     positions = any(name.startswith(("link", "tip")) for name in channels)
     angles = any(name.endswith("_angle") for name in channels)
     if noise and not positions:
-        raise wrong("--noise is that of positions, and no position is recorded; leave it out")
+        raise InputError("--noise is that of positions, and no position is recorded; leave it out")
     if noise_angle and not angles:
-        raise wrong("--noise-angle is that of joint angles, and none is recorded; leave it out")
+        raise InputError(
+            "--noise-angle is that of joint angles, and none is recorded; leave it out"
+        )
     stated = {"position": noise, "angle": math.radians(noise_angle)}
     return {quantity: deviation for quantity, deviation in stated.items() if deviation}
 

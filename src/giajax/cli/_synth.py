@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ._drive import number, wrong
+from .._errors import InputError
+from ._drive import having, number
 
 if TYPE_CHECKING:
     from ..runs import Run
@@ -82,10 +83,10 @@ def synth(
     from ..runs import read_run, sidecar_path, write_run
 
     if out.suffix != ".csv":
-        raise wrong(f"--out is {out}; a run is written as .csv, so give such a name")
+        raise InputError(f"--out is {out}; a run is written as .csv, so give such a name")
     for path in (out, sidecar_path(out)):
         if path.exists() and not force:
-            raise wrong(f"{path} exists and is not written over; give another name or --force")
+            raise InputError(f"{path} exists and is not written over; give another name or --force")
     recorded = read_run(run)
 
     from ._jax import configure
@@ -125,27 +126,17 @@ def synth(
 
 def set_parameters(model: Any, settings: Sequence[str]) -> tuple[Any, list[str]]:
     """The model with the parameters that were set, and their paths."""
-    from ..parameters import check_within_bounds, elements, replace, switched_on
-
     paths = []
     for setting in settings:
         path, _, text = setting.rpartition("=")
-        values = [number(part) for part in text.split(",")]
-        if not path or None in values:
-            raise wrong(
+        parts = text.split(",")
+        values = [value for value in map(number, parts) if value is not None]
+        if not path or len(values) < len(parts):
+            raise InputError(
                 f"--set {setting!r} must be PATH=VALUE with a number, or one for each element, "
                 "such as camera.origin=0.1,0,0; correct it"
             )
-        model = switched_on(model, [path])
-        parts = elements(model, path)
-        if len(values) not in (1, len(parts)):
-            raise wrong(
-                f"--set {setting!r} gives {len(values)} values for {len(parts)} elements; "
-                "give one, or one for each"
-            )
-        for part, value in zip(parts, values * (len(parts) // len(values)), strict=True):
-            check_within_bounds(part, float(value or 0.0), free=False)
-            model = replace(model, {part.path: value})
+        model = having(model, path, values, setting)
         paths.append(path.partition("[")[0])
     return model, list(dict.fromkeys(paths))
 
@@ -161,7 +152,9 @@ def _deviations(
         key, _, text = pair.partition("=")
         value = number(text)
         if not key or value is None:
-            raise wrong(f"{option} {pair!r} must be KEY=VALUE, such as position_m=0.01; correct it")
+            raise InputError(
+                f"{option} {pair!r} must be KEY=VALUE, such as position_m=0.01; correct it"
+            )
         section[key] = value
     if not section:
         return {}
@@ -170,5 +163,5 @@ def _deviations(
     found = {name: stated_noise(noise, Channel.named(name)) for name in names}
     deviations = {name: value for name, value in found.items() if value is not None}
     if not deviations:
-        raise wrong(f"{option} is about none of the recorded channels; correct its key")
+        raise InputError(f"{option} is about none of the recorded channels; correct its key")
     return deviations

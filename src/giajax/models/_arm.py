@@ -124,7 +124,10 @@ class ArmModel(AbstractModel):
         first, *others = runs
         arm = arm_from_definition(first.definition)
         sensors = sensors_from_definition(first.definition)
+        stated = [first.definition.arm, first.definition.sensors]
         for other in others:
+            if [other.definition.arm, other.definition.sensors] == stated:
+                continue
             their_arm = arm_from_definition(other.definition)
             their_sensors = sensors_from_definition(other.definition)
             for section, ours, theirs in (
@@ -173,11 +176,8 @@ class ArmModel(AbstractModel):
         """The state at the first sample; a first row was seen by the angle sensors."""
         angle, rate = map(jnp.asarray, initial_state(run, times, self.arm.count))
         if run.definition.initial.first_row:
-            seen = self.sensors.encoder
-            if seen.offset is not None:
-                angle = angle - seen.offset
-            if seen.scale is not None:
-                angle, rate = angle / seen.scale, rate / seen.scale
+            encoder = self.sensors.encoder
+            angle, rate = encoder.true_angles(angle), encoder.true_rates(rate)
         return InitialState(angle, rate)
 
     def _rows(self, run: Run, times: np.ndarray, kind: str) -> Signal:

@@ -156,6 +156,14 @@ class Encoder(eqx.Module):
         """Recorded joint rates, rad/s; the clock apart."""
         return rates if self.scale is None else rates * _row(self.scale, rates)
 
+    def true_angles(self, shown: Float[Array, " joint"]) -> Float[Array, " joint"]:
+        """Joint angles (rad) that are shown so: the inverse of `shows`; the clock apart."""
+        return self.true_rates(shown if self.offset is None else shown - self.offset)
+
+    def true_rates(self, shown: Float[Array, " joint"]) -> Float[Array, " joint"]:
+        """Joint rates (rad/s) that are shown so: the inverse of `shows_rates`."""
+        return shown if self.scale is None else shown / self.scale
+
 
 def _row(value: Array, table: Array) -> Array:
     return jnp.broadcast_to(value, table.shape[1:])[None]

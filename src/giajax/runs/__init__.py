@@ -1,7 +1,10 @@
 """Recorded runs: reading, checking, describing and writing them. Imports no JAX."""
 
 from ._channels import Channel as Channel, parse_column as parse_column
+from ._definition import Definition as Definition
 from ._describe import describe as describe
+from ._fit_sections import Figure as Figure
+from ._part_sections import Hysteresis as Hysteresis, Muscle as Muscle
 from ._read import (
     parse_rename as parse_rename,
     read_run as read_run,
@@ -12,10 +15,4 @@ from ._read import (
 from ._run import Run as Run, stated_noise as stated_noise
 from ._select import observing as observing, windows as windows
 from ._template import sidecar_template as sidecar_template
-from ._vocabulary import (
-    Definition as Definition,
-    Figure as Figure,
-    Hysteresis as Hysteresis,
-    Muscle as Muscle,
-)
 from ._write import write_files as write_files, write_run as write_run

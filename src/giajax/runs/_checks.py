@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from .._errors import InputError
 from ._channels import TEXTS, Channel, parse_column
+from ._definition import Definition
 from ._model import GIVEN, PREDICTED
-from ._vocabulary import Definition
 
 DEFAULT_PRESET = "takeichi_20m"
 DEFAULT_LINKS = 20

@@ -5,10 +5,10 @@ from pathlib import Path
 
 from .._errors import InputError
 from ._checks import Wording
+from ._definition import Definition
 from ._run import Run, build_run
 from ._select import observing, windows
 from ._table import Table, read_table
-from ._vocabulary import Definition
 
 # What a definition may say about a run; the rest of it (data, checksum, [fit]) is not the run's.
 _ABOUT_RUNS = (

@@ -11,9 +11,10 @@ import numpy.typing as npt
 from .._errors import InputError
 from ._channels import TEXTS, Channel, parse_column
 from ._checks import Wording, check_content
+from ._definition import Definition
+from ._fit_sections import Noise
 from ._model import GIVEN, PREDICTED, decide_model
 from ._units import from_si, to_si
-from ._vocabulary import Definition, Noise
 
 # Key of [noise] by quantity -> (kinds it holds for, quantity, unit).
 _NOISE_KEYS: dict[str, tuple[tuple[str, ...], str, str]] = {

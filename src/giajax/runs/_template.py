@@ -7,22 +7,14 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from ._arm_sections import Arm, Command, Initial, Sensors, Wind
 from ._checks import DEFAULT_LINKS, DEFAULT_PRESET
+from ._definition import Definition
+from ._fit_sections import Noise
 from ._model import GIVEN, PREDICTED, infer_model
+from ._part_sections import Hysteresis, Joint, Muscle
 from ._table import Table, read_table
 from ._toml import key_path, toml_value
-from ._vocabulary import (
-    Arm,
-    Command,
-    Definition,
-    Hysteresis,
-    Initial,
-    Joint,
-    Muscle,
-    Noise,
-    Sensors,
-    Wind,
-)
 
 # Sections of one model, all of whose keys are offered.
 _SECTIONS: dict[str, type[BaseModel]] = {

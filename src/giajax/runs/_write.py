@@ -11,9 +11,9 @@ import numpy.typing as npt
 
 from .._errors import InputError
 from ._channels import Channel, order
+from ._definition import Definition
 from ._model import infer_model
 from ._read import sidecar_path
-from ._vocabulary import Definition
 
 DEFAULT_UNITS = {"angle": "deg", "angular_velocity": "deg_per_s", "pressure": "kPa"}
 

@@ -183,6 +183,8 @@ def integrate(
     corners = jnp.concatenate([signal.times for signal in inputs])
     rtol, atol = tolerances
     method = solver_named(solver)
+    rate = fastest_rate(arm, state[0])
+    implicit = isinstance(method, LinearlyImplicit)
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(motion),
         method,
@@ -197,10 +199,8 @@ def integrate(
             rtol,
             atol,
             corners,
-            rate=fastest_rate(arm, state[0]),
-            explicit_rate=fastest_rate(
-                arm, state[0], springs=not isinstance(method, LinearlyImplicit)
-            ),
+            rate=rate,
+            explicit_rate=fastest_rate(arm, state[0], springs=False) if implicit else rate,
             disturbances=(
                 (inputs, state, arm.base_rotation, arm.gravity, arm.air.wind),
                 (arm.buoyancy, arm.point_masses),

@@ -1,0 +1,35 @@
+"""What the benchmarks share: their options, the least time of a call, and the file of figures."""
+
+import argparse
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+RESULTS = Path(__file__).resolve().parent / "results"
+
+
+def command_line(description: str | None, out: Path, what: str = "JSON file to write") -> Any:
+    """The parsed command line of a benchmark: `quick` and `out`."""
+    parser = argparse.ArgumentParser(description=(description or "").partition("\n")[0])
+    parser.add_argument("--quick", action="store_true", help="a short arm, once: does it run?")
+    parser.add_argument("--out", type=Path, default=out, help=what)
+    return parser.parse_args()
+
+
+def fastest(call: Callable[[], object], repeats: int) -> float:
+    """Least time of some calls after a first one, s; each must wait for its own result."""
+    call()
+    times = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        call()
+        times.append(time.perf_counter() - began)
+    return min(times)
+
+
+def store(found: dict[str, Any], path: Path) -> None:
+    """Write figures as JSON."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(found, indent=2) + "\n")

@@ -1,0 +1,113 @@
+"""The one TOML vocabulary of sidecars, fit definitions and a user's own arm."""
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, ValidationError, field_validator
+
+from .._errors import InputError
+from ._arm_sections import Arm, Command, Initial, Sensors, Wind
+from ._complaints import complaint, plain
+from ._fit_sections import Figure, Fit, Noise
+from ._part_sections import Hysteresis, Joint, Muscle
+from ._section import Name, Section, key
+from ._toml import to_toml
+
+
+class Definition(Section):
+    """A sidecar, a fit definition or a user's own arm. Every section and key is optional.
+
+    A section that was not given is there with its defaults, so `definition.arm.links` is always
+    legal; `definition.given()` has only what was given.
+    """
+
+    schema_version: Literal[1] = key("1", "version of this vocabulary", default=1)
+    model: Literal["arm", "hysteresis", "joint", "muscle"] | None = key(
+        '"arm", "hysteresis", "joint" or "muscle"', "what the run is a run of"
+    )
+    origin: str | None = key("text", "where the run comes from")
+    licence: str | None = key("text", "terms under which it may be used")
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = key(
+        "64 hexadecimal digits", "checksum of the data file"
+    )
+    free_motion: bool | None = key("true or false", "true: the arm moves without commands")
+    arm: Arm = Field(default_factory=Arm)
+    sensors: Sensors = Field(default_factory=Sensors)
+    initial: Initial = Field(default_factory=Initial)
+    command: Command = Field(default_factory=Command)
+    wind: Wind = Field(default_factory=Wind)
+    hysteresis: Hysteresis = Field(default_factory=Hysteresis)
+    joint: Joint = Field(default_factory=Joint)
+    muscle: Muscle = Field(default_factory=Muscle)
+    noise: Noise = Field(default_factory=Noise)
+    truth: dict[str, Any] = key(
+        "a table", "what the maker of the data knows; never read by a fit", default={}
+    )
+    fit: Fit = Field(default_factory=Fit)
+    figures: dict[Name, Figure] = key(
+        'a table like [figures."air.drag_coefficient"]', "figures to reach", default={}
+    )
+
+    @field_validator("sha256", mode="before")
+    @classmethod
+    def _lower_case(cls, digits: Any) -> Any:
+        return digits.lower() if isinstance(digits, str) else digits
+
+    @classmethod
+    def parse(cls, data: Mapping[str, Any], source: str = "definition") -> "Definition":
+        """The definition that plain data state; `source` names them in errors.
+
+        Raises `InputError` for an unknown key (with the nearest known one) and for a value that
+        is not what its key must be.
+        """
+        try:
+            return cls.model_validate(plain(data))
+        except ValidationError as error:
+            raise complaint(cls, error, source) from None
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Definition":
+        """Read a TOML file. Raises `InputError` if it is missing, not TOML or not legal."""
+        path = Path(path)
+        try:
+            text = path.read_bytes().decode("utf-8-sig")
+            data = tomllib.loads(text)
+        except FileNotFoundError:
+            raise InputError(f"{path} does not exist: give the path of a TOML file") from None
+        except UnicodeDecodeError:
+            raise InputError(f"{path} is not text: it must be TOML in UTF-8") from None
+        except tomllib.TOMLDecodeError as error:
+            reason = " ".join(str(error).split())
+            raise InputError(f"{path} is not valid TOML ({reason}): correct that line") from None
+        except OSError as error:
+            raise InputError(
+                f"{path} cannot be read ({error.strerror}): give a TOML file"
+            ) from None
+        return cls.parse(data, str(path))
+
+    def merged_with(self, other: "Definition") -> "Definition":
+        """This definition with what `other` gives on top, key by key within each section.
+
+        Raises `InputError` if the two together contradict themselves.
+        """
+        merged = self.given()
+        for name, value in other.given().items():
+            # An entry of [figures] says one thing, and is replaced as a whole.
+            depth = 1 if name == "figures" else 2
+            merged[name] = _merge(merged.get(name), value, depth)
+        return Definition.parse(merged, "definitions taken together")
+
+    def to_toml(self) -> str:
+        """TOML text with what was given, the version first; `load` reads it back."""
+        return to_toml({"schema_version": self.schema_version, **self.given()})
+
+
+def _merge(below: Any, above: Any, depth: int) -> Any:
+    if depth == 0 or not isinstance(below, dict) or not isinstance(above, dict):
+        return above
+    merged = dict(below)
+    for name, value in above.items():
+        merged[name] = _merge(merged.get(name), value, depth - 1)
+    return merged

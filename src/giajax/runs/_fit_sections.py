@@ -1,0 +1,112 @@
+"""The sections of measuring and fitting: noise, a fit, and the figures that it must reach."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import ConfigDict, Field, field_validator, model_validator
+
+from .._errors import InputError
+from ._channels import parse_column
+from ._section import Finite, Name, Positive, Section, flat, key
+
+_NOISE = "a positive number, the standard deviation"
+
+
+class Noise(Section):
+    """`[noise]`: standard deviations of white noise, by quantity or by column."""
+
+    model_config: ClassVar[ConfigDict] = ConfigDict(extra="allow", strict=True, frozen=True)
+    __pydantic_extra__: dict[str, Positive] = Field(init=False)
+
+    position_m: Positive | None = key(_NOISE, "standard deviation of every position")
+    angle_deg: Positive | None = key(_NOISE, "standard deviation of every angle")
+    rate_deg_per_s: Positive | None = key(_NOISE, "standard deviation of every joint rate")
+
+    @property
+    def columns(self) -> dict[str, float]:
+        """The standard deviations given by column name, in the column's unit."""
+        return dict(self.__pydantic_extra__ or {})
+
+    @model_validator(mode="after")
+    def _extra_keys_are_columns(self) -> "Noise":
+        for name in self.columns:
+            try:
+                parse_column(name)
+            except InputError:
+                raise ValueError(
+                    f"key {name!r} must be {', '.join(type(self).model_fields)} or a column of "
+                    "the run: correct or remove it"
+                ) from None
+        return self
+
+
+class Fit(Section):
+    """`[fit]`: what to fit to what. Only in a fit definition."""
+
+    data: list[Name] | None = key("a list of file names", "runs, relative to this file")
+    free: list[Name] | None = key("a list of parameter paths", "parameters to fit")
+    start: dict[Name, Finite] | None = key("a table of parameter paths and numbers", "start values")
+    fix: dict[Name, Finite] | None = key(
+        "a table of parameter paths and numbers", "parameters held at a value"
+    )
+    channels: list[Name] | None = key(
+        "a list of channel names, without unit", "channels to fit; all that were measured"
+    )
+    window_s: Positive | None = key(
+        "a positive number", "cut each run into windows of this length, each with its own start"
+    )
+    starts: Annotated[int, Field(ge=1)] | None = key(
+        "a whole number of at least 1", "how many starts; the best end is the result"
+    )
+    spread: Positive | None = key(
+        "a positive number", "how far the other starts are from the first: 0.3 is 30 %"
+    )
+    seed: Annotated[int, Field(ge=0)] | None = key(
+        "zero or a positive whole number", "of the other starts"
+    )
+    validation: list[Name] | None = key(
+        "a list of file names", "runs that the result must predict and is not fitted to"
+    )
+    loss: Literal["linear", "huber", "soft_l1"] | None = key(
+        '"linear", "huber" or "soft_l1"', "how a large residual counts"
+    )
+    out: Name | None = key("the name of a folder", "where the result goes")
+
+    @field_validator("start", "fix", mode="before")
+    @classmethod
+    def _unquoted_paths_are_paths(cls, table: Any) -> Any:
+        # `air.drag_coefficient = 1.2` without quotes is a nested table in TOML, and means the same.
+        return flat(table) if isinstance(table, Mapping) else table
+
+
+class Figure(Section):
+    """One entry of `[figures]`: what the fit of a shipped definition must reach."""
+
+    value: Finite | None = key("a number", "expected value")
+    standard_errors: Positive | None = key(
+        "a positive number", "how many standard errors the result may be away from it"
+    )
+    relative_error: Positive | None = key(
+        "a positive number", "largest standard error, relative to the fitted value"
+    )
+    within: Positive | None = key(
+        "a positive number", "how far the result may be from the value, relative to it"
+    )
+    determined: bool | None = key("true or false", "false: the run must not determine it")
+
+    @model_validator(mode="after")
+    def _says_one_thing(self) -> "Figure":
+        distances = [self.standard_errors, self.within]
+        stated = [self.value, *distances, self.relative_error]
+        if self.determined is False:
+            if any(item is not None for item in stated):
+                raise ValueError(
+                    "says determined = false and a figure to reach, but must say one of them: "
+                    "remove the other"
+                )
+        elif (self.value is None) != (distances == [None, None]) or stated == [None] * 4:
+            raise ValueError(
+                "must have value and standard_errors (or within), or relative_error, or all: "
+                "add what is missing"
+            )
+        return self
