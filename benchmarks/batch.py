@@ -1,18 +1,15 @@
 """Many arms at once: what one evaluation and one run cost an item, by batch size and by layout.
 
-Items differ in drag, stiffnesses, damping and command. A layout is a vmap of everything, or a
-`lax.map` over chunks of vmaps: within a chunk each item takes its own steps, and the chunk ends
-with its slowest item.
+Items differ in drag, stiffnesses, damping and command. Layouts are one vmap with the items first,
+one with the items last, a loop over items (chunk 1), and a loop over chunks of vmaps. In a vmap
+every item waits for the one that takes the most steps; within a chunk it waits for fewer.
 
     python benchmarks/batch.py [--quick] [--out FILE]
 """
 
-import argparse
-import json
 import os
 import time
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -26,10 +23,22 @@ from arms import driven_arm, random_states
 from giajax.arm import Arm, acceleration
 from giajax.parameters import replace
 from giajax.simulation import Signal, simulate
+from measuring import RESULTS, command_line, fastest, store
 
-RESULTS = Path(__file__).resolve().parents[1] / "benchmarks" / "results" / "batch.json"
 SOLVERS = ("springs5", "tsit5")
 NAMES = ("air.drag_coefficient", "joints.pitch_stiffness", "joints.yaw_stiffness", "joints.damping")
+
+LAYOUTS: dict[str, int | None] = {
+    "items first": None,
+    "items last": None,
+    "one by one": 1,
+    "chunks of 4": 4,
+    "chunks of 16": 16,
+    "chunks of 64": 64,
+}
+# A run of the largest batch takes minutes.
+LARGE = 1024
+LARGE_LAYOUTS = ("items first", "one by one", "chunks of 16")
 
 
 def items(count: int) -> Any:
@@ -39,8 +48,23 @@ def items(count: int) -> Any:
     return jnp.asarray(middle * random.uniform(0.7, 1.3, (count, 5)))
 
 
-@partial(jax.jit, static_argnames=("chunk", "loop"))
-def evaluations(arm: Arm, state: dict[str, Any], chunk: int | None, loop: int) -> Any:
+def spread_over(one: Any, values: Any, layout: str) -> Any:
+    """A function of one item for all items, whose first axis they are."""
+    if layout == "items first":
+        return jax.vmap(one)(values)
+    if layout == "items last":
+        return jax.vmap(one, in_axes=-1, out_axes=-1)(values)
+    return jax.lax.map(one, values, batch_size=LAYOUTS[layout])
+
+
+def arranged(values: Any, layout: str) -> Any:
+    """The items where the layout has them."""
+    last = layout == "items last"
+    return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1) if last else leaf, values)
+
+
+@partial(jax.jit, static_argnames=("layout", "loop"))
+def evaluations(arm: Arm, states: dict[str, Any], layout: str, loop: int) -> Any:
     """`loop` dependent evaluations of every item."""
 
     def one(item: dict[str, Any]) -> Any:
@@ -49,12 +73,12 @@ def evaluations(arm: Arm, state: dict[str, Any], chunk: int | None, loop: int) -
 
         return jax.lax.fori_loop(0, loop, again, item["angles"])
 
-    return jax.vmap(one)(state) if chunk is None else jax.lax.map(one, state, batch_size=chunk)
+    return spread_over(one, states, layout)
 
 
 @eqx.filter_jit
-def runs(arm: Arm, command: Signal, times: Any, values: Any, chunk: int | None, solver: str) -> Any:
-    """Path of the tip of every item, shape (item, sample, 3), and its steps."""
+def runs(arm: Arm, command: Signal, times: Any, values: Any, layout: str, solver: str) -> Any:
+    """Path of the tip of every item."""
 
     def one(value: Any) -> Any:
         changed = replace(arm, dict(zip(NAMES, value[:4], strict=True)))
@@ -64,70 +88,86 @@ def runs(arm: Arm, command: Signal, times: Any, values: Any, chunk: int | None, 
             (command.values * value[4], command.slopes * value[4]),
         )
         options: dict[str, Any] = {"solver": solver, "rtol": 1e-5, "atol": 1e-5, "throw": False}
-        motion = simulate(changed, driven, times, **options)
-        return motion.tip, motion.steps
+        return simulate(changed, driven, times, **options).tip
 
-    return jax.vmap(one)(values) if chunk is None else jax.lax.map(one, values, batch_size=chunk)
-
-
-def allowed(chunks: tuple[int | None, ...], size: int) -> list[int | None]:
-    """Chunks that divide a batch; None is one vmap of all."""
-    return [chunk for chunk in chunks if chunk is None or chunk < size]
+    return spread_over(one, values, layout)
 
 
-def fastest(call: Any, repeats: int) -> float:
-    jax.block_until_ready(call())
-    took = []
-    for _ in range(repeats):
-        began = time.perf_counter()
-        jax.block_until_ready(call())
-        took.append(time.perf_counter() - began)
-    return min(took)
+def layouts_for(size: int) -> list[str]:
+    """The layouts that differ for a batch: chunks smaller than it."""
+    return [name for name, chunk in LAYOUTS.items() if size > (chunk or 0) or name == "items first"]
+
+
+def waited(function: Any, *arguments: Any) -> Any:
+    """What a function returns, once it is there."""
+    return jax.block_until_ready(function(*arguments))
+
+
+def seconds_of_runs(*arguments: Any) -> float:
+    """Time of one batch of runs, compiling apart."""
+    function: Any = runs
+    compiled = function.lower(*arguments).compile()
+    began = time.perf_counter()
+    waited(compiled, *arguments)
+    return time.perf_counter() - began
+
+
+def measure(quick: bool, console: Console) -> dict[str, Any]:
+    """Seconds an item, by "layout, size" and of runs by solver too."""
+    links, seconds, repeats = (3, 1.0, 1) if quick else (20, 25.0, 3)
+    sizes = (1, 4) if quick else (1, 16, 256, 4096)
+    arm, command = driven_arm(links)
+    times = jnp.linspace(0.0, seconds, round(seconds * 10) + 1)
+    evaluation: dict[str, float] = {}
+    run: dict[str, float] = {}
+    for size in sizes:
+        states = random_states(links, size)
+        states.pop("wind")
+        loop = max(2, (200 if quick else 4_000) // size)
+        for layout in layouts_for(size):
+            batch = arranged(states, layout)
+            took = fastest(partial(waited, evaluations, arm, batch, layout, loop), repeats)
+            evaluation[f"{layout}, {size}"] = took / loop / size
+    console.print("evaluations: done")
+    for size in sizes:
+        for solver in SOLVERS[:1] if quick or size > LARGE else SOLVERS:
+            for layout in layouts_for(size):
+                if size > LARGE and layout not in LARGE_LAYOUTS:
+                    continue
+                values = arranged(items(size), layout)
+                took = seconds_of_runs(arm, command, times, values, layout, solver)
+                run[f"{layout}, {size}, {solver}"] = took / size
+                console.print(f"{size} items, {layout}, {solver}: {1e3 * took / size:.3g} ms")
+    problem = {"links": links, "seconds": seconds, "sizes": sizes}
+    return {"problem": problem, "evaluation": evaluation, "run": run}
+
+
+def show(found: dict[str, Any], console: Console) -> None:
+    problem = found["problem"]
+    title = f"{problem['links']} links, {problem['seconds']:g} s, an item: evaluation, us; run, ms"
+    table = Table(title=title)
+    for heading in ("batch", "layout", "evaluation", *SOLVERS):
+        table.add_column(heading, justify="left" if heading == "layout" else "right")
+    for size in problem["sizes"]:
+        for layout in layouts_for(size):
+            name = f"{layout}, {size}"
+            cells = [(found["evaluation"].get(name), 1e6)]
+            cells += [(found["run"].get(f"{name}, {solver}"), 1e3) for solver in SOLVERS]
+            text = ["-" if value is None else f"{value * unit:.3g}" for value, unit in cells]
+            table.add_row(str(size), layout, *text)
+    console.print(table)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="a short arm, once: does it run?")
-    parser.add_argument("--out", type=Path, default=RESULTS, help="JSON file to write")
-    arguments = parser.parse_args()
+    arguments = command_line(__doc__, RESULTS / "batch.json")
     jax.config.update("jax_enable_x64", True)
-    console, quick = Console(), arguments.quick
-    links, seconds, repeats = (3, 1.0, 1) if quick else (20, 25.0, 3)
-    sizes = (1, 4) if quick else (1, 16, 256, 4096)
-    chunks = (None, 2) if quick else (None, 1, 4, 16, 64)
-    arm, command = driven_arm(links)
-    times = jnp.linspace(0.0, seconds, round(seconds * 10) + 1)
-    found: dict[str, Any] = {"load_before": os.getloadavg()[0], "evaluation": {}, "run": {}}
-    for size in sizes:
-        state = random_states(links, size)
-        state.pop("wind")
-        loop = max(2, (200 if quick else 4_000) // size)
-        for chunk in allowed(chunks, size):
-            took = fastest(partial(evaluations, arm, state, chunk, loop), repeats)
-            found["evaluation"][f"{size} {chunk}"] = took / loop / size
-    console.print("evaluations: done")
-    for solver in SOLVERS[:1] if quick else SOLVERS:
-        for size in sizes:
-            values = items(size)
-            # The largest batch takes minutes, whatever the layout.
-            for chunk in allowed(chunks, size) if size < 4096 else (None,):
-                took = fastest(partial(runs, arm, command, times, values, chunk, solver), 1)
-                found["run"][f"{solver} {size} {chunk}"] = took / size
-                console.print(f"{solver}, {size} items, chunk {chunk}: {1e3 * took / size:.3g} ms")
-    found["load_after"] = os.getloadavg()[0]
-    table = Table(title=f"{links} links, {seconds:g} s, an item: evaluation, us, and run, ms")
-    for heading in ("batch", "chunk", "evaluation", "springs5", "tsit5"):
-        table.add_column(heading, justify="right")
-    for size in sizes:
-        for chunk in allowed(chunks, size):
-            cells = [found["evaluation"].get(f"{size} {chunk}")]
-            cells += [found["run"].get(f"{solver} {size} {chunk}") for solver in SOLVERS]
-            units = (1e6, 1e3, 1e3)
-            text = ["-" if x is None else f"{x * u:.3g}" for x, u in zip(cells, units, strict=True)]
-            table.add_row(str(size), "all" if chunk is None else str(chunk), *text)
-    console.print(table)
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    arguments.out.write_text(json.dumps(found, indent=2) + "\n")
+    console = Console()
+    before = os.getloadavg()[0]
+    found = measure(arguments.quick, console)
+    show(found, console)
+    load = {"cores": os.cpu_count(), "load_before": before, "load_after": os.getloadavg()[0]}
+    store({"machine": load, **found}, arguments.out)
+    console.print(f"written to {arguments.out}")
 
 
 if __name__ == "__main__":

@@ -53,7 +53,9 @@ def test_the_benchmark_of_batches_runs(tmp_path):
     ended = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
     assert ended.returncode == 0, ended.stderr
     found = json.loads(out.read_text())
-    assert {"1 None", "4 None", "4 2"} <= set(found["evaluation"])
+    layouts = {"items first, 1", "items first, 4", "items last, 4", "one by one, 4"}
+    assert layouts <= set(found["evaluation"])
+    assert {f"{layout}, springs5" for layout in layouts} <= set(found["run"])
     assert all(seconds > 0 for part in ("evaluation", "run") for seconds in found[part].values())
 
 
