@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from giajax import InputError, Run, SimulationError, fit, load_result, model_for, read_run, replace
-from giajax.fitting import predict
+from giajax.fitting import predict, set_up
 from giajax.models import (
     HysteresisModel,
     build_model,
@@ -18,6 +18,7 @@ from giajax.models import (
     synthesise,
 )
 from giajax.parameters import declared, get
+from giajax.study import multi_start
 
 
 def turning(turns, samples=40):
@@ -118,11 +119,49 @@ def test_a_memory_from_before_the_run_is_found():
     run = record("plays", inputs=inputs, previous_extremes=np.deg2rad([40.0]))
     other = record("plays", inputs=inputs, previous_extremes=np.deg2rad([-40.0]))
     assert np.max(np.abs(run.values["angle"] - other.values["angle"])) > 10 * NOISE
-    model = dataclasses.replace(truth_of("plays"), previous_extremes=jnp.asarray([0.6]))
-    result = fit(model, run, free=["previous_extremes"])
-    found = result.parameters["previous_extremes[0]"]
-    assert found.value == pytest.approx(np.deg2rad(40.0), abs=4 * found.standard_error)
-    assert found.standard_error < np.deg2rad(1)
+    for recorded, truth in ((run, 40.0), (other, -40.0)):
+        # Not told where to start: at 0, which leaves no trace, no derivative leads anywhere.
+        result = fit(truth_of("plays"), recorded, free=["previous_extremes"])
+        found = result.parameters["previous_extremes[0]"]
+        assert found.standard_error is not None
+        assert found.value == pytest.approx(np.deg2rad(truth), abs=4 * found.standard_error)
+        assert found.standard_error < np.deg2rad(1)
+
+
+def test_a_memory_is_found_with_everything_else():
+    """From a run that states nothing, alone and among several starts."""
+    inputs = np.deg2rad(turning([10, 16, 6, 55, -58, 50, -20, 30, -50, 12]))
+    run = record("plays", inputs=inputs, previous_extremes=np.deg2rad([-40.0]))
+    free = ["elastic", "weights", "offset", "previous_extremes"]
+    for result in (
+        fit(model_for([run]), run, free=free),
+        multi_start(model_for([run]), run, free=free, starts=2),
+    ):
+        assert result.reduced_chi_square == pytest.approx(1, abs=4 * np.sqrt(2 / len(inputs)))
+        found = result.parameters["previous_extremes[0]"]
+        assert found.standard_error is not None
+        assert found.value == pytest.approx(np.deg2rad(-40.0), abs=4 * found.standard_error)
+
+
+def test_a_memory_that_is_stated_stays_where_it_is():
+    """By the user's start, or by the model."""
+    run = record("plays")
+    free = ["previous_extremes"]
+    assert model_for([run]).at_start([run], []).previous_extremes == 0
+    stated = dataclasses.replace(truth_of("plays"), previous_extremes=jnp.asarray([0.6]))
+    assert stated.at_start([run], ["previous_extremes[0]"]).previous_extremes == 0.6
+    told, _ = set_up(model_for([run]), [run], free, {"previous_extremes": 0.5}, {})
+    assert told.previous_extremes == 0.5
+
+
+def test_several_extremes_lie_within_each_other():
+    run = record("plays")
+    model = dataclasses.replace(truth_of("plays"), previous_extremes=jnp.zeros(3))
+    free = [f"previous_extremes[{i}]" for i in range(3)]
+    found = np.asarray(model.at_start([run], free).previous_extremes)
+    sizes = np.abs(found)
+    assert np.all(np.diff(sizes) < 0)
+    assert np.all(found[1:] * found[:-1] < 0)
 
 
 def test_a_list_of_previous_extremes_is_the_history_that_it_was():

@@ -48,7 +48,7 @@ def configuration(
     for run in runs:
         run.require_observations()
     _check_doubles(runs)
-    model, parameters = set_up(model, free, start, fix)
+    model, parameters = set_up(model, runs, free, start, fix)
     own = 0
     for run in runs:
         inputs = model.prepare(run)
@@ -95,6 +95,7 @@ def _check_doubles(runs: Sequence[Run]) -> None:
 
 def set_up(
     model: AbstractModel,
+    runs: Sequence[Run],
     free: Sequence[str] | None,
     start: Mapping[str, float],
     fix: Mapping[str, float],
@@ -115,6 +116,8 @@ def set_up(
                 parameters[element.path] = element
             elif free is not None:
                 raise InputError(f"'{element.path}' is both free and fixed; give one of them")
+    given = {element.path for path in start for element in elements(model, path)}
+    model = model.at_start(runs, [path for path in parameters if path not in given])
     for path in fix:
         for element in elements(model, path):
             check_within_bounds(element, float(element.value(model)), free=False)

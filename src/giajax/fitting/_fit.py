@@ -68,7 +68,7 @@ def fit(
     runs = [runs] if isinstance(runs, Run) else list(runs)
     start, fix = dict(start or {}), dict(fix or {})
     config = configuration(model, runs, free=free, start=start, fix=fix, loss=loss)
-    model, parameters = set_up(model, free, start, fix)
+    model, parameters = set_up(model, runs, free, start, fix)
     stated = stated_sigmas(runs)
     sigmas: Sigmas = [
         {

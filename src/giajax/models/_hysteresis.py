@@ -1,5 +1,6 @@
 """Hysteresis as a model: from the history of an input to that of an output."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Self
 
@@ -23,6 +24,9 @@ from ._protocol import AbstractModel, Channels, Derived
 
 INPUTS = ("input", "command")
 OUTPUTS = ("output", "angle")
+
+# Where turning points before the run are looked for first, as a part of the reach of the input.
+_FIRST_EXTREME = 0.75
 
 
 class HysteresisInputs(eqx.Module):
@@ -111,6 +115,40 @@ class HysteresisModel(AbstractModel):
             input_column=columns[0],
             output_column=columns[1],
         )
+
+    def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
+        """With turning points before the run, where they are free: at 0 they leave no trace.
+
+        Those of the two directions from which the latest one may have come are tried, and that
+        is taken whose prediction, scaled and shifted, is the closer one.
+        """
+        free_extremes = [path for path in free if path.startswith("previous_extremes")]
+        count = len(self.previous_extremes)
+        if len(free_extremes) < count or bool(jnp.any(self.previous_extremes != 0)):
+            return self
+        low, high = self.settings.input_range
+        # Within each other, so that a later one does not wipe out an earlier one.
+        sizes = _FIRST_EXTREME * self.settings.reach * np.arange(count, 0, -1) / count
+        signs = (-1.0) ** np.arange(count)
+        tried = [
+            dataclasses.replace(
+                self, previous_extremes=jnp.asarray((low + high) / 2 + sign * signs * sizes)
+            )
+            for sign in (1.0, -1.0)
+        ]
+        return min(tried, key=lambda model: model._distance(runs))
+
+    def _distance(self, runs: Sequence[Run]) -> float:
+        """Sum of the squares that the best scale and offset of the response leave, SI."""
+        total = 0.0
+        for run in runs:
+            response = np.asarray(self._response(self.prepare(run)))
+            for values in run.observations.values():
+                there = ~np.isnan(values)
+                columns = np.stack([response[there], np.ones(there.sum())], axis=-1)
+                scale = np.linalg.lstsq(columns, values[there])[0]
+                total += float(np.sum((values[there] - columns @ scale) ** 2))
+        return total if np.isfinite(total) else np.inf
 
     def definition(self) -> dict[str, Any]:
         """The `[hysteresis]` section, and the columns of input and output where known."""

@@ -83,6 +83,18 @@ class AbstractModel(eqx.Module):
     def definition(self) -> dict[str, Any]:
         """Plain data from which `build_model` makes this model again, its parameters apart."""
 
+    def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
+        """The model where a fit of some parameters to some runs may start.
+
+        Another one where the value that a parameter has unless it is stated is a point that no
+        derivative leads away from; most models have none.
+
+        Arguments:
+            runs: what is fitted to.
+            free: paths of the elements to fit that were given no start.
+        """
+        return self
+
     def derived(self) -> dict[str, Derived]:
         """Quantities that follow from the parameters and may be determined where those are not.
 

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from .._errors import InputError
-from ..fitting import FitResult, Iteration, fit
+from ..fitting import FitResult, Iteration, fit, set_up
 from ..models import AbstractModel
-from ..parameters import Parameter, default_free, elements, replace, switched_on
+from ..parameters import Parameter, elements
 from ..runs import Run
 
 # An end whose misfit is this much above the best one, per measured value, is another valley.
@@ -56,15 +56,12 @@ def multi_start(
     start, fix = dict(start or {}), dict(fix or {})
     check = options.pop("check", True)
     arguments: dict[str, Any] = {**options, "free": free, "fix": fix, "progress": progress}
-    wanted = list(default_free(model, start) if free is None else free)
-    on = replace(switched_on(model, (*start, *fix, *wanted)), {**start, **fix})
-    fixed = {element.path for path in fix for element in elements(on, path)}
-    parameters = {e.path: e for path in wanted for e in elements(on, path) if e.path not in fixed}
+    on, parameters = set_up(model, runs, free, start, fix)
     random = np.random.default_rng(seed)
     found: list[tuple[float, FitResult]] = []
     told: list[dict[str, Any]] = []
     for number in range(1, starts + 1):
-        values = _start(on, list(parameters.values()), spread, random if number > 1 else None)
+        values = _start(on, parameters, spread, random if number > 1 else None)
         if announce is not None:
             announce(number, values)
         try:
