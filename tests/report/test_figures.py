@@ -3,12 +3,14 @@
 import dataclasses
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
+from giajax.models import model_for
 from giajax.report import correlation_figure, recorded_figure, residuals_figure
 from giajax.report._style import to_png
 from giajax.runs import Run
@@ -64,6 +66,41 @@ def test_units_of_the_file_are_those_of_the_axis(result):
     (axes,) = panels(figure)
     assert axes.get_title(loc="left") == "joint01_angle (deg)"
     assert axes.lines[0].get_ydata()[1] == pytest.approx(np.rad2deg(0.1))
+
+
+def drawn(run):
+    """The panels of a run as its model draws it, with something as the prediction."""
+    model = model_for([run])
+    channels = {
+        name: {"unit": run.channels[name].unit, "rmse": 0.1, "n": 3, "noise": 1.0}
+        for name in run.observations
+    }
+    result = SimpleNamespace(model=model, status="converged")
+    predicted = {name: np.zeros_like(values) for name, values in run.observations.items()}
+    return panels(recorded_figure(result, run, predicted, {"channels": channels}))
+
+
+def test_a_loop_is_drawn_over_its_input():
+    command = np.deg2rad([0.0, 50.0, -50.0, 0.0])
+    values = {"command": command, "angle": 0.8 * command}
+    run = Run.from_arrays(np.arange(4.0), values, definition={"model": "hysteresis"})
+    (axes,) = drawn(run)
+    assert axes.get_xlabel() == "command (rad)"
+    assert all(np.array_equal(line.get_xdata(), command) for line in axes.lines)
+    oscillator = {"model": "hysteresis", "hysteresis": {"operator": "bouc_wen_oscillator"}}
+    (axes,) = drawn(Run.from_arrays(np.arange(4.0), values, definition=oscillator))
+    assert axes.get_xlabel() == "time (s)"
+
+
+def test_sweeps_of_a_joint_are_not_joined():
+    """Angles go from 0 to 60 deg twice: the way back is no motion."""
+    angles = np.deg2rad(np.tile(np.linspace(0.0, 60.0, 61), 2))
+    values = {"angle": angles, "side": np.repeat("inner", 122), "force": np.ones(122)}
+    (axes,) = drawn(Run.from_arrays(None, values, definition={"model": "joint"}))
+    assert axes.get_xlabel() == "angle (rad)"
+    dots, line = axes.lines
+    assert np.array_equal(dots.get_xdata(), angles)
+    assert list(np.flatnonzero(np.isnan(line.get_xdata()))) == [61]
 
 
 @pytest.mark.parametrize(

@@ -116,6 +116,10 @@ class HysteresisModel(AbstractModel):
             output_column=columns[1],
         )
 
+    def drawn_over(self, run: Run) -> str | None:
+        """The input, which makes loops; the motion of an oscillator is drawn over time."""
+        return None if isinstance(self.operator, BoucWenOscillator) else input_channel(run).name
+
     def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
         """With turning points before the run, where they are free: at 0 they leave no trace.
 

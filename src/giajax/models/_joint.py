@@ -92,6 +92,10 @@ class JointModel(AbstractModel):
             torque=None if torque is None else jnp.asarray(torque, dtype=dtype),
         )
 
+    def drawn_over(self, run: Run) -> str | None:
+        """The bending angle."""
+        return "angle"
+
     def predict(
         self, inputs: JointInputs, channels: tuple[str, ...]
     ) -> tuple[Channels, Bool[Array, ""]]:

@@ -166,6 +166,10 @@ class MuscleModel(AbstractModel):
             direction=None if direction is None else jnp.asarray(direction, dtype=dtype),
         )
 
+    def drawn_over(self, run: Run) -> str | None:
+        """The contraction of a muscle, the position of a piston."""
+        return next((name for name in ("contraction", "position") if name in run.values), None)
+
     def predict(
         self, inputs: MuscleInputs, channels: tuple[str, ...]
     ) -> tuple[Channels, Bool[Array, ""]]:

@@ -1,10 +1,6 @@
 """What a person sees of a fit: tables, figures and files. Made from a result alone."""
 
-from ._figures import (
-    correlation_figure as correlation_figure,
-    recorded_figure as recorded_figure,
-    residuals_figure as residuals_figure,
-)
+from ._correlation import correlation_figure as correlation_figure
 from ._files import check_folder as check_folder, write_result as write_result
 from ._joint import (
     angle_figure as angle_figure,
@@ -17,6 +13,8 @@ from ._joint import (
     joint_points as joint_points,
 )
 from ._reached import Reached as Reached, check_figures as check_figures, reached as reached
+from ._recorded import recorded_figure as recorded_figure
+from ._residuals import residuals_figure as residuals_figure
 from ._sensitivity import (
     information_shares as information_shares,
     sensitivity_figure as sensitivity_figure,

@@ -13,7 +13,9 @@ import numpy as np
 from .._errors import InputError
 from ..fitting import FitResult
 from ..runs import Definition, Run, write_files
-from ._figures import correlation_figure, recorded_figure, residuals_figure
+from ._correlation import correlation_figure
+from ._recorded import recorded_figure
+from ._residuals import residuals_figure
 from ._style import SIGNATURE, to_png
 
 RESULT = "result.json"

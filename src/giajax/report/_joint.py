@@ -22,10 +22,9 @@ from ..joint import (
     net_torque,
     pair_command,
 )
-from ._style import BLUE, GREEN, GREY, INK, LIGHT, VERMILLION, new_figure, plain
+from ._style import BLUE, GREEN, GREY, INK, LIGHT, MINUS, VERMILLION, new_figure, plain
 
 DEGREE = "\N{DEGREE SIGN}"
-MINUS = "\N{MINUS SIGN}"
 
 _DRAWN = (60.0, 30.0, 10.0, 2.0, -2.0, -10.0, -30.0, -60.0)
 

@@ -9,6 +9,8 @@ from matplotlib.figure import Figure
 BLUE, VERMILLION, GREEN = "#0072B2", "#D55E00", "#009E73"
 INK, GREY, LIGHT = "#222222", "#767676", "#E3E3E3"
 
+MINUS = "\N{MINUS SIGN}"
+
 # Written into each file: how a later fit knows a figure of an earlier one from a person's.
 SIGNATURE = "giajax fit"
 _DPI = 130

@@ -1,0 +1,157 @@
+"""The figure of a run: recorded against fitted."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
+
+from ..fitting import FitResult
+from ..runs import Channel, Run
+from ._axes import sample_times, time_label, unfinished
+from ._style import BLUE, GREEN, GREY, INK, VERMILLION, new_figure, plain
+
+# More panels than this cannot be read on one screen.
+_MOST_PANELS = 24
+
+# A step that is this many times the usual one is no motion, but the start of another sweep.
+_JUMP = 20
+
+_COMPONENTS = {"x": BLUE, "y": VERMILLION, "z": GREEN}
+
+
+def recorded_figure(
+    result: FitResult, run: Run, predicted: Mapping[str, np.ndarray], record: Mapping[str, Any]
+) -> Figure:
+    """Recorded against fitted channels of one run, in the units of its file.
+
+    Over time, or over what the model of the run names, such as the input of a hysteresis loop.
+    One panel a channel; the components of a link or of the tip share one where there would be
+    too many. Cells that were not measured are gaps between the dots.
+
+    Arguments:
+        result: the fit.
+        run: the recorded run.
+        predicted: what the fitted model predicts for it, SI.
+        record: the run's entry in `result.runs`.
+    """
+    panels, left_out = _panels(run)
+    columns = _columns(len(panels))
+    rows = -(-len(panels) // columns)
+    title = f"{run.name}: recorded and fitted{unfinished(result)}"
+    if left_out:
+        title += f"; {left_out} more channels are in prediction.csv"
+    over, label = _abscissa(result, run)
+    # A curve wants to be about as high as it is wide; a motion wants width.
+    height = 2.05 if result.model.drawn_over(run) is None else 3.4
+    figure = new_figure(max(3.7 * columns, 6.5), max(height * rows, 2.4) + 0.6, title)
+    grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
+    for position, axes in enumerate(grid.flat):
+        if position >= len(panels):
+            axes.set_visible(False)
+            continue
+        _draw_panel(axes, panels[position], run, over, predicted, record)
+        # The last panel of each column carries the axis's name, also above an empty place.
+        if position + columns >= len(panels):
+            axes.set_xlabel(label)
+            axes.tick_params(labelbottom=True)
+    _legend(figure, any(len(names) > 1 for names in panels))
+    return figure
+
+
+def _abscissa(result: FitResult, run: Run) -> tuple[np.ndarray, str]:
+    """What the channels are drawn over, in the unit of the file, and its name."""
+    name = result.model.drawn_over(run)
+    if name is None:
+        return sample_times(run), time_label(run)
+    return run.channels[name].from_si(run.values[name]), _label(run.channels[name])
+
+
+def _label(channel: Channel) -> str:
+    return channel.name + (f" ({channel.unit.replace('_per_', '/')})" if channel.unit else "")
+
+
+def _unbroken(over: np.ndarray) -> np.ndarray:
+    """What is drawn over, with a gap where a run jumps to another sweep."""
+    steps = np.abs(np.diff(over, prepend=over[:1]))
+    moved = steps[steps > 0]
+    jumps = steps > _JUMP * np.median(moved) if moved.size else np.zeros(len(over), dtype=bool)
+    return np.where(jumps, np.nan, over)
+
+
+def _panels(run: Run) -> tuple[list[list[str]], int]:
+    """Names of the channels in each panel, and how many channels have none."""
+    names = list(run.observations)
+    panels = [[name] for name in names]
+    if len(panels) > _MOST_PANELS:
+        together: dict[Any, list[str]] = {}
+        for name in names:
+            channel = run.channels[name]
+            together.setdefault((channel.kind, channel.index, channel.unit), []).append(name)
+        panels = list(together.values())
+    if len(panels) <= _MOST_PANELS:
+        return panels, 0
+    chosen = np.linspace(0, len(panels) - 1, _MOST_PANELS).round().astype(int)
+    panels = [panels[i] for i in chosen]
+    return panels, len(names) - sum(len(panel) for panel in panels)
+
+
+def _columns(panels: int) -> int:
+    return next(c for c, most in ((1, 1), (2, 8), (3, 15), (4, _MOST_PANELS)) if panels <= most)
+
+
+def _draw_panel(
+    axes: Axes,
+    names: list[str],
+    run: Run,
+    over: np.ndarray,
+    predicted: Mapping[str, np.ndarray],
+    record: Mapping[str, Any],
+) -> None:
+    channels = [run.channels[name] for name in names]
+    several = len(channels) > 1
+    size = 1.6 if len(over) > 400 else 2.6
+    for channel in channels:
+        axes.plot(
+            over,
+            channel.from_si(run.observations[channel.name]),
+            linestyle="none",
+            marker="o",
+            # A precise recording would hide behind the line.
+            markersize=size + 0.8 if several else size,
+            markeredgewidth=0,
+            color=_colour(channel) if several else GREY,
+            alpha=0.6,
+        )
+    line = _unbroken(over)
+    for channel in channels:
+        fitted = channel.from_si(predicted[channel.name])
+        axes.plot(line, fitted, color=INK if several else BLUE, linewidth=0.8 if several else 1.2)
+    label = _label(channels[0])
+    plain(axes, label if len(names) == 1 else label.replace(names[0], names[0][:-2]))
+    axes.yaxis.set_major_locator(MaxNLocator(5))
+    worst = [record["channels"][name]["rmse"] for name in names]
+    if None not in worst:
+        axes.set_title(f"RMSE {max(worst):.3g}", fontsize=8, loc="right", color=GREY)
+
+
+def _colour(channel: Channel) -> str:
+    return BLUE if channel.component is None else _COMPONENTS["xyz"[channel.component]]
+
+
+def _legend(figure: Figure, components: bool) -> None:
+    """One legend for all panels, in the title's line."""
+    dots: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 4}
+    recorded: dict[str, str] = {"recorded": GREY}
+    if components:
+        recorded = {f"{name} recorded": colour for name, colour in _COMPONENTS.items()}
+    handles = [
+        *(Line2D([], [], color=colour, label=name, **dots) for name, colour in recorded.items()),
+        Line2D([], [], color=INK if components else BLUE, linewidth=1.4, label="fitted"),
+    ]
+    figure.legend(
+        handles=handles, loc="outside upper right", ncols=len(handles), fontsize=8, frameon=False
+    )
