@@ -344,3 +344,15 @@ def test_what_the_sensors_are_conditional_on_is_said():
     assert any(s.startswith("camera.delay: counted from the clock") for s in sentences)
     assert any(s.startswith("encoder.offset: counted from") for s in sentences)
     assert model(**EACH).conditions(["camera.rotation[0]"], []) == []
+
+
+def test_a_first_row_read_by_a_sensor_that_is_fitted_is_said():
+    def told(**initial):
+        sentences = model(**EACH).conditions(["encoder.scale"], [run_of(initial=initial)])
+        return any(
+            "the state in the first row was read with the start value" in s for s in sentences
+        )
+
+    assert told(first_row=True)
+    assert not told(first_row=True, free=True)
+    assert not told(angle_deg=0.0)

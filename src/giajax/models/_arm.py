@@ -266,7 +266,7 @@ class ArmModel(AbstractModel):
 
     def conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
         """The scale that motion alone cannot determine, and what C_D and sensors refer to."""
-        return self._scale(free, runs) + self._sensor_conditions(free)
+        return self._scale(free, runs) + self._sensor_conditions(free, runs)
 
     def _scale(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
         fitted = {path.partition("[")[0] for path in free}
@@ -290,9 +290,16 @@ class ArmModel(AbstractModel):
             sentences.append(f"air.drag_coefficient: holds for {self._values(area)}")
         return sentences
 
-    def _sensor_conditions(self, free: Sequence[str]) -> list[str]:
+    def _sensor_conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
         fitted = {path.partition("[")[0] for path in free}
         sentences = [f"{path}: {said}" for path, said in CONDITIONS.items() if path in fitted]
+        encoder = sorted(fitted & {"encoder.offset", "encoder.scale"})
+        read = [run for run in runs if run.definition.initial.first_row]
+        if encoder and any(not run.definition.initial.free for run in read):
+            sentences.append(
+                f"{', '.join(encoder)}: the state in the first row was read with the start value; "
+                "say free = true in [initial] to fit that state too"
+            )
         if "camera.scale" in fitted and "links.length" not in fitted:
             sentences.append(
                 f"camera.scale: holds for {self._values(['links.length'])}, because a camera "

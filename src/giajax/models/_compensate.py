@@ -88,7 +88,14 @@ class Compensator:
                 f"{at + 1}, beyond the reachable range from {ends}; want less, or fit a run that "
                 "goes further"
             )
-        return self.commands(np.clip(values, low, high))
+        commands = self.commands(np.clip(values, low, high))
+        if not np.all(np.isfinite(commands)):
+            at = int(np.flatnonzero(~np.isfinite(commands))[0])
+            raise InputError(
+                f"no command gives what '{run.name}' wants in sample {at + 1}; fit another "
+                "operator, or want less"
+            )
+        return commands
 
 
 def wanted_channel(run: Run) -> Channel:
