@@ -330,6 +330,16 @@ def test_a_move_too_coarse_for_the_knee_is_refused():
     assert np.all(np.isfinite(predict(narrow(beta=20.0), run_of(np.ones(3)), ["angle"])["angle"]))
 
 
+def test_commands_that_do_not_exist_are_refused():
+    compensator = compensator_for_model(truth_of("plays"))
+    compensator.commands = lambda wanted: np.where(wanted > 0.2, np.nan, wanted)
+    wanted = Run.from_arrays(
+        np.arange(3.0), {"angle": np.asarray([0.0, 0.1, 0.3])}, definition={"model": "hysteresis"}
+    )
+    with pytest.raises(InputError, match=r"wants in sample 3; fit another operator"):
+        compensator.commands_for(wanted)
+
+
 def of_columns(folder, text, name="loop"):
     path = folder / f"{name}.csv"
     path.write_text(text)
