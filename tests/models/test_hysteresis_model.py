@@ -162,6 +162,27 @@ def test_several_extremes_lie_within_each_other():
     sizes = np.abs(found)
     assert np.all(np.diff(sizes) < 0)
     assert np.all(found[1:] * found[:-1] < 0)
+    # One that is not free, or is somewhere, stays.
+    model = dataclasses.replace(model, previous_extremes=jnp.asarray([0.0, 0.0, 0.2]))
+    part = np.asarray(model.at_start([run], [free[0], free[2]]).previous_extremes)
+    assert part[0] != 0
+    assert part[1:].tolist() == [0.0, 0.2]
+
+
+def test_a_stated_list_and_an_oscillator_stay():
+    run = record("plays")
+    stated = {"operator": "prandtl_ishlinskii", "input_range": [-1.0, 1.0]}
+    listed = {"hysteresis": {**stated, "previous_extremes": [0.0]}}
+    path = ["previous_extremes[0]"]
+    assert HysteresisModel.from_definition(listed).at_start([run], path).previous_extremes == 0
+    oscillator = {"hysteresis": {"operator": "bouc_wen_oscillator", "input_range": [-1.0, 1.0]}}
+    assert HysteresisModel.from_definition(oscillator).at_start([run], path).previous_extremes == 0
+
+
+def test_a_start_without_a_response_is_refused_by_name():
+    run = record("bouc_wen")
+    with pytest.raises(InputError, match="cannot be evaluated at the start"):
+        fit(model_for([run]), run, free=["previous_extremes", "beta"], start={"beta": 1e9})
 
 
 def test_a_list_of_previous_extremes_is_the_history_that_it_was():

@@ -100,7 +100,21 @@ def test_sweeps_of_a_joint_are_not_joined():
     assert axes.get_xlabel() == "angle (rad)"
     dots, line = axes.lines
     assert np.array_equal(dots.get_xdata(), angles)
+    # A gap between them, and no sample is lost.
     assert list(np.flatnonzero(np.isnan(line.get_xdata()))) == [61]
+    assert list(np.flatnonzero(np.isnan(line.get_ydata()))) == [61]
+    assert len(line.get_xdata()) == 123
+
+
+def test_what_does_not_vary_is_not_drawn_over():
+    turn = np.linspace(0.1, 0.3, 5)
+    values = {"angle": np.full(5, 0.4), "side": np.repeat("inner", 5), "torque": turn}
+    still = Run.from_arrays(None, {**values, "force": np.ones(5)}, definition={"model": "joint"})
+    (axes,) = drawn(still)
+    assert axes.get_xlabel() == "sample"
+    isometric = {"contraction": np.full(5, 0.1), "pressure": 1e6 * turn, "force": np.ones(5)}
+    (axes,) = drawn(Run.from_arrays(None, isometric, definition={"model": "muscle"}))
+    assert axes.get_xlabel() == "pressure (kPa)"
 
 
 @pytest.mark.parametrize(

@@ -48,7 +48,7 @@ def configuration(
     for run in runs:
         run.require_observations()
     _check_doubles(runs)
-    model, parameters = set_up(model, runs, free, start, fix)
+    model, parameters = _resolved(model, free, start, fix)
     own = 0
     for run in runs:
         inputs = model.prepare(run)
@@ -101,6 +101,19 @@ def set_up(
     fix: Mapping[str, float],
 ) -> tuple[AbstractModel, list[Parameter]]:
     """The model at its start, and the scalar parameters to fit."""
+    model, parameters = _resolved(model, free, start, fix)
+    given = {element.path for path in start for element in elements(model, path)}
+    unstated = [parameter.path for parameter in parameters if parameter.path not in given]
+    return model.at_start(runs, unstated), parameters
+
+
+def _resolved(
+    model: AbstractModel,
+    free: Sequence[str] | None,
+    start: Mapping[str, float],
+    fix: Mapping[str, float],
+) -> tuple[AbstractModel, list[Parameter]]:
+    """The model with what is stated, and the scalar parameters to fit; evaluates nothing."""
     model = switched_on(model, (*start, *fix, *(free or ())))
     for path in (*start, *fix):
         find(model, path)
@@ -116,8 +129,6 @@ def set_up(
                 parameters[element.path] = element
             elif free is not None:
                 raise InputError(f"'{element.path}' is both free and fixed; give one of them")
-    given = {element.path for path in start for element in elements(model, path)}
-    model = model.at_start(runs, [path for path in parameters if path not in given])
     for path in fix:
         for element in elements(model, path):
             check_within_bounds(element, float(element.value(model)), free=False)

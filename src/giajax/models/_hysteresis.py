@@ -126,20 +126,23 @@ class HysteresisModel(AbstractModel):
         Those of the two directions from which the latest one may have come are tried, and that
         is taken whose prediction, scaled and shifted, is the closer one.
         """
-        free_extremes = [path for path in free if path.startswith("previous_extremes")]
-        count = len(self.previous_extremes)
-        if len(free_extremes) < count or bool(jnp.any(self.previous_extremes != 0)):
+        told = isinstance(self.settings.previous_extremes, tuple)
+        if told or isinstance(self.operator, BoucWenOscillator):
+            return self
+        now = np.asarray(self.previous_extremes)
+        count = len(now)
+        paths = [f"previous_extremes[{index}]" for index in range(count)]
+        moved = np.asarray([path in free for path in paths]) & (now == 0)
+        if not np.any(moved):
             return self
         low, high = self.settings.input_range
         # Within each other, so that a later one does not wipe out an earlier one.
         sizes = _FIRST_EXTREME * self.settings.reach * np.arange(count, 0, -1) / count
         signs = (-1.0) ** np.arange(count)
-        tried = [
-            dataclasses.replace(
-                self, previous_extremes=jnp.asarray((low + high) / 2 + sign * signs * sizes)
-            )
-            for sign in (1.0, -1.0)
-        ]
+        tried = []
+        for sign in (1.0, -1.0):
+            extremes = np.where(moved, (low + high) / 2 + sign * signs * sizes, now)
+            tried.append(dataclasses.replace(self, previous_extremes=jnp.asarray(extremes)))
         return min(tried, key=lambda model: model._distance(runs))
 
     def _distance(self, runs: Sequence[Run]) -> float:
@@ -147,12 +150,14 @@ class HysteresisModel(AbstractModel):
         total = 0.0
         for run in runs:
             response = np.asarray(self._response(self.prepare(run)))
+            if not np.all(np.isfinite(response)):
+                return np.inf
             for values in run.observations.values():
                 there = ~np.isnan(values)
                 columns = np.stack([response[there], np.ones(there.sum())], axis=-1)
                 scale = np.linalg.lstsq(columns, values[there])[0]
                 total += float(np.sum((values[there] - columns @ scale) ** 2))
-        return total if np.isfinite(total) else np.inf
+        return total
 
     def definition(self) -> dict[str, Any]:
         """The `[hysteresis]` section, and the columns of input and output where known."""

@@ -93,8 +93,8 @@ class JointModel(AbstractModel):
         )
 
     def drawn_over(self, run: Run) -> str | None:
-        """The bending angle."""
-        return "angle"
+        """The bending angle, where it varies."""
+        return "angle" if np.ptp(run.values["angle"]) > 0 else None
 
     def predict(
         self, inputs: JointInputs, channels: tuple[str, ...]

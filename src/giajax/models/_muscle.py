@@ -167,8 +167,9 @@ class MuscleModel(AbstractModel):
         )
 
     def drawn_over(self, run: Run) -> str | None:
-        """The contraction of a muscle, the position of a piston."""
-        return next((name for name in ("contraction", "position") if name in run.values), None)
+        """The contraction of a muscle, the position of a piston; else the pressure."""
+        given = [name for name in ("contraction", "position", "pressure") if name in run.values]
+        return next((name for name in given if np.ptp(run.values[name]) > 0), None)
 
     def predict(
         self, inputs: MuscleInputs, channels: tuple[str, ...]

@@ -17,8 +17,8 @@ from ._style import BLUE, GREEN, GREY, INK, VERMILLION, new_figure, plain
 # More panels than this cannot be read on one screen.
 _MOST_PANELS = 24
 
-# A step that is this many times the usual one is no motion, but the start of another sweep.
-_JUMP = 20
+# A step of this many times the usual one, and of this part of the range, is no motion.
+_JUMP, _FAR = 20, 0.3
 
 _COMPONENTS = {"x": BLUE, "y": VERMILLION, "z": GREEN}
 
@@ -74,12 +74,11 @@ def _label(channel: Channel) -> str:
     return channel.name + (f" ({channel.unit.replace('_per_', '/')})" if channel.unit else "")
 
 
-def _unbroken(over: np.ndarray) -> np.ndarray:
-    """What is drawn over, with a gap where a run jumps to another sweep."""
-    steps = np.abs(np.diff(over, prepend=over[:1]))
-    moved = steps[steps > 0]
-    jumps = steps > _JUMP * np.median(moved) if moved.size else np.zeros(len(over), dtype=bool)
-    return np.where(jumps, np.nan, over)
+def _starts(over: np.ndarray) -> np.ndarray:
+    """Samples at which a run of sweeps starts another one, having jumped there."""
+    steps = np.abs(np.diff(over))
+    usual = np.median(steps[steps > 0]) if np.any(steps > 0) else 0.0
+    return np.flatnonzero((steps > _JUMP * usual) & (steps > _FAR * np.ptp(over))) + 1
 
 
 def _panels(run: Run) -> tuple[list[list[str]], int]:
@@ -126,9 +125,10 @@ def _draw_panel(
             color=_colour(channel) if several else GREY,
             alpha=0.6,
         )
-    line = _unbroken(over)
+    sweeps = np.array([], dtype=int) if over is run.times else _starts(over)
+    line = np.insert(np.asarray(over, dtype=float), sweeps, np.nan)
     for channel in channels:
-        fitted = channel.from_si(predicted[channel.name])
+        fitted = np.insert(channel.from_si(predicted[channel.name]), sweeps, np.nan)
         axes.plot(line, fitted, color=INK if several else BLUE, linewidth=0.8 if several else 1.2)
     label = _label(channels[0])
     plain(axes, label if len(names) == 1 else label.replace(names[0], names[0][:-2]))
