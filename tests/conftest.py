@@ -2,7 +2,20 @@
 
 import gc
 import os
+from importlib.metadata import version
 from pathlib import Path
+
+# Programs that the tests compile by themselves get the options that `giajax.program` sets: half
+# of the time of compiling. XLA ends the process at a name that it does not know, and names change
+# with its versions.
+if version("jaxlib").startswith("0.10."):
+    from giajax._program import CPU_OPTIONS
+
+    flags = [
+        f"--{name}={str(value).lower() if isinstance(value, bool) else value}"
+        for name, value in CPU_OPTIONS.items()
+    ]
+    os.environ.setdefault("XLA_FLAGS", " ".join(flags))
 
 import jax
 import pytest

@@ -3,12 +3,12 @@
 import time
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 
+from .._program import program
 from .._typing import Array
 from ._jacobian import BlockJacobian
 from ._problem import Prediction, Problem, linearise, residual
@@ -161,7 +161,7 @@ class Fitter:
         return {path: float(v) for path, v in zip(self.problem.paths, values, strict=True)}
 
 
-@eqx.filter_jit
+@program
 def _step(
     solver: Marquardt, coordinate: Array, problem: Problem, state: MarquardtState, active: Array
 ) -> tuple[Array, MarquardtState, Array, Array]:

@@ -3,14 +3,14 @@
 from collections.abc import Sequence
 from typing import Any
 
-import equinox as eqx
 import numpy as np
 
+from .._program import program
 from ..models import AbstractModel, Channels
 from ..runs import Run
 
 
-@eqx.filter_jit
+@program
 def _predict(model: AbstractModel, inputs: object, channels: tuple[str, ...]) -> Channels:
     return model.predict(inputs, channels)[0]
 

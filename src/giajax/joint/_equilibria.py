@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .._errors import InputError
+from .._program import program
 from .._typing import Array, Scalar
 from ..parameters import is_concrete
 from ._geometry import LARGEST_ANGLE, check_geometry
@@ -217,7 +218,7 @@ class _Side(eqx.Module):
     idle: Array
 
 
-@eqx.filter_jit
+@program
 def _search(arguments: Any, nodes: Array) -> _Side:
     """All roots between increasing nodes: one program for any pair of a kind."""
     pair, _, _, ahead = arguments
@@ -392,7 +393,7 @@ def joint_spring(
     return spring
 
 
-@eqx.filter_jit
+@program
 def _spring(pair: JointPair, pressures: Array, load: Array, near: Array) -> tuple[Spring, Array]:
     arguments = (pair, pressures, load, jax.lax.stop_gradient(near) >= 0)
     angle, converged = polish(_torque, near, arguments)

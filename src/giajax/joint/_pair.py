@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .._errors import InputError
+from .._program import program
 from .._typing import Array, Float, Scalar
 from ..parameters import is_concrete
 from ._braided import BraidedMuscle
@@ -118,7 +119,7 @@ def check_range(angle: Array) -> None:
         )
 
 
-@eqx.filter_jit
+@program
 def _pair_command(pair: JointPair, angle: Array, load: Array, torque: Array) -> PairCommand:
     ahead = angle >= 0
     first = balanced(pair.joint, angle, torque + jnp.where(ahead, load, 0), ahead)

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy.typing as npt
 
 from .._errors import InputError
+from .._program import program
 from .._typing import Array, Bool, Float, Scalar
 from ..parameters import inline, is_concrete, parameter
 from ._correction import Correction
@@ -240,7 +241,7 @@ def muscle_state(
     return _muscle_state(joint, angle, torque, inner)
 
 
-@eqx.filter_jit
+@program
 def _muscle_state(joint: Joint, angle: Array, torque: Array, inner: Array) -> MuscleState:
     return balanced(joint, angle, torque, inner)
 
@@ -281,7 +282,7 @@ def branch_angles(geometry: JointGeometry) -> tuple[float, float]:
     return float(taut), float(wrap)
 
 
-@eqx.filter_jit
+@program
 def _branch_angles(geometry: JointGeometry) -> tuple[Array, Array]:
     half_turn = jnp.asarray(jnp.pi / 2, dtype=jnp.result_type(float))
 

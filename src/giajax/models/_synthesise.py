@@ -3,11 +3,11 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import equinox as eqx
 import numpy as np
 import numpy.typing as npt
 
 from .._errors import InputError
+from .._program import program
 from .._typing import Array, Bool
 from ..runs import Definition, Run
 from ..simulation import SimulationError
@@ -110,7 +110,7 @@ def _constants(model: AbstractModel) -> Definition:
     return Definition.parse({"model": model.kind, **known}, "model")
 
 
-@eqx.filter_jit
+@program
 def predict_prepared(
     model: AbstractModel, inputs: Any, channels: tuple[str, ...]
 ) -> tuple[Channels, Bool[Array, ""]]:

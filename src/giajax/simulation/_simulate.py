@@ -3,12 +3,12 @@
 from typing import Any
 
 import diffrax
-import equinox as eqx
 import equinox.internal as eqxi
 import jax.numpy as jnp
 import numpy as np
 
 from .._errors import InputError
+from .._program import program
 from .._typing import Array, Float, Scalar
 from ..arm import Arm
 from ..parameters import is_concrete
@@ -159,7 +159,7 @@ def check_wind(arm: Arm, wind: Signal | None) -> None:
         )
 
 
-@eqx.filter_jit
+@program
 def integrate(
     arm: Arm,
     command: Signal,

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 
+from .._program import program
 from .._typing import Array, Bool, Float, Int
 from ..arm import Arm, link_centres, tip_position
 from ._signal import Signal
@@ -79,7 +80,7 @@ class Trajectory(eqx.Module):
         return jax.vmap(self.command)(self.times)
 
 
-@eqx.filter_jit
+@program
 def _over_samples(
     position: Callable[[Arm, Array], Array], arm: Arm, angles: Float[Array, "sample joint"]
 ) -> Array:

@@ -4,13 +4,13 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 
 from .._errors import InputError
+from .._program import program
 from .._typing import Array, Float
 from ..models import AbstractModel
 from ..parameters import elements, replace, switched_on
@@ -159,7 +159,7 @@ def sensitivity(
     )
 
 
-@eqx.filter_jit
+@program
 def _push(
     model: AbstractModel,
     inputs: Any,
