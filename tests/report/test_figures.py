@@ -87,7 +87,7 @@ def test_a_loop_is_drawn_over_its_input():
     (axes,) = drawn(run)
     assert axes.get_xlabel() == "command (rad)"
     assert all(np.array_equal(line.get_xdata(), command) for line in axes.lines)
-    oscillator = {"model": "hysteresis", "hysteresis": {"operator": "bouc_wen_oscillator"}}
+    oscillator = {"model": "oscillator"}
     (axes,) = drawn(Run.from_arrays(np.arange(4.0), values, definition=oscillator))
     assert axes.get_xlabel() == "time (s)"
 

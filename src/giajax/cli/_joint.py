@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from .._errors import InputError
+from ..kinds import MuscleSection
 
 if TYPE_CHECKING:
     from ..runs import Definition
@@ -100,7 +101,7 @@ def _pair(stated: "Definition", settings: list[str], torque: float | None) -> An
     from ..parameters import check_within_bounds, elements, replace
 
     _refuse_unused(stated)
-    muscle = MuscleModel.stated(stated.muscle).muscle
+    muscle = MuscleModel.stated(stated.section(MuscleSection)).muscle
     pair = JointPair(joint_from_section(stated), muscle)
     values: dict[str, float] = {} if torque is None else {"joint.torque": torque}
     for setting in settings:
@@ -125,7 +126,7 @@ def _pair(stated: "Definition", settings: list[str], torque: float | None) -> An
 
 def _refuse_unused(stated: "Definition") -> None:
     """Refuse what a [muscle] section says and a joint does not use."""
-    muscle = stated.muscle
+    muscle = stated.section(MuscleSection)
     unused = {
         "length_m": muscle.length_m is not None,
         "friction": muscle.friction not in (None, "none"),

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from ..models import AbstractModel
     from ..runs import Run
 
-_ABOUT_RUNS = ("model", "free_motion", "initial", "command", "wind", "noise", "fit")
-
 EXAMPLES = """\b
 Examples:
   giajax predict --model giajax-out/run --data other.csv
@@ -66,13 +64,14 @@ def predict(
     The runs start as their sidecars, or the fit definition, say: with first_row = true in
     [initial] as in their first row.
     """
-    from ..runs import Definition, parse_rename, read_runs, write_files
+    from ..runs import Definition, parse_rename, read_runs, run_keys, write_files
 
     if out is not None and out.exists() and not force:
         raise InputError(f"{out} exists; give another --out, or --force to write over it")
     said = {} if config is None else Definition.load(config).given()
     # What it says of the model is that of the fit, which `model` states already.
-    said = {key: value for key, value in said.items() if key in _ABOUT_RUNS}
+    about = ("model", *run_keys(model=False), "fit")
+    said = {key: value for key, value in said.items() if key in about}
     if channels:
         said["fit"] = {**said.get("fit", {}), "channels": channels}
     stated = Definition.parse(said, "the command line")

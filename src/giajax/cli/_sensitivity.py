@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .._errors import InputError
+from ..kinds import ArmSection, InitialSection, SensorsSection
 from ._drive import (
     DURATION,
     channel_names,
@@ -142,7 +143,7 @@ def sensitivity(
         if replayed is not None:
             start, length, drives = drives_of(replayed, rate or _RATE)
         else:
-            still = bool(wind or stated.initial.given())
+            still = bool(wind or stated.section(InitialSection).given())
             moves = ramp or ([] if step or still else [_DEFAULT_RAMP])
             if moves or step:
                 drives = [moves_of(step or [], moves, count, duration or length)]
@@ -151,8 +152,8 @@ def sensitivity(
             drives, start=start, duration=duration or length, rate=rate or _RATE
         )
         names = channel_names(channels or ["all"], count)
-        facts["arm"] = stated.arm.given()
-        facts["sensors"] = stated.sensors.given()
+        facts["arm"] = stated.section(ArmSection).given()
+        facts["sensors"] = stated.section(SensorsSection).given()
         definition = Definition.parse({k: v for k, v in facts.items() if v}, "sensitivity")
         recorded = planned(
             times, inputs, links=count, channels=names, definition=definition.given()

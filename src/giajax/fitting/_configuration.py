@@ -17,11 +17,8 @@ from ..parameters import (
     replace,
     switched_on,
 )
-from ..runs import Run
+from ..runs import Run, run_keys
 from ._loss import check_loss
-
-# What a sidecar says about a run that a fit depends on; [arm] is in the model.
-_ABOUT_RUNS = ("free_motion", "initial", "command", "wind", "noise")
 
 
 def configuration(
@@ -66,7 +63,7 @@ def configuration(
     return {
         "definition": model.definition(),
         "runs": [
-            {key: said[key] for key in _ABOUT_RUNS if key in said}
+            {key: said[key] for key in run_keys(model=False) if key in said}
             | ({} if run.observed is None else {"channels": list(run.observed)})
             | ({} if run.times is None else {"from_s": float(run.times[0]), "rows": len(run.times)})
             for run, said in zip(runs, stated, strict=True)

@@ -26,6 +26,7 @@ from ._joint import (
     joint_from_section as joint_from_section,
 )
 from ._muscle import MuscleInputs as MuscleInputs, MuscleModel as MuscleModel
+from ._oscillator import OscillatorInputs as OscillatorInputs, OscillatorModel as OscillatorModel
 from ._protocol import (
     AbstractModel as AbstractModel,
     Channels as Channels,
@@ -35,5 +36,10 @@ from ._recording import (
     RecordingErrors as RecordingErrors,
     recorded_again as recorded_again,
     with_errors as with_errors,
+)
+from ._response import (
+    Columns as Columns,
+    comparable as comparable,
+    output_channel as output_channel,
 )
 from ._synthesise import synthesise as synthesise

@@ -10,6 +10,7 @@ import numpy as np
 from .._errors import InputError
 from .._typing import Array, Bool, Float, Scalar
 from ..arm import Arm
+from ..kinds import ArmSection, CommandSection, InitialSection, SensorsSection, WindSection
 from ..parameters import declared, find, inline, parameter
 from ..runs import Channel, Definition, Run
 from ..simulation import SOLVERS, Signal, Trajectory, check_wind, constant, integrate, logged
@@ -124,9 +125,9 @@ class ArmModel(AbstractModel):
         first, *others = runs
         arm = arm_from_definition(first.definition)
         sensors = sensors_from_definition(first.definition)
-        stated = [first.definition.arm, first.definition.sensors]
+        sections = [first.definition.section(of) for of in (ArmSection, SensorsSection)]
         for other in others:
-            if [other.definition.arm, other.definition.sensors] == stated:
+            if [other.definition.section(type(of)) for of in sections] == sections:
                 continue
             their_arm = arm_from_definition(other.definition)
             their_sensors = sensors_from_definition(other.definition)
@@ -151,7 +152,8 @@ class ArmModel(AbstractModel):
 
     def free_inputs(self, run: Run) -> tuple[str, ...]:
         """The initial state, where the run says `[initial] free = true`."""
-        return ("initial.angle", "initial.rate") if run.definition.initial.free else ()
+        free = run.definition.section(InitialSection).free
+        return ("initial.angle", "initial.rate") if free else ()
 
     def failure(self, inputs: ArmInputs) -> str:
         """What the simulation says."""
@@ -175,7 +177,7 @@ class ArmModel(AbstractModel):
     def _initial(self, run: Run, times: np.ndarray) -> InitialState:
         """The state at the first sample; a first row was seen by the angle sensors."""
         angle, rate = map(jnp.asarray, initial_state(run, times, self.arm.count))
-        if run.definition.initial.first_row:
+        if run.definition.section(InitialSection).first_row:
             encoder = self.sensors.encoder
             angle, rate = encoder.true_angles(angle), encoder.true_rates(rate)
         return InitialState(angle, rate)
@@ -192,7 +194,7 @@ class ArmModel(AbstractModel):
                     f"'{run.name}' drives joint {joint} of an arm of {self.arm.count} joints"
                 )
             values[:, joint - 1] = column
-        return logged(times, values, run.definition.command.interpolation)
+        return logged(times, values, run.definition.section(CommandSection).interpolation)
 
     def trajectory(self, inputs: ArmInputs) -> Trajectory:
         """Motion of the arm at the samples of a prepared run, as it is: without sensors."""
@@ -294,8 +296,8 @@ class ArmModel(AbstractModel):
         fitted = {path.partition("[")[0] for path in free}
         sentences = [f"{path}: {said}" for path, said in CONDITIONS.items() if path in fitted]
         encoder = sorted(fitted & {"encoder.offset", "encoder.scale"})
-        read = [run for run in runs if run.definition.initial.first_row]
-        if encoder and any(not run.definition.initial.free for run in read):
+        read = [run for run in runs if run.definition.section(InitialSection).first_row]
+        if encoder and any(not run.definition.section(InitialSection).free for run in read):
             sentences.append(
                 f"{', '.join(encoder)}: the state in the first row was read with the start value; "
                 "say free = true in [initial] to fit that state too"
@@ -333,7 +335,7 @@ class ArmModel(AbstractModel):
 
 
 def _wind(run: Run, times: np.ndarray) -> Signal | None:
-    stated = run.definition.wind
+    stated = run.definition.section(WindSection)
     if stated.velocity_m_per_s is not None:
         return constant(stated.velocity_m_per_s)
     if not run.winds:

@@ -8,7 +8,6 @@ import numpy as np
 from .._errors import InputError
 from ..hysteresis import (
     AbstractOperator,
-    BoucWenOscillator,
     InverseByBisection,
     ModifiedPrandtlIshlinskii,
     PrandtlIshlinskii,
@@ -16,7 +15,8 @@ from ..hysteresis import (
 )
 from ..parameters import get
 from ..runs import Channel, Run
-from ._hysteresis import OUTPUTS, HysteresisModel, comparable, input_channel
+from ._hysteresis import HysteresisModel
+from ._response import comparable, input_channel
 
 # A third of the range: short against the range, long against the noise.
 _TRAVEL = 1 / 3
@@ -104,7 +104,7 @@ def wanted_channel(run: Run) -> Channel:
     Raises:
         InputError: a run without one, or with several.
     """
-    found = [channel for channel in run.channels.values() if channel.kind in OUTPUTS]
+    found = [channel for channel in run.channels.values() if channel.kind in run.kind.outputs]
     if len(found) != 1:
         raise InputError(
             f"'{run.name}' must have one column of wanted output or angle, and has "
@@ -120,14 +120,9 @@ def compensator_for_model(model: HysteresisModel) -> Compensator:
     to.
 
     Raises:
-        InputError: an oscillator, or a fitted operator that has no inverse.
+        InputError: a fitted operator that has no inverse.
     """
     operator = model.operator
-    if isinstance(operator, BoucWenOscillator):
-        raise InputError(
-            "an oscillator has no compensation here; fit a run of input and output at rest with "
-            "another operator in [hysteresis]"
-        )
     state = model.memory()
     inverse: AbstractOperator
     if isinstance(operator, PrandtlIshlinskii | ModifiedPrandtlIshlinskii):
@@ -142,8 +137,8 @@ def compensator_for_model(model: HysteresisModel) -> Compensator:
         memory,
         float(get(model, "offset")),
         model.reachable(),
-        model.input_channel(),
-        model.output_channel(),
+        model.columns.input_channel,
+        model.columns.output_channel,
     )
 
 
@@ -160,7 +155,7 @@ def compensator_for_loop(run: Run, travel: float | None = None) -> Compensator:
     """
     run.require_observations()
     name, values = next(iter(run.observations.items()))
-    channel = input_channel(run)
+    channel = input_channel(run, HysteresisModel.kind)
     travel = _TRAVEL * float(np.nanmax(values) - np.nanmin(values)) if travel is None else travel
     operator = branches_from_loop(run.values[channel.name], values, travel)
     if not operator.reachable[0] < operator.reachable[1]:

@@ -10,6 +10,7 @@ import numpy as np
 from .._errors import InputError
 from .._typing import Array, Bool, Float
 from ..joint import Correction, Joint, JointGeometry, balanced, check_geometry, is_possible
+from ..kinds import JointSection
 from ..parameters import get, inline
 from ..runs import Channel, Definition, Run
 from ._protocol import AbstractModel, Channels
@@ -92,10 +93,6 @@ class JointModel(AbstractModel):
             torque=None if torque is None else jnp.asarray(torque, dtype=dtype),
         )
 
-    def drawn_over(self, run: Run) -> str | None:
-        """The bending angle, where it varies."""
-        return "angle" if np.ptp(run.values["angle"]) > 0 else None
-
     def predict(
         self, inputs: JointInputs, channels: tuple[str, ...]
     ) -> tuple[Channels, Bool[Array, ""]]:
@@ -159,7 +156,7 @@ class JointModel(AbstractModel):
 
 def joint_from_section(definition: Definition) -> Joint:
     """The joint that the `[joint]` section states; what it does not state is the preset's."""
-    given = definition.joint.given()
+    given = definition.section(JointSection).given()
     geometry: dict[str, Any] = {}
     for key, name in _POINTS.items():
         if given.get(key) is not None:

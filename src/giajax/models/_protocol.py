@@ -83,10 +83,6 @@ class AbstractModel(eqx.Module):
     def definition(self) -> dict[str, Any]:
         """Plain data from which `build_model` makes this model again, its parameters apart."""
 
-    def drawn_over(self, run: Run) -> str | None:
-        """The given channel that measured ones of a run are drawn over; None: over time."""
-        return None
-
     def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
         """The model where a fit of some parameters to some runs may start.
 

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from .._errors import InputError
 from .._typing import Float
+from ..kinds import InitialSection
 from ..parameters import default_free, get
 from ..runs import Definition, Run
 from ..simulation import SimulationError
@@ -104,7 +105,7 @@ def recorded_again(
     made = dataclasses.asdict(errors)
     said["recording"] = {key: value for key, value in made.items() if value not in ({}, 0.0)}
     first = getattr(prepared, "initial", None)
-    if run.definition.initial.first_row and first is not None:
+    if run.definition.section(InitialSection).first_row and first is not None:
         # The first row of the new run has noise, or is not recorded.
         said_before = {k: v for k, v in given["initial"].items() if k != "first_row"}
         state = {

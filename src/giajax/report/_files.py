@@ -12,7 +12,7 @@ import numpy as np
 
 from .._errors import InputError
 from ..fitting import FitResult
-from ..runs import Definition, Run, write_files
+from ..runs import Definition, Run, run_keys, write_files
 from ._correlation import correlation_figure
 from ._recorded import recorded_figure
 from ._residuals import residuals_figure
@@ -26,8 +26,6 @@ _MOST_RUNS = 6
 # What makes two fits the same fit; the iterations allowed and the folder do not.
 _SAME = ("definition", "runs", "free", "start", "fix", "loss")
 _WORDS = {"definition": "the model's constants", "runs": "what the sidecar states", "loss": "loss"}
-_SECTIONS = ("arm", "hysteresis")
-_KEPT = ("free_motion", "initial", "command", "wind")
 
 
 def check_folder(
@@ -246,15 +244,17 @@ def _csv(columns: Mapping[str, list[str]]) -> bytes:
 def _sidecar(result: FitResult, run: Run, checksum: str) -> Definition:
     """What the prediction was made with, so that it can be read, checked and fitted as a run."""
     stated = run.definition.given()
+    # The noise is that of the recording, which a prediction does not have.
+    about = [key for key in run_keys(model=False) if key != "noise"]
     definition = result.model.definition()
-    model = {key: definition[key] for key in _SECTIONS if key in definition}
+    model = {key: definition[key] for key in run.kind.sections if key in definition}
     return Definition.parse(
         {
             "model": run.model,
             "origin": f"predicted by giajax from a fit to {run.name}",
             "sha256": checksum,
             **model,
-            **{key: stated[key] for key in _KEPT if key in stated},
+            **{key: stated[key] for key in about if key in stated},
         },
         "prediction.toml",
     )

@@ -46,7 +46,7 @@ def recorded_figure(
         title += f"; {left_out} more channels are in prediction.csv"
     over, label = _abscissa(result, run)
     # A curve wants to be about as high as it is wide; a motion wants width.
-    height = 2.05 if result.model.drawn_over(run) is None else 3.4
+    height = 2.05 if run.drawn_over is None else 3.4
     figure = new_figure(max(3.7 * columns, 6.5), max(height * rows, 2.4) + 0.6, title)
     grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
     for position, axes in enumerate(grid.flat):
@@ -64,7 +64,7 @@ def recorded_figure(
 
 def _abscissa(result: FitResult, run: Run) -> tuple[np.ndarray, str]:
     """What the channels are drawn over, in the unit of the file, and its name."""
-    name = result.model.drawn_over(run)
+    name = run.drawn_over
     if name is None:
         return sample_times(run), time_label(run)
     return run.channels[name].from_si(run.values[name]), _label(run.channels[name])

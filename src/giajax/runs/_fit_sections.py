@@ -6,8 +6,8 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from .._errors import InputError
+from ..kinds import Finite, Name, Positive, Section, flat, key
 from ._channels import parse_column
-from ._section import Finite, Name, Positive, Section, flat, key
 
 _NOISE = "a positive number, the standard deviation"
 
@@ -18,9 +18,11 @@ class Noise(Section):
     model_config: ClassVar[ConfigDict] = ConfigDict(extra="allow", strict=True, frozen=True)
     __pydantic_extra__: dict[str, Positive] = Field(init=False)
 
-    position_m: Positive | None = key(_NOISE, "standard deviation of every position")
-    angle_deg: Positive | None = key(_NOISE, "standard deviation of every angle")
-    rate_deg_per_s: Positive | None = key(_NOISE, "standard deviation of every joint rate")
+    position_m: Positive | None = key(_NOISE, "standard deviation of every position", example=0.01)
+    angle_deg: Positive | None = key(_NOISE, "standard deviation of every angle", example=0.5)
+    rate_deg_per_s: Positive | None = key(
+        _NOISE, "standard deviation of every joint rate", example=1.0
+    )
 
     @property
     def columns(self) -> dict[str, float]:
