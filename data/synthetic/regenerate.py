@@ -170,7 +170,7 @@ def one_link(name: str) -> Run:
 def turned_camera_run(name: str) -> Run:
     """The motion of pitch_yaw before a camera turned by 5 deg and 0.1 m off, as nobody knows."""
     from giajax import model_for, replace
-    from giajax.models import RecordingErrors, recorded_again
+    from giajax.synthetic import RecordingErrors, recorded_again
 
     first = read_run(HERE / "pitch_yaw.csv")
     frame = {

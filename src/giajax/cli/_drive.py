@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 from .._errors import InputError
 
 if TYPE_CHECKING:
-    from ..models import ArmModel, Drive
+    from ..models import ArmModel
     from ..runs import Definition, Run
+    from ..synthetic import Drive
 
 DURATION = 25.0
 """Length of a run, s, when nothing is said."""
@@ -67,7 +68,7 @@ def replayed_run(command: Path, stated: "Definition") -> "Run":
 
 def drives_of(run: "Run", rate: float) -> tuple[float, float, list["Drive"]]:
     """Start of a recorded run, its length in whole samples, its commands and wind."""
-    from ..models import Drive
+    from ..synthetic import Drive
 
     if run.model != "arm" or run.times is None:
         raise InputError(f"{run.path} is a run of the {run.model} model; give the run of an arm")
@@ -83,7 +84,7 @@ def drives_of(run: "Run", rate: float) -> tuple[float, float, list["Drive"]]:
 
 
 def moves_of(step: Sequence[str], ramp: Sequence[str], count: int, duration: float) -> "Drive":
-    from ..models import Move, joint_moves
+    from ..synthetic import Move, joint_moves
 
     moves = []
     for option, texts in (("--step", step), ("--ramp", ramp)):

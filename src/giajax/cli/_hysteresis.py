@@ -11,7 +11,7 @@ Examples:
   giajax hysteresis --out fig12
   giajax hysteresis --out fig12 --travel 20 --force
   giajax fit --data fig12/recording.csv
-  giajax compensate --model fig12/result.json --wanted wanted.csv --out command.csv
+  giajax compensate --model fig12/result.json --target target.csv --out command.csv
 
 The folder gets fig12.png, its numbers in fig12.csv, errors.csv, the recording that both
 compensations were made from, and the fit of the inverse one."""

@@ -121,12 +121,13 @@ def sensitivity(
 
     configure()
 
-    from ..models import Drive, model_for, parameter_values, sampled
+    from ..models import model_for, parameter_values
     from ..parameters import replace
     from ..report import information_shares, sensitivity_figure, sensitivity_files, to_png
     from ..runs import Definition
     from ..simulation import SimulationError
     from ..study import planned, sensitivity as along
+    from ..synthetic import Drive, sampled
 
     model: AbstractModel
     names: list[str] | None

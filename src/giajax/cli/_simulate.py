@@ -125,8 +125,8 @@ def simulate(
 
     configure()
 
-    from ..models import Drive, sampled, synthesise
     from ..simulation import SimulationError
+    from ..synthetic import Drive, sampled, synthesise
 
     model, truth = model_and_truth(stated, settings or [], solver, tolerance)
     count = model.arm.count

@@ -94,8 +94,9 @@ def synth(
     configure()
 
     from ..fitting import load_result
-    from ..models import RecordingErrors, model_for, recorded_again
+    from ..models import model_for
     from ..simulation import SimulationError
+    from ..synthetic import RecordingErrors, recorded_again
 
     model: Any = model_for([recorded]) if result is None else load_result(result).model
     model, paths = set_parameters(model, settings or [])

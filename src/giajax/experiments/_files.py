@@ -55,14 +55,14 @@ def write_one_link(study: OneLink, folder: Path, *, force: bool = False) -> list
 
 
 def _numbers(study: OneLink) -> str:
-    lines = ["history,compensation,time_s,wanted_deg,command_deg,angle_deg"]
+    lines = ["history,compensation,time_s,target_deg,command_deg,angle_deg"]
     for trial in study.trials:
         plan = trial.history
-        rows = zip(plan.times, plan.wanted, trial.commands, trial.angles, strict=True)
-        for time, wanted, command, angle in rows:
+        rows = zip(plan.times, plan.target, trial.commands, trial.angles, strict=True)
+        for time, target, command, angle in rows:
             cell = "" if np.isnan(angle) else f"{angle:.4f}"
             lines.append(
-                f"{plan.name},{trial.compensation},{time:g},{wanted:g},{command:.4f},{cell}"
+                f"{plan.name},{trial.compensation},{time:g},{target:g},{command:.4f},{cell}"
             )
     return "\n".join(lines) + "\n"
 

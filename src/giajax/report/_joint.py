@@ -316,11 +316,11 @@ def equilibria_table(
 
     Arguments:
         pair: joint and muscles.
-        degrees: wanted angles, deg, shape (angle,).
+        degrees: target angles, deg, shape (angle,).
 
     Returns:
         Columns, one row an equilibrium, in the units that their names say; and the equilibria of
-        each wanted angle.
+        each target angle.
     """
     command = pair_command(pair, np.deg2rad(degrees))
     pressures = np.asarray(command.pressures)
@@ -328,17 +328,17 @@ def equilibria_table(
     rows: dict[str, list[object]] = {
         name: []
         for name in (
-            "wanted_deg", "reached", "first_pressure_kPa", "second_pressure_kPa", "angle_deg",
+            "target_deg", "reached", "first_pressure_kPa", "second_pressure_kPa", "angle_deg",
             "stable", "stiffness_N_m_per_rad", "muscle_stiffness_N_m_per_rad", "at_step",
             "first_branch", "second_branch", "at_lower_stop", "at_upper_stop", "indifferent",
         )
     }  # fmt: skip
-    for wanted, reached, both, found in zip(
+    for target, reached, both, found in zip(
         degrees, np.asarray(command.reached), pressures, everything, strict=True
     ):
         for item in found.found:
             cells: tuple[object, ...] = (
-                wanted, bool(reached), both[0] / 1e3, both[1] / 1e3, np.rad2deg(item.angle),
+                target, bool(reached), both[0] / 1e3, both[1] / 1e3, np.rad2deg(item.angle),
                 item.stable, item.stiffness, item.muscle_stiffness, item.at_step, *item.branches,
                 found.at_lower_stop, found.at_upper_stop, found.indifferent,
             )  # fmt: skip
@@ -348,24 +348,24 @@ def equilibria_table(
 
 
 def equilibria_figure(pair: JointPair, table: dict[str, np.ndarray], example_deg: float) -> Figure:
-    """Where a pair rests: every equilibrium against the wanted angle, and the torque of one.
+    """Where a pair rests: every equilibrium against the target angle, and the torque of one.
 
     Arguments:
         pair: joint and muscles.
         table: of `equilibria_table`.
-        example_deg: wanted angle whose two pressures are drawn, deg.
+        example_deg: target angle whose two pressures are drawn, deg.
     """
     figure = new_figure(11, 4.2, "Two pressures hold a joint at more than one angle")
     left, right = figure.subplots(1, 2)
     _shade_branches(left, pair.joint)
-    wanted, angle, stable = table["wanted_deg"], table["angle_deg"], table["stable"]
+    target, angle, stable = table["target_deg"], table["angle_deg"], table["stable"]
     end = np.rad2deg(LARGEST_ANGLE)
     left.plot([-end, end], [-end, end], color=LIGHT, linewidth=3, zorder=1)
     for held, colour, name in ((True, BLUE, "stable"), (False, VERMILLION, "unstable")):
         rows = stable == held
-        left.plot(wanted[rows], angle[rows], ".", color=colour, markersize=4, label=name)
+        left.plot(target[rows], angle[rows], ".", color=colour, markersize=4, label=name)
     plain(left, f"equilibria of its two pressures ({DEGREE})")
-    _angle_axis(left, "wanted angle")
+    _angle_axis(left, "target angle")
     left.set_ylim(-end, end)
     left.set_yticks(np.arange(-end, end + 1, 20))
     left.legend(fontsize=8, frameon=False, loc="upper left")

@@ -9,9 +9,9 @@ import numpy.typing as npt
 from .._errors import InputError
 from .._program import program
 from .._typing import Array, Bool
+from ..models import AbstractModel, Channels
 from ..runs import Definition, Run
 from ..simulation import SimulationError
-from ._protocol import AbstractModel, Channels
 
 
 def synthesise(
@@ -60,7 +60,7 @@ def synthesise(
 
     Example:
         >>> import giajax, numpy as np
-        >>> from giajax.models import synthesise
+        >>> from giajax.synthetic import synthesise
         >>> times = np.linspace(0.0, 10.0, 101)
         >>> command = np.interp(times, [0.5, 1.5], [0.0, 0.5])
         >>> model = giajax.ArmModel(giajax.takeichi_20m())
