@@ -1,6 +1,7 @@
 """What predicts channels for a run."""
 
 from ._arm import ArmInputs as ArmInputs, ArmModel as ArmModel
+from ._arm_scene import arm_scene as arm_scene
 from ._build import (
     build_model as build_model,
     model_for as model_for,
@@ -24,9 +25,11 @@ from ._joint import (
     JointModel as JointModel,
     joint_from_section as joint_from_section,
 )
+from ._joint_scene import joint_scene as joint_scene
 from ._muscle import MuscleInputs as MuscleInputs, MuscleModel as MuscleModel
 from ._protocol import (
     AbstractModel as AbstractModel,
     Channels as Channels,
     Derived as Derived,
 )
+from ._scene import Line as Line, Scene as Scene

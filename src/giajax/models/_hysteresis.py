@@ -116,9 +116,12 @@ class HysteresisModel(AbstractModel):
             output_column=columns[1],
         )
 
-    def drawn_over(self, run: Run) -> str | None:
-        """The input, which makes loops; the motion of an oscillator is drawn over time."""
-        return None if isinstance(self.operator, BoucWenOscillator) else input_channel(run).name
+    def initial_section(self, inputs: HysteresisInputs) -> dict[str, Any]:
+        """Nothing: its memory is a parameter."""
+        return {}
+
+    def scene(self, run: Run) -> None:
+        """Nothing: an operator has no shape."""
 
     def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
         """With turning points before the run, where they are free: at 0 they leave no trace.

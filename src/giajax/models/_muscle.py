@@ -166,10 +166,12 @@ class MuscleModel(AbstractModel):
             direction=None if direction is None else jnp.asarray(direction, dtype=dtype),
         )
 
-    def drawn_over(self, run: Run) -> str | None:
-        """The contraction of a muscle, the position of a piston; else the pressure."""
-        given = [name for name in ("contraction", "position", "pressure") if name in run.values]
-        return next((name for name in given if np.ptp(run.values[name]) > 0), None)
+    def initial_section(self, inputs: MuscleInputs) -> dict[str, Any]:
+        """Nothing: each sample is at rest."""
+        return {}
+
+    def scene(self, run: Run) -> None:
+        """Nothing: its law knows a length and no place."""
 
     def predict(
         self, inputs: MuscleInputs, channels: tuple[str, ...]

@@ -56,23 +56,19 @@ def recorded_again(
     if not successful:
         raise SimulationError(model.failure(prepared))
     known = [path for path in default_free(model) if path not in truth]
-    given = {k: v for k, v in run.definition.given().items() if k not in _OF_THE_FILE}
-    said = {path: np.asarray(get(model, path), dtype=float).tolist() for path in (*known, *truth)}
+    stated = run.definition.given()
+    sections = {key: stated[key] for key in stated if key not in _OF_THE_FILE}
+    facts = {path: np.asarray(get(model, path), dtype=float).tolist() for path in (*known, *truth)}
     made = dataclasses.asdict(errors)
-    said["recording"] = {key: value for key, value in made.items() if value not in ({}, 0.0)}
-    first = getattr(prepared, "initial", None)
-    if run.definition.initial.first_row and first is not None:
+    facts["recording"] = {key: value for key, value in made.items() if value not in ({}, 0.0)}
+    if run.definition.initial.first_row:
         # The first row of the new run has noise, or is not recorded.
-        said_before = {k: v for k, v in given["initial"].items() if k != "first_row"}
-        state = {
-            "angle_deg": np.rad2deg(np.asarray(first.angle)).tolist(),
-            "rate_deg_per_s": np.rad2deg(np.asarray(first.rate)).tolist(),
-        }
-        given["initial"] = {**said_before, **state}
+        kept = {key: value for key, value in sections["initial"].items() if key != "first_row"}
+        sections["initial"] = {**kept, **model.initial_section(prepared)}
     exact = Run.from_arrays(
         run.times,
         {**run.commands, **run.winds, **{n: np.asarray(predicted[n]) for n in names}},
         name=name,
-        definition=Definition.parse({"model": model.kind, **given, "truth": said}, name),
+        definition=Definition.parse({"model": model.kind, **sections, "truth": facts}, name),
     )
     return with_errors(exact, errors, seed=seed)
