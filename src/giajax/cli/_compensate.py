@@ -55,8 +55,9 @@ def compensate(
         raise typer.BadParameter("give --model with a fit, or --loop with a run, and not both")
     if travel is not None and (loop is None or not 0 < travel < math.inf):
         raise typer.BadParameter("--travel goes with --loop and is a positive number")
-    from ..runs import Definition, Run, parse_rename, read_run, write_run
+    from ..runs import Definition, Run, check_output_run, parse_rename, read_run, write_run
 
+    check_output_run(out, force=force)
     renamed = parse_rename(rename or [])
     definition = Definition.parse({"model": "hysteresis"})
     plan = read_run(target, rename=renamed, definition=definition)

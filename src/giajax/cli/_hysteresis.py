@@ -34,20 +34,16 @@ def hysteresis(
     another one with minor loops.
     """
     if not 0 < travel < math.inf:
-        raise typer.BadParameter(f"--travel is {travel:g} deg; give a positive number")
+        raise typer.BadParameter(f"--travel is {travel:g} deg: give a positive number")
 
     from ._jax import configure
 
     configure()
-    from ..experiments import (
-        SimulatedJoint,
-        check_one_link_folder,
-        one_link,
-        write_one_link,
-    )
+    from ..experiments import ONE_LINK_FILES, SimulatedJoint, one_link, write_one_link
+    from ..runs import check_output_folder
     from ._output import print_table
 
-    check_one_link_folder(out, force=force)
+    check_output_folder(out, ONE_LINK_FILES, force=force)
     progress = None if quiet else (lambda text: typer.echo(text, err=True))
     study = one_link(SimulatedJoint(seed=seed), travel=math.radians(travel), progress=progress)
     rows = []

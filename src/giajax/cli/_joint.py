@@ -1,11 +1,13 @@
 """`giajax joint`: one joint at rest, in pictures and numbers."""
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from .._errors import InputError
+from ._values import Values, settings, with_settings
 
 if TYPE_CHECKING:
     from ..runs import Definition
@@ -14,7 +16,7 @@ EXAMPLES = """\b
 Examples:
   giajax joint --out joint
   giajax joint --out joint --torque 0.5 --angle 45 --angle 0 --angle -45
-  giajax joint --out joint --definition joint.toml --wanted 30
+  giajax joint --out joint --definition joint.toml --target 30
   giajax joint --out joint --set alpha.offset=0.05 --force
 
 \b
@@ -35,7 +37,7 @@ def joint(
     definition: Annotated[
         Path | None, typer.Option(metavar="FILE.toml", help="[joint] and [muscle] to use.")
     ] = None,
-    settings: Annotated[
+    pairs: Annotated[
         list[str] | None,
         typer.Option(
             "--set", metavar="PATH=VALUE", help="A parameter of joint or muscle, SI. Repeatable."
@@ -48,7 +50,7 @@ def joint(
         list[float] | None,
         typer.Option(metavar="DEG", help="Draw the joint at this angle. Repeatable."),
     ] = None,
-    wanted: Annotated[
+    target: Annotated[
         float, typer.Option(metavar="DEG", help="Angle whose two pressures are shown.")
     ] = 20.0,
     force: Annotated[bool, typer.Option("--force", help="Write over files.")] = False,
@@ -57,68 +59,47 @@ def joint(
 
     The paper's figs 9 and 10, the joint itself at a few angles, and where two pressures hold it.
     """
-    from ..runs import Definition, write_files
+    from ..runs import Definition, check_output_folder, make_folder, write_files
 
     stated = Definition() if definition is None else Definition.load(definition)
     angles = list(angle or _ANGLES)
-    for option, values in (("--angle", angles), ("--wanted", [wanted])):
-        for value in values:
+    for option, asked in (("--angle", angles), ("--target", [target])):
+        for value in asked:
             if not -60 <= value <= 60:
-                raise InputError(f"{option} is {value:g}; a joint bends from -60 to 60 deg")
+                raise InputError(f"{option} is {value:g}: give an angle from -60 to 60 deg")
     names = ("fig09.png", "fig09.csv", "fig10.png", "fig10.csv", "corrections.png",
              "corrections.csv", "joint.png", "points.csv", "equilibria.png",
              "equilibria.csv")  # fmt: skip
-    for name in names:
-        if (out / name).exists() and not force:
-            raise InputError(
-                f"{out / name} exists and is not written over; give another --out or --force"
-            )
+    check_output_folder(out, names, force=force)
+    values = settings(pairs)
 
     from ._jax import configure
 
     configure()
-    pair = _pair(stated, settings or [], torque)
+    pair = _pair(stated, values, torque)
     typer.echo("drawing, and solving for every equilibrium ...", err=True)
-    contents = _contents(pair, angles, wanted)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"the folder {out} cannot be made ({error.strerror}); give another"
-        ) from None
+    contents = _contents(pair, angles, target)
+    make_folder(out)
     write_files({out / name: contents[name] for name in names}, force=force)
-    _show(pair, wanted)
+    _show(pair, target)
     typer.echo(f"\nwrote {out}: {', '.join(names)}")
 
 
-def _pair(stated: "Definition", settings: list[str], torque: float | None) -> Any:
+def _pair(stated: "Definition", typed: Values, torque: float | None) -> Any:
     """The joint and muscle that are stated, with the parameters that were set."""
-    import math
-
     from ..joint import JointPair, check_geometry
     from ..models import MuscleModel, joint_from_section
-    from ..parameters import check_within_bounds, elements, replace
 
     _refuse_unused(stated)
     muscle = MuscleModel.stated(stated.muscle).muscle
     pair = JointPair(joint_from_section(stated), muscle)
-    values: dict[str, float] = {} if torque is None else {"joint.torque": torque}
-    for setting in settings:
-        path, _, text = setting.rpartition("=")
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not path or not math.isfinite(value):
-            raise InputError(f"--set {setting!r} must be PATH=VALUE with a number; correct it")
-        # The joint's own paths need no prefix, as in a fit of a joint.
-        values[path if path.startswith(("joint.", "muscle.")) else f"joint.{path}"] = value
-    for path, value in values.items():
-        for element in elements(pair, path):
-            check_within_bounds(element, value, free=False)
     if torque is not None and not 0 < torque < math.inf:
-        raise InputError(f"--torque is {torque:g}; give a positive number of N m")
-    pair = replace(pair, values)
+        raise InputError(f"--torque is {torque:g}: give a positive number of N m")
+    values = {} if torque is None else {"joint.torque": [torque]}
+    for path, each in typed.items():
+        # The joint's own paths need no prefix, as in a fit of a joint.
+        values[path if path.startswith(("joint.", "muscle.")) else f"joint.{path}"] = each
+    pair = with_settings(pair, values)
     check_geometry(pair.joint.geometry)
     return pair
 
@@ -135,11 +116,11 @@ def _refuse_unused(stated: "Definition") -> None:
         if given:
             raise InputError(
                 f"[muscle] {key} is not used here: the length is muscle_length_m of [joint], and "
-                "a pair has no friction; remove it"
+                "a pair has no friction: remove it"
             )
 
 
-def _contents(pair: Any, angles: list[float], wanted: float) -> dict[str, bytes]:
+def _contents(pair: Any, angles: list[float], target: float) -> dict[str, bytes]:
     import numpy as np
 
     from ..report import (
@@ -172,7 +153,7 @@ def _contents(pair: Any, angles: list[float], wanted: float) -> dict[str, bytes]
         "corrections.csv": _csv(corrections),
         "joint.png": to_png(joint_figure(joint, angles)),
         "points.csv": _csv(points),
-        "equilibria.png": to_png(equilibria_figure(pair, holding, wanted)),
+        "equilibria.png": to_png(equilibria_figure(pair, holding, target)),
         "equilibria.csv": _csv(holding),
     }
 
@@ -192,7 +173,7 @@ def _csv(columns: dict[str, Any]) -> bytes:
     ).encode()
 
 
-def _show(pair: Any, wanted: float) -> None:
+def _show(pair: Any, target: float) -> None:
     """What a person wants to know first: branches, pressures and every equilibrium."""
     import numpy as np
 
@@ -200,7 +181,7 @@ def _show(pair: Any, wanted: float) -> None:
     from ._output import print_table
 
     taut, wrapped = np.rad2deg(branch_angles(pair.joint.geometry))
-    command = pair_command(pair, np.deg2rad(wanted))
+    command = pair_command(pair, np.deg2rad(target))
     sides = {"first": command.first_pressure, "second": command.second_pressure}
     rows = [
         ("inner wire taut", "never" if np.isnan(taut) else f"above {taut:.2f} deg"),
@@ -210,7 +191,7 @@ def _show(pair: Any, wanted: float) -> None:
         rows.append(
             (f"{name} muscle", f"{float(answer.pressure) / 1e3:.2f} kPa, {answer.message()}")
         )
-    print_table(["", f"for {wanted:g} deg"], rows, left=2)
+    print_table(["", f"for {target:g} deg"], rows, left=2)
     print()
     found = equilibria(pair, command.pressures)
     headings = ["equilibrium (deg)", "", "stiffness (N m/rad)", "first muscle", "second muscle"]

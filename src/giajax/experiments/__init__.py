@@ -7,7 +7,7 @@ from ._bouc_wen_benchmark import (
 )
 from ._figure_12 import figure_12 as figure_12
 from ._files import (
-    check_one_link_folder as check_one_link_folder,
+    ONE_LINK_FILES as ONE_LINK_FILES,
     write_one_link as write_one_link,
 )
 from ._one_link import (

@@ -4,6 +4,7 @@ from ._choose import (
     CANDIDATES as CANDIDATES,
     Candidate as Candidate,
     Choice as Choice,
+    choice_hint as choice_hint,
     choose_hysteresis as choose_hysteresis,
 )
 from ._compare import compare as compare

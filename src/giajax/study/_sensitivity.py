@@ -69,7 +69,7 @@ class Sensitivity:
         """
         deviations = np.broadcast_to(np.asarray(noise, dtype=float), (len(self.channels),))
         if not np.all(deviations > 0):
-            raise InputError(f"the noise is {deviations.min():g}; give a positive number")
+            raise InputError(f"the noise is {deviations.min():g}: give a positive number")
         weighted = self.derivatives / deviations
         parts = (weighted[:, :, rows] for rows in self.bodies().values())
         return np.stack([np.einsum("itc,jtc->ij", part, part) for part in parts])
@@ -138,9 +138,9 @@ def sensitivity(
     """
     names = tuple(run.observations if channels is None else channels)
     if not names:
-        raise InputError(f"'{run.name}' has no measured channel; give the channels of interest")
+        raise InputError(f"'{run.name}' has no measured channel: give the channels of interest")
     if not parameters:
-        raise InputError("no parameter is given; give at least one path")
+        raise InputError("there is no parameter: give at least one path")
     model = switched_on(model, parameters)
     wanted = {part.path: part for path in parameters for part in elements(model, path)}
     values = jnp.stack([jnp.asarray(part.value(model)) for part in wanted.values()])

@@ -50,7 +50,7 @@ def recorded_again(
     errors = RecordingErrors() if errors is None else errors
     names = tuple(run.observations if channels is None else channels)
     if not names:
-        raise InputError(f"'{run.name}' has no measured channel; give the channels to record")
+        raise InputError(f"'{run.name}' has no measured channel: give the channels to record")
     prepared = model.prepare(run)
     predicted, successful = predict_prepared(model, prepared, names)
     if not successful:

@@ -43,14 +43,14 @@ class RecordingErrors:
         for name in ("missing", "bursts", "outliers"):
             if not 0 <= getattr(self, name) < 1:
                 raise InputError(
-                    f"the fraction {name} is {getattr(self, name):g}; it must be at least 0 and "
-                    "below 1"
+                    f"the fraction {name} is {getattr(self, name):g}: give at least 0 and "
+                    "less than 1"
                 )
         for name in ("correlation_time", "burst_duration"):
             if not 0 < getattr(self, name) < np.inf:
-                raise InputError(f"{name} is {getattr(self, name):g} s; give a positive time")
+                raise InputError(f"{name} is {getattr(self, name):g} s: give a positive time")
         if (self.outliers > 0) != bool(self.outlier_size):
-            raise InputError("outliers need a fraction and a size; give both or none")
+            raise InputError("outliers need a fraction and a size: give both or none")
 
 
 def with_errors(run: Run, errors: RecordingErrors, *, seed: int = 0) -> Run:
@@ -65,7 +65,7 @@ def with_errors(run: Run, errors: RecordingErrors, *, seed: int = 0) -> Run:
     if run.times is None and (errors.correlated or errors.bursts):
         raise InputError(
             f"'{run.name}' has no times, so that its errors are neither correlated nor in "
-            "bursts; leave these out"
+            "bursts: leave these out"
         )
     values: dict[str, Any] = dict(run.values)
     for name, exact in run.observations.items():
@@ -84,7 +84,7 @@ def with_errors(run: Run, errors: RecordingErrors, *, seed: int = 0) -> Run:
             random = _stream(seed, "bursts", f"{channel.kind}{channel.index}")
             recorded[_stretches(run.times, errors.bursts, errors.burst_duration, random)] = np.nan
         if np.all(np.isnan(recorded)):
-            raise InputError(f"no value of {name} is left; lower the fractions that are lost")
+            raise InputError(f"no value of {name} is left: lower the fractions that are lost")
         values[name] = recorded
     kept = {key: value for key, value in run.definition.given().items() if key != "noise"}
     total = {
@@ -124,7 +124,7 @@ def _by_channel(run: Run, deviations: Mapping[str, float]) -> dict[str, float]:
     bare = {key: value for key, value in run.definition.given().items() if key != "noise"}
     positive = {key: value for key, value in deviations.items() if value > 0}
     if any(not np.isfinite(value) or value < 0 for value in deviations.values()):
-        raise InputError("a standard deviation or size is negative or infinite; correct it")
+        raise InputError("a standard deviation or size is negative or infinite: correct it")
     stated = Run.from_arrays(run.times, run.values, noise=positive, definition=bare)
     return {name: stated.noise(name) or 0.0 for name in run.observations}
 

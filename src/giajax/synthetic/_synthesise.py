@@ -71,7 +71,7 @@ def synthesise(
         ['link20_z']
     """
     if not 0 <= missing < 1:
-        raise InputError(f"the missing fraction is {missing:g}; it must be at least 0 and below 1")
+        raise InputError(f"the missing fraction is {missing:g}: give at least 0 and less than 1")
     times = None if times is None else np.asarray(times, dtype=float)
     if not isinstance(definition, Definition):
         definition = Definition.parse(definition or {}, f"{name}: definition")
@@ -88,7 +88,7 @@ def synthesise(
     unknown = [channel for channel in channels if channel not in plan.observations]
     if unknown:
         raise InputError(
-            f"'{unknown[0]}' is given to the model and not predicted by it; record another channel"
+            f"'{unknown[0]}' is given to the model and not predicted by it: record another channel"
         )
     prepared = model.prepare(plan)
     predicted, successful = predict_prepared(model, prepared, tuple(channels))
