@@ -125,6 +125,19 @@ def test_nothing_is_written_over_without_force(tmp_path, capsys):
     assert [path.name for path in tmp_path.iterdir()] == ["joint.png"]
 
 
+@pytest.mark.parametrize("name", ["run.csv", "there/run.csv"])
+def test_a_name_of_a_file_is_no_folder(tmp_path, capsys, name):
+    (tmp_path / "there").mkdir()
+    (tmp_path / "there" / "run.csv").write_text("mine")
+    assert main(["joint", "--out", str(tmp_path / name)]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    # Before anything is computed.
+    assert "solving" not in err
+    assert "a folder is written" in err
+    assert not (tmp_path / "run.csv").exists()
+
+
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [

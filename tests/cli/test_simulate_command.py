@@ -74,6 +74,15 @@ def test_its_command_line_makes_it_again(out, tmp_path):
     assert again.with_suffix(".toml").read_bytes() == out.with_suffix(".toml").read_bytes()
 
 
+def test_a_value_for_each_element(out):
+    options = ["--ramp", "1=30", "--channels", "tip", "--set", "camera.origin=0.1,0,-0.2"]
+    seen = simulate(out, *SHORT, *options)
+    assert seen.definition.truth["camera.origin"] == [0.1, 0.0, -0.2]
+    plain = simulate(out, *SHORT, *options[:4], "--force")
+    np.testing.assert_allclose(seen.values["tip_x"], plain.values["tip_x"] - 0.1, atol=1e-8)
+    np.testing.assert_allclose(seen.values["tip_z"], plain.values["tip_z"] + 0.2, atol=1e-8)
+
+
 @pytest.mark.parametrize("digits", ["4", "9"])
 def test_steps_off_the_samples_are_read_back_as_they_were(out, digits):
     options = ["--step", "1=30@0.517", "--step", "1=0@1.23", "--step", "2=-10", "--digits", digits]
@@ -180,6 +189,12 @@ REFUSED = {
         ["--ramp", "1=1", "--channels", "joints", "--noise", "position_m=1"],
         ["none of the"],
     ),
+    "noise of no quantity": (
+        ["--ramp", "1=1", "--noise", "0.01"],
+        ["KEY=VALUE", "position_m=0.01"],
+    ),
+    "noise of no key": (["--ramp", "1=1", "--noise", "height=1"], ["height"]),
+    "list too short": (["--ramp", "1=1", "--set", "camera.origin=1,2"], ["2 values", "3 elements"]),
     "angle noise of nothing": (["--ramp", "1=1", "--noise", "angle_deg=1"], ["none of the"]),
     "all missing": (["--ramp", "1=1", "--missing", "100"], ["less than 100"]),
     "half a sample": (["--ramp", "1=1", "--duration", "2.55"], ["make it 2.6 s"]),

@@ -87,7 +87,7 @@ def choose(
             f"{fact['rmse']:.3g}",
             f"{fact['delta_aic']:+.1f}",
             f"{fact['delta_bic']:+.1f}",
-            _ENDS.get(fact["status"], fact["status"]),
+            _ENDS.get(str(fact["status"]), fact["status"]),
         ]
         for fact in facts
     ]
