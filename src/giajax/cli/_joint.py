@@ -67,22 +67,21 @@ def joint(
         for value in asked:
             if not -60 <= value <= 60:
                 raise InputError(f"{option} is {value:g}: give an angle from -60 to 60 deg")
-    names = ("fig09.png", "fig09.csv", "fig10.png", "fig10.csv", "corrections.png",
-             "corrections.csv", "joint.png", "points.csv", "equilibria.png",
-             "equilibria.csv")  # fmt: skip
-    check_output_folder(out, names, force=force)
     values = settings(pairs)
 
     from ._jax import configure
 
     configure()
+    from ..report import JOINT_FILES, joint_files
+
+    check_output_folder(out, JOINT_FILES, force=force)
     pair = _pair(stated, values, torque)
     typer.echo("drawing, and solving for every equilibrium ...", err=True)
-    contents = _contents(pair, angles, target)
+    contents = joint_files(pair, angles, target)
     make_folder(out)
-    write_files({out / name: contents[name] for name in names}, force=force)
+    write_files({out / name: contents[name] for name in JOINT_FILES}, force=force)
     _show(pair, target)
-    typer.echo(f"\nwrote {out}: {', '.join(names)}")
+    typer.echo(f"\nwrote {out}: {', '.join(JOINT_FILES)}")
 
 
 def _pair(stated: "Definition", typed: Values, torque: float | None) -> Any:
@@ -118,59 +117,6 @@ def _refuse_unused(stated: "Definition") -> None:
                 f"[muscle] {key} is not used here: the length is muscle_length_m of [joint], and "
                 "a pair has no friction: remove it"
             )
-
-
-def _contents(pair: Any, angles: list[float], target: float) -> dict[str, bytes]:
-    import numpy as np
-
-    from ..report import (
-        angle_figure,
-        angle_table,
-        correction_figure,
-        correction_table,
-        equilibria_figure,
-        equilibria_table,
-        joint_figure,
-        joint_points,
-        to_png,
-    )
-
-    joint = pair.joint
-    readings = [correction_table(joint, reading=name) for name in ("continuous", "printed")]
-    corrections = {name: np.concatenate([each[name] for each in readings]) for name in readings[0]}
-    holding, _ = equilibria_table(pair, np.linspace(-60, 60, 121))
-    points: dict[str, list[Any]] = {"angle_deg": [], "point": [], "x_m": [], "y_m": []}
-    for degrees in angles:
-        for name, (x, y) in joint_points(joint, np.deg2rad(degrees)).items():
-            for column, cell in zip(points.values(), (degrees, name, x, y), strict=True):
-                column.append(cell)
-    return {
-        "fig09.png": to_png(angle_figure(joint, corrected=False)),
-        "fig09.csv": _csv(angle_table(joint, corrected=False)),
-        "fig10.png": to_png(angle_figure(joint, corrected=True)),
-        "fig10.csv": _csv(angle_table(joint, corrected=True)),
-        "corrections.png": to_png(correction_figure(joint)),
-        "corrections.csv": _csv(corrections),
-        "joint.png": to_png(joint_figure(joint, angles)),
-        "points.csv": _csv(points),
-        "equilibria.png": to_png(equilibria_figure(pair, holding, target)),
-        "equilibria.csv": _csv(holding),
-    }
-
-
-def _csv(columns: dict[str, Any]) -> bytes:
-    def cell(value: Any) -> str:
-        if isinstance(value, str):
-            return f'"{value}"' if "," in value else value
-        # A truth value is a number to numpy, and so to float.
-        return (
-            str(value).lower() if str(value) in ("True", "False") else f"{float(value) + 0.0:.9g}"
-        )
-
-    rows = zip(*columns.values(), strict=True)
-    return (
-        "\n".join([",".join(columns), *(",".join(map(cell, row)) for row in rows)]) + "\n"
-    ).encode()
 
 
 def _show(pair: Any, target: float) -> None:

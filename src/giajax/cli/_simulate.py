@@ -17,6 +17,7 @@ from ._drive import (
     replayed_run,
     stated_definition,
 )
+from ._origin import origin
 from ._values import deviations, noise_section
 
 if TYPE_CHECKING:
@@ -142,7 +143,7 @@ def simulate(
     recorded = channel_names(channels or [], count)
     deviations(section, "--noise", recorded)
     facts = facts_of(stated, replayed, drives, model)
-    facts["origin"] = _origin(context)
+    facts["origin"] = origin(context)
     facts["noise"] = {key: deviation for key, deviation in section.items() if deviation}
     times, inputs = sampled(drives, start=start, duration=duration, rate=rate)
     try:
@@ -190,23 +191,3 @@ def _as_written(name: str, values: Any, digits: int) -> Any:
     if channel.quantity == "angle":
         channel = replace(channel, unit="deg")
     return channel.to_si([float(f"{value:.{digits}g}") for value in channel.from_si(values)])
-
-
-def _origin(context: typer.Context) -> str:
-    """The command line without what only says where to write."""
-    from importlib.metadata import version
-
-    words = [f"giajax {version('giajax')} simulate"]
-    for parameter in context.command.params:
-        value = context.params.get(parameter.name or "")
-        if (
-            parameter.name in ("out", "force")
-            or value in (None, [], ())
-            or value == parameter.default
-        ):
-            continue
-        given = value if isinstance(value, list | tuple) else [value]
-        for item in given:
-            shown = f"{item:.15g}" if isinstance(item, float) else str(item)
-            words.append(f"{parameter.opts[0]} {shlex.quote(shown)}")
-    return " ".join(words)

@@ -10,13 +10,16 @@ from ._files import (
     ONE_LINK_FILES as ONE_LINK_FILES,
     write_one_link as write_one_link,
 )
+from ._history import (
+    History as History,
+    history as history,
+    other_history as other_history,
+    paper_history as paper_history,
+)
 from ._one_link import (
     OneLink as OneLink,
     Trial as Trial,
-    history as history,
     one_link as one_link,
-    other_history as other_history,
-    paper_history as paper_history,
     record_joint as record_joint,
 )
 from ._simulated_joint import SimulatedJoint as SimulatedJoint

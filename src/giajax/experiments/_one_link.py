@@ -5,78 +5,26 @@ eq. (12) and the inverse of a modified Prandtl-Ishlinskii operator; and each is 
 the joint is from where it is to be, on the paper's own history and on another one.
 """
 
-import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from ..control import Compensator, compensator_for_loop, compensator_for_model
 from ..fitting import FitResult, fit
 from ..models import model_for
 from ..runs import Run
+from ._history import PAPER, Degrees, History, history, other_history, paper_history
 from ._simulated_joint import RANGE, SimulatedJoint
-
-Degrees = npt.NDArray[np.float64]
-
-# Within this angle a command is held for longer.
-_SLOW = 30.0
-_SLOW_SECONDS, _SECONDS = 20.0, 5.0
 
 # Nested and displaced loops: where eq. (12) needs one loop, an operator with memory needs more.
 _NESTED = (0, 50, -50, 40, -40, 30, -30, 20, -20, 10, -10, 0, 50, 20, 45, 10, -45, -15, -40, -5, 0)
-_OTHER = (0, 45, -35, 30, -20, 50, 10, 40, -10, 20, -50, -5, -30, 15, 0)
-_PAPER = (0, 60, -60, 0)
 
 # The paper does not say within which travel xi goes from 0 to 1.
 TRAVEL = np.deg2rad(40.0)
 
 _THRESHOLDS = 12
 _DEAD_ZONES = tuple(float(value) for value in np.deg2rad([0.5, 1, 2, 4, 8, 16, 32, 48]))
-
-
-@dataclass(frozen=True)
-class History:
-    """Target angles one degree apart.
-
-    Attributes:
-        name: what to call it.
-        times: when the joint has come to rest and is measured, s, shape (sample,).
-        target: deg, shape (sample,).
-        measured: which samples are measured, after the preparatory movement; shape (sample,).
-    """
-
-    name: str
-    times: npt.NDArray[np.float64]
-    target: Degrees
-    measured: npt.NDArray[np.bool_]
-
-
-def history(name: str, turns: Sequence[float]) -> History:
-    """The paper's preparatory movement, then from turn to turn by 1 deg.
-
-    A step takes 5 s, and 20 s where the command is within 30 deg of 0.
-    """
-    before = _steps(_PAPER)
-    target = np.concatenate([before, _steps(turns)[1:]])
-    held = np.where(np.abs(target) <= _SLOW, _SLOW_SECONDS, _SECONDS)
-    return History(name, np.cumsum(held), target, np.arange(len(target)) >= len(before) - 1)
-
-
-def _steps(turns: Sequence[float]) -> Degrees:
-    pieces = [np.linspace(a, b, round(abs(b - a)) + 1)[1:] for a, b in itertools.pairwise(turns)]
-    return np.concatenate([[turns[0]], *pieces]).astype(float)
-
-
-def paper_history() -> History:
-    """0, 60, -60, 0 deg, after the same as a preparation."""
-    return history("paper", _PAPER)
-
-
-def other_history() -> History:
-    """Other amplitudes and minor loops, which nothing is identified on."""
-    return history("other", _OTHER)
 
 
 @dataclass(frozen=True)
@@ -183,7 +131,7 @@ def record_joint(joint: SimulatedJoint | None = None) -> Run:
 
 
 def _record(joint: SimulatedJoint) -> tuple[Run, float]:
-    plan, paper = history("identification", (*_PAPER, *_NESTED[1:])), paper_history()
+    plan, paper = history("identification", (*PAPER, *_NESTED[1:])), paper_history()
     angles = joint.measured(plan.target)
     error = (angles[: len(paper.target)] - paper.target)[paper.measured]
     offset = _least_offset(error)

@@ -11,6 +11,7 @@ from ._joint_equilibria import (
     equilibria_figure as equilibria_figure,
     equilibria_table as equilibria_table,
 )
+from ._joint_files import JOINT_FILES as JOINT_FILES, joint_files as joint_files
 from ._joint_shape import joint_figure as joint_figure, joint_points as joint_points
 from ._reached import Reached as Reached, check_figures as check_figures, reached as reached
 from ._recorded import recorded_figure as recorded_figure

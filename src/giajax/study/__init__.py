@@ -13,8 +13,5 @@ from ._multi_start import (
     misfit as misfit,
     multi_start as multi_start,
 )
-from ._sensitivity import (
-    Sensitivity as Sensitivity,
-    planned as planned,
-    sensitivity as sensitivity,
-)
+from ._planned import planned as planned
+from ._sensitivity import Sensitivity as Sensitivity, sensitivity as sensitivity

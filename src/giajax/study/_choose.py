@@ -12,6 +12,7 @@ from ..fitting import FitResult, fit
 from ..models import HysteresisModel, hysteresis_keys, model_for
 from ..parameters import default_free
 from ..runs import Definition, Run
+from ._held_out import parted
 
 # Name: what of [hysteresis] makes it, and what is fitted beside the defaults.
 CANDIDATES: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
@@ -26,9 +27,6 @@ CANDIDATES: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
     "preisach": ({"operator": "preisach"}, ("bias",)),
     "bouc_wen": ({"operator": "bouc_wen"}, ()),
 }
-
-# With fewer measured values than this a part of a run is no loop.
-_LEAST = 8
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,7 +111,7 @@ def choose_hysteresis(
     if held_out:
         fitted, judged = list(runs), list(held_out)
     else:
-        parts = [_parted(run, fraction) for run in runs]
+        parts = [parted(run, fraction) for run in runs]
         fitted, judged = [a for a, _ in parts], [b for _, b in parts]
     tried = []
     for name in names:
@@ -192,23 +190,3 @@ def _stating(run: Run, section: Mapping[str, Any]) -> Run:
     }
     stated["hysteresis"] = {**kept, **section}
     return dataclasses.replace(run, definition=Definition.parse(stated, run.name))
-
-
-def _parted(run: Run, fraction: float) -> tuple[Run, Run]:
-    """The run without its last measurements, and with only those."""
-    if not 0 < fraction < 1:
-        raise InputError(f"the held-out fraction is {fraction:g}: give one between 0 and 1")
-    name, values = next(iter(run.observations.items()))
-    measured = np.flatnonzero(~np.isnan(values))
-    first = round(len(measured) * (1 - fraction))
-    if first < _LEAST or len(measured) - first < _LEAST:
-        raise InputError(
-            f"'{run.name}' has {len(measured)} measured values, too few to hold out "
-            f"{fraction:.0%} of them: give a longer run, or another run to judge by"
-        )
-    parts = []
-    for kept in (measured[:first], measured[first:]):
-        part = np.full(len(values), np.nan)
-        part[kept] = values[kept]
-        parts.append(dataclasses.replace(run, values={**run.values, name: part}))
-    return parts[0], parts[1]
