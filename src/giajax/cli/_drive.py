@@ -33,29 +33,31 @@ def stated_definition(arm: Path | None, links: int | None, wind: str | None) -> 
     """What the arm file and the options say, the options on top."""
     from ..runs import Definition
 
-    stated = Definition() if arm is None else Definition.load(arm)
-    if stated.model not in (None, "arm"):
-        raise InputError(f"{arm} describes a {stated.model}: give the TOML file of an arm")
+    definition = Definition() if arm is None else Definition.load(arm)
+    if definition.model not in (None, "arm"):
+        raise InputError(f"{arm} describes a {definition.model}: give the TOML file of an arm")
     if links is not None:
         if links < 1:
             raise InputError(f"--links is {links}: give at least 1 link")
-        stated = stated.merged_with(Definition.parse({"arm": {"links": links}}))
+        definition = definition.merged_with(Definition.parse({"arm": {"links": links}}))
     if wind is not None:
         velocity = [number(part) for part in wind.split(",")]
         if len(velocity) != 3 or None in velocity:
             raise InputError(f"--wind is {wind!r}: give three numbers in m/s, such as 0,0.2,0")
-        stated = stated.merged_with(Definition.parse({"wind": {"velocity_m_per_s": velocity}}))
-    return stated
+        definition = definition.merged_with(
+            Definition.parse({"wind": {"velocity_m_per_s": velocity}})
+        )
+    return definition
 
 
-def replayed_run(command: Path, stated: "Definition") -> "Run":
+def replayed_run(command: Path, definition: "Definition") -> "Run":
     """The run whose commands are used, with the arm file's word on what is between its rows."""
     from ..runs import Definition, read_run, read_sidecar
 
     # Which joints there are is told by the arm that recorded it, where the sidecar states one.
     recorded = bool(read_sidecar(command).arm.given())
     keys = ("command", "wind") if recorded else ("arm", "command", "wind")
-    given = {key: item for key, item in stated.given().items() if key in keys}
+    given = {key: item for key, item in definition.given().items() if key in keys}
     return read_run(command, definition=Definition.parse(given))
 
 
@@ -98,7 +100,7 @@ def moves_of(step: Sequence[str], ramp: Sequence[str], count: int, duration: flo
 
 
 def model_and_truth(
-    stated: "Definition", pairs: Sequence[str], solver: str, tolerance: float
+    definition: "Definition", pairs: Sequence[str], solver: str, tolerance: float
 ) -> tuple["ArmModel", dict[str, float | list[float]]]:
     """The model with the parameters of --set, and the truth to state."""
     import jax.numpy as jnp
@@ -107,10 +109,10 @@ def model_and_truth(
     from ..parameters import default_free, get
 
     model = ArmModel(
-        arm_from_definition(stated),
+        arm_from_definition(definition),
         tolerance=jnp.asarray(tolerance),
         solver=solver,
-        sensors=sensors_from_definition(stated),
+        sensors=sensors_from_definition(definition),
     )
     values = settings(pairs)
     model = with_settings(model, values)
@@ -154,13 +156,13 @@ def channel_names(selections: Sequence[str], count: int) -> list[str]:
 
 
 def facts_of(
-    stated: "Definition", replayed: "Run | None", drives: Sequence["Drive"], model: "ArmModel"
+    definition: "Definition", replayed: "Run | None", drives: Sequence["Drive"], model: "ArmModel"
 ) -> dict[str, Any]:
     """The sections of the sidecar that say what moves the arm."""
-    source = stated if replayed is None else replayed.definition
+    source = definition if replayed is None else replayed.definition
     driven = {name: drive for drive in drives for name in drive.values}
     facts: dict[str, Any] = {"schema_version": 1}
-    initial = stated.initial.given()
+    initial = definition.initial.given()
     commanded = [drive for name, drive in driven.items() if name.startswith("joint")]
     winds = [drive for name, drive in driven.items() if name.startswith("wind")]
     velocity = source.wind.velocity_m_per_s

@@ -61,10 +61,10 @@ def joint(
     """
     from ..runs import Definition, check_output_folder, make_folder, write_files
 
-    stated = Definition() if definition is None else Definition.load(definition)
+    sections = Definition() if definition is None else Definition.load(definition)
     angles = list(angle or _ANGLES)
-    for option, asked in (("--angle", angles), ("--target", [target])):
-        for value in asked:
+    for option, degrees in (("--angle", angles), ("--target", [target])):
+        for value in degrees:
             if not -60 <= value <= 60:
                 raise InputError(f"{option} is {value:g}: give an angle from -60 to 60 deg")
     values = settings(pairs)
@@ -75,7 +75,7 @@ def joint(
     from ..report import JOINT_FILES, joint_files
 
     check_output_folder(out, JOINT_FILES, force=force)
-    pair = _pair(stated, values, torque)
+    pair = _pair(sections, values, torque)
     typer.echo("drawing, and solving for every equilibrium ...", err=True)
     contents = joint_files(pair, angles, target)
     make_folder(out)
@@ -84,14 +84,14 @@ def joint(
     typer.echo(f"\nwrote {out}: {', '.join(JOINT_FILES)}")
 
 
-def _pair(stated: "Definition", typed: Values, torque: float | None) -> Any:
+def _pair(sections: "Definition", typed: Values, torque: float | None) -> Any:
     """The joint and muscle that are stated, with the parameters that were set."""
     from ..joint import JointPair, check_geometry
     from ..models import MuscleModel, joint_from_section
 
-    _refuse_unused(stated)
-    muscle = MuscleModel.stated(stated.muscle).muscle
-    pair = JointPair(joint_from_section(stated), muscle)
+    _refuse_unused(sections)
+    muscle = MuscleModel.stated(sections.muscle).muscle
+    pair = JointPair(joint_from_section(sections), muscle)
     if torque is not None and not 0 < torque < math.inf:
         raise InputError(f"--torque is {torque:g}: give a positive number of N m")
     values = {} if torque is None else {"joint.torque": [torque]}
@@ -103,16 +103,16 @@ def _pair(stated: "Definition", typed: Values, torque: float | None) -> Any:
     return pair
 
 
-def _refuse_unused(stated: "Definition") -> None:
+def _refuse_unused(sections: "Definition") -> None:
     """Refuse what a [muscle] section says and a joint does not use."""
-    muscle = stated.muscle
+    muscle = sections.muscle
     unused = {
         "length_m": muscle.length_m is not None,
         "friction": muscle.friction not in (None, "none"),
         "friction_pressures_kPa": muscle.friction_pressures_kPa is not None,
     }
-    for key, given in unused.items():
-        if given:
+    for key, is_stated in unused.items():
+        if is_stated:
             raise InputError(
                 f"[muscle] {key} is not used here: the length is muscle_length_m of [joint], and "
                 "a pair has no friction: remove it"
@@ -139,7 +139,7 @@ def _show(pair: Any, target: float) -> None:
         )
     print_table(["", f"for {target:g} deg"], rows, left=2)
     print()
-    found = equilibria(pair, command.pressures)
+    rests = equilibria(pair, command.pressures)
     headings = ["equilibrium (deg)", "", "stiffness (N m/rad)", "first muscle", "second muscle"]
     cells = [
         (
@@ -148,14 +148,14 @@ def _show(pair: Any, target: float) -> None:
             f"{item.stiffness:.3g}",
             *item.branches,
         )
-        for item in found.found
+        for item in rests.found
     ]
     print_table(headings, cells, left=5)
     notes = {
-        "the torque also drives the joint against its stop at -60 deg": found.at_lower_stop,
-        "the torque also drives the joint against its stop at 60 deg": found.at_upper_stop,
+        "the torque also drives the joint against its stop at -60 deg": rests.at_lower_stop,
+        "the torque also drives the joint against its stop at 60 deg": rests.at_upper_stop,
         "in a range of angles nothing acts on the joint: it rests at any of them": (
-            found.indifferent
+            rests.indifferent
         ),
     }
     for note, holds in notes.items():

@@ -17,8 +17,8 @@ def origin(context: typer.Context) -> str:
             or value == parameter.default
         ):
             continue
-        given = value if isinstance(value, list | tuple) else [value]
-        for item in given:
+        items = value if isinstance(value, list | tuple) else [value]
+        for item in items:
             shown = f"{item:.15g}" if isinstance(item, float) else str(item)
             words.append(f"{parameter.opts[0]} {shlex.quote(shown)}")
     return " ".join(words)

@@ -69,12 +69,12 @@ def predict(
 
     if out is not None:
         check_output_files([out], force=force)
-    said = {} if config is None else Definition.load(config).given()
+    sections = {} if config is None else Definition.load(config).given()
     # What it says of the model is that of the fit, which `model` states already.
-    said = {key: value for key, value in said.items() if key in _ABOUT_RUNS}
+    sections = {key: value for key, value in sections.items() if key in _ABOUT_RUNS}
     if channels:
-        said["fit"] = {**said.get("fit", {}), "channels": channels}
-    stated = Definition.parse(said, "the command line")
+        sections["fit"] = {**sections.get("fit", {}), "channels": channels}
+    settings = Definition.parse(sections, "the command line")
 
     from ._jax import configure
 
@@ -84,7 +84,7 @@ def predict(
     renamed = parse_rename(rename or [])
 
     def runs_for(source: Path) -> "list[Run]":
-        return read_runs(data, definition_of(source).merged_with(stated), rename=renamed)
+        return read_runs(data, definition_of(source).merged_with(settings), rename=renamed)
 
     runs = runs_for(model)
     one = model_of(model, runs)

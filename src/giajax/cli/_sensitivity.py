@@ -112,12 +112,12 @@ def sensitivity(
     if run is not None and any(value is not None and value != [] for value in again):
         raise InputError("a run says what moves which arm: leave out the options that say it again")
     recorded = None if run is None else read_run(run)
-    stated = stated_definition(arm, links, wind)
+    sections = stated_definition(arm, links, wind)
     if command is not None and (step or ramp):
         raise InputError(
             "--command gives the commands, and so do --step and --ramp: give one of them"
         )
-    replayed = None if command is None else replayed_run(command, stated)
+    replayed = None if command is None else replayed_run(command, sections)
 
     from ._jax import configure
 
@@ -137,40 +137,40 @@ def sensitivity(
         model = with_settings(model_for([recorded]), typed)
         names = channels
     else:
-        arm_model, _ = model_and_truth(stated, pairs or [], "tsit5", 1e-8)
+        arm_model, _ = model_and_truth(sections, pairs or [], "tsit5", 1e-8)
         count, drives = arm_model.arm.count, list[Drive]()
         start, length = 0.0, DURATION
         if replayed is not None:
             start, length, drives = drives_of(replayed, rate or _RATE)
         else:
-            still = bool(wind or stated.initial.given())
+            still = bool(wind or sections.initial.given())
             moves = ramp or ([] if step or still else [_DEFAULT_RAMP])
             if moves or step:
                 drives = [moves_of(step or [], moves, count, duration or length)]
-        facts = facts_of(stated, replayed, drives, arm_model)
+        facts = facts_of(sections, replayed, drives, arm_model)
         times, inputs = sampled(
             drives, start=start, duration=duration or length, rate=rate or _RATE
         )
         names = channel_names(channels or ["all"], count)
-        facts["arm"] = stated.arm.given()
-        facts["sensors"] = stated.sensors.given()
+        facts["arm"] = sections.arm.given()
+        facts["sensors"] = sections.sensors.given()
         definition = Definition.parse({k: v for k, v in facts.items() if v}, "sensitivity")
         recorded = planned(
             times, inputs, links=count, channels=names, definition=definition.given()
         )
         model = replace(model_for([recorded]), parameter_values(arm_model))
     try:
-        found = along(model, recorded, parameter, names)
+        sensitivities = along(model, recorded, parameter, names)
     except SimulationError as error:
         typer.echo(f"giajax: {error} (option --set)", err=True)
         raise typer.Exit(1) from None
-    noises = _noise_of(recorded, found.channels, section)
-    files = {name: text.encode() for name, text in sensitivity_files(found, noises).items()}
+    noises = _noise_of(recorded, sensitivities.channels, section)
+    files = {name: text.encode() for name, text in sensitivity_files(sensitivities, noises).items()}
     title = f"{recorded.name}: sensitivity, and what each body tells"
-    files["sensitivity.png"] = to_png(sensitivity_figure(found, noises, title))
+    files["sensitivity.png"] = to_png(sensitivity_figure(sensitivities, noises, title))
     make_folder(out)
     write_files({out / name: files[name] for name in _FILES}, force=force)
-    _show(found, noises, information_shares(found, noises))
+    _show(sensitivities, noises, information_shares(sensitivities, noises))
     typer.echo(f"\nwrote {out}: {', '.join(_FILES)}")
 
 
@@ -178,39 +178,39 @@ def _noise_of(run: "Run", channels: tuple[str, ...], section: dict[str, float]) 
     """What the options say of the noise, else what the run states, else the usual; SI."""
     from ..runs import Channel
 
-    found, asked = [], deviations(section, "--noise", channels)
+    noises, options = [], deviations(section, "--noise", channels)
     for name in channels:
         quantity = Channel.named(name).quantity
-        stated = asked.get(name)
-        if stated is None and name in run.channels:
-            stated = run.noise(name)
-        if stated is None and quantity == "length":
-            stated = _NOISE
-        elif stated is None and quantity.startswith("ang"):
-            stated = math.radians(_NOISE_ANGLE)
-        elif stated is None:
+        deviation = options.get(name)
+        if deviation is None and name in run.channels:
+            deviation = run.noise(name)
+        if deviation is None and quantity == "length":
+            deviation = _NOISE
+        elif deviation is None and quantity.startswith("ang"):
+            deviation = math.radians(_NOISE_ANGLE)
+        elif deviation is None:
             raise InputError(
                 f"the noise of {name} is not stated: state it in [noise] of the run, or by --noise"
             )
-        found.append(stated)
-    return found
+        noises.append(deviation)
+    return noises
 
 
-def _show(found, deviations, shares) -> None:  # type: ignore[no-untyped-def]
+def _show(sensitivities, deviations, shares) -> None:  # type: ignore[no-untyped-def]
     from ._output import print_table
 
-    bodies = list(found.bodies())
+    bodies = list(sensitivities.bodies())
     rows = []
-    for index, path in enumerate(found.parameters):
-        error = float(found.standard_errors(deviations)[index])
+    for index, path in enumerate(sensitivities.parameters):
+        error = float(sensitivities.standard_errors(deviations)[index])
         most = int(shares[:, index].argmax())
         tells = f"{bodies[most]} ({100 * shares[most, index]:.0f} %)" if error < math.inf else None
         rows.append(
             [
                 path,
-                float(found.values[index]),
+                float(sensitivities.values[index]),
                 error if error < math.inf else "not determined",
-                found.units[index] or None,
+                sensitivities.units[index] or None,
                 tells,
             ]
         )

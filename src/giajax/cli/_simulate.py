@@ -117,12 +117,12 @@ def simulate(
     _check_numbers(missing=missing, tolerance=tolerance)
     section = noise_section(noise, "--noise")
     check_output_run(out, force=force)
-    stated = stated_definition(arm, links, wind)
+    definition = stated_definition(arm, links, wind)
     if command is not None and (step or ramp):
         raise InputError(
             "--command gives the commands, and so do --step and --ramp: give one of them"
         )
-    replayed = None if command is None else replayed_run(command, stated)
+    replayed = None if command is None else replayed_run(command, definition)
 
     from ._jax import configure
 
@@ -131,7 +131,7 @@ def simulate(
     from ..simulation import SimulationError
     from ..synthetic import Drive, sampled, synthesise
 
-    model, truth = model_and_truth(stated, settings or [], solver, tolerance)
+    model, truth = model_and_truth(definition, settings or [], solver, tolerance)
     count = model.arm.count
     start, drives = 0.0, list[Drive]()
     if replayed is not None:
@@ -142,7 +142,7 @@ def simulate(
         drives = [moves_of(step or [], ramp or [], count, duration)]
     recorded = channel_names(channels or [], count)
     deviations(section, "--noise", recorded)
-    facts = facts_of(stated, replayed, drives, model)
+    facts = facts_of(definition, replayed, drives, model)
     facts["origin"] = origin(context)
     facts["noise"] = {key: deviation for key, deviation in section.items() if deviation}
     times, inputs = sampled(drives, start=start, duration=duration, rate=rate)

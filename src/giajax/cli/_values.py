@@ -40,15 +40,15 @@ def settings(pairs: Sequence[str] | None, option: str = "--set") -> Values:
     for pair in pairs or []:
         path, _, text = pair.rpartition("=")
         path, numbers = path.strip(), [number(part) for part in text.split(",")]
-        given = [value for value in numbers if value is not None]
-        if not path or len(given) < len(numbers):
+        known = [value for value in numbers if value is not None]
+        if not path or len(known) < len(numbers):
             raise InputError(
                 f"{option} {pair!r} must be PATH=VALUE with a number, or with one for each "
                 "element: write it like air.drag_coefficient=1.0 or camera.origin=0.1,0,0"
             )
         if path in values:
             raise InputError(f"{option} gives {path} twice: remove one")
-        values[path] = given
+        values[path] = known
     return values
 
 
@@ -61,15 +61,15 @@ def with_settings(model: Any, values: Mapping[str, Sequence[float]]) -> Any:
     """
     from ..parameters import check_within_bounds, elements, replace, switched_on
 
-    for path, given in values.items():
+    for path, numbers in values.items():
         model = switched_on(model, [path])
         parts = elements(model, path)
-        if len(given) not in (1, len(parts)):
+        if len(numbers) not in (1, len(parts)):
             raise InputError(
-                f"{path} is set to {len(given)} values and has {len(parts)} elements: give one "
+                f"{path} is set to {len(numbers)} values and has {len(parts)} elements: give one "
                 "value, or one for each"
             )
-        each = [float(value) for value in given] * (len(parts) // len(given))
+        each = [float(value) for value in numbers] * (len(parts) // len(numbers))
         for part, value in zip(parts, each, strict=True):
             check_within_bounds(part, value, free=False)
             model = replace(model, {part.path: value})
@@ -108,16 +108,16 @@ def deviations(
     """
     from ..runs import Channel, Definition, stated_noise
 
-    def stated(part: Mapping[str, float]) -> dict[str, float]:
+    def by_channel(part: Mapping[str, float]) -> dict[str, float]:
         noise = Definition.parse({"noise": dict(part)}, option).noise
-        found = {name: stated_noise(noise, Channel.named(name)) for name in channels}
-        return {name: value for name, value in found.items() if value is not None}
+        values = {name: stated_noise(noise, Channel.named(name)) for name in channels}
+        return {name: value for name, value in values.items() if value is not None}
 
     for key in section:
-        if not stated({key: 1.0}):
+        if not by_channel({key: 1.0}):
             raise InputError(
                 f"{option} {key} is about none of the recorded channels: correct the key, or "
                 "leave it out"
             )
     # A deviation of 0 is none, which [noise] does not state.
-    return stated({key: value for key, value in section.items() if value > 0})
+    return by_channel({key: value for key, value in section.items() if value > 0})

@@ -34,14 +34,14 @@ def equilibria_table(
             "first_branch", "second_branch", "at_lower_stop", "at_upper_stop", "indifferent",
         )
     }  # fmt: skip
-    for target, reached, both, found in zip(
+    for target, reached, both, rests in zip(
         degrees, np.asarray(command.reached), pressures, everything, strict=True
     ):
-        for item in found.found:
+        for item in rests.found:
             cells: tuple[object, ...] = (
                 target, bool(reached), both[0] / 1e3, both[1] / 1e3, np.rad2deg(item.angle),
                 item.stable, item.stiffness, item.muscle_stiffness, item.at_step, *item.branches,
-                found.at_lower_stop, found.at_upper_stop, found.indifferent,
+                rests.at_lower_stop, rests.at_upper_stop, rests.indifferent,
             )  # fmt: skip
             for column, cell in zip(rows.values(), cells, strict=True):
                 column.append(cell)

@@ -35,8 +35,8 @@ def units_note(estimates: Mapping[str, Estimate], model: AbstractModel) -> str:
 
 
 def _columns(model: AbstractModel) -> dict[str, Channel]:
-    stated = model.definition()
-    named = {word: stated.get(f"{word}_column") for word in _WORDS}
+    facts = model.definition()
+    named = {word: facts.get(f"{word}_column") for word in _WORDS}
     return {word: parse_column(column) for word, column in named.items() if column}
 
 

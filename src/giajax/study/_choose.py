@@ -182,11 +182,11 @@ def _rms(values: np.ndarray) -> float:
 
 def _stating(run: Run, section: Mapping[str, Any]) -> Run:
     """The run with this candidate's [hysteresis]; what else the sidecar states of it stays."""
-    stated, known = run.definition.given(), hysteresis_keys(section["operator"])
+    sections, known = run.definition.given(), hysteresis_keys(section["operator"])
     kept = {
         key: value
-        for key, value in stated.get("hysteresis", {}).items()
+        for key, value in sections.get("hysteresis", {}).items()
         if key in known and key not in ("operator", "elements") and key not in section
     }
-    stated["hysteresis"] = {**kept, **section}
-    return dataclasses.replace(run, definition=Definition.parse(stated, run.name))
+    sections["hysteresis"] = {**kept, **section}
+    return dataclasses.replace(run, definition=Definition.parse(sections, run.name))

@@ -125,8 +125,8 @@ def _by_channel(run: Run, deviations: Mapping[str, float]) -> dict[str, float]:
     positive = {key: value for key, value in deviations.items() if value > 0}
     if any(not np.isfinite(value) or value < 0 for value in deviations.values()):
         raise InputError("a standard deviation or size is negative or infinite: correct it")
-    stated = Run.from_arrays(run.times, run.values, noise=positive, definition=bare)
-    return {name: stated.noise(name) or 0.0 for name in run.observations}
+    plan = Run.from_arrays(run.times, run.values, noise=positive, definition=bare)
+    return {name: plan.noise(name) or 0.0 for name in run.observations}
 
 
 def _stream(seed: int, kind: str, name: str) -> np.random.Generator:
@@ -146,8 +146,8 @@ def _stretches(
 ) -> npt.NDArray[np.bool_]:
     """Rows in stretches of a duration, as many as the fraction needs, the last one cut."""
     lost = np.zeros(len(times), bool)
-    wanted = int(fraction * len(times))
-    while (left := wanted - int(lost.sum())) > 0:
+    count = int(fraction * len(times))
+    while (left := count - int(lost.sum())) > 0:
         begin = random.uniform(times[0] - duration / 2, times[-1])
         rows = np.flatnonzero((times >= begin) & (times < begin + duration) & ~lost)
         lost[rows[:left]] = True

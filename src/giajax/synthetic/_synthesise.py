@@ -105,8 +105,8 @@ def synthesise(
 
 def _constants(model: AbstractModel) -> Definition:
     """What the model knows of itself that a sidecar can state."""
-    stated = model.definition()
-    known = {key: stated[key] for key in stated if key in Definition.model_fields}
+    constants = model.definition()
+    known = {key: constants[key] for key in constants if key in Definition.model_fields}
     return Definition.parse({"model": model.kind, **known}, "model")
 
 
