@@ -8,7 +8,7 @@ SCRIPT = """
 import json, warnings
 import numpy as np
 import giajax
-from giajax.models import synthesise
+from giajax.synthetic import synthesise
 
 arm = giajax.replace(giajax.takeichi_20m(3), {"air.drag_coefficient": 1.5})
 times = np.linspace(0.0, 6.0, 61)

@@ -8,17 +8,12 @@ import numpy as np
 import pytest
 
 from giajax import InputError, Run, SimulationError, fit, load_result, model_for, read_run, replace
+from giajax.control import compensator_for_loop, compensator_for_model
 from giajax.fitting import predict, set_up
-from giajax.models import (
-    HysteresisModel,
-    build_model,
-    compensator_for_loop,
-    compensator_for_model,
-    parameter_values,
-    synthesise,
-)
+from giajax.models import HysteresisModel, build_model, parameter_values
 from giajax.parameters import declared, get
 from giajax.study import multi_start
+from giajax.synthetic import synthesise
 
 
 def turning(turns, samples=40):
@@ -325,7 +320,7 @@ def test_commands_that_do_not_exist_are_refused():
     wanted = Run.from_arrays(
         np.arange(3.0), {"angle": np.asarray([0.0, 0.1, 0.3])}, definition={"model": "hysteresis"}
     )
-    with pytest.raises(InputError, match=r"wants in sample 3; fit another operator"):
+    with pytest.raises(InputError, match=r"in sample 3: fit another operator"):
         compensator.commands_for(wanted)
 
 
@@ -341,10 +336,10 @@ def test_other_quantities_are_refused(tmp_path):
     rows = "\n".join(f"{u},{0.5 * u + 0.1 * (u > 3)}" for u in up)
     loop = of_columns(tmp_path, f"command_deg,output_mm\n{rows}\n")
     wanted = run_of(np.zeros(3))
-    with pytest.raises(InputError, match="wants angle_rad, but what is inverted gives output_mm"):
+    with pytest.raises(InputError, match="is angle_rad, but what is inverted gives output_mm"):
         compensator_for_loop(loop).commands_for(wanted)
     model = model_for([loop])
-    with pytest.raises(InputError, match="wants angle_rad, but what is inverted gives output_mm"):
+    with pytest.raises(InputError, match="is angle_rad, but what is inverted gives output_mm"):
         compensator_for_model(model).commands_for(wanted)
     other = of_columns(tmp_path, f"input_kPa,output_mm\n{rows}\n", "other")
     with pytest.raises(InputError, match="column input_kPa where the model has command_deg"):

@@ -9,16 +9,10 @@ import pytest
 import giajax
 from giajax import ArmModel, InputError, Run
 from giajax.arm import link_centres, tip_position
-from giajax.models import (
-    RecordingErrors,
-    build_model,
-    model_for,
-    parameter_values,
-    synthesise,
-    with_errors,
-)
+from giajax.models import build_model, model_for, parameter_values
 from giajax.models._sensors import Camera, Marker, Sensors
 from giajax.study import sensitivity
+from giajax.synthetic import RecordingErrors, synthesise, with_errors
 
 LINKS = 3
 TIMES = np.linspace(0.0, 4.0, 41)

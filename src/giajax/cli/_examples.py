@@ -104,19 +104,11 @@ def _files(root: Path) -> Iterator[Path]:
 
 
 def _copy(root: Path, files: list[Path], target: Path, force: bool) -> None:
-    from ..runs import write_files
+    from ..runs import check_output_folder, make_folder, write_files
 
     contents = {target / path.relative_to(root): path.read_bytes() for path in files}
-    taken = [path for path in contents if path.exists()]
-    if taken and not force:
-        raise InputError(
-            f"{taken[0]} exists and is not written over; give another folder or --force"
-        )
+    names = [path.relative_to(target).as_posix() for path in contents]
+    check_output_folder(target, names, force=force)
     for folder in {path.parent for path in contents}:
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(
-                f"the folder {folder} cannot be made ({error.strerror}); give another one"
-            ) from None
+        make_folder(folder)
     write_files(contents, force=force)

@@ -143,7 +143,7 @@ def fit(
     from ..models import model_for
     from ..report import check_figures, check_folder, write_result
     from ..runs import read_runs
-    from ..study import multi_start
+    from ..study import choice_hint, multi_start
 
     runs = read_runs(paths, stated, rename=renamed)
     others = [_beside(source, name) for name in stated.fit.validation or []]
@@ -181,6 +181,8 @@ def fit(
         typer.echo(result.to_json(), nl=False)
     elif not quiet:
         _show(result, stated, files)
+        if hint := choice_hint(runs, [str(path) for path in paths]):
+            print(f"\n{hint}")
     raise typer.Exit(STATUS[result.status])
 
 

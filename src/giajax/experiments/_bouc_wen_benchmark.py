@@ -9,9 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ..models import OscillatorModel, synthesise
+from ..models import OscillatorModel
 from ..parameters import get
 from ..runs import Run
+from ..synthetic import synthesise
 
 RATE = 750.0
 SAMPLES = 8192

@@ -2,6 +2,7 @@
 
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field, field_validator
 
 from ._kind import ChannelKind, Content, Kind
@@ -73,8 +74,9 @@ def _told_by(rows: frozenset[str]) -> bool:
 
 
 def _drawn_over(content: Content) -> str | None:
-    """The input, which makes loops."""
-    return next((c.name for c in content.channels.values() if c.kind in HYSTERESIS.inputs), None)
+    """The input, where it varies: it makes loops."""
+    names = [c.name for c in content.channels.values() if c.kind in HYSTERESIS.inputs]
+    return next((name for name in names if np.ptp(content.values[name]) > 0), None)
 
 
 def _notes(content: Content, sidecar: bool) -> list[str]:

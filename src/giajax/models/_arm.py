@@ -8,12 +8,23 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._errors import InputError
+from .._program import program
 from .._typing import Array, Bool, Float, Scalar
 from ..arm import Arm
 from ..kinds import ArmSection, CommandSection, InitialSection, SensorsSection, WindSection
 from ..parameters import declared, find, inline, parameter
 from ..runs import Channel, Definition, Run
-from ..simulation import SOLVERS, Signal, Trajectory, check_wind, constant, integrate, logged
+from ..simulation import (
+    SOLVERS,
+    Signal,
+    SimulationError,
+    Trajectory,
+    check_wind,
+    constant,
+    integrate,
+    logged,
+)
+from ._arm_scene import arm_scene
 from ._definition import (
     arm_from_definition,
     arm_to_definition,
@@ -23,6 +34,7 @@ from ._definition import (
 from ._delays import Seen, seen_with_delays
 from ._initial import initial_state
 from ._protocol import AbstractModel, Channels
+from ._scene import Scene
 from ._sensors import CONDITIONS, Sensors
 
 # Positions of the 20 m arm are then right to about 1e-6 m, far below the noise of a camera.
@@ -154,6 +166,21 @@ class ArmModel(AbstractModel):
         """The initial state, where the run says `[initial] free = true`."""
         free = run.definition.section(InitialSection).free
         return ("initial.angle", "initial.rate") if free else ()
+
+    def initial_section(self, inputs: ArmInputs) -> dict[str, Any]:
+        """Angles and rates at the first sample, as the arm has them: without the sensors."""
+        first = inputs.initial
+        return {
+            "angle_deg": np.rad2deg(np.asarray(first.angle)).tolist(),
+            "rate_deg_per_s": np.rad2deg(np.asarray(first.rate)).tolist(),
+        }
+
+    def scene(self, run: Run) -> Scene:
+        """The links, their markers and the tip, in the frame of the base."""
+        motion = _trajectory(self, self.prepare(run))
+        if not motion.successful:
+            raise SimulationError(motion.message)
+        return arm_scene(motion, self.sensors.marker)
 
     def failure(self, inputs: ArmInputs) -> str:
         """What the simulation says."""
@@ -332,6 +359,11 @@ class ArmModel(AbstractModel):
                 "max_steps": self.max_steps,
             },
         }
+
+
+@program
+def _trajectory(model: ArmModel, inputs: ArmInputs) -> Trajectory:
+    return model.trajectory(inputs)
 
 
 def _wind(run: Run, times: np.ndarray) -> Signal | None:

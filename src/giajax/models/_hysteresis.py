@@ -103,6 +103,13 @@ class HysteresisModel(AbstractModel):
             columns=columns,
         )
 
+    def initial_section(self, inputs: HysteresisInputs) -> dict[str, Any]:
+        """Nothing: its memory is a parameter."""
+        return {}
+
+    def scene(self, run: Run) -> None:
+        """Nothing: an operator has no shape."""
+
     def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
         """With turning points before the run, where they are free: at 0 they leave no trace.
 

@@ -13,7 +13,9 @@ from ..joint import Correction, Joint, JointGeometry, balanced, check_geometry, 
 from ..kinds import JointSection
 from ..parameters import get, inline
 from ..runs import Channel, Definition, Run
+from ._joint_scene import joint_scene
 from ._protocol import AbstractModel, Channels
+from ._scene import Scene
 
 _POINTS = {"anchor_m": "anchor", "wire_m": "wire", "contact_m": "contact"}
 _LENGTHS = {"wire_length_m": "wire_length", "muscle_length_m": "muscle_length"}
@@ -92,6 +94,15 @@ class JointModel(AbstractModel):
             inner=jnp.asarray(np.asarray(run.values["side"] == "inner", dtype=bool)),
             torque=None if torque is None else jnp.asarray(torque, dtype=dtype),
         )
+
+    def initial_section(self, inputs: JointInputs) -> dict[str, Any]:
+        """Nothing: each sample is at rest."""
+        return {}
+
+    def scene(self, run: Run) -> Scene:
+        """Balloons, muscle, wire and lettered points at the angles of the run."""
+        inputs = self.prepare(run)
+        return joint_scene(self.joint.geometry, inputs.angle, inputs.inner, times=run.times)
 
     def predict(
         self, inputs: JointInputs, channels: tuple[str, ...]

@@ -166,6 +166,13 @@ class MuscleModel(AbstractModel):
             direction=None if direction is None else jnp.asarray(direction, dtype=dtype),
         )
 
+    def initial_section(self, inputs: MuscleInputs) -> dict[str, Any]:
+        """Nothing: each sample is at rest."""
+        return {}
+
+    def scene(self, run: Run) -> None:
+        """Nothing: its law knows a length and no place."""
+
     def predict(
         self, inputs: MuscleInputs, channels: tuple[str, ...]
     ) -> tuple[Channels, Bool[Array, ""]]:

@@ -99,6 +99,13 @@ class OscillatorModel(AbstractModel):
             jnp.asarray(np.diff(run.times, prepend=run.times[0]), dtype),
         )
 
+    def initial_section(self, inputs: OscillatorInputs) -> dict[str, Any]:
+        """Nothing: it starts at rest."""
+        return {}
+
+    def scene(self, run: Run) -> None:
+        """Nothing: of its mass only the displacement is known."""
+
     def predict(
         self, inputs: OscillatorInputs, channels: tuple[str, ...]
     ) -> tuple[Channels, Bool[Array, ""]]:

@@ -8,6 +8,7 @@ import equinox as eqx
 
 from .._typing import Array, Bool, Float, Scalar
 from ..runs import Run
+from ._scene import Scene
 
 Channels = dict[str, Float[Array, " sample"]]
 
@@ -82,6 +83,22 @@ class AbstractModel(eqx.Module):
     @abc.abstractmethod
     def definition(self) -> dict[str, Any]:
         """Plain data from which `build_model` makes this model again, its parameters apart."""
+
+    @abc.abstractmethod
+    def initial_section(self, inputs: Any) -> dict[str, Any]:
+        """Keys of `[initial]` that state how a prepared run begins; none where no state does.
+
+        A run that says `first_row = true` can then be recorded again with another first row.
+        """
+
+    @abc.abstractmethod
+    def scene(self, run: Run) -> Scene | None:
+        """What is seen of the model as it follows a run; None where nothing is.
+
+        Raises:
+            InputError: the run is not one of this model.
+            SimulationError: the model cannot be evaluated.
+        """
 
     def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
         """The model where a fit of some parameters to some runs may start.

@@ -5,8 +5,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from ..fitting import FitResult
-from ._axes import unfinished
-from ._style import INK, LIGHT, MINUS, new_figure
+from ._style import INK, LIGHT, MINUS, new_figure, unfinished
 
 # More matrix cells than this leave no room for a number in each.
 _MOST_NUMBERS = 16

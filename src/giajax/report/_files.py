@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy as np
 
 from .._errors import InputError
 from ..fitting import FitResult
-from ..runs import Definition, Run, run_keys, write_files
+from ..runs import Definition, Run, check_output_folder, make_folder, run_keys, write_files
 from ._correlation import correlation_figure
 from ._recorded import recorded_figure
 from ._residuals import residuals_figure
@@ -46,7 +45,7 @@ def check_folder(
             result of other data, of another configuration, or of another program.
     """
     folder = Path(folder)
-    _check_writable(folder)
+    check_output_folder(folder)
     path = folder / RESULT
     if force or not path.exists():
         return
@@ -105,30 +104,14 @@ def write_result(result: FitResult, runs: Run | Sequence[Run], folder: str | Pat
     except KeyboardInterrupt as error:  # figures can be made again; a fit takes longer
         interrupted = error
     contents[RESULT] = result.to_json().encode()
-    _check_writable(folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder} cannot be made ({error.strerror}); give another one") from None
+    check_output_folder(folder)
+    make_folder(folder)
     _remove_stale_figures(folder, contents)
     paths = {folder / name: data for name, data in contents.items()}
     write_files(paths, force=True)
     if interrupted is not None:
         raise interrupted
     return list(paths)
-
-
-def _check_writable(folder: Path) -> None:
-    """Refuse a folder that could not be made or written to."""
-    existing = folder
-    # A name that is a broken link exists for mkdir, but not for `exists`.
-    while not existing.exists() and not existing.is_symlink() and existing != existing.parent:
-        existing = existing.parent
-    if not existing.is_dir():
-        said = "is a file" if existing.exists() else "is a broken link"
-        raise InputError(f"{existing} {said}, but the result goes into a folder; give another one")
-    if not os.access(existing, os.W_OK | os.X_OK):
-        raise InputError(f"{existing} cannot be written; give another folder for the result")
 
 
 def _as_json(value: Any) -> Any:

@@ -11,8 +11,8 @@ from matplotlib.ticker import MaxNLocator
 
 from ..fitting import FitResult
 from ..runs import Channel, Run
-from ._axes import sample_times, time_label, unfinished
-from ._style import BLUE, GREEN, GREY, INK, VERMILLION, new_figure, plain
+from ._abscissa import abscissa, channel_label
+from ._style import BLUE, GREEN, GREY, INK, VERMILLION, new_figure, plain, unfinished
 
 # More panels than this cannot be read on one screen.
 _MOST_PANELS = 24
@@ -28,7 +28,7 @@ def recorded_figure(
 ) -> Figure:
     """Recorded against fitted channels of one run, in the units of its file.
 
-    Over time, or over what the model of the run names, such as the input of a hysteresis loop.
+    Over time, or over what makes them a curve, such as the input of a hysteresis loop.
     One panel a channel; the components of a link or of the tip share one where there would be
     too many. Cells that were not measured are gaps between the dots.
 
@@ -44,7 +44,7 @@ def recorded_figure(
     title = f"{run.name}: recorded and fitted{unfinished(result)}"
     if left_out:
         title += f"; {left_out} more channels are in prediction.csv"
-    over, label = _abscissa(result, run)
+    over, label = abscissa(run)
     # A curve wants to be about as high as it is wide; a motion wants width.
     height = 2.05 if run.drawn_over is None else 3.4
     figure = new_figure(max(3.7 * columns, 6.5), max(height * rows, 2.4) + 0.6, title)
@@ -60,18 +60,6 @@ def recorded_figure(
             axes.tick_params(labelbottom=True)
     _legend(figure, any(len(names) > 1 for names in panels))
     return figure
-
-
-def _abscissa(result: FitResult, run: Run) -> tuple[np.ndarray, str]:
-    """What the channels are drawn over, in the unit of the file, and its name."""
-    name = run.drawn_over
-    if name is None:
-        return sample_times(run), time_label(run)
-    return run.channels[name].from_si(run.values[name]), _label(run.channels[name])
-
-
-def _label(channel: Channel) -> str:
-    return channel.name + (f" ({channel.unit.replace('_per_', '/')})" if channel.unit else "")
 
 
 def _starts(over: np.ndarray) -> np.ndarray:
@@ -130,7 +118,7 @@ def _draw_panel(
     for channel in channels:
         fitted = np.insert(channel.from_si(predicted[channel.name]), sweeps, np.nan)
         axes.plot(line, fitted, color=INK if several else BLUE, linewidth=0.8 if several else 1.2)
-    label = _label(channels[0])
+    label = channel_label(channels[0])
     plain(axes, label if len(names) == 1 else label.replace(names[0], names[0][:-2]))
     axes.yaxis.set_major_locator(MaxNLocator(5))
     worst = [record["channels"][name]["rmse"] for name in names]

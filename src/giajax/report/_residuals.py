@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 
 from ..fitting import FitResult
 from ..runs import Run
-from ._axes import sample_times, time_label, unfinished
-from ._style import BLUE, GREY, LIGHT, VERMILLION, new_figure, plain
+from ._abscissa import sample_times, time_label
+from ._style import BLUE, GREY, LIGHT, VERMILLION, new_figure, plain, unfinished
 
 
 def residuals_figure(

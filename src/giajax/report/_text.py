@@ -9,12 +9,16 @@ import numpy as np
 
 from ..fitting import Estimate, FitResult
 from ..study import SAME_END, misfit
+from ._units import in_column_units, units_note
 
 # A remark that would be squeezed into fewer columns than this goes below its row instead.
 _LEAST_REMARK = 36
 
 # Digits of a value that has no standard error to say how many it deserves.
 _DIGITS = 6
+
+# Below this a number is written with an exponent: nobody counts five zeros.
+_LEAST_FIXED = 1e-4
 
 # More lines of residuals than this are summed up.
 _MANY = 8
@@ -43,7 +47,7 @@ def format_estimate(value: Any, standard_error: float | None) -> tuple[str, str]
     # Through the rounded number: 0.0999 becomes 0.10, not 0.100.
     exponent = int(f"{standard_error:.1e}".partition("e")[2])
     decimals = 1 - exponent
-    if -4 <= decimals <= 7:
+    if max(abs(value), standard_error) >= _LEAST_FIXED and -4 <= decimals <= 7:
         places = max(decimals, 0)
         return (
             f"{round(value, decimals):.{places}f}",
@@ -62,7 +66,7 @@ def parameter_table(result: FitResult, width: int | None = None) -> str:
             Without a width nothing is wrapped: a row is a line, for grep and awk.
     """
     headings = ["parameter", "value", "error", "unit", "bounds", "remark"]
-    estimates = _shown(result)
+    estimates = in_column_units(_shown(result), result.model)
     rows = [_row(path, estimate) for path, estimate in estimates.items()]
     widths = [max(len(row[i]) for row in [headings, *rows]) for i in range(5)]
     before = sum(widths) + 2 * len(widths)
@@ -94,6 +98,7 @@ def summary(result: FitResult, width: int | None = None) -> str:
 def summary_rows(result: FitResult) -> list[tuple[str, str]]:
     """The summary as pairs of a label (which may be empty) and a sentence."""
     rows = [("status", _SHOUTED.get(result.status, "") + result.message)]
+    rows += _labelled("units", [note] if (note := units_note(_shown(result), result.model)) else [])
     rows.append(("cost", _number(result.cost)))
     rows.append(("reduced chi-square", _number(result.reduced_chi_square)))
     rows += _labelled("starts", _starts(result))

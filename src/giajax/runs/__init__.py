@@ -8,6 +8,12 @@ from ._definition import (
 )
 from ._describe import describe as describe
 from ._fit_sections import Figure as Figure
+from ._output import (
+    check_output_files as check_output_files,
+    check_output_folder as check_output_folder,
+    check_output_run as check_output_run,
+    make_folder as make_folder,
+)
 from ._read import (
     parse_rename as parse_rename,
     read_run as read_run,

@@ -4,6 +4,7 @@ from ._choose import (
     CANDIDATES as CANDIDATES,
     Candidate as Candidate,
     Choice as Choice,
+    choice_hint as choice_hint,
     choose_hysteresis as choose_hysteresis,
 )
 from ._compare import compare as compare
@@ -12,8 +13,5 @@ from ._multi_start import (
     misfit as misfit,
     multi_start as multi_start,
 )
-from ._sensitivity import (
-    Sensitivity as Sensitivity,
-    planned as planned,
-    sensitivity as sensitivity,
-)
+from ._planned import planned as planned
+from ._sensitivity import Sensitivity as Sensitivity, sensitivity as sensitivity

@@ -1,6 +1,6 @@
-"""Commands that make a hysteretic joint go where it is wanted."""
+"""Commands that make a hysteretic joint go where it is to go."""
 
-from typing import Any
+from typing import Any, cast
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,10 +13,9 @@ from ..hysteresis import (
     PrandtlIshlinskii,
     branches_from_loop,
 )
+from ..models import AbstractModel, HysteresisModel, comparable, input_channel
 from ..parameters import get
 from ..runs import Channel, Run
-from ._hysteresis import HysteresisModel
-from ._response import comparable, input_channel
 
 # A third of the range: short against the range, long against the noise.
 _TRAVEL = 1 / 3
@@ -26,13 +25,13 @@ _ROUNDING = 1e-6
 
 
 class Compensator:
-    """From a history of wanted outputs to one of inputs, both SI.
+    """From a history of target outputs to one of inputs, both SI.
 
     Made by `compensator_for_model` (the inverse of a fitted operator) or
     `compensator_for_loop` (eq. 12 of the paper).
 
     Attributes:
-        reachable: outputs that can be had.
+        reachable: least and greatest output that some input gives, SI.
         input_channel: what is commanded.
         output_channel: what was measured; None where that is not known.
     """
@@ -53,75 +52,80 @@ class Compensator:
         self.input_channel = channel
         self.output_channel = output
 
-    def commands(self, wanted: np.ndarray) -> np.ndarray:
-        """Inputs for a history of wanted outputs, SI, shape (sample,)."""
-        values = jnp.asarray(wanted - self.offset, dtype=jnp.result_type(float))
+    def commands(self, target: np.ndarray) -> np.ndarray:
+        """Inputs for a history of target outputs, both SI, shape (sample,)."""
+        values = jnp.asarray(target - self.offset, dtype=jnp.result_type(float))
         return np.asarray(self.operator.history(values, self.state)[0])
 
     def commands_for(self, run: Run) -> np.ndarray:
         """Inputs for the output (or angle) of a run.
 
         Raises:
-            InputError: a run without one wanted output at every sample, of another quantity, or
+            InputError: a run without one target output at every sample, of another quantity, or
                 one beyond what can be reached: the sample is named.
         """
-        channel = wanted_channel(run)
+        channel = target_channel(run)
         if self.output_channel is not None and not comparable(channel, self.output_channel):
             raise InputError(
-                f"'{run.name}' wants {channel.column}, but what is inverted gives "
-                f"{self.output_channel.column}; want the same quantity"
+                f"the target of '{run.name}' is {channel.column}, but what is inverted gives "
+                f"{self.output_channel.column}: give a target of the same quantity"
             )
         values = run.values[channel.name]
         if np.any(np.isnan(values)):
             row = int(np.flatnonzero(np.isnan(values))[0])
             raise InputError(
-                f"'{run.name}' has no wanted {channel.name} in sample {row + 1}; fill the gap"
+                f"sample {row + 1} of '{run.name}' has no target {channel.name}: fill the gap"
             )
         low, high = self.reachable
         slack = _ROUNDING * (high - low)
         beyond = np.flatnonzero((values < low - slack) | (values > high + slack))
         if beyond.size:
             at = int(beyond[0])
-            ends = f"{channel.from_si(low):.4g} to {channel.from_si(high):.4g} {channel.unit}"
+            goal, *ends = (f"{channel.from_si(si):.4g}" for si in (values[at], low, high))
             raise InputError(
-                f"'{run.name}' wants {channel.from_si(values[at]):.4g} {channel.unit} in sample "
-                f"{at + 1}, beyond the reachable range from {ends}; want less, or fit a run that "
-                "goes further"
+                f"the target of '{run.name}' is {goal} {channel.unit} in sample {at + 1}, beyond "
+                f"the reachable range from {' to '.join(ends)} {channel.unit}: lower it, or fit a "
+                "run that goes further"
             )
         commands = self.commands(np.clip(values, low, high))
         if not np.all(np.isfinite(commands)):
             at = int(np.flatnonzero(~np.isfinite(commands))[0])
             raise InputError(
-                f"no command gives what '{run.name}' wants in sample {at + 1}; fit another "
-                "operator, or want less"
+                f"no command reaches the target of '{run.name}' in sample {at + 1}: fit another "
+                "operator, or lower the target"
             )
         return commands
 
 
-def wanted_channel(run: Run) -> Channel:
-    """The one channel of a run that is wanted.
+def target_channel(run: Run) -> Channel:
+    """The one channel of a run that is a target.
 
     Raises:
         InputError: a run without one, or with several.
     """
-    found = [channel for channel in run.channels.values() if channel.kind in run.kind.outputs]
-    if len(found) != 1:
+    targets = [channel for channel in run.channels.values() if channel.kind in run.kind.outputs]
+    if len(targets) != 1:
         raise InputError(
-            f"'{run.name}' must have one column of wanted output or angle, and has "
-            f"{len(found)}; correct the file"
+            f"'{run.name}' has {len(targets)} columns of output or angle: give one, the target"
         )
-    return found[0]
+    return targets[0]
 
 
-def compensator_for_model(model: HysteresisModel) -> Compensator:
+def compensator_for_model(model: AbstractModel) -> Compensator:
     """The inverse of a fitted model: exact for Prandtl-Ishlinskii and its modified form.
 
     Other operators are inverted by bisection within the range of the input that they were fitted
     to.
 
     Raises:
-        InputError: a fitted operator that has no inverse.
+        InputError: a model of another kind, or an operator that has no inverse.
     """
+    if model.kind != HysteresisModel.kind:
+        raise InputError(
+            f"the fit is of the {model.kind} model, which is not compensated: give a fit of "
+            "hysteresis"
+        )
+    model = cast(HysteresisModel, model)
     operator = model.operator
     state = model.memory()
     inverse: AbstractOperator
@@ -151,7 +155,7 @@ def compensator_for_loop(run: Run, travel: float | None = None) -> Compensator:
             range of the output by default.
 
     Raises:
-        InputError: a run that is none, or does not have both branches.
+        InputError: a run of another model, or one that does not have both branches.
     """
     run.require_observations()
     name, values = next(iter(run.observations.items()))
@@ -160,7 +164,7 @@ def compensator_for_loop(run: Run, travel: float | None = None) -> Compensator:
     operator = branches_from_loop(run.values[channel.name], values, travel)
     if not operator.reachable[0] < operator.reachable[1]:
         raise InputError(
-            f"the branches of '{run.name}' have no {name} in common; give a loop that goes up and "
+            f"the branches of '{run.name}' have no {name} in common: give a loop that goes up and "
             "down over the same range"
         )
     return Compensator(operator, None, 0.0, operator.reachable, channel, run.channels[name])

@@ -80,7 +80,7 @@ def joint_moves(moves: Sequence[Move], *, joints: int, end: float) -> Drive:
     steps = [move for move in moves if move.duration == 0]
     if steps and len(steps) < len(moves):
         raise InputError(
-            "steps and ramps are mixed, but a run has one interpolation for all its commands; "
+            "steps and ramps are mixed, but a run has one interpolation for all its commands: "
             "give only steps, or ramps alone (a short ramp is almost a step)"
         )
     by_joint: dict[int, list[Move]] = {}
@@ -100,18 +100,18 @@ def joint_moves(moves: Sequence[Move], *, joints: int, end: float) -> Drive:
 def _check_move(move: Move, joints: int, end: float) -> None:
     if not 1 <= move.joint <= joints:
         raise InputError(
-            f"joint {move.joint} is commanded, but the arm has joints 1 to {joints}; "
+            f"joint {move.joint} is commanded, but the arm has joints 1 to {joints}: "
             "correct the number, or simulate a longer arm"
         )
     if not (np.isfinite(move.angle) and np.isfinite(move.duration) and move.duration >= 0):
         raise InputError(
             f"the movement of joint {move.joint} at {move.start:g} s must have a finite angle and "
-            "a positive duration; correct it"
+            "a positive duration: correct it"
         )
     if not 0 <= move.start < end:
         raise InputError(
             f"a movement of joint {move.joint} starts at {move.start:g} s, outside the run from 0 "
-            f"to {end:g} s; start it earlier or make the run longer"
+            f"to {end:g} s: start it earlier or make the run longer"
         )
 
 
@@ -121,7 +121,7 @@ def _knots(moves: Sequence[Move]) -> tuple[Times, Times]:
     for move in moves:
         if move.start < free_from + (_SAME_TIME if move.duration == 0 else -_SAME_TIME):
             raise InputError(
-                f"two movements of joint {move.joint} overlap at {move.start:g} s; start the "
+                f"two movements of joint {move.joint} overlap at {move.start:g} s: start the "
                 "second when the first has ended"
             )
         free_from = move.start + move.duration
@@ -157,19 +157,19 @@ def sampled(
     """
     if not (0 < duration < np.inf and 0 < rate < np.inf):
         raise InputError(
-            f"a run of {duration:g} s at {rate:g} samples per second is no run; "
+            f"a run of {duration:g} s at {rate:g} samples per second has no samples: "
             "give two positive numbers"
         )
     count = round(min(duration * rate, 2.0 * _MOST_ROWS))
     if count > _MOST_ROWS:
         raise InputError(
             f"a run of {duration:g} s at {rate:g} samples per second has more than {_MOST_ROWS} "
-            "samples; shorten it or sample less often"
+            "samples: shorten it or sample less often"
         )
     if count < 1 or abs(duration * rate - count) > 1e-6 * count:
         fitting = max(count, 1) / rate
         raise InputError(
-            f"{duration:g} s at {rate:g} samples per second is not a whole number of samples; "
+            f"{duration:g} s at {rate:g} samples per second is not a whole number of samples: "
             f"make it {fitting:.9g} s, or change the rate"
         )
     samples = np.linspace(start, start + duration, count + 1)

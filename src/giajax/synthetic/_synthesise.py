@@ -9,9 +9,9 @@ import numpy.typing as npt
 from .._errors import InputError
 from .._program import program
 from .._typing import Array, Bool
+from ..models import AbstractModel, Channels
 from ..runs import Definition, Run
 from ..simulation import SimulationError
-from ._protocol import AbstractModel, Channels
 
 
 def synthesise(
@@ -60,7 +60,7 @@ def synthesise(
 
     Example:
         >>> import giajax, numpy as np
-        >>> from giajax.models import synthesise
+        >>> from giajax.synthetic import synthesise
         >>> times = np.linspace(0.0, 10.0, 101)
         >>> command = np.interp(times, [0.5, 1.5], [0.0, 0.5])
         >>> model = giajax.ArmModel(giajax.takeichi_20m())
@@ -71,7 +71,7 @@ def synthesise(
         ['link20_z']
     """
     if not 0 <= missing < 1:
-        raise InputError(f"the missing fraction is {missing:g}; it must be at least 0 and below 1")
+        raise InputError(f"the missing fraction is {missing:g}: give at least 0 and less than 1")
     times = None if times is None else np.asarray(times, dtype=float)
     if not isinstance(definition, Definition):
         definition = Definition.parse(definition or {}, f"{name}: definition")
@@ -88,7 +88,7 @@ def synthesise(
     unknown = [channel for channel in channels if channel not in plan.observations]
     if unknown:
         raise InputError(
-            f"'{unknown[0]}' is given to the model and not predicted by it; record another channel"
+            f"'{unknown[0]}' is given to the model and not predicted by it: record another channel"
         )
     prepared = model.prepare(plan)
     predicted, successful = predict_prepared(model, prepared, tuple(channels))
@@ -105,8 +105,8 @@ def synthesise(
 
 def _constants(model: AbstractModel) -> Definition:
     """What the model knows of itself that a sidecar can state."""
-    stated = model.definition()
-    known = {key: stated[key] for key in stated if key in Definition.model_fields}
+    constants = model.definition()
+    known = {key: constants[key] for key in constants if key in Definition.model_fields}
     return Definition.parse({"model": model.kind, **known}, "model")
 
 

@@ -1,7 +1,7 @@
-"""A run as another experiment would have recorded it: any model, and every kind of error."""
+"""What goes wrong between a motion and its file: noise, gaps and outliers, added to a run."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -9,15 +9,7 @@ import numpy.typing as npt
 
 from .._errors import InputError
 from .._typing import Float
-from ..kinds import InitialSection
-from ..parameters import default_free, get
 from ..runs import Definition, Run
-from ..simulation import SimulationError
-from ._protocol import AbstractModel
-from ._synthesise import predict_prepared
-
-# What a sidecar says of one recording, and not of what was recorded.
-_OF_THE_FILE = ("noise", "truth", "sha256", "fit", "figures", "origin", "licence")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,75 +43,14 @@ class RecordingErrors:
         for name in ("missing", "bursts", "outliers"):
             if not 0 <= getattr(self, name) < 1:
                 raise InputError(
-                    f"the fraction {name} is {getattr(self, name):g}; it must be at least 0 and "
-                    "below 1"
+                    f"the fraction {name} is {getattr(self, name):g}: give at least 0 and "
+                    "less than 1"
                 )
         for name in ("correlation_time", "burst_duration"):
             if not 0 < getattr(self, name) < np.inf:
-                raise InputError(f"{name} is {getattr(self, name):g} s; give a positive time")
+                raise InputError(f"{name} is {getattr(self, name):g} s: give a positive time")
         if (self.outliers > 0) != bool(self.outlier_size):
-            raise InputError("outliers need a fraction and a size; give both or none")
-
-
-def recorded_again(
-    model: AbstractModel,
-    run: Run,
-    errors: RecordingErrors | None = None,
-    *,
-    channels: Sequence[str] | None = None,
-    seed: int = 0,
-    truth: Sequence[str] = (),
-    name: str = "synthetic",
-) -> Run:
-    """The run that an experiment with the inputs of `run` would record, if the model were true.
-
-    The sidecar of `run` is kept, apart from its noise: what the model knows better than it, such
-    as a turned camera, stands in `[truth]` alone, for a fit to find. The noise that is stated is
-    white and correlated noise together.
-
-    Arguments:
-        model: the truth.
-        run: gives inputs, times and sidecar; what it recorded counts for its first row only.
-        errors: of the recording; none by default.
-        channels: to record, without unit; those of `run` by default.
-        seed: of all errors. Each kind and channel has a random stream of its own.
-        truth: paths of parameters to state in `[truth]`, beside those that a fit frees.
-        name: of the new run.
-
-    Raises:
-        InputError: nothing to record, a channel that the model cannot predict, or errors that
-            need times of a run that has none.
-        SimulationError: the model cannot be evaluated.
-    """
-    errors = RecordingErrors() if errors is None else errors
-    names = tuple(run.observations if channels is None else channels)
-    if not names:
-        raise InputError(f"'{run.name}' has no measured channel; give the channels to record")
-    prepared = model.prepare(run)
-    predicted, successful = predict_prepared(model, prepared, names)
-    if not successful:
-        raise SimulationError(model.failure(prepared))
-    known = [path for path in default_free(model) if path not in truth]
-    given = {k: v for k, v in run.definition.given().items() if k not in _OF_THE_FILE}
-    said = {path: np.asarray(get(model, path), dtype=float).tolist() for path in (*known, *truth)}
-    made = dataclasses.asdict(errors)
-    said["recording"] = {key: value for key, value in made.items() if value not in ({}, 0.0)}
-    first = getattr(prepared, "initial", None)
-    if run.definition.section(InitialSection).first_row and first is not None:
-        # The first row of the new run has noise, or is not recorded.
-        said_before = {k: v for k, v in given["initial"].items() if k != "first_row"}
-        state = {
-            "angle_deg": np.rad2deg(np.asarray(first.angle)).tolist(),
-            "rate_deg_per_s": np.rad2deg(np.asarray(first.rate)).tolist(),
-        }
-        given["initial"] = {**said_before, **state}
-    exact = Run.from_arrays(
-        run.times,
-        {**run.commands, **run.winds, **{n: np.asarray(predicted[n]) for n in names}},
-        name=name,
-        definition=Definition.parse({"model": model.kind, **given, "truth": said}, name),
-    )
-    return with_errors(exact, errors, seed=seed)
+            raise InputError("outliers need a fraction and a size: give both or none")
 
 
 def with_errors(run: Run, errors: RecordingErrors, *, seed: int = 0) -> Run:
@@ -134,7 +65,7 @@ def with_errors(run: Run, errors: RecordingErrors, *, seed: int = 0) -> Run:
     if run.times is None and (errors.correlated or errors.bursts):
         raise InputError(
             f"'{run.name}' has no times, so that its errors are neither correlated nor in "
-            "bursts; leave these out"
+            "bursts: leave these out"
         )
     values: dict[str, Any] = dict(run.values)
     for name, exact in run.observations.items():
@@ -153,7 +84,7 @@ def with_errors(run: Run, errors: RecordingErrors, *, seed: int = 0) -> Run:
             random = _stream(seed, "bursts", f"{channel.kind}{channel.index}")
             recorded[_stretches(run.times, errors.bursts, errors.burst_duration, random)] = np.nan
         if np.all(np.isnan(recorded)):
-            raise InputError(f"no value of {name} is left; lower the fractions that are lost")
+            raise InputError(f"no value of {name} is left: lower the fractions that are lost")
         values[name] = recorded
     kept = {key: value for key, value in run.definition.given().items() if key != "noise"}
     total = {
@@ -193,9 +124,9 @@ def _by_channel(run: Run, deviations: Mapping[str, float]) -> dict[str, float]:
     bare = {key: value for key, value in run.definition.given().items() if key != "noise"}
     positive = {key: value for key, value in deviations.items() if value > 0}
     if any(not np.isfinite(value) or value < 0 for value in deviations.values()):
-        raise InputError("a standard deviation or size is negative or infinite; correct it")
-    stated = Run.from_arrays(run.times, run.values, noise=positive, definition=bare)
-    return {name: stated.noise(name) or 0.0 for name in run.observations}
+        raise InputError("a standard deviation or size is negative or infinite: correct it")
+    plan = Run.from_arrays(run.times, run.values, noise=positive, definition=bare)
+    return {name: plan.noise(name) or 0.0 for name in run.observations}
 
 
 def _stream(seed: int, kind: str, name: str) -> np.random.Generator:
@@ -215,8 +146,8 @@ def _stretches(
 ) -> npt.NDArray[np.bool_]:
     """Rows in stretches of a duration, as many as the fraction needs, the last one cut."""
     lost = np.zeros(len(times), bool)
-    wanted = int(fraction * len(times))
-    while (left := wanted - int(lost.sum())) > 0:
+    count = int(fraction * len(times))
+    while (left := count - int(lost.sum())) > 0:
         begin = random.uniform(times[0] - duration / 2, times[-1])
         rows = np.flatnonzero((times >= begin) & (times < begin + duration) & ~lost)
         lost[rows[:left]] = True
