@@ -1,5 +1,11 @@
 """Motion over time: inputs, integration by diffrax, and its result."""
 
+from ._disturbances import (
+    STEPS_FOR as STEPS_FOR,
+    StepsFor as StepsFor,
+    check_steps_for as check_steps_for,
+    is_disturbance as is_disturbance,
+)
 from ._signal import (
     Signal as Signal,
     constant as constant,

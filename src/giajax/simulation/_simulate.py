@@ -12,8 +12,9 @@ from .._program import program
 from .._typing import Array, Float, Scalar
 from ..arm import Arm
 from ..parameters import is_concrete
-from ._controller import fastest_rate, step_size_controller
+from ._controller import Rates, fastest_rate, step_size_controller
 from ._derivatives import Derivatives, adjoint, guard_inputs, guard_outputs
+from ._disturbances import StepsFor, check_steps_for, refuse_disturbances
 from ._linearly_implicit import LinearlyImplicit
 from ._motion import Inputs, motion
 from ._signal import Signal, constant
@@ -37,6 +38,7 @@ def simulate(
     atol: Any = 1e-6,
     max_steps: int = MAX_STEPS,
     derivatives: Derivatives = "forward",
+    steps_for: StepsFor = "motion",
     throw: bool = True,
 ) -> Trajectory:
     """Simulate the motion of an arm.
@@ -60,13 +62,20 @@ def simulate(
         max_steps: step limit.
         derivatives: "forward" for few parameters (`jax.jvp`, `jax.jacfwd`); "reverse" for many
             (`jax.grad`), which keeps about the square root of the number of steps in memory.
+        steps_for: "motion" for steps that the motion needs, whose derivatives by links, joints
+            and air are as exact as it is; "derivatives" for steps that are stable for whatever
+            is at rest, too, as derivatives by a disturbance need: the command, the wind, the
+            torque, the initial state, or the arm's base rotation, gravity, wind, buoyancy and
+            point masses. Those are shorter where stiff joints rest; the value of the simulation
+            is the same with and without derivatives.
         throw: raise when the simulation fails; otherwise read `Trajectory.result`.
 
     Raises:
         InputError: shapes that do not fit the arm, times that do not increase, an unknown
-            solver or mode.
+            solver, mode or choice of steps.
         SimulationError: the simulation failed and `throw` is true.
         RuntimeError, TypeError: differentiated in the mode that was not asked for.
+        TypeError: differentiated by a disturbance with `steps_for="motion"`.
 
     Example:
         >>> import giajax, jax.numpy as jnp
@@ -84,6 +93,9 @@ def simulate(
     _check(arm, command, times, wind, torque)
     solver_named(solver)  # refuse a wrong name before anything is compiled
     adjoint(derivatives)
+    check_steps_for(steps_for)
+    # Behind the guard below everything seems to be differentiated.
+    rtol = rtol + refuse_disturbances(steps_for, arm, (command, wind, torque, state))
     arm, command, wind, torque, state = guard_inputs(
         (arm, command, wind, torque, state), derivatives
     )
@@ -98,6 +110,7 @@ def simulate(
         solver=solver,
         max_steps=max_steps,
         derivatives=derivatives,
+        steps_for=steps_for,
     )
     trajectory = guard_outputs(trajectory, derivatives)
     if throw:
@@ -172,6 +185,7 @@ def integrate(
     solver: str,
     max_steps: int,
     derivatives: str,
+    steps_for: str,
     span: tuple[Scalar, Scalar] | None = None,
 ) -> Trajectory:
     """The compiled core of `simulate`: no checks, never raises.
@@ -182,9 +196,14 @@ def integrate(
     inputs = [signal for signal in (command, wind, torque) if signal is not None]
     corners = jnp.concatenate([signal.times for signal in inputs])
     rtol, atol = tolerances
+    if derivatives == "forward":
+        rtol = rtol + refuse_disturbances(steps_for, arm, (inputs, state))
     method = solver_named(solver)
-    rate = fastest_rate(arm, state[0])
-    implicit = isinstance(method, LinearlyImplicit)
+    rates = None
+    if steps_for == "derivatives":
+        rate = fastest_rate(arm, state[0])
+        implicit = isinstance(method, LinearlyImplicit)
+        rates = Rates(rate, fastest_rate(arm, state[0], springs=False) if implicit else rate)
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(motion),
         method,
@@ -194,18 +213,7 @@ def integrate(
         y0=state,
         args=Inputs(arm, command, wind, torque, eqxi.prevbefore(end)),
         saveat=diffrax.SaveAt(ts=times),
-        stepsize_controller=step_size_controller(
-            method,
-            rtol,
-            atol,
-            corners,
-            rate=rate,
-            explicit_rate=fastest_rate(arm, state[0], springs=False) if implicit else rate,
-            disturbances=(
-                (inputs, state, arm.base_rotation, arm.gravity, arm.air.wind),
-                (arm.buoyancy, arm.point_masses),
-            ),
-        ),
+        stepsize_controller=step_size_controller(method, rtol, atol, corners, rates),
         adjoint=adjoint(derivatives),
         max_steps=max_steps,
         throw=False,
