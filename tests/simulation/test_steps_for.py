@@ -61,7 +61,7 @@ def test_steps_for_derivatives_keep_derivatives_across_a_planar_motion_stable(so
     across = jnp.asarray([0.0, 1.0, 0.0])
     value = jax.jit(lambda wind: motion(1.2, wind, **options)[0])
     _, slope = jax.jvp(value, (STILL,), (across,))
-    step = 1e-3
+    step = 2e-5  # tiny: |V| V has its kink where the arm rests
     difference = (value(step * across) - value(-step * across)) / (2 * step)
     largest = np.abs(difference).max()
     assert largest > 1e-4

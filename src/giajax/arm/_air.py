@@ -7,8 +7,8 @@ import numpy as np
 
 from .._maths import cross, dot, safe_norm, scaled
 from .._typing import Array, Float
+from ._arm import Arm
 from ._bodies import lift
-from ._chain import Arm
 from ._cylinder import drag_factor
 from ._kinematics import Pose, Rows, angular_velocities, centre_velocities, pose
 

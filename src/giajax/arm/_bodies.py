@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._typing import Array, Float
-from ._chain import Arm
+from ._arm import Arm
 
 PerLink = Float[Array, " link"]
 

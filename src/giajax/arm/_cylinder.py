@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._typing import Array, Float
-from ._chain import Air
+from ._atmosphere import Air
 
 _LINE = (3.75991, -0.90015)
 _HEIGHT = np.asarray([-0.27163, 2.87305, 0.48415])

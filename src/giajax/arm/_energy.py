@@ -12,9 +12,9 @@ from ._air import (
     lift_force,
     relative_velocity,
 )
+from ._arm import Arm
 from ._bodies import bodies
-from ._chain import Arm
-from ._dynamics import mass_matrix
+from ._inertia import mass_matrix
 from ._kinematics import pose
 
 

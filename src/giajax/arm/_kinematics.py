@@ -13,8 +13,9 @@ import numpy as np
 
 from .._maths import cross, quaternion_product, rotate, rotation_vector_to_quaternion, scaled
 from .._typing import Array, Float
+from ._arm import Arm
+from ._axes import Axis
 from ._bodies import bodies
-from ._chain import Arm, Axis
 
 Rows = Float[Array, "3 link"]
 

@@ -8,7 +8,11 @@ import numpy as np
 
 from .._errors import InputError
 from ..parameters import declaration, find, switched_on
-from ._chain import Air, Arm, Joints, Links, named_axes
+from ._arm import Arm
+from ._atmosphere import Air
+from ._axes import named_axes
+from ._joints import Joints
+from ._links import Links
 from ._masses import Buoyancy, PointMasses
 from ._trim import trimmed
 

@@ -8,8 +8,8 @@ import numpy as np
 from .._errors import InputError
 from .._typing import Array, Float
 from ..parameters import is_concrete
+from ._arm import Arm
 from ._bodies import bodies
-from ._chain import Arm
 from ._masses import Buoyancy
 
 
