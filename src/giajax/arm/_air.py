@@ -190,7 +190,7 @@ def drag_in_motion(
     rates: Float[Array, " joint"],
     wind: Float[Array, "3"] | None,
 ) -> Dragged:
-    """Drag at given angles and rates, with the velocities of the links' centres and turns."""
+    """Drag in one state of motion, with the velocities of the links' centres and turns."""
     here = pose(arm, angles)
     omega = angular_velocities(here, rates)
     velocity = centre_velocities(arm, here, omega)

@@ -43,13 +43,13 @@ class Arm(eqx.Module):
     def __check_init__(self) -> None:
         if len(self.joints.axes) != self.links.count:
             raise InputError(
-                f"{len(self.joints.axes)} joint axes for {self.links.count} links; "
+                f"{len(self.joints.axes)} joint axes for {self.links.count} links: "
                 "give one axis per link"
             )
         if self.point_masses is not None and max(self.point_masses.links) > self.links.count:
             raise InputError(
                 f"a point mass is on link {max(self.point_masses.links)} of an arm of "
-                f"{self.links.count} links; correct the number"
+                f"{self.links.count} links: correct the number"
             )
 
     @property

@@ -75,7 +75,7 @@ class Air(eqx.Module):
         _check_choice("drag", self.drag, DRAGS)
         _check_choice("drag_curve", self.drag_curve, DRAG_CURVES)
         if self.strip_points < 1:
-            raise InputError(f"strip_points is {self.strip_points}; give at least 1")
+            raise InputError(f"strip_points is {self.strip_points}: give at least 1")
         if self.axial_coefficient is not None and self.drag == "centre":
             raise InputError(
                 'an axial coefficient needs drag = "strip": eq. (1) has the full velocity already'
@@ -89,4 +89,4 @@ def _check_choice(name: str, value: str, choices: Sequence[str]) -> None:
         InputError: naming the choices.
     """
     if value not in choices:
-        raise InputError(f"{name} is {value!r}; use one of: {', '.join(choices)}")
+        raise InputError(f"{name} is {value!r}: use one of {', '.join(choices)}")

@@ -30,7 +30,7 @@ def named_axes(axes: str | Sequence[str | Sequence[float]], count: int) -> tuple
         return tuple(YAW if joint % 2 else PITCH for joint in range(count))
     if isinstance(axes, str) or len(axes) != count:
         raise InputError(
-            f'joint_axes is {axes!r}; give "pitch_yaw" or a list of {count} axes, '
+            f'joint_axes is {axes!r}: give "pitch_yaw" or a list of {count} axes, '
             'each "pitch", "yaw" or [x, y, z]'
         )
     return tuple(_unit_axis(axis) for axis in axes)
@@ -42,12 +42,14 @@ def _unit_axis(axis: str | Sequence[float]) -> Axis:
             return {"pitch": PITCH, "yaw": YAW}[axis]
         except KeyError:
             raise InputError(
-                f'the joint axis {axis!r} is unknown; use "pitch", "yaw" or [x, y, z]'
+                f'the joint axis {axis!r} is unknown: use "pitch", "yaw" or [x, y, z]'
             ) from None
     vector = np.asarray(axis, dtype=float)
     norm = np.linalg.norm(vector)
     if vector.shape != (3,) or not norm > 0:
-        raise InputError(f"the joint axis {list(axis)} must be three numbers, not all zero")
+        raise InputError(
+            f"the joint axis {list(axis)} is no direction: give three numbers, not all zero"
+        )
     # A unit vector stays as it is, so that an arm comes back from its file bit for bit.
     unit = vector if abs(norm - 1) < 1e-15 else vector / norm
     x, y, z = (float(component) for component in unit)

@@ -69,7 +69,7 @@ def forward_dynamics(
     wind: Float[Array, "3"] | None = None,
     wind_rate: Float[Array, "3"] | None = None,
 ) -> Float[Array, " joint"]:
-    """Joint accelerations under given joint torques, gravity and drag, rad/s^2.
+    """Joint accelerations under joint torques, gravity and drag, rad/s^2.
 
     Arguments:
         arm: the arm.

@@ -74,7 +74,7 @@ class Joints(eqx.Module):
     def __check_init__(self) -> None:
         norms = np.linalg.norm(np.asarray(self.axes, dtype=float), axis=-1)
         if not np.allclose(norms, 1.0, rtol=0, atol=1e-12):
-            raise InputError("joint axes must be unit vectors; build the arm with chain(...)")
+            raise InputError("a joint axis is no unit vector: build the arm with chain(...)")
 
     @property
     def is_yaw(self) -> Bool[np.ndarray, " joint"]:

@@ -50,7 +50,7 @@ class Links(eqx.Module):
         shapes = {getattr(self, name).shape for name in self.__dataclass_fields__}
         if len(shapes) != 1 or len(next(iter(shapes))) != 1:
             raise InputError(
-                f"the arrays of Links have shapes {sorted(shapes)}; "
+                f"the arrays of Links have shapes {sorted(shapes)}: "
                 "give each the shape (number of links,)"
             )
 

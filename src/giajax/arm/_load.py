@@ -19,7 +19,7 @@ def inverse_dynamics(
     wind: Float[Array, "3"] | None = None,
     wind_rate: Float[Array, "3"] | None = None,
 ) -> Float[Array, " joint"]:
-    """Joint torques that produce given accelerations against inertia, gravity and drag, N m.
+    """Joint torques that produce accelerations against inertia, gravity and drag, N m.
 
     Springs and dampers of the joints are part of the torque, not of the load; see
     `joint_torque`.

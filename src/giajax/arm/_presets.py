@@ -40,7 +40,7 @@ def chain(
     point_masses: PointMasses | None = None,
     parameters: Mapping[str, Any] | None = None,
 ) -> Arm:
-    """Build an arm; what is not given is the paper's (`takeichi_20m`).
+    """Build an arm; by default that of the paper (`takeichi_20m`).
 
     Arguments:
         links: number of links.
@@ -59,7 +59,7 @@ def chain(
         buoyancy: whether displaced air, helium and trim weights count; without gravity only
             their masses do.
         trim: hang the trim weights that make each link float, and float level unless
-            `buoyancy.trim_position` is given.
+            `buoyancy.trim_position` is among `parameters`.
         point_masses: bodies fixed to links, such as a camera at the tip.
         parameters: values of any parameters by path, SI (`giajax parameters` lists them); one
             that is left out by default, such as `air.added_mass_coefficient`, is switched on.
@@ -79,7 +79,7 @@ def chain(
         ... )
     """
     if links < 1:
-        raise InputError(f"an arm of {links} links cannot be built; give at least 1")
+        raise InputError(f"an arm of {links} links cannot be built: give at least 1")
 
     def per_link(name: str, value: Any, fallback: Any = None) -> Any:
         declared = declaration(Links, name)
@@ -88,11 +88,12 @@ def chain(
         array = np.asarray(value, dtype=float)
         if array.shape not in ((), (1,), (links,)):
             raise InputError(
-                f"{name} has {array.size} values for {links} links; give one number or {links}"
+                f"{name} has {array.size} values for {links} links: give one number or {links}"
             )
         if not np.all(np.isfinite(array)) or not np.all(array > declared.lower):
             raise InputError(
-                f"{name} must be finite and greater than {declared.lower:g} {declared.unit}"
+                f"{name} is out of bounds: "
+                f"give finite numbers greater than {declared.lower:g} {declared.unit}"
             )
         return np.broadcast_to(array, (links,))
 
@@ -120,27 +121,29 @@ def chain(
         base_rotation=jnp.asarray(base_rotation, dtype=float),
         gravity=gravity,
     )
-    given = dict(parameters or {})
-    if trim and "buoyancy.trim_mass" in given:
-        raise InputError("trim finds buoyancy.trim_mass, which is given, too; give one of them")
-    arm = _with_parameters(arm, given)
-    return trimmed(arm, level="buoyancy.trim_position" not in given) if trim else arm
+    values = dict(parameters or {})
+    if trim and "buoyancy.trim_mass" in values:
+        raise InputError(
+            "trim computes buoyancy.trim_mass, which is among the parameters, too: leave one out"
+        )
+    arm = _with_parameters(arm, values)
+    return trimmed(arm, level="buoyancy.trim_position" not in values) if trim else arm
 
 
 def _with_parameters(arm: Arm, values: Mapping[str, Any]) -> Arm:
     for path, value in values.items():
         array = np.asarray(value, dtype=float)
         arm = switched_on(arm, [path])
-        found = find(arm, path)
-        allowed = [(), found.value(arm).shape]
-        if found.declaration.each and not path.startswith("point_masses."):
+        parameter = find(arm, path)
+        allowed = [(), parameter.value(arm).shape]
+        if parameter.declaration.each and not path.startswith("point_masses."):
             allowed.append((arm.count,))
         if array.shape not in allowed or not np.all(np.isfinite(array)):
             raise InputError(
-                f"'{path}' is given {array.size} values; give one finite number"
+                f"'{path}' has {array.size} values: give one finite number"
                 + (f", or {allowed[-1][0]} of them" if allowed[-1] else "")
             )
-        arm = found.set(arm, array)
+        arm = parameter.set(arm, array)
     return arm
 
 
@@ -237,5 +240,5 @@ def preset(name: str, links: int | None = None, **changes: Any) -> Arm:
         InputError: there is no such preset.
     """
     if name not in PRESETS:
-        raise InputError(f"there is no arm preset '{name}'; use one of: {', '.join(PRESETS)}")
+        raise InputError(f"there is no arm preset '{name}': use one of {', '.join(PRESETS)}")
     return PRESETS[name](**changes) if links is None else PRESETS[name](links, **changes)

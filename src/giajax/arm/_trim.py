@@ -23,7 +23,7 @@ def net_lift(arm: Arm) -> Float[Array, " link"]:
         InputError: the arm leaves buoyancy out.
     """
     if arm.buoyancy is None:
-        raise InputError("this arm leaves buoyancy out; build it with buoyancy=True")
+        raise InputError("this arm leaves buoyancy out: build it with buoyancy=True")
     return arm.air.density * arm.links.volume - bodies(arm).mass
 
 
@@ -40,14 +40,14 @@ def trimmed(arm: Arm, *, level: bool = False) -> Arm:
             hang beyond its ends.
     """
     if arm.buoyancy is None:
-        raise InputError("this arm leaves buoyancy out; build it with buoyancy=True")
+        raise InputError("this arm leaves buoyancy out: build it with buoyancy=True")
     bare = dataclasses.replace(arm.buoyancy, trim_mass=jnp.zeros_like(arm.links.mass))
     weights = net_lift(dataclasses.replace(arm, buoyancy=bare))
     if is_concrete(weights) and np.any(np.asarray(weights) < 0):
         link = int(np.argmin(np.asarray(weights))) + 1
         raise InputError(
             f"link {link} is {-float(weights[link - 1]):.3g} kg too heavy to float, so no trim "
-            "weight balances it; make it lighter or larger"
+            "weight balances it: make it lighter or larger"
         )
     held = dataclasses.replace(bare, trim_mass=weights)
     if level:
@@ -66,6 +66,6 @@ def _level(arm: Arm, bare: Buoyancy, weights: Float[Array, " link"]) -> Float[Ar
         link = int(np.argmax(np.asarray(abs(place - length / 2) - length / 2))) + 1
         raise InputError(
             f"link {link} floats level only with its trim weight {float(place[link - 1]):.3g} m "
-            f"along a link of {float(length[link - 1]):.3g} m; give buoyancy.trim_position"
+            f"along a link of {float(length[link - 1]):.3g} m: give buoyancy.trim_position"
         )
     return place

@@ -16,7 +16,7 @@ import numpy as np
 from .._errors import InputError
 from .._typing import Array, Bool, Float, Scalar
 from ..parameters import parameter
-from ._operator import AbstractOperator
+from ._operator import AbstractOperator, history_by_steps
 
 
 def bouc_wen_rate(
@@ -53,7 +53,7 @@ class BoucWen(AbstractOperator):
     """y = elastic u + z, where z follows the Bouc-Wen equation along the input.
 
     Only the products beta gamma and beta delta are determined by a history: the three of them
-    are kept because the literature states them.
+    are kept because they are the literature's.
 
     Arguments:
         elastic: output per input without memory.
@@ -82,7 +82,7 @@ class BoucWen(AbstractOperator):
 
     def __check_init__(self) -> None:
         if self.substeps < 1:
-            raise InputError(f"{self.substeps} substeps are none; give at least 1")
+            raise InputError(f"the operator has {self.substeps} substeps: give at least 1")
 
     def refined(self, factor: float) -> Self:
         """With more substeps: the method is of fourth order."""
@@ -103,7 +103,7 @@ class BoucWen(AbstractOperator):
         if not needed < _MOST:
             raise InputError(
                 f"the knee of the Bouc-Wen operator is too narrow for a range of {width:g} "
-                "(SI); fit a smaller beta, gamma or nu"
+                "(SI): fit a smaller beta, gamma or nu"
             )
         return dataclasses.replace(self, substeps=max(self.substeps, int(np.ceil(needed))))
 
@@ -151,3 +151,9 @@ class BoucWen(AbstractOperator):
         # The number of turns is known, which keeps both modes of differentiation.
         z = jax.lax.fori_loop(0, self.substeps, one, z)
         return (value, z), self.elastic * value + z
+
+    def history(
+        self, inputs: Float[Array, " sample"], state: tuple[Scalar, Scalar] | None = None
+    ) -> tuple[Float[Array, " sample"], tuple[Scalar, Scalar]]:
+        """Outputs at all samples."""
+        return history_by_steps(self, inputs, state)

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from .._errors import InputError
 from .._typing import Array, Float, Scalar
 from ..parameters import is_concrete, parameter
-from ._operator import AbstractOperator
+from ._operator import AbstractExactOperator
 
 Method = Literal["scan", "associative"]
 METHODS = ("scan", "associative")
@@ -59,7 +59,7 @@ def play(
     if method is None:
         method = "scan" if jax.default_backend() == "cpu" else "associative"
     if method not in METHODS:
-        raise InputError(f"there is no method '{method}'; use one of: {', '.join(METHODS)}")
+        raise InputError(f"there is no method '{method}': use one of {', '.join(METHODS)}")
     state = jnp.zeros_like(thresholds) if state is None else state
     if method == "scan":
         return _scan(inputs, thresholds, state)
@@ -98,7 +98,7 @@ def stop(
     return inputs[:, None] - play(inputs, thresholds, state, method)
 
 
-class Play(AbstractOperator):
+class Play(AbstractExactOperator):
     """Play operators side by side: backlash of half-widths `thresholds`."""
 
     thresholds: Float[Array, " threshold"] = parameter(
@@ -127,7 +127,7 @@ class Play(AbstractOperator):
         return outputs, outputs[-1]
 
 
-class Stop(AbstractOperator):
+class Stop(AbstractExactOperator):
     """Stop operators side by side: elastic up to `thresholds`, then sliding. Remembers plays."""
 
     thresholds: Float[Array, " threshold"] = parameter(
@@ -166,7 +166,7 @@ def check_thresholds(thresholds: Array) -> None:
         return
     if thresholds.ndim != 1 or thresholds.shape[0] == 0:
         raise InputError(
-            f"thresholds have the shape {thresholds.shape}; give a list of at least one number"
+            f"thresholds have the shape {thresholds.shape}: give a list of at least one number"
         )
     if not bool(jnp.all(jnp.isfinite(thresholds) & (thresholds >= 0))):
-        raise InputError("thresholds must be finite and at least 0; correct the negative one")
+        raise InputError("a threshold is negative or not finite: give finite numbers of at least 0")

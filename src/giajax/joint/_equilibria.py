@@ -35,7 +35,7 @@ def equilibria(
     """All angles within -60 to 60 deg at which two pressures hold a joint.
 
     The torque is evaluated every 0.1 deg and at its kinks; each interval is divided at the
-    extremum of the torque where there is one inside, so that two near roots are both found.
+    extremum of the torque where there is one inside, so that neither of two near roots is missed.
 
     Arguments:
         pair: the joint and its muscles.
@@ -49,8 +49,8 @@ def equilibria(
         >>> import giajax, numpy as np
         >>> pair = giajax.JointPair()
         >>> command = giajax.pair_command(pair, np.deg2rad(20.0))
-        >>> found = giajax.equilibria(pair, command.pressures)
-        >>> [(round(float(np.rad2deg(item.angle)), 1), item.stable) for item in found.found]
+        >>> rests = giajax.equilibria(pair, command.pressures)
+        >>> [(round(float(np.rad2deg(item.angle)), 1), item.stable) for item in rests.found]
         [(-6.0, True), (-3.3, False), (20.0, True)]
     """
     pressures = checked_pressures(pressures)
@@ -81,7 +81,7 @@ def _listed(roots: Roots, ahead: bool) -> list[Equilibrium]:
 
 
 def _in_jump(roots: Roots, row: int) -> dict[str, Any]:
-    """What is different of a root that is a jump of the torque; nothing where it is none."""
+    """What is different at a root in a jump of the torque; nothing elsewhere."""
     below, above = float(roots.below[row]), float(roots.above[row])
     if abs(above - below) <= JUMP:
         return {}

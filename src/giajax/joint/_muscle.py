@@ -17,15 +17,15 @@ _NO_FORCE = 1e-9
 REACHED, NEEDS_PUSH, NEEDS_PRESSURE, TOO_SHORT, PULLS_ANYWAY = range(5)
 _MEANING = {
     REACHED: "reached",
-    NEEDS_PUSH: "the muscle would have to push, which it cannot; raise the co-contraction torque",
-    NEEDS_PRESSURE: "it takes more than the pressure limit; ask for less, or a wider muscle",
-    TOO_SHORT: "the muscle does not shorten so far at any pressure; ask for less contraction",
-    PULLS_ANYWAY: "it has more force than that without any pressure; ask for more",
+    NEEDS_PUSH: "the muscle would have to push, which it cannot: raise the co-contraction torque",
+    NEEDS_PRESSURE: "it takes more than the pressure limit: ask for less, or a wider muscle",
+    TOO_SHORT: "the muscle does not shorten so far at any pressure: ask for less contraction",
+    PULLS_ANYWAY: "it has more force than that without any pressure: ask for more",
 }
 
 
 class PressureAnswer(eqx.Module):
-    """Pressure for a wanted force; arrays of one shape.
+    """Pressure for a force; arrays of one shape.
 
     Attributes:
         pressure: within 0 and the muscle's limit, Pa. Where the force is out of reach, the
@@ -55,6 +55,8 @@ class AbstractMuscle(eqx.Module):
     name: ClassVar[str]
     own_motion: ClassVar[int]
     """Sign of the recorded displacement in which it moves by itself: +1 where it shortens."""
+    pushes: ClassVar[bool]
+    """Whether its force may be negative; else it is slack beyond its reach."""
 
     @abc.abstractmethod
     def signed_force(
@@ -66,7 +68,7 @@ class AbstractMuscle(eqx.Module):
         """Force by the law alone, N; negative beyond its reach."""
 
     @abc.abstractmethod
-    def wanted_pressure(
+    def pressure_for(
         self,
         force: Float[Array, "*shape"],
         contraction: Float[Array, "*shape"],
@@ -88,8 +90,9 @@ class AbstractMuscle(eqx.Module):
         contraction: Float[Array, "*shape"],
         length: Float[Array, ""],
     ) -> Float[Array, "*shape"]:
-        """Force, N, never negative: a muscle beyond its reach is slack."""
-        return jnp.maximum(self.signed_force(pressure, contraction, length), 0)
+        """Force, N: that of the law, or 0 where the actuator is slack."""
+        force = self.signed_force(pressure, contraction, length)
+        return force if self.pushes else jnp.maximum(force, 0)
 
     def answer(
         self,
@@ -98,19 +101,19 @@ class AbstractMuscle(eqx.Module):
         length: Float[Array, ""],
     ) -> PressureAnswer:
         """Pressure for a force at a contraction; nothing is checked."""
-        wanted, gain = self.wanted_pressure(jnp.maximum(force, 0), contraction, length)
+        needed, gain = self.pressure_for(jnp.maximum(force, 0), contraction, length)
         able = gain > 0
-        pressure = jnp.where(able, jnp.clip(wanted, 0, self.limit), self.limit)
+        pressure = jnp.where(able, jnp.clip(needed, 0, self.limit), self.limit)
         code = jnp.where(
             able,
             jnp.where(
-                wanted > self.limit,
+                needed > self.limit,
                 NEEDS_PRESSURE,
-                jnp.where(wanted * gain < -_NO_FORCE, PULLS_ANYWAY, REACHED),
+                jnp.where(needed * gain < -_NO_FORCE, PULLS_ANYWAY, REACHED),
             ),
             jnp.where(force > _NO_FORCE, TOO_SHORT, REACHED),
         )
-        # No force is had without pressure wherever the muscle cannot pull.
+        # Where the muscle cannot pull, it has no force without pressure.
         pressure = jnp.where(~able & (force <= _NO_FORCE), 0, pressure)
         push = force < -_NO_FORCE
         return PressureAnswer(
@@ -158,7 +161,7 @@ def muscle_pressure(
 
     Arguments:
         muscle: the law.
-        force: wanted, N, of any shape.
+        force: to be reached, N, of any shape.
         contraction: relative to the length at rest, of the same shape or one number.
         length: of the muscle at rest, m.
 
@@ -172,7 +175,7 @@ def muscle_pressure(
         >>> import giajax
         >>> answer = giajax.muscle_pressure(giajax.BraidedMuscle(), 2.0, 0.35)
         >>> bool(answer.reached), answer.message()
-        (False, 'the muscle does not shorten so far at any pressure; ask for less contraction')
+        (False, 'the muscle does not shorten so far at any pressure: ask for less contraction')
     """
     force, contraction, length = _arrays(force, contraction, length)
     _check(contraction, length, force=force)
@@ -188,7 +191,7 @@ def _arrays(
     )
     if length.ndim or (first.ndim and contraction.ndim and first.shape != contraction.shape):
         raise InputError(
-            f"values have the shapes {first.shape}, {contraction.shape} and {length.shape}; give "
+            f"values have the shapes {first.shape}, {contraction.shape} and {length.shape}: give "
             "arrays of one shape, or numbers, and one length"
         )
     shape = first.shape or contraction.shape
@@ -200,14 +203,14 @@ def _check(contraction: Array, length: Array, **others: Array) -> None:
         return
     for what, values in {"contraction": contraction, "length": length, **others}.items():
         if not bool(jnp.all(jnp.isfinite(values))):
-            raise InputError(f"a {what} is not finite; give finite numbers")
+            raise InputError(f"a {what} is not finite: give finite numbers")
     if bool(jnp.any(contraction >= 1)):
         raise InputError(
-            f"a contraction is {float(jnp.max(contraction)):g}, and 1 is a muscle of no length; "
-            "give the fraction of its length at rest, not percent"
+            f"a contraction is {float(jnp.max(contraction)):g}, and at 1 nothing is left of the "
+            "muscle: give the fraction of its length at rest, not percent"
         )
     if "pressure" in others and bool(jnp.any(others["pressure"] < 0)):
         raise InputError(
-            f"a pressure is {float(jnp.min(others['pressure'])):g} Pa; give the pressure above the "
+            f"a pressure is {float(jnp.min(others['pressure'])):g} Pa: give the pressure above the "
             "surroundings, 0 or more"
         )

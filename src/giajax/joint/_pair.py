@@ -43,7 +43,7 @@ class PairCommand(eqx.Module):
         angle: of the pair, rad, any shape.
         first, second: states of the muscle towards which a positive angle bends, and of the
             other one.
-        first_pressure, second_pressure: their pressures, and whether they are to be had.
+        first_pressure, second_pressure: their pressures, and whether they give these forces.
     """
 
     angle: Float[Array, "*shape"]
@@ -77,13 +77,13 @@ def pair_command(
 
     Arguments:
         pair: the joint and its muscles.
-        angle: wanted, rad, any shape, within -60 to 60 deg.
+        angle: to be held, rad, any shape, within -60 to 60 deg.
         load: torque from outside, towards negative angles, N m, one number or one an angle.
         cocontraction: torque of each muscle against the other, N m; the joint's 0.3 by default.
 
     Returns:
-        Contractions, forces and pressures of both muscles. Where a pressure is not to be had,
-        its answer says why.
+        Contractions, forces and pressures of both muscles. Where no pressure gives a
+        force, its answer says why.
 
     Raises:
         InputError: an angle beyond 60 deg, a number that is not finite, or an impossible
@@ -103,7 +103,7 @@ def pair_command(
     if is_concrete((pair, angle, load, torque)):
         check_range(angle)
         if not bool(jnp.all(jnp.isfinite(load) & jnp.isfinite(torque))):
-            raise InputError("a load or co-contraction torque is not finite; give finite numbers")
+            raise InputError("a load or co-contraction torque is not finite: give finite numbers")
         angles = np.asarray(angle).ravel()
         check_geometry(pair.joint.geometry, np.concatenate([angles, -angles]))
     return _pair_command(pair, angle, load, torque)
@@ -115,7 +115,7 @@ def check_range(angle: Array) -> None:
     if not bool(jnp.all(inside)):
         worst = float(jnp.rad2deg(angle.ravel()[jnp.argmin(inside)]))
         raise InputError(
-            f"the wanted angle is {worst:.4g} deg, and a joint bends by at most 60 deg; give "
+            f"the angle is {worst:.4g} deg, and a joint bends by at most 60 deg: give "
             "radians, and a smaller angle"
         )
 

@@ -88,7 +88,7 @@ def branch_angles(geometry: JointGeometry) -> tuple[float, float]:
     """Angles at which the inner wire becomes taut and the outer muscle begins to wrap, rad.
 
     The second is in closed form, tan(angle / 2) = -(N_y - Q_y) / (N_x - Q_x) in the frame of the
-    link; the first is a root of C_y = H_y, found by bisection. 0 where a muscle is on its branch at
+    link; the first is a root of C_y = H_y, by bisection. 0 where a muscle is on its branch at
     every angle of that side, and NaN where a branch is not reached within 90 deg.
     """
     taut, wrap = _branch_angles(geometry)

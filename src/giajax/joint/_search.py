@@ -1,7 +1,7 @@
 """Search for every angle of one side at which the torque of a pair vanishes or jumps through 0.
 
 The torque is evaluated on an even grid and at its kinks; each interval is divided at the extremum
-of the torque where there is one inside, so that two near roots are both found.
+of the torque where there is one inside, so that neither of two near roots is missed.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ from ._roots import bisect
 from ._torque import OneSide, correction_slope, side_slope, side_torque
 
 # Intervals of the search on either side of 0: 0.1 deg each. Within one the torque is smooth or
-# has one kink, and two roots in it are found by its extremum.
+# has one kink, and its extremum parts two roots.
 _INTERVALS = 600
 
 # More roots, or extrema, than a side of any pair can have.

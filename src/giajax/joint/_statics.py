@@ -63,12 +63,12 @@ def muscle_state(
     torque = joint.torque if torque is None else jnp.asarray(torque, dtype=dtype)
     if torque.shape not in ((), angle.shape):
         raise InputError(
-            f"the torque has the shape {torque.shape} and the angle {angle.shape}; give one "
+            f"the torque has the shape {torque.shape} and the angle {angle.shape}: give one "
             "torque, or one for each angle"
         )
     torque = jnp.broadcast_to(torque, angle.shape)
     if side not in (None, "inner", "outer"):
-        raise InputError(f"the side is {side!r}; it must be 'inner' or 'outer'")
+        raise InputError(f"the side is {side!r}: use 'inner' or 'outer'")
     if is_concrete((joint, angle, torque)):
         _check(joint, angle, torque, side)
     inner = angle >= 0 if side is None else jnp.full(angle.shape, side == "inner")
@@ -88,18 +88,18 @@ def balanced(joint: Joint, angle: Array, torque: Array, inner: Array) -> MuscleS
 
 def _check(joint: Joint, angle: Array, torque: Array, side: str | None) -> None:
     if not bool(jnp.all(jnp.isfinite(angle)) & jnp.all(jnp.isfinite(torque))):
-        raise InputError("an angle or a torque is not finite; give finite numbers")
+        raise InputError("an angle or a torque is not finite: give finite numbers")
     if bool(jnp.any(jnp.abs(angle) > jnp.pi / 2)):
         worst = float(jnp.rad2deg(angle.ravel()[jnp.argmax(jnp.abs(angle))]))
         raise InputError(
-            f"the bending angle is {worst:.4g} deg, and a joint bends by at most 90 deg; give "
+            f"the bending angle is {worst:.4g} deg, and a joint bends by at most 90 deg: give "
             "radians, not degrees"
         )
     wrong = {"inner": angle < 0, "outer": angle > 0}.get(side or "")
     if wrong is not None and bool(jnp.any(wrong)):
         at = float(jnp.rad2deg(angle.ravel()[jnp.argmax(wrong)]))
         raise InputError(
-            f"at {at:.4g} deg the muscle is not the {side} one; give no side, or the angle with "
+            f"at {at:.4g} deg the muscle is not the {side} one: give no side, or the angle with "
             "the other sign"
         )
     check_geometry(joint.geometry, jax.device_get(angle))

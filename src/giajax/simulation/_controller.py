@@ -1,6 +1,6 @@
 """Step-size control: steps that derivatives survive, too, and an end to a motion that cannot go on.
 
-Which simulations need such steps is told in `_disturbances`.
+Where such steps are needed, and why, stands in `_disturbances`.
 """
 
 from collections.abc import Callable
@@ -134,8 +134,8 @@ class _Careful(diffrax.AbstractAdaptiveStepSizeController):
         keep, next_t0, next_t1, jump, state, result = self.controller.adapt_step_size(
             t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
         )
-        # At rest nothing tells how long a step may be for the derivatives to be as exact as the
-        # motion, but for the tolerance: an oscillation of size 1 would ask for about this.
+        # At rest nothing but the tolerance limits how long a step may be for the derivatives to be
+        # as exact as the motion: an oscillation of size 1 would ask for about this.
         tolerance = jnp.maximum(self.rtol, self.atol)
         exact = 25 * tolerance ** (1 / error_order) * self.slowness
         resting = jnp.all(jnp.abs(y_error) <= 1e-6 * tolerance)  # but for rounding

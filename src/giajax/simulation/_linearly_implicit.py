@@ -168,15 +168,15 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
         )
 
         def advance(parts: Array, stage: Array) -> tuple[Array, tuple[State, State]]:
-            given = jnp.sum(combine[stage][:, None, None] * parts, axis=0)
+            known_part = jnp.sum(combine[stage][:, None, None] * parts, axis=0)
             # The end of the step is a sum, not a stage.
-            change = jnp.where(stage == end, given, solve(given))
+            change = jnp.where(stage == end, known_part, solve(known_part))
             # Not beyond the end by rounding, where the next piece of the command may start.
             time = jnp.minimum(t0 + times[stage] * step, t1)
             slope = terms.vf(time, y0 + change, args)
             parts = parts.at[stage].set(step * slope)
             # h J (Y - y0)
-            parts = parts.at[end + 1 + stage].set((change - given) / gamma)
+            parts = parts.at[end + 1 + stage].set((change - known_part) / gamma)
             return parts, (y0 + change, slope)
 
         # In a loop the equation of motion is compiled once.
@@ -205,8 +205,8 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
         )
         inverse = half.T @ half
 
-        def solve(given: State) -> State:
-            angles, rates = given
+        def solve(right_side: State) -> State:
+            angles, rates = right_side
             rates = rates - inverse @ (spring * angles + damper * rates)
             return jnp.stack([angles + scale * rates, rates])
 

@@ -22,7 +22,7 @@ from ._solvers import solver as solver_named
 from ._trajectory import RESULTS, SimulationError, Trajectory
 
 MAX_STEPS = 100_000
-"""Step limit of a simulation when nothing is said."""
+"""Step limit of a simulation by default."""
 
 
 def simulate(
@@ -49,7 +49,7 @@ def simulate(
     Arguments:
         arm: the arm.
         command: commanded angles over time, rad; width = number of joints.
-        times: increasing times at which the motion is wanted, s, shape (sample,).
+        times: increasing times of the samples, s, shape (sample,).
         wind: velocity of the air in the base frame, m/s: a signal of width 3, three numbers, or
             None for still air. With added mass it must not jump: the force would be infinite.
         torque: of the joints' drives over time, beside springs and dampers, N m; width = number
@@ -129,7 +129,7 @@ def _initial_state(arm: Arm, initial: tuple[Any, Any] | None) -> Float[Array, "2
     angles, rates = (jnp.asarray(part, dtype=dtype) for part in initial)
     if angles.shape != (arm.count,) or rates.shape != (arm.count,):
         raise InputError(
-            f"the initial angles and rates have shapes {angles.shape} and {rates.shape}; "
+            f"the initial angles and rates have shapes {angles.shape} and {rates.shape}: "
             f"give one value for each of the {arm.count} joints"
         )
     return jnp.stack([angles, rates])
@@ -140,21 +140,21 @@ def _check(
 ) -> None:
     if command.width != arm.count:
         raise InputError(
-            f"the command drives {command.width} joints and the arm has {arm.count}; "
+            f"the command drives {command.width} joints and the arm has {arm.count}: "
             "give one column per joint"
         )
     if wind is not None and wind.width != 3:
-        raise InputError(f"the wind has {wind.width} components; give x, y and z")
+        raise InputError(f"the wind has {wind.width} components: give x, y and z")
     if torque is not None and torque.width != arm.count:
         raise InputError(
-            f"the torque drives {torque.width} joints and the arm has {arm.count}; "
+            f"the torque drives {torque.width} joints and the arm has {arm.count}: "
             "give one column per joint"
         )
     check_wind(arm, wind)
     if times.ndim != 1 or times.shape[0] < 2:
-        raise InputError(f"times has shape {times.shape}; give at least two times in one row")
+        raise InputError(f"times has shape {times.shape}: give at least two times in one row")
     if is_concrete(times) and not np.all(np.diff(np.asarray(times)) > 0):
-        raise InputError("times must increase strictly; sort them and drop doubles")
+        raise InputError("the times do not increase strictly: sort them and drop doubles")
 
 
 def check_wind(arm: Arm, wind: Signal | None) -> None:
@@ -167,7 +167,7 @@ def check_wind(arm: Arm, wind: Signal | None) -> None:
         return
     if bool(wind.jumps):
         raise InputError(
-            "the wind jumps, and with added mass the force of that is infinite; give a wind that "
+            "the wind jumps, and with added mass the force of that is infinite: give a wind that "
             'is linear between its rows (interpolation = "linear")'
         )
 
