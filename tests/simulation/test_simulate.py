@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-import giajax.simulation._simulate as module
+import giajax.simulation._integrate as module
 from giajax._errors import InputError
 from giajax.arm import link_centres, takeichi_20m, tip_position
 from giajax.parameters import replace

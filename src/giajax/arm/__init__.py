@@ -5,6 +5,7 @@ from ._arm import Arm as Arm
 from ._atmosphere import DRAG_CURVES as DRAG_CURVES, DRAGS as DRAGS, Air as Air
 from ._axes import named_axes as named_axes
 from ._bodies import Bodies as Bodies, bodies as bodies, lift as lift
+from ._build import chain as chain
 from ._cylinder import cylinder_drag_coefficient as cylinder_drag_coefficient
 from ._dynamics import (
     acceleration as acceleration,
@@ -31,7 +32,6 @@ from ._load import inverse_dynamics as inverse_dynamics
 from ._masses import Buoyancy as Buoyancy, PointMasses as PointMasses
 from ._presets import (
     PRESETS as PRESETS,
-    chain as chain,
     pendulum as pendulum,
     preset as preset,
     takeichi_20m as takeichi_20m,

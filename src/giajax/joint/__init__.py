@@ -1,5 +1,6 @@
 """One joint at rest: muscle paths, forces, corrections, muscles and their pressures."""
 
+from ._answer import PressureAnswer as PressureAnswer
 from ._balance import MuscleState as MuscleState, muscle_balance as muscle_balance
 from ._braided import BraidedMuscle as BraidedMuscle
 from ._correction import (
@@ -20,7 +21,6 @@ from ._geometry import (
 )
 from ._muscle import (
     AbstractMuscle as AbstractMuscle,
-    PressureAnswer as PressureAnswer,
     muscle_force as muscle_force,
     muscle_pressure as muscle_pressure,
 )

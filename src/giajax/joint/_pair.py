@@ -9,10 +9,11 @@ from .._errors import InputError
 from .._program import program
 from .._typing import Array, Float, Scalar
 from ..parameters import is_concrete
+from ._answer import PressureAnswer
 from ._balance import MuscleState, muscle_balance
 from ._braided import BraidedMuscle
 from ._geometry import LARGEST_ANGLE, check_geometry
-from ._muscle import AbstractMuscle, PressureAnswer
+from ._muscle import AbstractMuscle
 from ._statics import Joint, balanced
 
 

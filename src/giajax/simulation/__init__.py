@@ -6,6 +6,7 @@ from ._disturbances import (
     check_steps_for as check_steps_for,
     is_disturbance as is_disturbance,
 )
+from ._integrate import integrate as integrate
 from ._signal import (
     Signal as Signal,
     constant as constant,
@@ -18,7 +19,6 @@ from ._signal import (
 from ._simulate import (
     MAX_STEPS as MAX_STEPS,
     check_wind as check_wind,
-    integrate as integrate,
     simulate as simulate,
 )
 from ._solvers import SOLVERS as SOLVERS
