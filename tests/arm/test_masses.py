@@ -175,7 +175,7 @@ def camera(link, **places):
         (lambda: chain(3, strip_points=0), "strip_points is 0: give at least 1"),
         (
             lambda: chain(3, parameters={"air.axial_coefficient": 0.1}),
-            'an axial coefficient needs drag = "strip"',
+            "no axial coefficient: use drag = 'strip'",
         ),
         (
             lambda: takeichi_20m(point_masses=camera(99)),

@@ -172,6 +172,9 @@ def drag_force(
         angles: joint angles, rad.
         rates: joint rates, rad/s.
         wind: velocity of the air in the base frame, m/s; still air by default.
+
+    Returns:
+        Force in the base frame, N, shape (link, 3).
     """
     return drag_in_motion(arm, angles, rates, wind).load.force.T
 

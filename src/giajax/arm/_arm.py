@@ -21,6 +21,15 @@ class Arm(eqx.Module):
     Build one with a preset (`takeichi_20m`) or with `chain`. Every array of it may be
     differentiated, batched and replaced (`giajax.replace`). What is None is left out, and costs
     nothing.
+
+    Arguments:
+        links: the rigid links.
+        joints: axes, springs and dampers.
+        air: what surrounds the links.
+        buoyancy: helium and trim weights; None where lift and weight are no part of the model.
+        point_masses: bodies fixed to links; None for none.
+        base_rotation: rotation vector of the straight arm, rad, shape (3,).
+        gravity: along -z, m/s^2.
     """
 
     links: Links

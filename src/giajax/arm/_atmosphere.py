@@ -78,7 +78,8 @@ class Air(eqx.Module):
             raise InputError(f"strip_points is {self.strip_points}: give at least 1")
         if self.axial_coefficient is not None and self.drag == "centre":
             raise InputError(
-                'an axial coefficient needs drag = "strip": eq. (1) has the full velocity already'
+                "drag = 'centre' has the full velocity already and no axial coefficient: "
+                "use drag = 'strip', or leave air.axial_coefficient out"
             )
 
 

@@ -23,6 +23,9 @@ def named_axes(axes: str | Sequence[str | Sequence[float]], count: int) -> tuple
             or a vector, which is normalised.
         count: number of joints.
 
+    Returns:
+        One unit vector (x, y, z) for each joint, in the frame of the straight arm.
+
     Raises:
         InputError: an unknown name, a zero vector, or a list of another length.
     """

@@ -28,6 +28,9 @@ def cylinder_drag_coefficient(reynolds: Float[Array, "*shape"]) -> Float[Array, 
 
     Arguments:
         reynolds: |V| d / nu, not negative.
+
+    Returns:
+        C_D, of the shape of the argument.
     """
     return jnp.exp(np.log(10) * _log10(reynolds))
 

@@ -33,6 +33,9 @@ def acceleration(
         wind: velocity of the air in the base frame, m/s; still air by default.
         wind_rate: its rate of change, m/s^2, which added mass feels; 0 by default.
         torque: of the joints' drives, beside springs and dampers, N m; none by default.
+
+    Returns:
+        Accelerations, rad/s^2, shape (joint,).
     """
     total = joint_torque(arm, angles, rates, command)
     if torque is not None:
@@ -57,6 +60,9 @@ def joint_torque(
         angles: joint angles, rad.
         rates: joint rates, rad/s.
         command: commanded angles, rad.
+
+    Returns:
+        Torques, N m, shape (joint,).
     """
     return arm.joints.stiffness * (command - angles) - arm.joints.resistance(rates)
 
@@ -78,6 +84,9 @@ def forward_dynamics(
         torques: joint torques, N m.
         wind: velocity of the air in the base frame, m/s; still air by default.
         wind_rate: its rate of change, m/s^2, which added mass feels; 0 by default.
+
+    Returns:
+        Accelerations, rad/s^2, shape (joint,).
     """
     return _accelerations(arm, angles, rates, torques, flow(arm, wind, wind_rate))
 

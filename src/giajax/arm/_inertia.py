@@ -24,6 +24,9 @@ def mass_matrix(arm: Arm, angles: Float[Array, " joint"]) -> Float[Array, "joint
     Arguments:
         arm: the arm.
         angles: joint angles, rad.
+
+    Returns:
+        M(q), kg m^2, shape (joint, joint).
     """
     here = pose(arm, angles)
     upper = jnp.triu(mass_matrix_upper(arm, here, sum_from_tip(carried_inertia(arm, here))))

@@ -31,6 +31,9 @@ def inverse_dynamics(
         accelerations: joint accelerations, rad/s^2.
         wind: velocity of the air in the base frame, m/s; still air by default.
         wind_rate: its rate of change, m/s^2, which added mass feels; 0 by default.
+
+    Returns:
+        Torques, N m, shape (joint,).
     """
     return required_torque(arm, pose(arm, angles), rates, accelerations, flow(arm, wind, wind_rate))
 

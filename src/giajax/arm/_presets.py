@@ -25,6 +25,9 @@ def takeichi_20m(links: int = 20, **changes: Any) -> Arm:
         links: number of links; the paper's arm has 20.
         changes: arguments of `chain`.
 
+    Returns:
+        The arm.
+
     Example:
         >>> import giajax
         >>> giajax.takeichi_20m().count
@@ -43,6 +46,9 @@ def takeichi_20m_full(links: int = 20, **changes: Any) -> Arm:
     Arguments:
         links: number of links.
         changes: arguments of `chain`.
+
+    Returns:
+        The arm.
     """
     extras = {"air.added_mass_coefficient": 1.0}
     if changes.get("drag", "strip") == "strip":
@@ -74,6 +80,9 @@ def pendulum(links: int = 1, **changes: Any) -> Arm:
         links: number of links.
         changes: arguments of `chain`.
 
+    Returns:
+        The pendulum.
+
     Example:
         >>> import giajax
         >>> double = giajax.pendulum(2, length=[0.3, 0.2], parameters={"joints.damping": 1e-3})
@@ -102,6 +111,14 @@ PRESETS: dict[str, Callable[..., Arm]] = {
 
 def preset(name: str, links: int | None = None, **changes: Any) -> Arm:
     """The preset of a name, changed by arguments of `chain`.
+
+    Arguments:
+        name: a key of `PRESETS`.
+        links: number of links; by default that of the preset.
+        changes: arguments of `chain`.
+
+    Returns:
+        The arm.
 
     Raises:
         InputError: there is no such preset.

@@ -19,6 +19,9 @@ def net_lift(arm: Arm) -> Float[Array, " link"]:
     Arguments:
         arm: an arm with buoyancy.
 
+    Returns:
+        Mass, kg, shape (link,); negative where a link is too heavy to float.
+
     Raises:
         InputError: the arm leaves buoyancy out.
     """
@@ -34,6 +37,9 @@ def trimmed(arm: Arm, *, level: bool = False) -> Arm:
         arm: an arm with buoyancy; its trim weights are replaced.
         level: also hang them where each link floats level: its centre of mass is then at the
             same distance along the link as its lift. Otherwise they hang where they are.
+
+    Returns:
+        The arm with other trim weights and, if it shall float level, other trim positions.
 
     Raises:
         InputError: it leaves buoyancy out, a link is too heavy to float, or its weight would

@@ -28,7 +28,16 @@ def bouc_wen_rate(
     delta: Float[Array, "*shape"],
     nu: Float[Array, "*shape"],
 ) -> Float[Array, "*shape"]:
-    """dz/dt = alpha v - beta (gamma |v| |z|^(nu-1) z + delta v |z|^nu)."""
+    """dz/dt = alpha v - beta (gamma |v| |z|^(nu-1) z + delta v |z|^nu).
+
+    Arguments:
+        velocity: v, rate of the input.
+        z: the hysteretic part.
+        alpha, beta, gamma, delta, nu: parameters of the equation.
+
+    Returns:
+        dz/dt, of the shape of the arguments.
+    """
     # |z|^(nu-1) as a number that has a derivative also at z = 0, where the motion begins.
     zero = z == 0
     power = jnp.where(zero, 1, jnp.abs(z)) ** (nu - 1)

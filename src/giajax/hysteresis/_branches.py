@@ -88,7 +88,14 @@ class BranchCompensator(AbstractExactOperator):
         return self._command(inputs, plays), plays[-1]
 
     def transition(self, inputs: Float[Array, " sample"]) -> Float[Array, " sample"]:
-        """xi along a history."""
+        """xi along a history.
+
+        Arguments:
+            inputs: desired outputs, shape (sample,).
+
+        Returns:
+            Between 0 and 1, shape (sample,).
+        """
         plays = play(inputs, self.travel[None] / 2)[:, 0]
         return self._xi(inputs, plays)
 
@@ -112,6 +119,9 @@ def branches_from_loop(
         inputs: the command at each sample, shape (sample,).
         outputs: the measured output, NaN where there is none, shape (sample,).
         travel: see `BranchCompensator`.
+
+    Returns:
+        The compensator, from a desired output to the command.
 
     Raises:
         InputError: a history without both branches, too short for them, or with falling ones.
@@ -165,7 +175,14 @@ def _inverse_curve(u: np.ndarray, y: np.ndarray) -> MonotoneCurve:
 
 
 def isotonic(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """The nearest sequence that never decreases, in least squares (pool adjacent violators)."""
+    """The nearest sequence that never decreases, in least squares (pool adjacent violators).
+
+    Arguments:
+        values: shape (sample,).
+
+    Returns:
+        The sequence, of the same shape.
+    """
     means: list[float] = []
     counts: list[int] = []
     for value in values:

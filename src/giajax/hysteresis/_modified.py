@@ -88,7 +88,12 @@ class ModifiedPrandtlIshlinskii(AbstractExactOperator):
 
 
 class InverseModified(AbstractExactOperator):
-    """u = H^-1[S^-1(y)]: the exact inverse of a modified Prandtl-Ishlinskii operator."""
+    """u = H^-1[S^-1(y)]: the exact inverse of a modified Prandtl-Ishlinskii operator.
+
+    Arguments:
+        dead_zones: the inverse of S.
+        hysteresis: the inverse of H.
+    """
 
     dead_zones: DeadZones
     hysteresis: PrandtlIshlinskii

@@ -27,6 +27,9 @@ class AbstractOperator(eqx.Module):
         Arguments:
             state: memory, as `reset` or an earlier step gave it.
             value: the new input, shape ().
+
+        Returns:
+            The memory and the output after the move.
         """
 
     @abc.abstractmethod
@@ -42,11 +45,22 @@ class AbstractOperator(eqx.Module):
         """The same operator, accurate also for single moves of a width.
 
         The parameters must be known (no tracers).
+
+        Arguments:
+            width: of a move, in the unit of the input.
         """
 
     @abc.abstractmethod
     def travelled(self, state: Any, value: Scalar) -> Any:
-        """Memory after a move that may be much longer than those between two samples."""
+        """Memory after a move that may be much longer than those between two samples.
+
+        Arguments:
+            state: memory before the move.
+            value: the input after it, shape ().
+
+        Returns:
+            The memory after it.
+        """
 
     @abc.abstractmethod
     def history(
@@ -57,6 +71,9 @@ class AbstractOperator(eqx.Module):
         Arguments:
             inputs: shape (sample,).
             state: memory before the first sample; virgin by default.
+
+        Returns:
+            Outputs, one row a sample, and the memory at the end.
 
         Example:
             >>> import jax.numpy as jnp

@@ -47,6 +47,9 @@ def play(
         state: w before the first sample, shape (threshold,); 0 by default.
         method: "scan" or "associative"; by default the first on a CPU.
 
+    Returns:
+        w after each sample, shape (sample, threshold).
+
     Raises:
         InputError: an unknown method.
 
@@ -93,13 +96,22 @@ def stop(
 ) -> Float[Array, "sample threshold"]:
     """Stop operators of many thresholds, e = u - w: what the play of the same threshold leaves.
 
-    Arguments: as of `play`; `state` is that of the play, w.
+    Arguments:
+        inputs, thresholds, method: as of `play`.
+        state: that of the play, w, before the first sample; 0 by default.
+
+    Returns:
+        e after each sample, shape (sample, threshold).
     """
     return inputs[:, None] - play(inputs, thresholds, state, method)
 
 
 class Play(AbstractExactOperator):
-    """Play operators side by side: backlash of half-widths `thresholds`."""
+    """Play operators side by side: backlash of half-widths `thresholds`.
+
+    Arguments:
+        thresholds: half-widths, not negative, in the unit of the input, shape (threshold,).
+    """
 
     thresholds: Float[Array, " threshold"] = parameter(
         0.0, unit="input", lower=0, doc="half-width of the backlash"
@@ -128,7 +140,11 @@ class Play(AbstractExactOperator):
 
 
 class Stop(AbstractExactOperator):
-    """Stop operators side by side: elastic up to `thresholds`, then sliding. Remembers plays."""
+    """Stop operators side by side: elastic up to `thresholds`, then sliding. Remembers plays.
+
+    Arguments:
+        thresholds: not negative, in the unit of the input, shape (threshold,).
+    """
 
     thresholds: Float[Array, " threshold"] = parameter(
         1.0, unit="input", lower=0, doc="input at which the element begins to slide"

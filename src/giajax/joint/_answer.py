@@ -36,5 +36,9 @@ class PressureAnswer(eqx.Module):
         return self.code == REACHED
 
     def message(self, index: int | tuple[int, ...] = ()) -> str:
-        """What the code of one element means, and what to do."""
+        """What the code of one element means, and what to do.
+
+        Arguments:
+            index: of the element.
+        """
         return _MEANING[int(self.code[index])]

@@ -58,6 +58,9 @@ def muscle_balance(
         angle: bending angles of the muscle, rad.
         torque: balanced torque, N m.
         inner: the side, as in `muscle_path`.
+
+    Returns:
+        The state of the muscle; nothing is checked.
     """
     path = muscle_path(geometry, angle, inner)
     anchor = geometry.anchor(angle)

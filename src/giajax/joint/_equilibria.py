@@ -42,6 +42,9 @@ def equilibria(
         pressures: of the first and the second muscle, Pa, shape (2,).
         load: torque from outside, towards negative angles, N m.
 
+    Returns:
+        The equilibria by angle, and what the torque does at the ends of the range.
+
     Raises:
         InputError: pressures that are not two numbers of at least 0, or an impossible geometry.
 

@@ -94,6 +94,14 @@ def is_possible(
 
     A wire that is too short for the outer muscle is no matter here: the outer equations do not
     know of it, and a fit may pass through such a joint. `check_geometry` refuses it.
+
+    Arguments:
+        geometry: of the joint.
+        angle: bending angles of the muscle, rad.
+        inner: whether the muscle is the inner one, of the same shape.
+
+    Returns:
+        Of the same shape.
     """
     possible = jnp.ones(angle.shape, bool)
     for bad, _ in _complaints(geometry, angle, inner=True):

@@ -39,7 +39,16 @@ class AbstractMuscle(eqx.Module):
         contraction: Float[Array, "*shape"],
         length: Float[Array, ""],
     ) -> Float[Array, "*shape"]:
-        """Force by the law alone, N; negative beyond its reach."""
+        """Force by the law alone, N; negative beyond its reach.
+
+        Arguments:
+            pressure: above the surroundings, Pa.
+            contraction: relative to the length at rest.
+            length: of the muscle at rest, m.
+
+        Returns:
+            Force, N.
+        """
 
     @abc.abstractmethod
     def pressure_for(
@@ -51,6 +60,14 @@ class AbstractMuscle(eqx.Module):
         """Pressure that the law says for a force >= 0, Pa, and the force gained per pascal.
 
         Where nothing is gained there is no such pressure, and its value means nothing.
+
+        Arguments:
+            force: at least 0, N.
+            contraction: relative to the length at rest.
+            length: of the muscle at rest, m.
+
+        Returns:
+            Pressure, Pa, and force gained per pascal, N/Pa.
         """
 
     @property
@@ -64,7 +81,16 @@ class AbstractMuscle(eqx.Module):
         contraction: Float[Array, "*shape"],
         length: Float[Array, ""],
     ) -> Float[Array, "*shape"]:
-        """Force, N: that of the law, or 0 where the actuator is slack."""
+        """Force, N: that of the law, or 0 where the actuator is slack.
+
+        Arguments:
+            pressure: above the surroundings, Pa.
+            contraction: relative to the length at rest.
+            length: of the muscle at rest, m.
+
+        Returns:
+            Force, N.
+        """
         force = self.signed_force(pressure, contraction, length)
         return force if self.pushes else jnp.maximum(force, 0)
 
@@ -74,7 +100,16 @@ class AbstractMuscle(eqx.Module):
         contraction: Float[Array, "*shape"],
         length: Float[Array, ""],
     ) -> PressureAnswer:
-        """Pressure for a force at a contraction; nothing is checked."""
+        """Pressure for a force at a contraction; nothing is checked.
+
+        Arguments:
+            force: to be reached, N.
+            contraction: relative to the length at rest.
+            length: of the muscle at rest, m.
+
+        Returns:
+            The pressure, or the nearest one, and why the force is out of reach.
+        """
         needed, gain = self.pressure_for(jnp.maximum(force, 0), contraction, length)
         able = gain > 0
         pressure = jnp.where(able, jnp.clip(needed, 0, self.limit), self.limit)
@@ -110,6 +145,9 @@ def muscle_force(
         pressure: above the surroundings, Pa, of any shape.
         contraction: relative to the length at rest, of the same shape or one number.
         length: of the muscle at rest, m.
+
+    Returns:
+        Force, N, of the shape of the arguments; 0 where the muscle is slack.
 
     Raises:
         InputError: a number that is not finite, a negative pressure, or a contraction of 1 or

@@ -152,6 +152,9 @@ def net_torque(
         load: torque from outside, towards negative angles, N m.
         angle: of the pair, rad.
         ahead: whether the first muscle is the inner one, of the angle's shape; what decides at 0.
+
+    Returns:
+        Torque, N m, of the shape of the angle.
     """
     one = jnp.ones_like(angle)
     first = muscle_balance(pair.joint.geometry, angle, one, ahead)

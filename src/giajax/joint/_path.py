@@ -56,6 +56,9 @@ def muscle_path(
         geometry: of the joint.
         angle: bending angles of the muscle, rad.
         inner: the side, which matters at 0 only; by default a muscle at 0 is the inner one.
+
+    Returns:
+        The path, in arrays of the shape of the angle.
     """
     inner = angle >= 0 if inner is None else inner
     anchor_x, anchor_y = geometry.anchor(angle)
@@ -90,6 +93,12 @@ def branch_angles(geometry: JointGeometry) -> tuple[float, float]:
     The second is in closed form, tan(angle / 2) = -(N_y - Q_y) / (N_x - Q_x) in the frame of the
     link; the first is a root of C_y = H_y, by bisection. 0 where a muscle is on its branch at
     every angle of that side, and NaN where a branch is not reached within 90 deg.
+
+    Arguments:
+        geometry: of the joint.
+
+    Returns:
+        The angle of the inner wire, and that of the outer muscle, rad.
     """
     taut, wrap = _branch_angles(geometry)
     return float(taut), float(wrap)

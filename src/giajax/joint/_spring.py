@@ -45,6 +45,9 @@ def joint_spring(
         near: where to look, rad; not 0, where the corrections have their step.
         load: torque from outside, towards negative angles, N m.
 
+    Returns:
+        Rest angle (rad) and stiffness (N m/rad).
+
     Raises:
         InputError: there is no equilibrium near, or it is not stable, or it lies at 0.
 

@@ -81,7 +81,17 @@ def _muscle_state(joint: Joint, angle: Array, torque: Array, inner: Array) -> Mu
 
 
 def balanced(joint: Joint, angle: Array, torque: Array, inner: Array) -> MuscleState:
-    """State of a muscle, its correction added to the torque; nothing is checked."""
+    """State of a muscle, its correction added to the torque; nothing is checked.
+
+    Arguments:
+        joint: the joint.
+        angle: bending angles of the muscle, rad.
+        torque: on the joint, N m, of the same shape.
+        inner: whether the muscle is the inner one, of the same shape.
+
+    Returns:
+        The state of the muscle.
+    """
     corrected = torque + joint.correction(angle, inner)
     return muscle_balance(joint.geometry, angle, corrected, inner)
 

@@ -41,6 +41,9 @@ def is_disturbance(path: str) -> bool:
 
     Arguments:
         path: of the parameter or of one element of it, such as `air.wind[0]`.
+
+    Returns:
+        True for a disturbance, by which only `steps_for="derivatives"` may be differentiated.
     """
     name = path.partition("[")[0]
     return any(name == known or name.startswith(f"{known}.") for known in _PARAMETERS)
@@ -48,6 +51,9 @@ def is_disturbance(path: str) -> bool:
 
 def check_steps_for(steps_for: str) -> None:
     """Refuse an unknown choice of steps.
+
+    Arguments:
+        steps_for: the choice.
 
     Raises:
         InputError: neither "motion" nor "derivatives".
@@ -68,6 +74,9 @@ def refuse_disturbances(steps_for: str, arm: Arm, inputs: Any) -> Scalar:
         steps_for: what the steps are short enough for.
         arm: the arm.
         inputs: commands, wind, torque and initial state.
+
+    Returns:
+        0, shape ().
 
     Raises:
         TypeError: while the program is traced, in forward or in reverse mode.

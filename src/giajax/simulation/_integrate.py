@@ -37,7 +37,15 @@ def integrate(
 ) -> Trajectory:
     """The compiled core of `simulate`: no checks, never raises.
 
-    `span` is from when to when to integrate, where that is not from the first to the last time.
+    Arguments:
+        arm, command, times, wind, torque: as of `simulate`.
+        state: angles (rad) and rates (rad/s) at the beginning, shape (2, joint).
+        tolerances: relative and absolute tolerance of a step.
+        solver, max_steps, derivatives, steps_for: as of `simulate`.
+        span: from when to when to integrate, s; by default from the first to the last time.
+
+    Returns:
+        The trajectory at the times; its result code says how the integration ended.
     """
     begin, end = (times[0], times[-1]) if span is None else span
     inputs = [signal for signal in (command, wind, torque) if signal is not None]

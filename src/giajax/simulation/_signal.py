@@ -24,6 +24,11 @@ class Signal(eqx.Module):
 
     From knot i on, until the next knot, the value is `values[i] + slopes[i] * (t - times[i])`;
     before the first knot it is `values[0]`.
+
+    Arguments:
+        times: of the knots, increasing, s, shape (knot,).
+        values: just after each knot, shape (knot, width).
+        slopes: after each knot, per second, shape (knot, width).
     """
 
     times: Float[Array, " knot"]
@@ -59,7 +64,14 @@ class Signal(eqx.Module):
 
 
 def constant(value: Any) -> Signal:
-    """A signal that never changes; `value` has shape (width,) and may be differentiated."""
+    """A signal that never changes.
+
+    Arguments:
+        value: shape (width,); may be differentiated.
+
+    Returns:
+        The signal; its one knot is at 0 s.
+    """
     value = jnp.atleast_1d(jnp.asarray(value, dtype=jnp.result_type(float)))
     return _signal(np.zeros(1), value[None], np.zeros((1, value.size)))
 
@@ -70,6 +82,9 @@ def steps(times: Any, values: Any) -> Signal:
     Arguments:
         times: strictly increasing, shape (row,), s.
         values: shape (row, width).
+
+    Returns:
+        The signal; rows that repeat the one before are left out.
     """
     times, values = _rows(times, values)
     changes = np.concatenate([[True], np.any(values[1:] != values[:-1], axis=1)])
@@ -87,6 +102,9 @@ def ramps(times: Any, values: Any, *, tolerance: float = 1e-5) -> Signal:
         values: shape (row, width).
         tolerance: how far a merged row may lie off the line, as a fraction of the largest value;
             the default merges rows that were rounded to six digits.
+
+    Returns:
+        The signal; rows on a straight line between their neighbours are left out.
     """
     times, values = _rows(times, values)
     allowed = tolerance * max(np.abs(values).max(), 1e-300)
@@ -99,6 +117,14 @@ def ramps(times: Any, values: Any, *, tolerance: float = 1e-5) -> Signal:
 
 def logged(times: Any, values: Any, interpolation: str = "linear") -> Signal:
     """A signal through logged rows: `zoh` holds each row until the next, `linear` joins them.
+
+    Arguments:
+        times: strictly increasing, shape (row,), s.
+        values: shape (row, width).
+        interpolation: "zoh" or "linear".
+
+    Returns:
+        The signal.
 
     Raises:
         InputError: another interpolation, or times that do not increase.
@@ -118,6 +144,9 @@ def joint_steps(joints: int, angles: Mapping[int, float], *, time: float = 0.0) 
         angles: commanded angle by joint number (1 is the base joint), rad.
         time: of the step, s.
 
+    Returns:
+        The command, in rad, with one column for each joint.
+
     Example:
         >>> import giajax
         >>> command = giajax.joint_steps(20, {1: 0.5236}, time=0.5)
@@ -135,6 +164,9 @@ def joint_ramps(
         joints: number of joints of the arm.
         angles: commanded angle at the end by joint number (1 is the base joint), rad.
         start, duration: of the movement, s.
+
+    Returns:
+        The command, in rad, with one column for each joint.
     """
     if not duration > 0:
         raise InputError(

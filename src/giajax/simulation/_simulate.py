@@ -65,6 +65,9 @@ def simulate(
             is the same with and without derivatives.
         throw: raise when the simulation fails; otherwise read `Trajectory.result`.
 
+    Returns:
+        The motion at the times, with angles (rad), rates (rad/s) and how the simulation ended.
+
     Raises:
         InputError: shapes that do not fit the arm, times that do not increase, an unknown
             solver, mode or choice of steps.
@@ -154,6 +157,11 @@ def _check(
 
 def check_wind(arm: Arm, wind: Signal | None) -> None:
     """Refuse a wind that jumps where the arm has added mass.
+
+    Arguments:
+        arm: the arm.
+        wind: velocity of the air over time; None for still air. While a program is traced nothing
+            is checked.
 
     Raises:
         InputError: the jump would be an infinite force for no time.
