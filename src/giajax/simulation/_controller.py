@@ -53,7 +53,7 @@ def step_size_controller(
         corners: times that no step may cross, s.
         rates: of what a derivative may set swinging; None where the motion alone counts.
     """
-    slowness = stable = jnp.asarray(jnp.inf)
+    slowness = stable = jnp.full((), jnp.inf)
     if rates is not None:
         slowness = 1 / rates.all
         stable = _STABLE.get(type(solver), jnp.inf) / rates.explicit

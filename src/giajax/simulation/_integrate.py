@@ -35,7 +35,7 @@ def integrate(
     steps_for: str,
     span: tuple[Scalar, Scalar] | None = None,
 ) -> Trajectory:
-    """The compiled core of `simulate`: no checks, never raises.
+    """The compiled core of `simulate`: no checks, and a failure is a result code.
 
     Arguments:
         arm, command, times, wind, torque: as of `simulate`.
@@ -46,6 +46,9 @@ def integrate(
 
     Returns:
         The trajectory at the times; its result code says how the integration ended.
+
+    Raises:
+        TypeError: differentiated by a disturbance with `steps_for="motion"`.
     """
     begin, end = (times[0], times[-1]) if span is None else span
     inputs = [signal for signal in (command, wind, torque) if signal is not None]
@@ -54,11 +57,11 @@ def integrate(
     if derivatives == "forward":
         rtol = rtol + refuse_disturbances(steps_for, arm, (inputs, state))
     method = solver_named(solver)
-    rates = None
+    fastest = None
     if steps_for == "derivatives":
         rate = fastest_rate(arm, state[0])
         implicit = isinstance(method, LinearlyImplicit)
-        rates = Rates(rate, fastest_rate(arm, state[0], springs=False) if implicit else rate)
+        fastest = Rates(rate, fastest_rate(arm, state[0], springs=False) if implicit else rate)
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(motion),
         method,
@@ -68,7 +71,7 @@ def integrate(
         y0=state,
         args=Inputs(arm, command, wind, torque, eqxi.prevbefore(end)),
         saveat=diffrax.SaveAt(ts=times),
-        stepsize_controller=step_size_controller(method, rtol, atol, corners, rates),
+        stepsize_controller=step_size_controller(method, rtol, atol, corners, fastest),
         adjoint=adjoint(derivatives),
         max_steps=max_steps,
         throw=False,
