@@ -46,6 +46,7 @@ class OwnHeights(AbstractModel):
     from_definition = Decay.from_definition
     failure = Decay.failure
     refined = Decay.refined
+    for_derivatives = Decay.for_derivatives
     conditions = Decay.conditions
     definition = Decay.definition
 

@@ -74,7 +74,7 @@ def test_half_widths_are_linear_between_their_pressures():
     friction = giajax.replace(friction, {"half_width[0]": 2.0, "half_width[1]": 6.0})
     widths = friction.width(np.array([0.5e5, 1e5, 2e5, 3e5, 9e5]))
     np.testing.assert_allclose(widths, [2, 2, 4, 6, 6])
-    with pytest.raises(InputError, match="must increase"):
+    with pytest.raises(InputError, match="pressures of friction do not increase"):
         Friction.at_pressures((3e5, 1e5))
 
 

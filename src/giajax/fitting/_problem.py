@@ -88,6 +88,10 @@ class Problem(eqx.Module):
         values = self.bijector.part(len(self.paths)).forward(coordinate[: len(self.paths)])
         return replace(self.model, {path: values[i] for i, path in enumerate(self.paths)})
 
+    def free_paths(self, group: Group) -> tuple[str, ...]:
+        """Paths of all that the predictions of a group's runs are differentiated by."""
+        return (*self.paths, *(path for path, _ in group.own))
+
     def labels(self, runs: Sequence[Run]) -> list[str]:
         """Names of all free coordinates."""
         names = list(self.paths)
@@ -120,7 +124,8 @@ def _run_residual(
     """Residual of one run; its prediction and whether that succeeded come beside it."""
     count = len(problem.paths)
     inputs = _with_own(inputs, group, shared_and_own[count:])
-    predicted, successful = problem.at(shared_and_own).predict(inputs, group.channels)
+    model = problem.at(shared_and_own).for_derivatives(problem.free_paths(group))
+    predicted, successful = model.predict(inputs, group.channels)
     table = jnp.stack([predicted[name] for name in group.channels], axis=-1)
     # An unmeasured cell must not carry the NaN of a failed simulation times zero.
     difference = jnp.where(weight > 0, (table - observed) * weight, 0)

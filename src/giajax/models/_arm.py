@@ -1,5 +1,6 @@
 """The arm as a model: from commands and wind to positions and joint angles."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Self
 
@@ -18,10 +19,13 @@ from ..simulation import (
     SOLVERS,
     Signal,
     SimulationError,
+    StepsFor,
     Trajectory,
+    check_steps_for,
     check_wind,
     constant,
     integrate,
+    is_disturbance,
     logged,
 )
 from ._arm_scene import arm_scene
@@ -108,6 +112,7 @@ class ArmModel(AbstractModel):
         solver: one of `giajax.SOLVERS`.
         max_steps: step limit of one simulation.
         sensors: what stands between the motion and its recording; exact by default.
+        steps_for: what the integrator's steps are short enough for; see `giajax.simulate`.
     """
 
     kind: ClassVar[str] = "arm"
@@ -119,8 +124,10 @@ class ArmModel(AbstractModel):
     solver: str = eqx.field(default="tsit5", static=True)
     max_steps: int = eqx.field(default=_MAX_STEPS, static=True)
     sensors: Sensors = inline(default_factory=Sensors)
+    steps_for: StepsFor = eqx.field(default="motion", static=True)
 
     def __check_init__(self) -> None:
+        check_steps_for(self.steps_for)
         if self.solver not in SOLVERS:
             raise InputError(
                 f"there is no solver '{self.solver}'; use one of: {', '.join(SOLVERS)}"
@@ -241,6 +248,7 @@ class ArmModel(AbstractModel):
             solver=self.solver,
             max_steps=self.max_steps,
             derivatives="forward",
+            steps_for=self.steps_for,
             span=(inputs.times[0], end),
         )
 
@@ -292,6 +300,12 @@ class ArmModel(AbstractModel):
     def refined(self, factor: float) -> Self:
         """The same model with the integrator's tolerances multiplied by a factor."""
         return eqx.tree_at(lambda model: model.tolerance, self, self.tolerance * factor)
+
+    def for_derivatives(self, paths: Sequence[str]) -> Self:
+        """With the steps that a parameter needs which may set moving what is at rest."""
+        if not any(path.startswith("initial.") or is_disturbance(path) for path in paths):
+            return self
+        return dataclasses.replace(self, steps_for="derivatives")
 
     def conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
         """The scale that motion alone cannot determine, and what C_D and sensors refer to."""

@@ -221,6 +221,10 @@ class HysteresisModel(AbstractModel):
         """The same model with a finer integration, where it has one."""
         return eqx.tree_at(lambda model: model.operator, self, self.operator.refined(factor))
 
+    def for_derivatives(self, paths: Sequence[str]) -> Self:
+        """The same: its steps are those of the samples."""
+        return self
+
     def conditions(self, free: Sequence[str], runs: Sequence[Run] = ()) -> list[str]:
         """That beta, gamma and delta count only as products."""
         return products_condition(free) if isinstance(self.operator, BoucWen) else []

@@ -135,6 +135,10 @@ class JointModel(AbstractModel):
         """The same: it is in closed form."""
         return self
 
+    def for_derivatives(self, paths: Sequence[str]) -> Self:
+        """The same: it is in closed form."""
+        return self
+
     def conditions(self, free: Sequence[str], runs: Sequence[Run] = ()) -> list[str]:
         """That alpha and beta are what the geometry and the torque leave over."""
         sentences = []

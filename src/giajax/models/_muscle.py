@@ -208,6 +208,10 @@ class MuscleModel(AbstractModel):
         """The same: it is in closed form."""
         return self
 
+    def for_derivatives(self, paths: Sequence[str]) -> Self:
+        """The same: it is in closed form."""
+        return self
+
     def conditions(self, free: Sequence[str], runs: Sequence[Run] = ()) -> list[str]:
         """What is referred to values that were held."""
         referred = {

@@ -125,6 +125,10 @@ class OscillatorModel(AbstractModel):
         """The same model with more steps from sample to sample."""
         return eqx.tree_at(lambda model: model.oscillator, self, self.oscillator.refined(factor))
 
+    def for_derivatives(self, paths: Sequence[str]) -> Self:
+        """The same: its steps are those of the samples."""
+        return self
+
     def conditions(self, free: Sequence[str], runs: Sequence[Run] = ()) -> list[str]:
         """That beta, gamma and delta count only as products."""
         return products_condition(free)

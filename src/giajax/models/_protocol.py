@@ -77,6 +77,17 @@ class AbstractModel(eqx.Module):
         """The same model with its numerical tolerances multiplied by a factor."""
 
     @abc.abstractmethod
+    def for_derivatives(self, paths: Sequence[str]) -> Self:
+        """The same model, as exact in derivatives by some parameters as in its predictions.
+
+        A model that integrates may need shorter steps for them. Its predictions do not depend on
+        whether they are differentiated, so that a fit and a sensitivity study ask for this.
+
+        Arguments:
+            paths: of parameters of the model, or of the prepared inputs (`free_inputs`).
+        """
+
+    @abc.abstractmethod
     def conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
         """Sentences: on what the given parameters, fitted to these runs, are conditional."""
 
