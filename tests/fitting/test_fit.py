@@ -8,7 +8,7 @@ import pytest
 
 import giajax
 from giajax import InputError, Run
-from giajax.fitting import configuration, fit
+from giajax.fitting import fit, set_up
 from toy_model import TRUTH, Decay, height, run
 
 START = {"amplitude": 0.5, "decay": 3.0, "offset": -1.0}
@@ -26,9 +26,9 @@ def test_the_truth_is_recovered_with_honest_errors():
     assert result.status == "converged"
     assert max(abs(pull) for pull in pulls(result).values()) < 3
     assert result.reduced_chi_square == pytest.approx(1, abs=0.5)
-    assert result.conditions == ["about amplitude", "about decay", "about offset"]
-    assert result.gradient_check["relative_difference"] < 1e-7
-    assert [entry["number"] for entry in result.history] == list(range(result.iterations + 1))
+    assert result.conditions == ("about amplitude", "about decay", "about offset")
+    assert result.gradient_check.relative_difference < 1e-7
+    assert [entry.number for entry in result.history] == list(range(result.iterations + 1))
 
 
 def test_intervals_cover_the_truth_as_often_as_they_claim():
@@ -44,7 +44,7 @@ def test_intervals_cover_the_truth_as_often_as_they_claim():
 def test_noise_that_nobody_stated_is_estimated():
     stated = fit(Decay(), run(sigma=0.05, samples=400))
     guessed = fit(Decay(), run(sigma=0.05, samples=400, state_noise=False))
-    assert guessed.runs[0]["channels"]["tip_z"]["noise"] == pytest.approx(0.05, rel=0.1)
+    assert guessed.runs[0].channels["tip_z"].noise == pytest.approx(0.05, rel=0.1)
     for path in TRUTH:
         assert guessed.parameters[path].standard_error == pytest.approx(
             stated.parameters[path].standard_error, rel=0.15
@@ -83,7 +83,7 @@ def test_missing_cells_do_not_count():
         definition={"free_motion": True},
     )
     ours, theirs = fit(Decay(), with_gaps), fit(Decay(), without)
-    assert ours.runs[0]["channels"]["tip_z"]["n"] == 40
+    assert ours.runs[0].channels["tip_z"].n == 40
     for path in TRUTH:
         assert ours.parameters[path].value == pytest.approx(theirs.parameters[path].value, rel=1e-6)
 
@@ -111,7 +111,7 @@ def test_several_runs_of_several_lengths_are_one_fit():
     joint = together.parameters["decay"]
     assert joint.standard_error == pytest.approx(weights.sum() ** -0.5, rel=0.1)
     assert abs(joint.value - mean) < joint.standard_error
-    assert [entry["channels"]["tip_z"]["n"] for entry in together.runs] == [60, 47]
+    assert [entry.channels["tip_z"].n for entry in together.runs] == [60, 47]
     for one, predicted in zip(runs, together.predictions, strict=True):
         values = {path: together.parameters[path].value for path in TRUTH}
         np.testing.assert_allclose(predicted["tip_z"], height(one.times, **values), rtol=1e-9)
@@ -125,7 +125,7 @@ def test_a_parameter_without_response_is_named_before_the_first_step():
     assert idle.value == 4.0
     assert idle.standard_error is None
     assert all(iteration.parameters["idle"] == 4.0 for iteration in seen)
-    assert result.correlation["parameters"] == ["decay"]
+    assert result.correlation.parameters == ("decay",)
 
 
 def test_nothing_responds_is_no_convergence():
@@ -253,7 +253,7 @@ def test_wrong_questions_are_one_sentence(arguments, sentence):
     with pytest.raises(InputError, match=sentence):
         fit(Decay(), run(), **arguments)
     with pytest.raises(InputError, match=sentence):
-        configuration(Decay(), [run()], **arguments)
+        set_up(Decay(), [run()], **arguments)
 
 
 def test_an_interrupted_fit_keeps_the_best():

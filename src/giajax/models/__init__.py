@@ -30,6 +30,7 @@ from ._protocol import (
     AbstractModel as AbstractModel,
     Channels as Channels,
     Derived as Derived,
+    Integration as Integration,
 )
 from ._recording import (
     RecordingErrors as RecordingErrors,

@@ -1,5 +1,6 @@
 """The arm as a model: from commands and wind to positions and joint angles."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Self
 
@@ -21,7 +22,7 @@ from ._definition import (
 )
 from ._delays import Seen, seen_with_delays
 from ._initial import initial_state
-from ._protocol import AbstractModel, Channels
+from ._protocol import AbstractModel, Channels, Integration
 from ._sensors import CONDITIONS, Sensors
 
 # Positions of the 20 m arm are then right to about 1e-6 m, far below the noise of a camera.
@@ -263,6 +264,22 @@ class ArmModel(AbstractModel):
     def refined(self, factor: float) -> Self:
         """The same model with the integrator's tolerances multiplied by a factor."""
         return eqx.tree_at(lambda model: model.tolerance, self, self.tolerance * factor)
+
+    def integration(self) -> Integration:
+        """Its solver, and the relative and absolute tolerance."""
+        return Integration(self.solver, float(self.tolerance))
+
+    def with_integration(self, *, solver: str | None, tolerance: float | None) -> Self:
+        """The same arm with another solver or tolerance."""
+        if tolerance is not None and not 0 < tolerance < np.inf:
+            raise InputError(
+                f"the tolerance is {tolerance:g}, and must be positive: give a number such as "
+                f"{_TOLERANCE:g}"
+            )
+        model = self if solver is None else dataclasses.replace(self, solver=solver)
+        if tolerance is None:
+            return model
+        return dataclasses.replace(model, tolerance=jnp.asarray(tolerance))
 
     def conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
         """The scale that motion alone cannot determine, and what C_D and sensors refer to."""
