@@ -2,13 +2,18 @@
 
 import dataclasses
 import json
+from typing import ClassVar
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import giajax
 from giajax import InputError, Run
 from giajax.fitting import fit, set_up
+from giajax.fitting._state import begin, step, trial
+from giajax.report import summary
 from toy_model import TRUTH, Decay, height, run
 
 START = {"amplitude": 0.5, "decay": 3.0, "offset": -1.0}
@@ -185,6 +190,49 @@ def test_an_optimum_at_a_bound_has_an_error_and_says_so():
     assert decay.value < 0.1 * decay.standard_error
 
 
+class Rough(Decay):
+    """Predictions with the rounding of a simulation, which no derivative sees."""
+
+    def predict(self, inputs, channels):
+        predicted, fine = super().predict(inputs, channels)
+        rounding = {
+            name: jax.lax.stop_gradient(1e-9 * jnp.sin(1e12 * values))
+            for name, values in predicted.items()
+        }
+        return {name: values + rounding[name] for name, values in predicted.items()}, fine
+
+
+def test_a_parameter_at_its_bound_takes_no_part_in_the_gradient_check():
+    """Its coordinate is flat there: weighed like the others it would leave them no step."""
+    times = np.linspace(0.0, 4.0, 60)
+    rising = 2.0 + 0.002 * times + np.random.default_rng(0).normal(scale=0.01, size=60)
+    recording = Run.from_arrays(
+        times, {"tip_z": rising}, noise={"position": 0.01}, definition={"free_motion": True}
+    )
+    result = fit(Rough(), recording, fix={"offset": 0.0})
+    assert "at its lower bound" in result.parameters["decay"].remark
+    check = result.gradient_check
+    assert check.left_out == ("decay",)
+    assert check.direction == {"amplitude": 1.0, "decay": 0.0}
+    assert check.relative_difference < 1e-4
+    assert "DISAGREE" not in summary(result)
+    assert "without decay" in summary(result)
+
+
+def test_a_gradient_check_sees_a_wrong_derivative():
+    result = fit(Misled(), run(), max_iterations=3)
+    assert result.gradient_check.relative_difference > 0.1
+    assert "DISAGREE" in summary(result)
+
+
+class Misled(Decay):
+    """Its derivative by the decay is half of what it is."""
+
+    def predict(self, inputs, channels):
+        slow = (self.decay + jax.lax.stop_gradient(self.decay)) / 2
+        return super(Misled, dataclasses.replace(self, decay=slow)).predict(inputs, channels)
+
+
 def test_the_same_recording_twice_is_refused(tmp_path):
     giajax.write_run(tmp_path / "a.csv", run().times, run().values, definition=run().definition)
     for suffix in ("csv", "toml"):
@@ -267,6 +315,42 @@ def test_an_interrupted_fit_keeps_the_best():
     assert result.gradient_check is None
 
 
+def test_an_interrupted_step_keeps_the_state_before_it(monkeypatch):
+    from giajax.fitting import _descend
+
+    step, seen = _descend.trial, []
+
+    def interrupted(state):
+        if len(seen) == 2:
+            raise KeyboardInterrupt
+        seen.append(step(state))
+        return seen[-1]
+
+    monkeypatch.setattr(_descend, "trial", interrupted)
+    result = fit(Decay(), run(), start=START)
+    assert (result.status, result.iterations) == ("interrupted", 2)
+    assert result.cost == seen[-1].cost
+    values = {path: estimate.value for path, estimate in result.free.items()}
+    assert values == seen[-1].parameters()
+
+
+def test_a_transition_leaves_the_state_that_it_was_given():
+    begun = begin(set_up(Decay(), run(), start=START))
+    first = step(begun)
+    assert not begun.evaluated
+    before = (first.cost, first.parameters(), first.history)
+    second = trial(first)
+    assert second.cost < first.cost
+    assert (first.cost, first.parameters(), first.history) == before
+    assert (len(second.history), second.trials) == (1, 1)
+
+
+def test_a_solver_is_refused_by_a_model_without_one():
+    for settings in ({"solver": "tsit5"}, {"tolerance": 1e-9}):
+        with pytest.raises(InputError, match="decay model has neither a solver nor a tolerance: "):
+            fit(Decay(), run(), **settings)
+
+
 def test_too_few_iterations_is_no_convergence():
     result = fit(Decay(), run(), start=START, max_iterations=1)
     assert result.status == "not_converged"
@@ -281,15 +365,26 @@ def test_the_result_is_json_without_nan():
     assert record["config"]["free"] == ["decay", "idle"]
 
 
+class Counted(Decay):
+    """Counts how often it is traced, which is once for each program that is compiled."""
+
+    traces: ClassVar[list[str]] = []
+
+    def predict(self, inputs, channels):
+        self.traces.append("traced")
+        return super().predict(inputs, channels)
+
+
 def test_the_same_fit_compiles_once():
-    fit(Decay(), run(), check=False)
-    again = fit(Decay(), run(seed=9), check=False)
-    assert again.seconds["compile"] < 0.1
+    first = fit(Counted(), run())
+    traced = len(Counted.traces)
+    assert traced > 0
+    again = fit(Counted(), run(seed=9))
+    assert again.parameters["decay"].value != first.parameters["decay"].value
+    assert len(Counted.traces) == traced
 
 
 def test_32_bit_is_warned_once(monkeypatch):
-    import jax
-
     from giajax.fitting import _fit
 
     monkeypatch.setattr(_fit, "_warned", False)
