@@ -95,7 +95,7 @@ def test_it_is_found_from_a_recorded_history(case):
     assert max(started) > 0.2
     result = fit(model, run)
     assert result.status == "converged", result.message
-    assert result.gradient_check["relative_difference"] < 1e-3
+    assert result.gradient_check.relative_difference < 1e-3
     assert result.reduced_chi_square == pytest.approx(1, abs=4 * np.sqrt(2 / len(INPUT)))
     for path, estimate in result.free.items():
         value = float(
@@ -145,7 +145,11 @@ def test_a_memory_that_is_stated_stays_where_it_is():
     assert model_for([run]).at_start([run], []).previous_extremes == 0
     stated = dataclasses.replace(truth_of("plays"), previous_extremes=jnp.asarray([0.6]))
     assert stated.at_start([run], ["previous_extremes[0]"]).previous_extremes == 0.6
-    told, _ = set_up(model_for([run]), [run], free, {"previous_extremes": 0.5}, {})
+    told = (
+        set_up(model_for([run]), [run], free=free, start={"previous_extremes": 0.5})
+        .at_start()
+        .model
+    )
     assert told.previous_extremes == 0.5
 
 

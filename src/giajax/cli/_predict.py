@@ -1,7 +1,7 @@
 """`giajax predict`: how well a model predicts runs that it was not fitted to."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -93,12 +93,16 @@ def predict(
         return read_runs(data, definition_of(source).merged_with(settings), rename=renamed)
 
     runs = runs_for(model)
-    one = model_of(model, runs)
+    ours = model_of(model, runs)
     other = None if against is None else model_of(against, runs_for(against))
-    rows = compare(one, runs, other, refit_initial=refit_initial)
     headings = ["run", "channel", "unit", "values", "RMSE", "largest"]
-    if other is not None:
+    if against is not None:
         headings += ["RMSE of the other", "ratio"]
+    rows: list[list[Any]] = [
+        [one.run, one.channel, one.unit, one.n, one.rmse, one.largest]
+        + ([] if against is None else [one.reference_rmse, one.ratio])
+        for one in compare(ours, runs, other, refit_initial=refit_initial)
+    ]
     print_table(headings, rows, left=3)
     if out is not None:
         lines = [",".join(str(cell) for cell in row) for row in [headings, *rows]]

@@ -29,6 +29,7 @@ from ._protocol import (
     AbstractModel as AbstractModel,
     Channels as Channels,
     Derived as Derived,
+    Integration as Integration,
 )
 from ._response import (
     Columns as Columns,

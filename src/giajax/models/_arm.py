@@ -37,7 +37,7 @@ from ._definition import (
 )
 from ._delays import Seen, seen_with_delays
 from ._initial import initial_state
-from ._protocol import AbstractModel, Channels
+from ._protocol import AbstractModel, Channels, Integration
 from ._scene import Scene
 from ._sensors import CONDITIONS, Sensors
 
@@ -306,6 +306,22 @@ class ArmModel(AbstractModel):
         if not any(path.startswith("initial.") or is_disturbance(path) for path in paths):
             return self
         return dataclasses.replace(self, steps_for="derivatives")
+
+    def integration(self) -> Integration:
+        """Its solver, and the relative and absolute tolerance."""
+        return Integration(self.solver, float(self.tolerance))
+
+    def with_integration(self, *, solver: str | None, tolerance: float | None) -> Self:
+        """The same arm with another solver or tolerance."""
+        if tolerance is not None and not 0 < tolerance < np.inf:
+            raise InputError(
+                f"the tolerance is {tolerance:g}, and must be positive: give a number such as "
+                f"{_TOLERANCE:g}"
+            )
+        model = self if solver is None else dataclasses.replace(self, solver=solver)
+        if tolerance is None:
+            return model
+        return dataclasses.replace(model, tolerance=jnp.asarray(tolerance))
 
     def conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
         """The scale that motion alone cannot determine, and what C_D and sensors refer to."""

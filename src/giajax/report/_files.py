@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from .._errors import InputError
-from ..fitting import FitResult
+from ..fitting import FitResult, RunFit
 from ..runs import Definition, Run, check_output_folder, make_folder, run_keys, write_files
 from ._correlation import correlation_figure
 from ._recorded import recorded_figure
@@ -37,7 +37,7 @@ def check_folder(
     Arguments:
         folder: where `write_result` is to write; need not exist.
         runs: the runs to be fitted.
-        config: what `giajax.fitting.configuration` says of the fit.
+        config: of the fit: `Setup.config`, which `giajax.fitting.set_up` makes.
         force: write over any result that is there.
 
     Raises:
@@ -92,7 +92,7 @@ def write_result(result: FitResult, runs: Run | Sequence[Run], folder: str | Pat
     """
     folder = Path(folder)
     runs = [runs] if isinstance(runs, Run) else list(runs)
-    if [run.sha256 for run in runs] != [record["sha256"] for record in result.runs]:
+    if [run.sha256 for run in runs] != [record.sha256 for record in result.runs]:
         raise InputError("the runs are not those of the result; give the same ones in their order")
     # A result that was loaded has no predictions with it.
     predictions = result.predictions or [result.predict(run) for run in runs]
@@ -137,8 +137,8 @@ def _worth_drawing(result: FitResult) -> list[int]:
     if len(result.runs) <= _MOST_RUNS:
         return list(range(len(result.runs)))
 
-    def misfit(record: Mapping[str, Any]) -> float:
-        ratios = [c["rmse"] / c["noise"] for c in record["channels"].values() if c["rmse"]]
+    def misfit(record: RunFit) -> float:
+        ratios = [c.rmse / c.noise for c in record.channels.values() if c.rmse]
         return max(ratios, default=0.0)
 
     worst = sorted(range(len(result.runs)), key=lambda index: -misfit(result.runs[index]))

@@ -72,6 +72,13 @@ class Fit(Section):
     loss: Literal["linear", "huber", "soft_l1"] | None = key(
         '"linear", "huber" or "soft_l1"', "how a large residual counts"
     )
+    solver: Name | None = key("the name of a solver", "of the simulation")
+    tolerance: Positive | None = key(
+        "a positive number", "relative and absolute tolerance of the simulation"
+    )
+    max_iterations: Annotated[int, Field(ge=1)] | None = key(
+        "a whole number of at least 1", "trial steps before the fit gives up"
+    )
     out: Name | None = key("the name of a folder", "where the result goes")
 
     @field_validator("start", "fix", mode="before")
