@@ -8,9 +8,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 import giajax.arm as mechanics
-from arms import full_arm, general_arm, random_states
 from giajax.arm import takeichi_20m
 from giajax.parameters import replace
+from peers.arms import full_arm, general_arm, random_states
 
 LINKS = 3
 

@@ -10,7 +10,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 import giajax.arm
-from arms import full_arm, random_states
 from giajax._errors import InputError
 from giajax.arm import (
     PointMasses,
@@ -22,6 +21,7 @@ from giajax.arm import (
     trimmed,
 )
 from giajax.parameters import replace
+from peers.arms import full_arm, random_states
 
 acceleration = eqx.filter_jit(giajax.arm.acceleration)
 inverse_dynamics = eqx.filter_jit(giajax.arm.inverse_dynamics)

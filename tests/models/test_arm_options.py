@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 import giajax
-from arms import full_arm
 from giajax import InputError, Run
 from giajax.fitting import fit
 from giajax.models import (
@@ -16,6 +15,7 @@ from giajax.models import (
     parameter_values,
 )
 from giajax.runs import Definition
+from peers.arms import full_arm
 
 TIMES = np.linspace(0.0, 3.0, 31)
 RAMP = np.clip(TIMES - 0.3, 0, 0.7)
