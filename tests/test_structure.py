@@ -4,11 +4,14 @@ Everything here is read from the text of the files; nothing of giajax is importe
 """
 
 import ast
+import functools
 import graphlib
 import itertools
 from pathlib import Path
 
 import pytest
+
+pytestmark = pytest.mark.quick
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "giajax"
@@ -46,6 +49,7 @@ def named(path):
     return str(path.relative_to(ROOT))
 
 
+@functools.cache
 def parsed(path):
     return ast.parse(path.read_text(encoding="utf-8"))
 

@@ -11,6 +11,8 @@ import pytest
 from giajax._errors import InputError
 from giajax.runs import Definition, Run, read_run, write_run
 
+pytestmark = pytest.mark.quick
+
 BASE = "time_s,joint01_command_deg,link06_z_m\n0,0,0.1\n0.1,30,\n0.2,30,-0.3\n"
 
 
