@@ -59,6 +59,12 @@ def count_programs(event, duration, **_):
 jax.monitoring.register_event_duration_secs_listener(count_programs)
 
 
+@pytest.fixture
+def compiled():
+    """A function that says how many programs this process has compiled so far."""
+    return lambda: programs
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item):
     """A test that says that it is quick compiles nothing, however fast the machine."""
