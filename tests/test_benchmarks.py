@@ -60,6 +60,7 @@ def test_the_benchmark_of_batches_runs(tmp_path):
     assert all(seconds > 0 for part in ("evaluation", "run") for seconds in found[part].values())
 
 
+@pytest.mark.slow
 def test_the_benchmark_of_the_scans_runs():
     size = ["--samples", "500", "--thresholds", "5", "--repeats", "1"]
     rows = json.loads(benchmark("hysteresis", *size, "--json"))

@@ -53,7 +53,7 @@ def test_no_public_function_is_left_out():
     assert functions - builders - without_state == set(FUNCTIONS)
 
 
-@pytest.mark.parametrize("build", [general_arm, full_arm])
+@pytest.mark.parametrize("build", [general_arm, pytest.param(full_arm, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_both_modes_agree_with_differences(name, build):
     """One random direction over every number of the arm, of the state and of the wind at once."""

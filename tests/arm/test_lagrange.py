@@ -181,6 +181,7 @@ def lagranges_torque(arm, angles, rates, accelerations, wind, gust):
     return rate - force - drag_torque(arm, angles, rates, wind + arm.air.wind)
 
 
+@pytest.mark.slow
 def test_the_torque_is_that_of_lagrange_with_every_option_on(arm, numbers):
     @jax.jit
     def both(*state):

@@ -61,6 +61,7 @@ def test_a_link_lifts_what_the_paper_says():
     assert_allclose(inverse_dynamics(arm, *[jnp.zeros(20)] * 3)[1::2], 0, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("build", [takeichi_20m, full_arm], ids=["the paper's", "uneven"])
 def test_a_trimmed_arm_stays_wherever_it_is_put(build):
     """Weight and lift balance about every point of a level link, whatever its pose."""
@@ -89,6 +90,7 @@ def test_a_trimmed_arm_stays_wherever_it_is_put(build):
     assert np.abs(acceleration(off, angles, still, still, calm)).max() > 1e-3
 
 
+@pytest.mark.slow
 def test_the_full_arm_floats_at_rest_when_it_is_straight():
     arm, still = takeichi_20m_full(), jnp.zeros(20)
     assert_allclose(acceleration(arm, still, still, still), 0, atol=1e-11)

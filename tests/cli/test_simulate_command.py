@@ -67,6 +67,7 @@ def test_its_command_line_makes_it_again(out, tmp_path):
     assert again.with_suffix(".toml").read_bytes() == out.with_suffix(".toml").read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("digits", ["4", "9"])
 def test_steps_off_the_samples_are_read_back_as_they_were(out, digits):
     options = ["--step", "1=30@0.517", "--step", "1=0@1.23", "--step", "2=-10", "--digits", digits]
@@ -80,6 +81,7 @@ def test_steps_off_the_samples_are_read_back_as_they_were(out, digits):
         )
 
 
+@pytest.mark.slow
 def test_commands_and_wind_of_a_recorded_run(out, tmp_path):
     recorded = tmp_path / "recorded.csv"
     recorded.write_text(
@@ -213,6 +215,7 @@ def test_where_it_cannot_be_written(tmp_path, capsys):
     assert "does not exist" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_simulation_that_fails_is_one_sentence_and_status_1(out, capsys):
     options = [
         "--links",

@@ -106,6 +106,7 @@ def fitted():
     return truth, run, result
 
 
+@pytest.mark.slow
 def test_options_are_fitted(fitted):
     truth, _, result = fitted
     assert result.status == "converged", result.message
@@ -116,6 +117,7 @@ def test_options_are_fitted(fitted):
     assert result.gradient_check["relative_difference"] < 1e-5
 
 
+@pytest.mark.slow
 def test_a_result_with_options_rebuilds_its_model(fitted, tmp_path):
     _, run, result = fitted
     (tmp_path / "result.json").write_text(result.to_json())

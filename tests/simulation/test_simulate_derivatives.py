@@ -126,6 +126,7 @@ def test_forward_mode_is_the_difference(point):
         assert_allclose(column, difference, rtol=0, atol=1e-5 * max(scale, 0.1), err_msg=label)
 
 
+@pytest.mark.slow
 def test_reverse_mode_is_the_difference(point):
     vector, expected = point
     cotangent = jnp.asarray(np.random.default_rng(0).normal(size=expected.shape[0]))
@@ -172,6 +173,7 @@ def test_forward_through_a_reverse_simulation_is_refused_with_a_sentence(compile
         (jax.jit(derivative) if compiled else derivative)(1.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", ["command", "wind", "initial"])
 def test_the_refusal_covers_every_input(part):
     def last(x, derivatives):
@@ -198,6 +200,7 @@ def test_a_failing_simulation_raises_while_it_is_differentiated():
         both(jnp.asarray(jnp.nan))
 
 
+@pytest.mark.slow
 def test_only_derivatives_that_need_shorter_steps_take_them():
     """Those by the default parameters of a fit leave the steps of a planar motion alone."""
     command = joint_ramps(LINKS, {1: 0.5}, start=0.5)
