@@ -52,13 +52,14 @@ class Buoyancy(eqx.Module):
 
 
 class PointMasses(eqx.Module):
-    """Small bodies fixed to links: a camera at the tip, cables, tubes.
+    """Small bodies fixed to links: a camera at the tip, cables, tubes, the ball of a pendulum.
 
     Arguments:
         links: the link that carries each of them, counted from 1.
         mass: of each, kg.
         position: of each from its link's joint along the link, m.
         left, up: of each from the link's axis, in the straight arm, m; None: on the axis.
+        drag_area: C_D A of each, m^2; None: no body has a drag of its own.
     """
 
     links: tuple[int, ...] = eqx.field(static=True)
@@ -83,11 +84,19 @@ class PointMasses(eqx.Module):
         optional=True,
         doc="distance of a point mass above its link's axis",
     )
+    drag_area: PerBody | None = parameter(
+        1e-3,
+        unit="m^2",
+        each=True,
+        optional=True,
+        lower=0,
+        doc="C_D A of a point mass: its drag coefficient times its frontal area",
+    )
 
     def __check_init__(self) -> None:
         if not self.links or min(self.links) < 1:
             raise InputError("a point mass has no link, or one below 1: number its link from 1")
-        for name in ("mass", "position", "left", "up"):
+        for name in ("mass", "position", "left", "up", "drag_area"):
             value = getattr(self, name)
             if value is not None and value.shape not in ((), (len(self.links),)):
                 raise InputError(

@@ -22,6 +22,11 @@ class PointMass(Section):
     )
     left_m: Finite = key("a number", "its distance to the left of the link's axis", default=0.0)
     up_m: Finite = key("a number", "its distance above the link's axis", default=0.0)
+    drag_area_m2: NotNegative = key(
+        "zero or a positive number",
+        "its drag coefficient times its frontal area, for a drag of its own",
+        default=0.0,
+    )
 
 
 class ArmSection(Section):

@@ -72,6 +72,7 @@ _SCALE = (
     "buoyancy.trim_mass",
     "buoyancy.imbalance",
     "point_masses.mass",
+    "point_masses.drag_area",
 )
 
 # C_D is referred to these (eq. 1).
@@ -347,6 +348,8 @@ class ArmModel(AbstractModel):
         area = [path for path in _DRAG_AREA if path not in fitted]
         if "air.drag_coefficient" in fitted and area:
             sentences.append(f"air.drag_coefficient: holds for {self._values(area)}")
+        if "point_masses.drag_area" in fitted and "air.density" not in fitted:
+            sentences.append(f"point_masses.drag_area: holds for {self._values(['air.density'])}")
         return sentences
 
     def _sensor_conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:

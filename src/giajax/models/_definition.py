@@ -42,6 +42,7 @@ _KEYED = (
     "point_masses.position",
     "point_masses.left",
     "point_masses.up",
+    "point_masses.drag_area",
 )
 
 # Key of [sensors] -> path of the parameter and what one of the key's unit is in SI.
@@ -100,15 +101,16 @@ def _point_masses(entries: list[dict[str, Any]]) -> PointMasses | None:
     def row(key: str) -> Any:
         return jnp.asarray([float(entry.get(key, 0.0)) for entry in entries])
 
-    def off_axis(key: str) -> Any:
+    def unless_zero(key: str) -> Any:
         return row(key) if any(entry.get(key) for entry in entries) else None
 
     return PointMasses(
         links=tuple(entry["link"] for entry in entries),
         mass=row("mass_kg"),
         position=row("position_m"),
-        left=off_axis("left_m"),
-        up=off_axis("up_m"),
+        left=unless_zero("left_m"),
+        up=unless_zero("up_m"),
+        drag_area=unless_zero("drag_area_m2"),
     )
 
 
@@ -160,10 +162,14 @@ def _entries(fixed: PointMasses) -> list[dict[str, Any]]:
         return np.broadcast_to(0.0 if value is None else np.asarray(value), count).tolist()
 
     values = (fixed.mass, fixed.position, fixed.left, fixed.up)
-    return [
+    entries = [
         {"link": link, "mass_kg": mass, "position_m": x, "left_m": left, "up_m": up}
         for link, mass, x, left, up in zip(fixed.links, *map(row, values), strict=True)
     ]
+    if fixed.drag_area is None:
+        return entries
+    areas = row(fixed.drag_area)
+    return [{**entry, "drag_area_m2": a} for entry, a in zip(entries, areas, strict=True)]
 
 
 def _axes(arm: Arm) -> str | list[list[float]]:
