@@ -4,14 +4,8 @@ import jax.numpy as jnp
 
 from .._maths import dot
 from .._typing import Array, Float, Scalar
-from ._air import (
-    across_link,
-    added_mass,
-    drag_in_motion,
-    flow,
-    lift_force,
-    relative_velocity,
-)
+from ._added_mass import added_mass
+from ._air import across_link, drag_in_motion, flow, lift_force, relative_velocity
 from ._arm import Arm
 from ._bodies import bodies
 from ._inertia import mass_matrix

@@ -19,8 +19,8 @@ from ._geometry import (
     check_geometry as check_geometry,
     is_possible as is_possible,
 )
-from ._muscle import (
-    AbstractMuscle as AbstractMuscle,
+from ._muscle import AbstractMuscle as AbstractMuscle
+from ._muscle_force import (
     muscle_force as muscle_force,
     muscle_pressure as muscle_pressure,
 )

@@ -1,5 +1,6 @@
 """Motion over time: inputs, integration by diffrax, and its result."""
 
+from ._commands import joint_ramps as joint_ramps, joint_steps as joint_steps
 from ._disturbances import (
     STEPS_FOR as STEPS_FOR,
     StepsFor as StepsFor,
@@ -10,8 +11,6 @@ from ._integrate import integrate as integrate
 from ._signal import (
     Signal as Signal,
     constant as constant,
-    joint_ramps as joint_ramps,
-    joint_steps as joint_steps,
     logged as logged,
     ramps as ramps,
     steps as steps,

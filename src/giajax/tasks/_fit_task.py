@@ -1,4 +1,7 @@
-"""A fit as data: what to fit to what, before anything is read or computed. Imports no JAX."""
+"""A fit as data: what to fit to what, before anything is read or computed. Imports no JAX.
+
+Longer than 200 lines because `on_top` names every setting of a fit and says what it means.
+"""
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
