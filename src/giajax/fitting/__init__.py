@@ -12,6 +12,7 @@ from ._records import (
     Estimate as Estimate,
     GradientCheck as GradientCheck,
     Iteration as Iteration,
+    Seconds as Seconds,
     Shift as Shift,
     Start as Start,
     ToleranceEffect as ToleranceEffect,

@@ -127,6 +127,14 @@ class ToleranceEffect:
 
 
 @dataclasses.dataclass(frozen=True)
+class Seconds:
+    """Wall time of a fit, s: what its programs took to compile or load, and all else."""
+
+    compile: float
+    run: float
+
+
+@dataclasses.dataclass(frozen=True)
 class Start:
     """One of several starts of a fit, and where it ended.
 
