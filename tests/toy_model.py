@@ -36,6 +36,12 @@ class Decay(AbstractModel):
     def free_inputs(self, run: Run) -> tuple[str, ...]:
         return ()
 
+    def initial_section(self, inputs: Array) -> dict[str, Any]:
+        return {}
+
+    def scene(self, run: Run) -> None:
+        return None
+
     def failure(self, inputs: Array) -> str:
         return "the decay is too fast; choose a smaller one"
 

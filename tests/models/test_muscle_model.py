@@ -168,7 +168,7 @@ def test_the_bore_of_a_real_cylinder():
         widths[pressure] = np.array([found[f"friction.half_width[{i}]"] for i in range(4)])
         np.testing.assert_allclose(widths[pressure], expected, rtol=0.06)
         assert np.all(np.diff(widths[pressure]) > 0)
-        assert result.gradient_check["relative_difference"] < 1e-6
+        assert result.gradient_check.relative_difference < 1e-6
     # What the gauge shows in the loop is 2 to 4 N of it: the regulator, not the seal.
     swing = [np.pi / 4 * 25.7e-3**2 * np.std(run.values["pressure"]) for run in cylinder()]
     np.testing.assert_allclose(widths["mean"] - widths["measured"], swing, rtol=0.2)
