@@ -246,7 +246,7 @@ class _Progress:
         typer.echo(line, err=True)
 
 
-def _show(result: "FitResult", stated: "Definition", files: list[Path]) -> None:
+def _show(result: "FitResult", definition: "Definition", files: list[Path]) -> None:
     import shutil
     import sys
 
@@ -257,7 +257,7 @@ def _show(result: "FitResult", stated: "Definition", files: list[Path]) -> None:
     print(parameter_table(result, width))
     print()
     print(summary(result, width))
-    figures = reached(result, stated)
+    figures = reached(result, definition)
     if figures:
         print()
     for figure in figures:
