@@ -45,6 +45,8 @@ class OwnHeights(AbstractModel):
     for_derivatives = Decay.for_derivatives
     conditions = Decay.conditions
     definition = Decay.definition
+    initial_section = Decay.initial_section
+    scene = Decay.scene
 
     def free_inputs(self, run: Run) -> tuple[str, ...]:
         return ("height", "drift") if run.definition.initial.free else ()
