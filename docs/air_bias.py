@@ -19,7 +19,8 @@ import numpy as np
 
 from giajax import FitResult, Run, fit, read_run, replace, takeichi_20m
 from giajax.arm import Arm
-from giajax.models import ArmModel, model_for, synthesise
+from giajax.models import ArmModel, model_for
+from giajax.synthetic import synthesise
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = Path(__file__).with_name("air.md")

@@ -36,6 +36,12 @@ class Decay(AbstractModel):
     def free_inputs(self, run: Run) -> tuple[str, ...]:
         return ()
 
+    def initial_section(self, inputs: Array) -> dict[str, Any]:
+        return {}
+
+    def scene(self, run: Run) -> None:
+        return None
+
     def failure(self, inputs: Array) -> str:
         return "the decay is too fast; choose a smaller one"
 
@@ -50,6 +56,9 @@ class Decay(AbstractModel):
         return dict.fromkeys(channels, height), ~failed
 
     def refined(self, factor: float) -> Self:
+        return self
+
+    def for_derivatives(self, paths: Sequence[str]) -> Self:
         return self
 
     def conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:

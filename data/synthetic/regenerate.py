@@ -46,33 +46,33 @@ RUNS = {
         "from the side.",
         "--set air.drag_coefficient=1.12 --set joints.pitch_stiffness=2.7 "
         "--set joints.yaw_stiffness=33 --set joints.damping=0.065 --ramp 1=30@0.5:1 "
-        "--channels link02_z,link06_z,link12_z,link20_z --noise 0.02 --seed 1",
+        "--channels link02_z,link06_z,link12_z,link20_z --noise position_m=0.02 --seed 1",
     ),
     "pitch_yaw": (
         "Two pitch and two yaw joints move in turn; every link is tracked, and one cell in ten "
         "is lost.",
         f"{_ARM} --ramp 1=25@0.5:1 --ramp 1=-5@9:2 --ramp 1=15@17:1.5 --ramp 2=-20@1:1.5 "
         "--ramp 2=15@11:2 --ramp 9=18@3:1 --ramp 9=-10@14:1 --ramp 10=-25@5:1.5 "
-        "--ramp 10=12@16:2 --channels all --noise 0.01 --missing 10 --seed 2",
+        "--ramp 10=12@16:2 --channels all --noise position_m=0.01 --missing 10 --seed 2",
     ),
     "wind": (
         "The same arm as in pitch_yaw, in a breeze that gusts and turns, recorded with the run.",
-        f"{_ARM} --command inputs/wind.csv --channels link06,link12,link20,tip --noise 0.015 "
-        "--missing 5 --seed 3",
+        f"{_ARM} --command inputs/wind.csv --channels link06,link12,link20,tip "
+        "--noise position_m=0.015 --missing 5 --seed 3",
     ),
     "full_air": (
         "The arm in all of its air: trimmed until it floats, drag along the links, and added mass.",
         "--arm inputs/full_air.toml --set air.drag_coefficient=1.2 "
         "--set joints.pitch_stiffness=3.2 --set joints.yaw_stiffness=28 "
         "--set joints.damping=0.055 --ramp 1=25@0.5:1 --ramp 1=-5@9:2 --ramp 2=-20@1:1.5 "
-        "--ramp 2=15@11:2 --channels link06,link12,link20 --noise 0.01 --seed 5",
+        "--ramp 2=15@11:2 --channels link06,link12,link20 --noise position_m=0.01 --seed 5",
     ),
     "short_arm_steps": (
         "An arm of six links whose commands jump; the angles of its joints are measured too.",
         "--links 6 --set air.drag_coefficient=1.05 --set joints.pitch_stiffness=2.2 "
         "--set joints.yaw_stiffness=18 --set joints.damping=0.09 --duration 15 --step 1=30@0.5 "
-        "--step 1=0@8 --step 2=20@2 --step 3=-25@5 --channels joints,link03,tip --noise 0.01 "
-        "--noise-angle 0.5 --seed 4",
+        "--step 1=0@8 --step 2=20@2 --step 3=-25@5 --channels joints,link03,tip "
+        "--noise position_m=0.01 --noise angle_deg=0.5 --seed 4",
     ),
 }
 
@@ -170,7 +170,7 @@ def one_link(name: str) -> Run:
 def turned_camera_run(name: str) -> Run:
     """The motion of pitch_yaw before a camera turned by 5 deg and 0.1 m off, as nobody knows."""
     from giajax import model_for, replace
-    from giajax.models import RecordingErrors, recorded_again
+    from giajax.synthetic import RecordingErrors, recorded_again
 
     first = read_run(HERE / "pitch_yaw.csv")
     frame = {

@@ -68,7 +68,6 @@ if TYPE_CHECKING:
         arm_from_definition as arm_from_definition,
         build_model as build_model,
         model_for as model_for,
-        synthesise as synthesise,
     )
     from .parameters import declared as declared, get as get, replace as replace
     from .runs import (
@@ -89,6 +88,8 @@ if TYPE_CHECKING:
         simulate as simulate,
     )
     from .study import compare as compare, multi_start as multi_start
+    from .synthetic import synthesise as synthesise
+    from .tasks import FitTask as FitTask
 
 _ROOMS = {
     "_errors": ("InputError",),
@@ -144,7 +145,6 @@ _ROOMS = {
         "arm_from_definition",
         "build_model",
         "model_for",
-        "synthesise",
     ),
     "parameters": ("declared", "get", "replace"),
     "runs": ("Definition", "Run", "read_run", "write_run"),
@@ -160,6 +160,8 @@ _ROOMS = {
         "simulate",
     ),
     "study": ("compare", "multi_start"),
+    "synthetic": ("synthesise",),
+    "tasks": ("FitTask",),
 }
 _HOME = {name: room for room, names in _ROOMS.items() for name in names}
 

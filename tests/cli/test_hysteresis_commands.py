@@ -8,7 +8,7 @@ import pytest
 
 from giajax import fit, model_for, predict, read_run
 from giajax.cli import main
-from giajax.models import compensator_for_loop
+from giajax.control import compensator_for_loop
 
 LOOPS = "data/synthetic/joint_loops.csv"
 
@@ -26,7 +26,7 @@ def loops(request):
     return str(request.config.rootpath / LOOPS)
 
 
-def wanted_file(path, angles):
+def target_file(path, angles):
     rows = [f"{5 * k},{angle:g}" for k, angle in enumerate(angles)]
     path.write_text("\n".join(["time_s,angle_deg", *rows]) + "\n")
     return str(path)
@@ -35,10 +35,10 @@ def wanted_file(path, angles):
 ANGLES = [*range(0, 31, 2), *range(30, -21, -2), *range(-20, 11, 2)]
 
 
-def test_commands_make_the_fitted_joint_go_where_it_is_wanted(fitted, tmp_path, capsys):
-    wanted = wanted_file(tmp_path / "wanted.csv", ANGLES)
+def test_commands_take_the_fitted_joint_to_its_target(fitted, tmp_path, capsys):
+    target = target_file(tmp_path / "target.csv", ANGLES)
     out = tmp_path / "command.csv"
-    arguments = ["compensate", "--model", str(fitted), "--wanted", wanted, "--out", str(out)]
+    arguments = ["compensate", "--model", str(fitted), "--target", target, "--out", str(out)]
     assert main(arguments) == 0
     assert "commands from" in capsys.readouterr().out
     run = read_run(out)
@@ -56,9 +56,9 @@ def test_commands_make_the_fitted_joint_go_where_it_is_wanted(fitted, tmp_path, 
 
 
 def test_eq_12_from_a_loop(loops, tmp_path):
-    wanted = wanted_file(tmp_path / "wanted.csv", ANGLES)
+    target = target_file(tmp_path / "target.csv", ANGLES)
     out = tmp_path / "command.csv"
-    arguments = ["compensate", "--loop", loops, "--travel", "10", "--wanted", wanted]
+    arguments = ["compensate", "--loop", loops, "--travel", "10", "--target", target]
     assert main([*arguments, "--out", str(out)]) == 0
     run = read_run(out)
     assert not run.observations
@@ -74,7 +74,7 @@ def test_a_prediction_is_a_run_of_the_same_operator(loops, tmp_path):
     assert stated.thresholds == read_run(loops).definition.hysteresis.thresholds
     # What it predicted is found again, without noise.
     again = fit(model_for([run]), run, check=False)
-    assert again.runs[0]["channels"]["angle"]["rmse"] < 1e-3
+    assert again.runs[0].channels["angle"].rmse < 1e-3
 
 
 def test_a_sidecar_offers_the_operators(tmp_path, capsys):
@@ -98,28 +98,28 @@ def refused(capsys, arguments, words):
 
 
 def test_bad_input_is_one_sentence(fitted, loops, tmp_path, capsys):
-    good = wanted_file(tmp_path / "wanted.csv", ANGLES)
-    far = wanted_file(tmp_path / "far.csv", [0, 20, 85])
+    good = target_file(tmp_path / "target.csv", ANGLES)
+    far = target_file(tmp_path / "far.csv", [0, 20, 85])
     out = ["--out", str(tmp_path / "x.csv")]
     model = ["compensate", "--model", str(fitted)]
     refused(
         capsys,
-        [*model, "--wanted", far, *out],
-        "wants 85 deg in sample 3, beyond the reachable range from",
+        [*model, "--target", far, *out],
+        "is 85 deg in sample 3, beyond the reachable range from",
     )
-    refused(capsys, ["compensate", "--loop", loops, "--wanted", far, *out], "beyond the reachable")
-    refused(capsys, ["compensate", "--wanted", good, *out], "give --model with a fit, or --loop")
-    refused(capsys, [*model, "--travel", "3", "--wanted", good, *out], "--travel goes with --loop")
+    refused(capsys, ["compensate", "--loop", loops, "--target", far, *out], "beyond the reachable")
+    refused(capsys, ["compensate", "--target", good, *out], "give --model with a fit, or --loop")
+    refused(capsys, [*model, "--travel", "3", "--target", good, *out], "--travel goes with --loop")
     lone = tmp_path / "lone.csv"
     lone.write_text("time_s,command_deg\n0,0\n1,1\n2,2\n")
-    nothing = ["compensate", "--loop", loops, "--travel", "3", "--wanted", str(lone), *out]
-    refused(capsys, nothing, "must have one column of wanted output or angle, and has 0")
+    nothing = ["compensate", "--loop", loops, "--travel", "3", "--target", str(lone), *out]
+    refused(capsys, nothing, "has 0 columns of output or angle")
     unordered = tmp_path / "unordered.csv"
     unordered.write_text("time_s,angle_deg\n0,0\n2,1\n1,2\n")
-    refused(capsys, [*model, "--wanted", str(unordered), *out], "must strictly increase")
+    refused(capsys, [*model, "--target", str(unordered), *out], "must strictly increase")
     gap = tmp_path / "gap.csv"
     gap.write_text("time_s,angle_deg\n0,0\n1,\n2,2\n")
-    refused(capsys, [*model, "--wanted", str(gap), *out], "no wanted angle in sample 2")
+    refused(capsys, [*model, "--target", str(gap), *out], "sample 2 of 'gap' has no target angle")
     short = tmp_path / "short.csv"
     short.write_text("time_s,command_deg,angle_deg\n0,0,0\n1,9,5\n2,0,3\n")
     refused(capsys, ["fit", "--data", str(short)], "3 measured values cannot determine")
@@ -167,7 +167,7 @@ def test_the_experiment_writes_its_figure_and_numbers(tmp_path, capsys):
         rows = [row for row in csv.DictReader(file) if row["angle_deg"]]
     for row in errors:
         found = [
-            abs(float(r["angle_deg"]) - float(r["wanted_deg"]))
+            abs(float(r["angle_deg"]) - float(r["target_deg"]))
             for r in rows
             if (r["history"], r["compensation"]) == (row["history"], row["compensation"])
         ]
@@ -176,8 +176,8 @@ def test_the_experiment_writes_its_figure_and_numbers(tmp_path, capsys):
     assert (out / "fig12.png").read_bytes()[:4] == b"\x89PNG"
     assert read_run(out / "recording.csv").model == "hysteresis"
     # The fit that it wrote can be used.
-    wanted = wanted_file(tmp_path / "wanted.csv", ANGLES)
-    command = ["compensate", "--model", str(out), "--wanted", wanted]
+    target = target_file(tmp_path / "target.csv", ANGLES)
+    command = ["compensate", "--model", str(out), "--target", target]
     assert main([*command, "--out", str(tmp_path / "command.csv")]) == 0
     capsys.readouterr()
     refused(capsys, ["hysteresis", "--out", str(out)], "exists and is not written over")

@@ -18,7 +18,7 @@ def rows(path):
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
     folder = tmp_path_factory.mktemp("joint") / "new" / "out"
-    assert main(["joint", "--out", str(folder), "--wanted", "25"]) == 0
+    assert main(["joint", "--out", str(folder), "--target", "25"]) == 0
     return folder
 
 
@@ -79,7 +79,7 @@ def test_corrections_are_those_of_the_joint(tmp_path, written, capsys):
 
 
 def test_stops_and_branches_that_are_never_reached_are_told(tmp_path, capsys):
-    strong = ["--torque", "3", "--set", "muscle.pressure_limit=40e3", "--wanted", "60"]
+    strong = ["--torque", "3", "--set", "muscle.pressure_limit=40e3", "--target", "60"]
     assert main(["joint", "--out", str(tmp_path / "a"), *strong]) == 0
     assert "more than the pressure limit" in capsys.readouterr().out
     table = rows(tmp_path / "a" / "equilibria.csv")
@@ -91,21 +91,21 @@ def test_stops_and_branches_that_are_never_reached_are_told(tmp_path, capsys):
     assert "nan" not in out
 
 
-def test_the_equilibria_hold_what_was_wanted(written):
+def test_the_equilibria_hold_the_target(written):
     table = rows(written / "equilibria.csv")
-    wanted = {float(row["wanted_deg"]) for row in table}
-    assert len(wanted) == 121
-    for angle in wanted:
-        found = [row for row in table if float(row["wanted_deg"]) == angle]
+    target = {float(row["target_deg"]) for row in table}
+    assert len(target) == 121
+    for angle in target:
+        found = [row for row in table if float(row["target_deg"]) == angle]
         assert min(abs(float(row["angle_deg"]) - angle) for row in found) < 1e-6
-    several = [angle for angle in wanted if sum(float(r["wanted_deg"]) == angle for r in table) > 1]
+    several = [angle for angle in target if sum(float(r["target_deg"]) == angle for r in table) > 1]
     assert max(np.abs(several)) < 25
     assert 20.0 in several
 
 
 def test_it_says_where_the_pressures_hold_the_joint(tmp_path, capsys):
     arguments = ["joint", "--out", str(tmp_path), "--torque", "0.4", "--angle", "45"]
-    assert main([*arguments, "--set", "muscle.diameter=0.0045", "--wanted", "-30"]) == 0
+    assert main([*arguments, "--set", "muscle.diameter=0.0045", "--target", "-30"]) == 0
     out, err = capsys.readouterr()
     assert "above 3.64 deg" in out
     assert "-30.00" in out
@@ -125,11 +125,24 @@ def test_nothing_is_written_over_without_force(tmp_path, capsys):
     assert [path.name for path in tmp_path.iterdir()] == ["joint.png"]
 
 
+@pytest.mark.parametrize("name", ["run.csv", "there/run.csv"])
+def test_a_name_of_a_file_is_no_folder(tmp_path, capsys, name):
+    (tmp_path / "there").mkdir()
+    (tmp_path / "there" / "run.csv").write_text("mine")
+    assert main(["joint", "--out", str(tmp_path / name)]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    # Before anything is computed.
+    assert "solving" not in err
+    assert "a folder is written" in err
+    assert not (tmp_path / "run.csv").exists()
+
+
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
         (["--angle", "70"], "from -60 to 60 deg"),
-        (["--wanted", "-90"], "from -60 to 60 deg"),
+        (["--target", "-90"], "from -60 to 60 deg"),
         (["--set", "geometry.wire_length=0.05"], "cannot be built"),
         (["--set", "geometry.wire_lenght=0.3"], "did you mean 'joint.geometry.wire_length'"),
         (["--set", "alpha.offset"], "PATH=VALUE"),

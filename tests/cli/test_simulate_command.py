@@ -32,7 +32,7 @@ def reproduced(run):
 
 
 def test_a_run_is_complete(out, capsys):
-    options = ["--ramp", "1=30", "--noise", "0.02", "--missing", "10", "--seed", "7"]
+    options = ["--ramp", "1=30", "--noise", "position_m=0.02", "--missing", "10", "--seed", "7"]
     run = simulate(out, *SHORT, *options, "--set", "air.drag_coefficient=0.9")
     assert "run.csv" in capsys.readouterr().out
     assert main(["check", str(out)]) == 0
@@ -58,13 +58,29 @@ def test_a_run_is_complete(out, capsys):
 
 def test_its_command_line_makes_it_again(out, tmp_path):
     first = simulate(
-        out, *SHORT, "--step", "2=-20@0.3", "--noise", "0.01", "--set", "links.mass[1]=0.1"
+        out,
+        *SHORT,
+        "--step",
+        "2=-20@0.3",
+        "--noise",
+        "position_m=0.01",
+        "--set",
+        "links.mass[1]=0.1",
     )
     words = shlex.split(first.definition.origin)
     again = tmp_path / "again.csv"
     assert main([*words[2:], "--out", str(again)]) == 0
     assert again.read_bytes() == out.read_bytes()
     assert again.with_suffix(".toml").read_bytes() == out.with_suffix(".toml").read_bytes()
+
+
+def test_a_value_for_each_element(out):
+    options = ["--ramp", "1=30", "--channels", "tip", "--set", "camera.origin=0.1,0,-0.2"]
+    seen = simulate(out, *SHORT, *options)
+    assert seen.definition.truth["camera.origin"] == [0.1, 0.0, -0.2]
+    plain = simulate(out, *SHORT, *options[:4], "--force")
+    np.testing.assert_allclose(seen.values["tip_x"], plain.values["tip_x"] - 0.1, atol=1e-8)
+    np.testing.assert_allclose(seen.values["tip_z"], plain.values["tip_z"] + 0.2, atol=1e-8)
 
 
 @pytest.mark.slow
@@ -167,12 +183,24 @@ REFUSED = {
     "joint not there": (["--ramp", "1=1", "--channels", "joint21_angle"], ["joint 21"]),
     "misspelt channel": (["--ramp", "1=1", "--channels", "link6"], ["'link06_x'"]),
     "command as channel": (["--ramp", "1=1", "--channels", "joint01_command"], ["measured by"]),
-    "negative noise": (["--ramp", "1=1", "--noise", "-1"], ["--noise is -1"]),
-    "noise of nothing": (["--ramp", "1=1", "--channels", "joints", "--noise", "1"], ["--noise"]),
-    "angle noise of nothing": (["--ramp", "1=1", "--noise-angle", "1"], ["--noise-angle"]),
+    "negative noise": (
+        ["--ramp", "1=1", "--noise", "position_m=-1"],
+        ["position_m=-1' is negative"],
+    ),
+    "noise of nothing": (
+        ["--ramp", "1=1", "--channels", "joints", "--noise", "position_m=1"],
+        ["none of the"],
+    ),
+    "noise of no quantity": (
+        ["--ramp", "1=1", "--noise", "0.01"],
+        ["KEY=VALUE", "position_m=0.01"],
+    ),
+    "noise of no key": (["--ramp", "1=1", "--noise", "height=1"], ["height"]),
+    "list too short": (["--ramp", "1=1", "--set", "camera.origin=1,2"], ["2 values", "3 elements"]),
+    "angle noise of nothing": (["--ramp", "1=1", "--noise", "angle_deg=1"], ["none of the"]),
     "all missing": (["--ramp", "1=1", "--missing", "100"], ["less than 100"]),
     "half a sample": (["--ramp", "1=1", "--duration", "2.55"], ["make it 2.6 s"]),
-    "no samples": (["--ramp", "1=1", "--rate", "0"], ["no run"]),
+    "no samples": (["--ramp", "1=1", "--rate", "0"], ["no samples"]),
     "unknown solver": (["--ramp", "1=1", "--solver", "euler"], ["'euler'", "tsit5"]),
     "no tolerance": (["--ramp", "1=1", "--tolerance", "0"], ["--tolerance is 0"]),
     "negative seed": (["--ramp", "1=1", "--seed", "-1"], ["--seed"]),

@@ -36,6 +36,19 @@ def test_a_run_is_recorded_again(run, tmp_path):
     assert main(["check", str(out)]) == 0
 
 
+def test_a_file_that_states_a_model_is_true(run, tmp_path):
+    """As for `giajax predict`: --model takes a fit, or the TOML file of a model."""
+    arm = tmp_path / "long.toml"
+    arm.write_text("[arm]\nlinks = 2\nlink_length_m = 2.0\n")
+    out = tmp_path / "new.csv"
+    assert main(["synth", str(run), "--out", str(out), "--model", str(arm)]) == 0
+    new = read_run(out)
+    assert new.definition.arm.link_length_m == 2.0
+    plain = tmp_path / "plain.csv"
+    assert main(["synth", str(run), "--out", str(plain)]) == 0
+    assert np.max(np.abs(new.values["link02_z"] - read_run(plain).values["link02_z"])) > 0.1
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [

@@ -20,26 +20,26 @@ def study():
 
 def test_the_protocol_is_the_papers():
     plan = paper_history()
-    assert set(np.abs(np.diff(plan.wanted))) == {1.0}
-    turns = plan.wanted[1:-1][np.diff(plan.wanted)[1:] * np.diff(plan.wanted)[:-1] < 0]
+    assert set(np.abs(np.diff(plan.target))) == {1.0}
+    turns = plan.target[1:-1][np.diff(plan.target)[1:] * np.diff(plan.target)[:-1] < 0]
     assert turns.tolist() == [60, -60, 60, -60]
     # The same again is measured: 0, 60, -60, 0.
     assert np.count_nonzero(plan.measured) == 241
-    assert plan.wanted[plan.measured][[0, 60, 180, 240]].tolist() == [0, 60, -60, 0]
+    assert plan.target[plan.measured][[0, 60, 180, 240]].tolist() == [0, 60, -60, 0]
     held = np.diff(plan.times)
-    np.testing.assert_array_equal(held, np.where(np.abs(plan.wanted[1:]) <= 30, 20.0, 5.0))
+    np.testing.assert_array_equal(held, np.where(np.abs(plan.target[1:]) <= 30, 20.0, 5.0))
 
 
 def test_the_other_history_is_another_one():
     plan = other_history()
-    turns = plan.wanted[1:-1][np.diff(plan.wanted)[1:] * np.diff(plan.wanted)[:-1] < 0]
+    turns = plan.target[1:-1][np.diff(plan.target)[1:] * np.diff(plan.target)[:-1] < 0]
     assert len(turns) > 12
-    assert np.max(np.abs(plan.wanted[plan.measured])) < 60
+    assert np.max(np.abs(plan.target[plan.measured])) < 60
 
 
 def test_the_joint_snaps_through_a_gap():
     joint = SimulatedJoint(pressure_noise=0.0)
-    angles = joint.angles(paper_history().wanted)
+    angles = joint.angles(paper_history().target)
     ahead, behind = joint.gap
     assert not np.any((angles > -0.97 * behind) & (angles < 0.97 * ahead))
     assert np.max(np.abs(np.diff(angles))) > 0.95 * (ahead + behind)
@@ -55,7 +55,7 @@ def test_the_joint_snaps_through_a_gap():
 
 def test_its_hysteresis_does_not_depend_on_the_sampling():
     joint = SimulatedJoint(pressure_noise=0.0)
-    coarse = history("coarse", (0, 40, -20, 30)).wanted
+    coarse = history("coarse", (0, 40, -20, 30)).target
     fine = np.interp(np.arange(0, len(coarse) - 0.5, 0.5), np.arange(len(coarse)), coarse)
     np.testing.assert_allclose(joint.drive(fine)[::2], joint.drive(coarse), atol=2e-3)
 
@@ -106,8 +106,8 @@ def test_the_inverse_brings_the_mean_below_a_quarter(study):
 @pytest.mark.slow
 def test_away_from_the_gap_the_inverse_is_near(study):
     trial = study.trial("other", "inverse")
-    wanted = trial.history.wanted[trial.history.measured]
-    away = np.abs(wanted) > 20
+    target = trial.history.target[trial.history.measured]
+    away = np.abs(target) > 20
     assert np.mean(np.abs(trial.errors[away])) < 1.0
 
 

@@ -10,7 +10,7 @@ SCRIPT = """
 import json, warnings
 import numpy as np
 import giajax
-from giajax.models import synthesise
+from giajax.synthetic import synthesise
 
 arm = giajax.replace(giajax.takeichi_20m(3), {"air.drag_coefficient": 1.5})
 times = np.linspace(0.0, 6.0, 61)
@@ -29,7 +29,7 @@ print(json.dumps({
     "warnings": [str(w.message) for w in caught],
     "pull": (result.parameters["air.drag_coefficient"].value - 1.5)
     / result.parameters["air.drag_coefficient"].standard_error,
-    "check": result.gradient_check["relative_difference"],
+    "check": result.gradient_check.relative_difference,
 }))
 """
 

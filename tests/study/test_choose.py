@@ -1,13 +1,14 @@
 """The choice between operators: the one behind the data wins, and the criteria are right."""
 
+import dataclasses
 import itertools
 
 import numpy as np
 import pytest
 
-from giajax import InputError, Run
+from giajax import Definition, InputError, Run, declared, fit
 from giajax.hysteresis import Preisach
-from giajax.study import CANDIDATES, choose_hysteresis
+from giajax.study import CANDIDATES, choice_hint, choose_hysteresis
 
 
 def recording(seed=0, turns=(0, 1, -1, 0.7, -0.5, 0.9, 0.1, 0.6, -0.8, 0.3, -0.3, 0.5)):
@@ -43,13 +44,39 @@ def test_the_operator_behind_the_data_is_chosen(choice):
 
 def test_the_criteria_are_what_they_say(choice):
     for candidate in choice.candidates:
-        record = candidate.result.runs[0]["channels"]["output"]
-        assert record["rmse"] == pytest.approx(candidate.rmse)
-        n, k = record["n"], candidate.parameters + 1
+        record = candidate.result.runs[0].channels["output"]
+        assert record.rmse == pytest.approx(candidate.rmse)
+        n, k = record.n, candidate.parameters + 1
         assert candidate.aic == pytest.approx(n * np.log(candidate.rmse**2) + 2 * k)
         assert candidate.bic - candidate.aic == pytest.approx(k * (np.log(n) - 2))
         # 30 % are held out.
         assert n == round(0.7 * 319)
+
+
+def test_fits_that_did_not_converge_sink(monkeypatch):
+    """The operator behind the data is given one step, and the play all that it needs."""
+
+    def hurried(model, runs, **options):
+        iterations = 1 if "saturation" in declared(model) else 100
+        return fit(model, runs, **{**options, "max_iterations": iterations})
+
+    monkeypatch.setattr("giajax.study._choose.fit", hurried)
+    choice = choose_hysteresis([recording()], candidates=["preisach", "play"])
+    assert [one.name for one in choice.candidates] == ["play", "preisach"]
+    assert [one.converged for one in choice.candidates] == [True, False]
+    assert choice.best.name == "play"
+    assert choice.candidates[1].held_out_rmse < choice.best.held_out_rmse
+
+
+def test_a_loop_without_an_operator_hints_at_the_choice():
+    run = recording()
+    hint = choice_hint([run], ["my loops.csv"])
+    assert hint.endswith("giajax choose --data 'my loops.csv'")
+    stated = Definition.parse({"hysteresis": {"operator": "preisach"}})
+    known = dataclasses.replace(run, definition=run.definition.merged_with(stated))
+    assert choice_hint([known], ["loops.csv"]) == ""
+    arm = Run.from_arrays([0.0, 1.0], {"tip_z": [0.0, 0.1]}, definition={"free_motion": True})
+    assert choice_hint([arm], ["run.csv"]) == ""
 
 
 def test_another_run_judges():
@@ -58,7 +85,7 @@ def test_another_run_judges():
     only = choice.best
     predicted = only.result.predict(other)["output"] - other.values["output"]
     assert only.held_out_rmse == pytest.approx(np.sqrt(np.mean(predicted**2)))
-    assert only.result.runs[0]["channels"]["output"]["n"] == 319
+    assert only.result.runs[0].channels["output"].n == 319
 
 
 def test_bad_questions_are_refused():

@@ -46,7 +46,7 @@ Examples:
                             how well the fit predicts another run
   giajax choose --data loops.csv
                             which hysteresis model describes a joint
-  giajax compensate --model fit --wanted wanted.csv --out command.csv
+  giajax compensate --model fit --target target.csv --out command.csv
                             commands that undo the hysteresis
   giajax hysteresis --out DIR
                             the paper's 1-link experiment, simulated

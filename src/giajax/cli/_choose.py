@@ -11,9 +11,12 @@ Examples:
   giajax choose --data loops.csv --held-out other.csv
   giajax choose --data loops.csv --only preisach --only modified_prandtl_ishlinskii
 
-The best model on the held-out loops comes first. AIC and BIC are of the fitted part, each less
+The best model on the held-out loops comes first; fits that did not converge come last,
+whatever their errors. AIC and BIC are of the fitted part, each less
 that of the best; a large difference on the held-out part and a small one here means a model that
 describes what it saw and no more."""
+
+_ENDS = {"not_converged": "NOT CONVERGED"}
 
 
 def choose(
@@ -52,8 +55,9 @@ def choose(
 
     say = None if quiet else (lambda name: typer.echo(f"fitting {name} ...", err=True))
     choice = choose_hysteresis(runs, others, fraction=fraction, candidates=only, progress=say)
-    least_aic = min(candidate.aic for candidate in choice.candidates)
-    least_bic = min(candidate.bic for candidate in choice.candidates)
+    ended = [one for one in choice.candidates if one.converged] or choice.candidates
+    least_aic = min(candidate.aic for candidate in ended)
+    least_bic = min(candidate.bic for candidate in ended)
     facts = [
         {
             "model": candidate.name,
@@ -83,7 +87,7 @@ def choose(
             f"{fact['rmse']:.3g}",
             f"{fact['delta_aic']:+.1f}",
             f"{fact['delta_bic']:+.1f}",
-            fact["status"],
+            _ENDS.get(str(fact["status"]), fact["status"]),
         ]
         for fact in facts
     ]

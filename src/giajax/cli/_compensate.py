@@ -1,4 +1,4 @@
-"""`giajax compensate`: commands that make a hysteretic joint go where it is wanted."""
+"""`giajax compensate`: commands that make a hysteretic joint go where it is to go."""
 
 import dataclasses
 import math
@@ -8,20 +8,18 @@ from typing import Annotated
 
 import typer
 
-from .._errors import InputError
-
 EXAMPLES = """\b
 Examples:
   giajax fit --data loop.csv --out loop
-  giajax compensate --model loop/result.json --wanted wanted.csv --out command.csv
-  giajax compensate --loop loop.csv --travel 40 --wanted wanted.csv --out command.csv
+  giajax compensate --model loop/result.json --target target.csv --out command.csv
+  giajax compensate --loop loop.csv --travel 40 --target target.csv --out command.csv
 
-wanted.csv has one column of the wanted angle (angle_deg) or output, and the time if there is
-one. What the fitted model predicts for the commands is written beside them."""
+target.csv has one column, the angle (angle_deg) or output that is the target, and the time if
+there is one. What the fitted model predicts for the commands is written beside them."""
 
 
 def compensate(
-    wanted: Annotated[Path, typer.Option(metavar="RUN.csv", help="The wanted outputs.")],
+    target: Annotated[Path, typer.Option(metavar="RUN.csv", help="The target outputs.")],
     out: Annotated[Path, typer.Option(metavar="RUN.csv", help="The commands to write.")],
     model: Annotated[
         Path | None,
@@ -35,7 +33,7 @@ def compensate(
         float | None,
         typer.Option(
             metavar="X",
-            help="With --loop: travel from branch to branch, in the unit of the wanted column. "
+            help="With --loop: travel from branch to branch, in the unit of the target. "
             "[default: a third of the range]",
         ),
     ] = None,
@@ -48,7 +46,7 @@ def compensate(
     ] = 9,
     force: Annotated[bool, typer.Option("--force", help="Write over a run.")] = False,
 ) -> None:
-    """Turn wanted outputs into the commands that give them.
+    """Turn target outputs into the commands that reach them.
 
     With --model by the inverse of the fitted operator, exact for Prandtl-Ishlinskii and its
     modified form; with --loop by eq. (12) of the paper.
@@ -57,56 +55,49 @@ def compensate(
         raise typer.BadParameter("give --model with a fit, or --loop with a run, and not both")
     if travel is not None and (loop is None or not 0 < travel < math.inf):
         raise typer.BadParameter("--travel goes with --loop and is a positive number")
-    from ..runs import Definition, parse_rename, read_run, write_run
+    from ..runs import Definition, Run, check_output_run, parse_rename, read_run, write_run
 
+    check_output_run(out, force=force)
     renamed = parse_rename(rename or [])
-    stated = Definition.parse({"model": "hysteresis"})
-    asked = read_run(wanted, rename=renamed, definition=stated)
+    definition = Definition.parse({"model": "hysteresis"})
+    plan = read_run(target, rename=renamed, definition=definition)
 
     from ._jax import configure
 
     configure()
+    from ..control import compensator_for_loop, compensator_for_model, target_channel
     from ..fitting import load_result
-    from ..models import (
-        HysteresisModel,
-        compensator_for_loop,
-        compensator_for_model,
-        wanted_channel,
-    )
 
-    goal = wanted_channel(asked)
+    goal = target_channel(plan)
     if model is not None:
         fitted = load_result(model).model
-        if not isinstance(fitted, HysteresisModel):
-            raise InputError(f"{model} is a fit of the {fitted.kind} model; give one of hysteresis")
         compensator = compensator_for_model(fitted)
-        origin = f"commands by giajax compensate, inverse of {model}, for {wanted.name}"
+        origin = f"commands by giajax compensate, inverse of {model}, for {target.name}"
     else:
         assert loop is not None
         if travel is not None:
             travel = float(goal.to_si(travel))
         compensator = compensator_for_loop(read_run(loop, rename=renamed), travel)
         fitted = None
-        origin = f"commands by giajax compensate, eq. (12) from {loop.name}, for {wanted.name}"
-    commands = compensator.commands_for(asked)
+        origin = f"commands by giajax compensate, eq. (12) from {loop.name}, for {target.name}"
+    commands = compensator.commands_for(plan)
     channel = compensator.input_channel
-    # Commands in the unit that the angles are wanted in, where both are angles.
+    # Commands in the unit of the target, where both are angles.
     if goal.quantity == channel.quantity:
         channel = dataclasses.replace(channel, unit=goal.unit)
     values, units = {channel.name: commands}, {channel.name: channel.unit}
     if fitted is not None:
         from ..fitting import predict
-        from ..runs import Run as _Run
 
         name = goal.name
-        blank = {channel.name: commands, name: asked.values[name]}
-        run = _Run.from_arrays(asked.times, blank, definition=stated)
+        blank = {channel.name: commands, name: plan.values[name]}
+        run = Run.from_arrays(plan.times, blank, definition=definition)
         values[name] = predict(fitted, run)[name]
         units[name] = goal.unit
         origin += f"; {name} is what the fitted model predicts"
-    definition = stated.merged_with(Definition.parse({"origin": origin}))
+    definition = definition.merged_with(Definition.parse({"origin": origin}))
     write_run(
-        out, asked.times, values, units=units, definition=definition, digits=digits, force=force
+        out, plan.times, values, units=units, definition=definition, digits=digits, force=force
     )
     low, high = (float(channel.from_si(end)) for end in (commands.min(), commands.max()))
     typer.echo(

@@ -10,10 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .._errors import InputError
+from ..kinds import ArmSection, CommandSection, InitialSection, WindSection
+from ._values import NUMBER, number, settings, with_settings
 
 if TYPE_CHECKING:
-    from ..models import ArmModel, Drive
+    from ..models import ArmModel
     from ..runs import Definition, Run
+    from ..synthetic import Drive
 
 DURATION = 25.0
 """Length of a run, s, when nothing is said."""
@@ -22,9 +25,8 @@ _START = 0.5
 _RAMP_DURATION = 1.0
 _DEFAULT_LINKS = (2, 6, 12, 20)
 
-_NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 _MOVE = re.compile(
-    rf"(?P<joint>[0-9]+)=(?P<angle>{_NUMBER})(?:@(?P<start>{_NUMBER})(?::(?P<duration>{_NUMBER}))?)?"
+    rf"(?P<joint>[0-9]+)=(?P<angle>{NUMBER})(?:@(?P<start>{NUMBER})(?::(?P<duration>{NUMBER}))?)?"
 )
 
 
@@ -32,58 +34,55 @@ def stated_definition(arm: Path | None, links: int | None, wind: str | None) -> 
     """What the arm file and the options say, the options on top."""
     from ..runs import Definition
 
-    stated = Definition() if arm is None else Definition.load(arm)
-    if stated.model not in (None, "arm"):
-        raise InputError(f"{arm} describes a {stated.model}; give the TOML file of an arm")
+    definition = Definition() if arm is None else Definition.load(arm)
+    if definition.model not in (None, "arm"):
+        raise InputError(f"{arm} describes a {definition.model}: give the TOML file of an arm")
     if links is not None:
         if links < 1:
-            raise InputError(f"--links is {links}; an arm has at least 1 link")
-        stated = stated.merged_with(Definition.parse({"arm": {"links": links}}))
+            raise InputError(f"--links is {links}: give at least 1 link")
+        definition = definition.merged_with(Definition.parse({"arm": {"links": links}}))
     if wind is not None:
         velocity = [number(part) for part in wind.split(",")]
         if len(velocity) != 3 or None in velocity:
-            raise InputError(f"--wind is {wind!r}; give three numbers in m/s, such as 0,0.2,0")
-        stated = stated.merged_with(Definition.parse({"wind": {"velocity_m_per_s": velocity}}))
-    return stated
+            raise InputError(f"--wind is {wind!r}: give three numbers in m/s, such as 0,0.2,0")
+        definition = definition.merged_with(
+            Definition.parse({"wind": {"velocity_m_per_s": velocity}})
+        )
+    return definition
 
 
-def number(text: str) -> float | None:
-    text = text.strip()
-    if not re.fullmatch(_NUMBER, text):
-        return None
-    return float(text) if math.isfinite(float(text)) else None
-
-
-def replayed_run(command: Path, stated: "Definition") -> "Run":
+def replayed_run(command: Path, definition: "Definition") -> "Run":
     """The run whose commands are used, with the arm file's word on what is between its rows."""
     from ..runs import Definition, read_run, read_sidecar
 
     # Which joints there are is told by the arm that recorded it, where the sidecar states one.
-    recorded = bool(read_sidecar(command).arm.given())
+    recorded = bool(read_sidecar(command).section(ArmSection).given())
     keys = ("command", "wind") if recorded else ("arm", "command", "wind")
-    given = {key: item for key, item in stated.given().items() if key in keys}
+    given = {key: item for key, item in definition.given().items() if key in keys}
     return read_run(command, definition=Definition.parse(given))
 
 
 def drives_of(run: "Run", rate: float) -> tuple[float, float, list["Drive"]]:
     """Start of a recorded run, its length in whole samples, its commands and wind."""
-    from ..models import Drive
+    from ..synthetic import Drive
 
     if run.model != "arm" or run.times is None:
-        raise InputError(f"{run.path} is a run of the {run.model} model; give the run of an arm")
+        raise InputError(f"{run.path} is a run of the {run.model} model: give the run of an arm")
     length = float(run.times[-1] - run.times[0])
     if rate > 0:
         length = max(math.floor(length * rate + 1e-6), 1) / rate
-    definition, drives = run.definition, []
+    command = run.definition.section(CommandSection)
+    wind = run.definition.section(WindSection)
+    drives = []
     if run.commands:
-        drives.append(Drive(run.times, run.commands, definition.command.interpolation))
+        drives.append(Drive(run.times, run.commands, command.interpolation))
     if run.winds:
-        drives.append(Drive(run.times, run.winds, definition.wind.interpolation))
+        drives.append(Drive(run.times, run.winds, wind.interpolation))
     return float(run.times[0]), length, drives
 
 
 def moves_of(step: Sequence[str], ramp: Sequence[str], count: int, duration: float) -> "Drive":
-    from ..models import Move, joint_moves
+    from ..synthetic import Move, joint_moves
 
     moves = []
     for option, texts in (("--step", step), ("--ramp", ramp)):
@@ -91,11 +90,11 @@ def moves_of(step: Sequence[str], ramp: Sequence[str], count: int, duration: flo
             match = _MOVE.fullmatch(text.replace(" ", ""))
             if match is None or (match["duration"] and option == "--step"):
                 form = "JOINT=DEG[@T]" if option == "--step" else "JOINT=DEG[@START:DURATION]"
-                raise InputError(f"{option} {text!r} must be {form}, such as 1=30@0.5; correct it")
+                raise InputError(f"{option} {text!r} must be {form}, such as 1=30@0.5: correct it")
             length = float(match["duration"] or _RAMP_DURATION) if option == "--ramp" else 0.0
             if option == "--ramp" and length == 0:
                 raise InputError(
-                    f"{option} {text!r} has the duration 0; give a longer one, or --step"
+                    f"{option} {text!r} has the duration 0: give a longer one, or --step"
                 )
             start = _START if match["start"] is None else float(match["start"])
             angle = math.radians(float(match["angle"]))
@@ -104,59 +103,27 @@ def moves_of(step: Sequence[str], ramp: Sequence[str], count: int, duration: flo
 
 
 def model_and_truth(
-    stated: "Definition", settings: Sequence[str], solver: str, tolerance: float
-) -> tuple["ArmModel", dict[str, float]]:
-    """The model with the parameters that were set, and the truth to state."""
+    definition: "Definition", pairs: Sequence[str], solver: str, tolerance: float
+) -> tuple["ArmModel", dict[str, float | list[float]]]:
+    """The model with the parameters of --set, and the truth to state."""
     import jax.numpy as jnp
 
     from ..models import ArmModel, arm_from_definition, sensors_from_definition
     from ..parameters import default_free, get
 
     model = ArmModel(
-        arm_from_definition(stated),
+        arm_from_definition(definition),
         tolerance=jnp.asarray(tolerance),
         solver=solver,
-        sensors=sensors_from_definition(stated),
+        sensors=sensors_from_definition(definition),
     )
-    values: dict[str, float] = {}
-    for setting in settings:
-        path, _, text = setting.rpartition("=")
-        path, value = path.strip(), number(text)
-        if not path or value is None:
-            raise InputError(
-                f"--set {setting!r} must be PATH=VALUE with a number, such as "
-                "air.drag_coefficient=1.0; correct it"
-            )
-        if path in values:
-            raise InputError(f"--set gives {path} twice; remove one")
-        model = having(model, path, [value], setting)
-        values[path] = value
+    values = settings(pairs)
+    model = with_settings(model, values)
     truth = {
         path: float(get(model, path)) for path in default_free(model) if not get(model, path).ndim
     }
-    return model, {**truth, **values}
-
-
-def having(model: Any, path: str, values: Sequence[float], setting: str) -> Any:
-    """The model with a parameter, switched on if need be: one number, or one for each element.
-
-    Raises:
-        InputError: another number of values, or one beyond its bounds; `setting` is named.
-    """
-    from ..parameters import check_within_bounds, elements, replace, switched_on
-
-    model = switched_on(model, [path])
-    parts = elements(model, path)
-    if len(values) not in (1, len(parts)):
-        raise InputError(
-            f"--set {setting!r} gives {len(values)} values for {len(parts)} elements; "
-            "give one, or one for each"
-        )
-    each = [float(value) for value in values] * (len(parts) // len(values))
-    for part, value in zip(parts, each, strict=True):
-        check_within_bounds(part, value, free=False)
-        model = replace(model, {part.path: value})
-    return model
+    typed = {path: each[0] if len(each) == 1 else each for path, each in values.items()}
+    return model, {**truth, **typed}
 
 
 def channel_names(selections: Sequence[str], count: int) -> list[str]:
@@ -179,32 +146,32 @@ def channel_names(selections: Sequence[str], count: int) -> list[str]:
         channel = Channel.named(name)
         if channel.kind not in ("joint_angle", "joint_rate", "link_position", "tip_position"):
             raise InputError(
-                f"--channels {name!r} is not something an arm is measured by; "
+                f"--channels {name!r} is not something an arm is measured by: "
                 "give link06, link06_z, tip, joint03_angle, joint03_rate, joints or all"
             )
         if (channel.index or 1) > count:
             part = "link" if channel.kind == "link_position" else "joint"
             raise InputError(
-                f"--channels {name!r} is of {part} {channel.index}, but the arm has {count} links; "
+                f"--channels {name!r} is of {part} {channel.index}, but the arm has {count} links: "
                 "correct the number, or simulate a longer arm"
             )
     return list(dict.fromkeys(names))
 
 
 def facts_of(
-    stated: "Definition", replayed: "Run | None", drives: Sequence["Drive"], model: "ArmModel"
+    definition: "Definition", replayed: "Run | None", drives: Sequence["Drive"], model: "ArmModel"
 ) -> dict[str, Any]:
     """The sections of the sidecar that say what moves the arm."""
-    source = stated if replayed is None else replayed.definition
+    source = definition if replayed is None else replayed.definition
     driven = {name: drive for drive in drives for name in drive.values}
     facts: dict[str, Any] = {"schema_version": 1}
-    initial = stated.initial.given()
+    initial = definition.section(InitialSection).given()
     commanded = [drive for name, drive in driven.items() if name.startswith("joint")]
     winds = [drive for name, drive in driven.items() if name.startswith("wind")]
-    velocity = source.wind.velocity_m_per_s
+    velocity = source.section(WindSection).velocity_m_per_s
     if not (driven or initial or velocity or float(model.arm.gravity)):
         raise InputError(
-            "nothing moves the arm; give --step, --ramp, --command or --wind, or --arm with an "
+            "nothing moves the arm: give --step, --ramp, --command or --wind, or --arm with an "
             "[initial] state"
         )
     if not commanded:

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from .._errors import InputError
+from ..kinds import KINDS
 
 EXAMPLES = """\b
 Examples:
@@ -90,7 +91,8 @@ def _run(path: Path, root: Path) -> list[str | int | float | None]:
     windy = [] if facts["wind"] is None else ["wind"]
     time = facts["time"]
     seconds = None if time is None else time["end_s"] - time["start_s"]
-    driven = ", ".join([*names, *windy]) or (facts["model"] if facts["model"] != "arm" else None)
+    unnamed = bool(KINDS[facts["model"]].uncommanded)
+    driven = ", ".join([*names, *windy]) or (None if unnamed else facts["model"])
     return [path.relative_to(root).as_posix(), driven, facts["rows"], seconds, len(measured), gaps]
 
 
@@ -102,19 +104,11 @@ def _files(root: Path) -> Iterator[Path]:
 
 
 def _copy(root: Path, files: list[Path], target: Path, force: bool) -> None:
-    from ..runs import write_files
+    from ..runs import check_output_folder, make_folder, write_files
 
     contents = {target / path.relative_to(root): path.read_bytes() for path in files}
-    taken = [path for path in contents if path.exists()]
-    if taken and not force:
-        raise InputError(
-            f"{taken[0]} exists and is not written over; give another folder or --force"
-        )
+    names = [path.relative_to(target).as_posix() for path in contents]
+    check_output_folder(target, names, force=force)
     for folder in {path.parent for path in contents}:
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(
-                f"the folder {folder} cannot be made ({error.strerror}); give another one"
-            ) from None
+        make_folder(folder)
     write_files(contents, force=force)

@@ -11,7 +11,7 @@ Examples:
   giajax hysteresis --out fig12
   giajax hysteresis --out fig12 --travel 20 --force
   giajax fit --data fig12/recording.csv
-  giajax compensate --model fig12/result.json --wanted wanted.csv --out command.csv
+  giajax compensate --model fig12/result.json --target target.csv --out command.csv
 
 The folder gets fig12.png, its numbers in fig12.csv, errors.csv, the recording that both
 compensations were made from, and the fit of the inverse one."""
@@ -34,20 +34,16 @@ def hysteresis(
     another one with minor loops.
     """
     if not 0 < travel < math.inf:
-        raise typer.BadParameter(f"--travel is {travel:g} deg; give a positive number")
+        raise typer.BadParameter(f"--travel is {travel:g} deg: give a positive number")
 
     from ._jax import configure
 
     configure()
-    from ..experiments import (
-        SimulatedJoint,
-        check_one_link_folder,
-        one_link,
-        write_one_link,
-    )
+    from ..experiments import ONE_LINK_FILES, SimulatedJoint, one_link, write_one_link
+    from ..runs import check_output_folder
     from ._output import print_table
 
-    check_one_link_folder(out, force=force)
+    check_output_folder(out, ONE_LINK_FILES, force=force)
     progress = None if quiet else (lambda text: typer.echo(text, err=True))
     study = one_link(SimulatedJoint(seed=seed), travel=math.radians(travel), progress=progress)
     rows = []

@@ -1,11 +1,14 @@
 """`giajax joint`: one joint at rest, in pictures and numbers."""
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from .._errors import InputError
+from ..kinds import MuscleSection
+from ._values import Values, settings, with_settings
 
 if TYPE_CHECKING:
     from ..runs import Definition
@@ -14,7 +17,7 @@ EXAMPLES = """\b
 Examples:
   giajax joint --out joint
   giajax joint --out joint --torque 0.5 --angle 45 --angle 0 --angle -45
-  giajax joint --out joint --definition joint.toml --wanted 30
+  giajax joint --out joint --definition joint.toml --target 30
   giajax joint --out joint --set alpha.offset=0.05 --force
 
 \b
@@ -35,7 +38,7 @@ def joint(
     definition: Annotated[
         Path | None, typer.Option(metavar="FILE.toml", help="[joint] and [muscle] to use.")
     ] = None,
-    settings: Annotated[
+    pairs: Annotated[
         list[str] | None,
         typer.Option(
             "--set", metavar="PATH=VALUE", help="A parameter of joint or muscle, SI. Repeatable."
@@ -48,7 +51,7 @@ def joint(
         list[float] | None,
         typer.Option(metavar="DEG", help="Draw the joint at this angle. Repeatable."),
     ] = None,
-    wanted: Annotated[
+    target: Annotated[
         float, typer.Option(metavar="DEG", help="Angle whose two pressures are shown.")
     ] = 20.0,
     force: Annotated[bool, typer.Option("--force", help="Write over files.")] = False,
@@ -57,142 +60,67 @@ def joint(
 
     The paper's figs 9 and 10, the joint itself at a few angles, and where two pressures hold it.
     """
-    from ..runs import Definition, write_files
+    from ..runs import Definition, check_output_folder, make_folder, write_files
 
-    stated = Definition() if definition is None else Definition.load(definition)
+    sections = Definition() if definition is None else Definition.load(definition)
     angles = list(angle or _ANGLES)
-    for option, values in (("--angle", angles), ("--wanted", [wanted])):
-        for value in values:
+    for option, degrees in (("--angle", angles), ("--target", [target])):
+        for value in degrees:
             if not -60 <= value <= 60:
-                raise InputError(f"{option} is {value:g}; a joint bends from -60 to 60 deg")
-    names = ("fig09.png", "fig09.csv", "fig10.png", "fig10.csv", "corrections.png",
-             "corrections.csv", "joint.png", "points.csv", "equilibria.png",
-             "equilibria.csv")  # fmt: skip
-    for name in names:
-        if (out / name).exists() and not force:
-            raise InputError(
-                f"{out / name} exists and is not written over; give another --out or --force"
-            )
+                raise InputError(f"{option} is {value:g}: give an angle from -60 to 60 deg")
+    values = settings(pairs)
 
     from ._jax import configure
 
     configure()
-    pair = _pair(stated, settings or [], torque)
+    from ..report import JOINT_FILES, joint_files
+
+    check_output_folder(out, JOINT_FILES, force=force)
+    pair = _pair(sections, values, torque)
     typer.echo("drawing, and solving for every equilibrium ...", err=True)
-    contents = _contents(pair, angles, wanted)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"the folder {out} cannot be made ({error.strerror}); give another"
-        ) from None
-    write_files({out / name: contents[name] for name in names}, force=force)
-    _show(pair, wanted)
-    typer.echo(f"\nwrote {out}: {', '.join(names)}")
+    contents = joint_files(pair, angles, target)
+    make_folder(out)
+    write_files({out / name: contents[name] for name in JOINT_FILES}, force=force)
+    _show(pair, target)
+    typer.echo(f"\nwrote {out}: {', '.join(JOINT_FILES)}")
 
 
-def _pair(stated: "Definition", settings: list[str], torque: float | None) -> Any:
+def _pair(sections: "Definition", typed: Values, torque: float | None) -> Any:
     """The joint and muscle that are stated, with the parameters that were set."""
-    import math
-
     from ..joint import JointPair, check_geometry
     from ..models import MuscleModel, joint_from_section
-    from ..parameters import check_within_bounds, elements, replace
 
-    _refuse_unused(stated)
-    muscle = MuscleModel.stated(stated.muscle).muscle
-    pair = JointPair(joint_from_section(stated), muscle)
-    values: dict[str, float] = {} if torque is None else {"joint.torque": torque}
-    for setting in settings:
-        path, _, text = setting.rpartition("=")
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not path or not math.isfinite(value):
-            raise InputError(f"--set {setting!r} must be PATH=VALUE with a number; correct it")
-        # The joint's own paths need no prefix, as in a fit of a joint.
-        values[path if path.startswith(("joint.", "muscle.")) else f"joint.{path}"] = value
-    for path, value in values.items():
-        for element in elements(pair, path):
-            check_within_bounds(element, value, free=False)
+    _refuse_unused(sections)
+    muscle = MuscleModel.stated(sections.section(MuscleSection)).muscle
+    pair = JointPair(joint_from_section(sections), muscle)
     if torque is not None and not 0 < torque < math.inf:
-        raise InputError(f"--torque is {torque:g}; give a positive number of N m")
-    pair = replace(pair, values)
+        raise InputError(f"--torque is {torque:g}: give a positive number of N m")
+    values = {} if torque is None else {"joint.torque": [torque]}
+    for path, each in typed.items():
+        # The joint's own paths need no prefix, as in a fit of a joint.
+        values[path if path.startswith(("joint.", "muscle.")) else f"joint.{path}"] = each
+    pair = with_settings(pair, values)
     check_geometry(pair.joint.geometry)
     return pair
 
 
-def _refuse_unused(stated: "Definition") -> None:
+def _refuse_unused(sections: "Definition") -> None:
     """Refuse what a [muscle] section says and a joint does not use."""
-    muscle = stated.muscle
+    muscle = sections.section(MuscleSection)
     unused = {
         "length_m": muscle.length_m is not None,
         "friction": muscle.friction not in (None, "none"),
         "friction_pressures_kPa": muscle.friction_pressures_kPa is not None,
     }
-    for key, given in unused.items():
-        if given:
+    for key, is_stated in unused.items():
+        if is_stated:
             raise InputError(
                 f"[muscle] {key} is not used here: the length is muscle_length_m of [joint], and "
-                "a pair has no friction; remove it"
+                "a pair has no friction: remove it"
             )
 
 
-def _contents(pair: Any, angles: list[float], wanted: float) -> dict[str, bytes]:
-    import numpy as np
-
-    from ..report import (
-        angle_figure,
-        angle_table,
-        correction_figure,
-        correction_table,
-        equilibria_figure,
-        equilibria_table,
-        joint_figure,
-        joint_points,
-        to_png,
-    )
-
-    joint = pair.joint
-    readings = [correction_table(joint, reading=name) for name in ("continuous", "printed")]
-    corrections = {name: np.concatenate([each[name] for each in readings]) for name in readings[0]}
-    holding, _ = equilibria_table(pair, np.linspace(-60, 60, 121))
-    points: dict[str, list[Any]] = {"angle_deg": [], "point": [], "x_m": [], "y_m": []}
-    for degrees in angles:
-        for name, (x, y) in joint_points(joint, np.deg2rad(degrees)).items():
-            for column, cell in zip(points.values(), (degrees, name, x, y), strict=True):
-                column.append(cell)
-    return {
-        "fig09.png": to_png(angle_figure(joint, corrected=False)),
-        "fig09.csv": _csv(angle_table(joint, corrected=False)),
-        "fig10.png": to_png(angle_figure(joint, corrected=True)),
-        "fig10.csv": _csv(angle_table(joint, corrected=True)),
-        "corrections.png": to_png(correction_figure(joint)),
-        "corrections.csv": _csv(corrections),
-        "joint.png": to_png(joint_figure(joint, angles)),
-        "points.csv": _csv(points),
-        "equilibria.png": to_png(equilibria_figure(pair, holding, wanted)),
-        "equilibria.csv": _csv(holding),
-    }
-
-
-def _csv(columns: dict[str, Any]) -> bytes:
-    def cell(value: Any) -> str:
-        if isinstance(value, str):
-            return f'"{value}"' if "," in value else value
-        # A truth value is a number to numpy, and so to float.
-        return (
-            str(value).lower() if str(value) in ("True", "False") else f"{float(value) + 0.0:.9g}"
-        )
-
-    rows = zip(*columns.values(), strict=True)
-    return (
-        "\n".join([",".join(columns), *(",".join(map(cell, row)) for row in rows)]) + "\n"
-    ).encode()
-
-
-def _show(pair: Any, wanted: float) -> None:
+def _show(pair: Any, target: float) -> None:
     """What a person wants to know first: branches, pressures and every equilibrium."""
     import numpy as np
 
@@ -200,7 +128,7 @@ def _show(pair: Any, wanted: float) -> None:
     from ._output import print_table
 
     taut, wrapped = np.rad2deg(branch_angles(pair.joint.geometry))
-    command = pair_command(pair, np.deg2rad(wanted))
+    command = pair_command(pair, np.deg2rad(target))
     sides = {"first": command.first_pressure, "second": command.second_pressure}
     rows = [
         ("inner wire taut", "never" if np.isnan(taut) else f"above {taut:.2f} deg"),
@@ -210,9 +138,9 @@ def _show(pair: Any, wanted: float) -> None:
         rows.append(
             (f"{name} muscle", f"{float(answer.pressure) / 1e3:.2f} kPa, {answer.message()}")
         )
-    print_table(["", f"for {wanted:g} deg"], rows, left=2)
+    print_table(["", f"for {target:g} deg"], rows, left=2)
     print()
-    found = equilibria(pair, command.pressures)
+    rests = equilibria(pair, command.pressures)
     headings = ["equilibrium (deg)", "", "stiffness (N m/rad)", "first muscle", "second muscle"]
     cells = [
         (
@@ -221,14 +149,14 @@ def _show(pair: Any, wanted: float) -> None:
             f"{item.stiffness:.3g}",
             *item.branches,
         )
-        for item in found.found
+        for item in rests.found
     ]
     print_table(headings, cells, left=5)
     notes = {
-        "the torque also drives the joint against its stop at -60 deg": found.at_lower_stop,
-        "the torque also drives the joint against its stop at 60 deg": found.at_upper_stop,
+        "the torque also drives the joint against its stop at -60 deg": rests.at_lower_stop,
+        "the torque also drives the joint against its stop at 60 deg": rests.at_upper_stop,
         "in a range of angles nothing acts on the joint: it rests at any of them": (
-            found.indifferent
+            rests.indifferent
         ),
     }
     for note, holds in notes.items():

@@ -1,18 +1,15 @@
 """`giajax predict`: how well a model predicts runs that it was not fitted to."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .._errors import InputError
+from ._model import definition_of, model_of
 from ._output import print_table
 
 if TYPE_CHECKING:
-    from ..models import AbstractModel
     from ..runs import Run
-
-_ABOUT_RUNS = ("model", "free_motion", "initial", "command", "wind", "noise", "fit")
 
 EXAMPLES = """\b
 Examples:
@@ -66,16 +63,24 @@ def predict(
     The runs start as their sidecars, or the fit definition, say: with first_row = true in
     [initial] as in their first row.
     """
-    from ..runs import Definition, parse_rename, read_runs, write_files
+    from ..runs import (
+        Definition,
+        check_output_files,
+        parse_rename,
+        read_runs,
+        run_keys,
+        write_files,
+    )
 
-    if out is not None and out.exists() and not force:
-        raise InputError(f"{out} exists; give another --out, or --force to write over it")
-    said = {} if config is None else Definition.load(config).given()
+    if out is not None:
+        check_output_files([out], force=force)
+    sections = {} if config is None else Definition.load(config).given()
     # What it says of the model is that of the fit, which `model` states already.
-    said = {key: value for key, value in said.items() if key in _ABOUT_RUNS}
+    about = ("model", *run_keys(model=False), "fit")
+    sections = {key: value for key, value in sections.items() if key in about}
     if channels:
-        said["fit"] = {**said.get("fit", {}), "channels": channels}
-    stated = Definition.parse(said, "the command line")
+        sections["fit"] = {**sections.get("fit", {}), "channels": channels}
+    settings = Definition.parse(sections, "the command line")
 
     from ._jax import configure
 
@@ -85,28 +90,20 @@ def predict(
     renamed = parse_rename(rename or [])
 
     def runs_for(source: Path) -> "list[Run]":
-        own = Definition() if _is_result(source) else Definition.load(source)
-        return read_runs(data, own.merged_with(stated), rename=renamed)
+        return read_runs(data, definition_of(source).merged_with(settings), rename=renamed)
 
     runs = runs_for(model)
-    one = _model(model, runs)
-    other = None if against is None else _model(against, runs_for(against))
-    rows = compare(one, runs, other, refit_initial=refit_initial)
+    ours = model_of(model, runs)
+    other = None if against is None else model_of(against, runs_for(against))
     headings = ["run", "channel", "unit", "values", "RMSE", "largest"]
-    if other is not None:
+    if against is not None:
         headings += ["RMSE of the other", "ratio"]
+    rows: list[list[Any]] = [
+        [one.run, one.channel, one.unit, one.n, one.rmse, one.largest]
+        + ([] if against is None else [one.reference_rmse, one.ratio])
+        for one in compare(ours, runs, other, refit_initial=refit_initial)
+    ]
     print_table(headings, rows, left=3)
     if out is not None:
         lines = [",".join(str(cell) for cell in row) for row in [headings, *rows]]
         write_files({out: ("\n".join(lines) + "\n").encode()}, force=force)
-
-
-def _is_result(path: Path) -> bool:
-    return path.is_dir() or path.suffix == ".json"
-
-
-def _model(path: Path, runs: "list[Run]") -> "AbstractModel":
-    from ..fitting import load_result
-    from ..models import model_for
-
-    return load_result(path).model if _is_result(path) else model_for(runs)

@@ -1,4 +1,7 @@
-"""`giajax sensitivity`: what a recording would tell about parameters."""
+"""`giajax sensitivity`: what a recording would tell about parameters.
+
+More than 200 lines, because a run that is not there yet is described by the options of `simulate`.
+"""
 
 import math
 from pathlib import Path
@@ -7,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .._errors import InputError
+from ..kinds import ArmSection, InitialSection, SensorsSection
 from ._drive import (
     DURATION,
     channel_names,
@@ -17,6 +21,7 @@ from ._drive import (
     replayed_run,
     stated_definition,
 )
+from ._values import deviations, noise_section, settings, with_settings
 
 if TYPE_CHECKING:
     from ..models import AbstractModel
@@ -26,7 +31,7 @@ EXAMPLES = """\b
 Examples:
   giajax sensitivity --parameter air.drag_coefficient --out drag
   giajax sensitivity --parameter air.drag_coefficient --parameter joints.pitch_stiffness
-                     --ramp 1=20 --ramp 9=-15@3:2 --noise 0.02 --out both
+                     --ramp 1=20 --ramp 9=-15@3:2 --noise position_m=0.02 --out both
   giajax sensitivity --parameter camera.origin --arm my_arm.toml --channels tip --out camera
   giajax sensitivity run.csv --parameter joints.damping --out recorded
 
@@ -55,7 +60,7 @@ def sensitivity(
         Path | None, typer.Option(metavar="FILE.toml", help="The arm: [arm] of this file.")
     ] = None,
     links: Annotated[int | None, typer.Option(metavar="N", help="Number of links.")] = None,
-    settings: Annotated[
+    pairs: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="PATH=VALUE", help="A parameter's value. Repeatable."),
     ] = None,
@@ -84,12 +89,12 @@ def sensitivity(
         typer.Option(metavar="CHANNELS", help="What is recorded: link06, tip, joints, all. [all]"),
     ] = None,
     noise: Annotated[
-        float | None,
-        typer.Option(metavar="M", help="Standard deviation of positions, m. [the run's, or 0.01]"),
-    ] = None,
-    noise_angle: Annotated[
-        float | None,
-        typer.Option(metavar="DEG", help="Standard deviation of angles, deg. [the run's, or 0.5]"),
+        list[str] | None,
+        typer.Option(
+            metavar="KEY=VALUE",
+            help="Standard deviation, by a key of [noise]. Repeatable. "
+            "[the run's, or position_m=0.01 and angle_deg=0.5]",
+        ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Write over files.")] = False,
 ) -> None:
@@ -97,120 +102,116 @@ def sensitivity(
 
     And what that is worth: the standard errors to expect of a fit, before anything is recorded.
     """
-    from ..runs import read_run, write_files
+    from ..runs import check_output_folder, make_folder, read_run, write_files
 
-    if not all(value is None or 0 < value < math.inf for value in (noise, noise_angle)):
-        raise InputError("--noise and --noise-angle are standard deviations; give positive numbers")
-    for name in _FILES:
-        if (out / name).exists() and not force:
-            raise InputError(
-                f"{out / name} exists and is not written over; give another DIR or --force"
-            )
+    section = noise_section(noise, "--noise")
+    if not all(value > 0 for value in section.values()):
+        raise InputError("--noise is 0, and nothing is that exact: give a positive number")
+    check_output_folder(out, _FILES, force=force)
+    typed = settings(pairs)
     again = (arm, step, ramp, command, wind, links, duration, rate)
     if run is not None and any(value is not None and value != [] for value in again):
-        raise InputError("a run says what moves which arm; leave out the options that say it again")
+        raise InputError("a run says what moves which arm: leave out the options that say it again")
     recorded = None if run is None else read_run(run)
-    stated = stated_definition(arm, links, wind)
+    sections = stated_definition(arm, links, wind)
     if command is not None and (step or ramp):
         raise InputError(
-            "--command gives the commands, and so do --step and --ramp; give one of them"
+            "--command gives the commands, and so do --step and --ramp: give one of them"
         )
-    replayed = None if command is None else replayed_run(command, stated)
+    replayed = None if command is None else replayed_run(command, sections)
 
     from ._jax import configure
 
     configure()
 
-    from ..models import Drive, model_for, parameter_values, sampled
+    from ..models import model_for, parameter_values
     from ..parameters import replace
     from ..report import information_shares, sensitivity_figure, sensitivity_files, to_png
     from ..runs import Definition
     from ..simulation import SimulationError
     from ..study import planned, sensitivity as along
+    from ..synthetic import Drive, sampled
 
     model: AbstractModel
     names: list[str] | None
     if recorded is not None:
-        from ._synth import set_parameters
-
-        model, _ = set_parameters(model_for([recorded]), settings or [])
+        model = with_settings(model_for([recorded]), typed)
         names = channels
     else:
-        arm_model, _ = model_and_truth(stated, settings or [], "tsit5", 1e-8)
+        arm_model, _ = model_and_truth(sections, pairs or [], "tsit5", 1e-8)
         count, drives = arm_model.arm.count, list[Drive]()
         start, length = 0.0, DURATION
         if replayed is not None:
             start, length, drives = drives_of(replayed, rate or _RATE)
         else:
-            still = bool(wind or stated.initial.given())
+            still = bool(wind or sections.section(InitialSection).given())
             moves = ramp or ([] if step or still else [_DEFAULT_RAMP])
             if moves or step:
                 drives = [moves_of(step or [], moves, count, duration or length)]
-        facts = facts_of(stated, replayed, drives, arm_model)
+        facts = facts_of(sections, replayed, drives, arm_model)
         times, inputs = sampled(
             drives, start=start, duration=duration or length, rate=rate or _RATE
         )
         names = channel_names(channels or ["all"], count)
-        facts["arm"] = stated.arm.given()
-        facts["sensors"] = stated.sensors.given()
+        facts["arm"] = sections.section(ArmSection).given()
+        facts["sensors"] = sections.section(SensorsSection).given()
         definition = Definition.parse({k: v for k, v in facts.items() if v}, "sensitivity")
         recorded = planned(
             times, inputs, links=count, channels=names, definition=definition.given()
         )
         model = replace(model_for([recorded]), parameter_values(arm_model))
     try:
-        found = along(model, recorded, parameter, names)
+        sensitivities = along(model, recorded, parameter, names)
     except SimulationError as error:
         typer.echo(f"giajax: {error} (option --set)", err=True)
         raise typer.Exit(1) from None
-    deviations = _noise_of(recorded, found.channels, noise, noise_angle)
-    files = {name: text.encode() for name, text in sensitivity_files(found, deviations).items()}
+    noises = _noise_of(recorded, sensitivities.channels, section)
+    files = {name: text.encode() for name, text in sensitivity_files(sensitivities, noises).items()}
     title = f"{recorded.name}: sensitivity, and what each body tells"
-    files["sensitivity.png"] = to_png(sensitivity_figure(found, deviations, title))
-    out.mkdir(parents=True, exist_ok=True)
+    files["sensitivity.png"] = to_png(sensitivity_figure(sensitivities, noises, title))
+    make_folder(out)
     write_files({out / name: files[name] for name in _FILES}, force=force)
-    _show(found, deviations, information_shares(found, deviations))
+    _show(sensitivities, noises, information_shares(sensitivities, noises))
     typer.echo(f"\nwrote {out}: {', '.join(_FILES)}")
 
 
-def _noise_of(
-    run: "Run", channels: tuple[str, ...], noise: float | None, angle: float | None
-) -> list[float]:
+def _noise_of(run: "Run", channels: tuple[str, ...], section: dict[str, float]) -> list[float]:
     """What the options say of the noise, else what the run states, else the usual; SI."""
     from ..runs import Channel
 
-    found = []
+    noises, options = [], deviations(section, "--noise", channels)
     for name in channels:
         quantity = Channel.named(name).quantity
-        option = {"length": noise, "angle": None if angle is None else math.radians(angle)}
-        stated = option.get(quantity)
-        if stated is None and name in run.channels:
-            stated = run.noise(name)
-        if stated is None and quantity == "length":
-            stated = _NOISE
-        elif stated is None and quantity.startswith("ang"):
-            stated = math.radians(_NOISE_ANGLE)
-        elif stated is None:
-            raise InputError(f"the noise of {name} is not stated; state it in [noise] of the run")
-        found.append(stated)
-    return found
+        deviation = options.get(name)
+        if deviation is None and name in run.channels:
+            deviation = run.noise(name)
+        if deviation is None and quantity == "length":
+            deviation = _NOISE
+        elif deviation is None and quantity.startswith("ang"):
+            deviation = math.radians(_NOISE_ANGLE)
+        elif deviation is None:
+            raise InputError(
+                f"the noise of {name} is not stated: state it in [noise] of the run, or by --noise"
+            )
+        noises.append(deviation)
+    return noises
 
 
-def _show(found, deviations, shares) -> None:  # type: ignore[no-untyped-def]
+def _show(sensitivities, deviations, shares) -> None:  # type: ignore[no-untyped-def]
     from ._output import print_table
 
-    bodies = list(found.bodies())
+    bodies = list(sensitivities.bodies())
     rows = []
-    for index, path in enumerate(found.parameters):
-        error = float(found.standard_errors(deviations)[index])
+    for index, path in enumerate(sensitivities.parameters):
+        error = float(sensitivities.standard_errors(deviations)[index])
         most = int(shares[:, index].argmax())
         tells = f"{bodies[most]} ({100 * shares[most, index]:.0f} %)" if error < math.inf else None
         rows.append(
             [
                 path,
-                float(found.values[index]),
+                float(sensitivities.values[index]),
                 error if error < math.inf else "not determined",
-                found.units[index] or None,
+                sensitivities.units[index] or None,
                 tells,
             ]
         )

@@ -1,8 +1,6 @@
 """`giajax simulate`: a run made by the model."""
 
-import math
 import shlex
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -19,6 +17,8 @@ from ._drive import (
     replayed_run,
     stated_definition,
 )
+from ._origin import origin
+from ._values import deviations, noise_section
 
 if TYPE_CHECKING:
     from ..runs import Run
@@ -26,9 +26,11 @@ if TYPE_CHECKING:
 EXAMPLES = """\b
 Examples:
   giajax simulate --out run.csv --ramp 1=30
-  giajax simulate --out run.csv --step 1=30@0.5 --step 1=0@10 --noise 0.02 --missing 10
+  giajax simulate --out run.csv --step 1=30@0.5 --step 1=0@10 --missing 10
+                  --noise position_m=0.02 --noise angle_deg=0.5
   giajax simulate --out run.csv --command logged.csv --set air.drag_coefficient=1.0
   giajax simulate --out run.csv --arm my_arm.toml --ramp 2=-20@1:3 --channels all
+                  --set camera.origin=0.1,0,0
 
 \b
 CHANNELS is link06 (its x, y and z), link06_z, tip, joint03_angle, joint03_rate,
@@ -86,11 +88,11 @@ def simulate(
         ),
     ] = None,
     noise: Annotated[
-        float, typer.Option(metavar="M", help="Standard deviation of positions, m.")
-    ] = 0.0,
-    noise_angle: Annotated[
-        float, typer.Option(metavar="DEG", help="Standard deviation of joint angles, deg.")
-    ] = 0.0,
+        list[str] | None,
+        typer.Option(
+            metavar="KEY=VALUE", help="Standard deviation, by a key of [noise]. Repeatable."
+        ),
+    ] = None,
     missing: Annotated[
         float, typer.Option(metavar="PERCENT", help="Share of each channel that is left empty.")
     ] = 0.0,
@@ -110,25 +112,26 @@ def simulate(
 
     The sidecar beside it states the arm, the noise, the truth and this command line.
     """
-    from ..runs import Definition
+    from ..runs import Definition, check_output_run
 
-    _check_numbers(noise=noise, noise_angle=noise_angle, missing=missing, tolerance=tolerance)
-    _check_free(out, force)
-    stated = stated_definition(arm, links, wind)
+    _check_numbers(missing=missing, tolerance=tolerance)
+    section = noise_section(noise, "--noise")
+    check_output_run(out, force=force)
+    definition = stated_definition(arm, links, wind)
     if command is not None and (step or ramp):
         raise InputError(
-            "--command gives the commands, and so do --step and --ramp; give one of them"
+            "--command gives the commands, and so do --step and --ramp: give one of them"
         )
-    replayed = None if command is None else replayed_run(command, stated)
+    replayed = None if command is None else replayed_run(command, definition)
 
     from ._jax import configure
 
     configure()
 
-    from ..models import Drive, sampled, synthesise
     from ..simulation import SimulationError
+    from ..synthetic import Drive, sampled, synthesise
 
-    model, truth = model_and_truth(stated, settings or [], solver, tolerance)
+    model, truth = model_and_truth(definition, settings or [], solver, tolerance)
     count = model.arm.count
     start, drives = 0.0, list[Drive]()
     if replayed is not None:
@@ -137,18 +140,18 @@ def simulate(
     duration = DURATION if duration is None else duration
     if step or ramp:
         drives = [moves_of(step or [], ramp or [], count, duration)]
-    wanted = channel_names(channels or [], count)
-    deviations = _deviations(wanted, noise, noise_angle)
-    facts = facts_of(stated, replayed, drives, model)
-    facts["origin"] = _origin(context)
+    recorded = channel_names(channels or [], count)
+    deviations(section, "--noise", recorded)
+    facts = facts_of(definition, replayed, drives, model)
+    facts["origin"] = origin(context)
+    facts["noise"] = {key: deviation for key, deviation in section.items() if deviation}
     times, inputs = sampled(drives, start=start, duration=duration, rate=rate)
     try:
         run = synthesise(
             model,
             _as_written("time", times, max(digits, 12)),
             {name: _as_written(name, values, digits) for name, values in inputs.items()},
-            wanted,
-            noise=deviations,
+            recorded,
             missing=missing / 100,
             seed=seed,
             definition=Definition.parse({**facts, "truth": truth}, "simulate"),
@@ -171,44 +174,11 @@ def _write(out: Path, run: "Run", digits: int, force: bool) -> None:
     )
 
 
-def _check_numbers(*, noise: float, noise_angle: float, missing: float, tolerance: float) -> None:
-    for option, value in (("--noise", noise), ("--noise-angle", noise_angle)):
-        if not 0 <= value < math.inf:
-            raise InputError(
-                f"{option} is {value:g}, a standard deviation; give 0 or a positive number"
-            )
+def _check_numbers(*, missing: float, tolerance: float) -> None:
     if not 0 <= missing < 100:
-        raise InputError(f"--missing is {missing:g} %; give at least 0 and less than 100")
+        raise InputError(f"--missing is {missing:g} %: give at least 0 and less than 100")
     if not 0 < tolerance <= 0.1:
-        raise InputError(f"--tolerance is {tolerance:g}; give a positive number of at most 0.1")
-
-
-def _check_free(out: Path, force: bool) -> None:
-    # Also checked when the files are written; here so that nobody waits for a refusal.
-    from ..runs import sidecar_path
-
-    if out.suffix != ".csv":
-        raise InputError(f"--out is {out}; a run is written as .csv, so give such a name")
-    if not out.parent.is_dir():
-        raise InputError(
-            f"the folder {out.parent} of --out does not exist; make it or give another"
-        )
-    for path in (out, sidecar_path(out)):
-        if path.exists() and not force:
-            raise InputError(f"{path} exists and is not written over; give another name or --force")
-
-
-def _deviations(channels: Sequence[str], noise: float, noise_angle: float) -> dict[str, float]:
-    positions = any(name.startswith(("link", "tip")) for name in channels)
-    angles = any(name.endswith("_angle") for name in channels)
-    if noise and not positions:
-        raise InputError("--noise is that of positions, and no position is recorded; leave it out")
-    if noise_angle and not angles:
-        raise InputError(
-            "--noise-angle is that of joint angles, and none is recorded; leave it out"
-        )
-    stated = {"position": noise, "angle": math.radians(noise_angle)}
-    return {quantity: deviation for quantity, deviation in stated.items() if deviation}
+        raise InputError(f"--tolerance is {tolerance:g}: give a positive number of at most 0.1")
 
 
 def _as_written(name: str, values: Any, digits: int) -> Any:
@@ -221,23 +191,3 @@ def _as_written(name: str, values: Any, digits: int) -> Any:
     if channel.quantity == "angle":
         channel = replace(channel, unit="deg")
     return channel.to_si([float(f"{value:.{digits}g}") for value in channel.from_si(values)])
-
-
-def _origin(context: typer.Context) -> str:
-    """The command line without what only says where to write."""
-    from importlib.metadata import version
-
-    words = [f"giajax {version('giajax')} simulate"]
-    for parameter in context.command.params:
-        value = context.params.get(parameter.name or "")
-        if (
-            parameter.name in ("out", "force")
-            or value in (None, [], ())
-            or value == parameter.default
-        ):
-            continue
-        given = value if isinstance(value, list | tuple) else [value]
-        for item in given:
-            shown = f"{item:.15g}" if isinstance(item, float) else str(item)
-            words.append(f"{parameter.opts[0]} {shlex.quote(shown)}")
-    return " ".join(words)

@@ -1,22 +1,18 @@
 """`giajax synth`: the recording that a run would be, if a model were true."""
 
 import shlex
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
-from .._errors import InputError
-from ._drive import having, number
-
-if TYPE_CHECKING:
-    from ..runs import Run
+from ._model import definition_of, model_of
+from ._values import deviations, noise_section, settings, with_settings
 
 EXAMPLES = """\b
 Examples:
   giajax synth run.csv --out new.csv --noise position_m=0.01
-  giajax synth run.csv --out new.csv --result giajax-out/run --correlated position_m=0.02
+  giajax synth run.csv --out new.csv --model giajax-out/run --correlated position_m=0.02
   giajax synth run.csv --out new.csv --set camera.rotation=0,0.087,0 --set camera.delay=0.05
   giajax synth run.csv --out new.csv --missing 5 --bursts 10 --burst-duration 2
   giajax synth run.csv --out new.csv --noise position_m=0.01 --outliers 1
@@ -26,16 +22,19 @@ Examples:
 The run gives commands, times, columns and sidecar; any model will do. A truth of --set
 stands in [truth] of the new sidecar alone, so that a fit has something to find.
 KEY is one of the keys of [noise]: position_m, angle_deg, or a column such as link06_z_mm.
+MODEL is the folder of a fit, its result.json, or a TOML file whose [arm] (or other
+section) states a model with all its parameters.
 'giajax simulate' makes a first run from steps and ramps."""
 
 
 def synth(
     run: Annotated[Path, typer.Argument(metavar="RUN.csv", help="The run to record again.")],
     out: Annotated[Path, typer.Option(metavar="NEW.csv", help="The run to write.")],
-    result: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="A finished fit, whose model is true.")
+    model: Annotated[
+        Path | None,
+        typer.Option(metavar="MODEL", help="What is true; see below. [the run's own model]"),
     ] = None,
-    settings: Annotated[
+    pairs: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="PATH=VALUE", help="A parameter of the truth. Repeatable."),
     ] = None,
@@ -80,38 +79,40 @@ def synth(
     For a run of any model. Tests what a fit makes of noise, gaps, outliers and a frame that is
     off, before the experiment does.
     """
-    from ..runs import read_run, sidecar_path, write_run
+    from ..runs import check_output_run, read_run, sidecar_path, write_run
 
-    if out.suffix != ".csv":
-        raise InputError(f"--out is {out}; a run is written as .csv, so give such a name")
-    for path in (out, sidecar_path(out)):
-        if path.exists() and not force:
-            raise InputError(f"{path} exists and is not written over; give another name or --force")
-    recorded = read_run(run)
+    check_output_run(out, force=force)
+    values = settings(pairs)
+    sections = {
+        "white": noise_section(noise, "--noise"),
+        "correlated": noise_section(correlated, "--correlated"),
+        "outlier_size": noise_section(outlier_size, "--outlier-size"),
+    }
+    recorded = read_run(run, definition=definition_of(model))
 
     from ._jax import configure
 
     configure()
 
-    from ..fitting import load_result
-    from ..models import RecordingErrors, model_for, recorded_again
     from ..simulation import SimulationError
+    from ..synthetic import RecordingErrors, recorded_again
 
-    model: Any = model_for([recorded]) if result is None else load_result(result).model
-    model, paths = set_parameters(model, settings or [])
+    truth = with_settings(model_of(model, [recorded]), values)
+    names = channels or list(recorded.observations)
     errors = RecordingErrors(
-        white=_deviations("--noise", noise, recorded, channels),
-        correlated=_deviations("--correlated", correlated, recorded, channels),
+        white=deviations(sections["white"], "--noise", names),
+        correlated=deviations(sections["correlated"], "--correlated", names),
         correlation_time=correlation_time,
         missing=missing / 100,
         bursts=bursts / 100,
         burst_duration=burst_duration,
         outliers=outliers / 100,
-        outlier_size=_deviations("--outlier-size", outlier_size, recorded, channels),
+        outlier_size=deviations(sections["outlier_size"], "--outlier-size", names),
     )
+    paths = list(dict.fromkeys(path.partition("[")[0] for path in values))
     try:
         new = recorded_again(
-            model, recorded, errors, channels=channels, seed=seed, truth=paths, name=out.stem
+            truth, recorded, errors, channels=channels, seed=seed, truth=paths, name=out.stem
         )
     except SimulationError as error:
         typer.echo(f"giajax: {error}", err=True)
@@ -122,46 +123,3 @@ def synth(
         f"wrote {out} and {sidecar_path(out)}: {rows} rows, {len(new.observations)} channels; "
         f"see: giajax check {shlex.quote(str(out))}"
     )
-
-
-def set_parameters(model: Any, settings: Sequence[str]) -> tuple[Any, list[str]]:
-    """The model with the parameters that were set, and their paths."""
-    paths = []
-    for setting in settings:
-        path, _, text = setting.rpartition("=")
-        parts = text.split(",")
-        values = [value for value in map(number, parts) if value is not None]
-        if not path or len(values) < len(parts):
-            raise InputError(
-                f"--set {setting!r} must be PATH=VALUE with a number, or one for each element, "
-                "such as camera.origin=0.1,0,0; correct it"
-            )
-        model = having(model, path, values, setting)
-        paths.append(path.partition("[")[0])
-    return model, list(dict.fromkeys(paths))
-
-
-def _deviations(
-    option: str, pairs: Sequence[str] | None, run: "Run", channels: Sequence[str] | None
-) -> dict[str, float]:
-    """What keys of [noise] say of each channel to record, SI."""
-    from ..runs import Channel, Definition, stated_noise
-
-    section: dict[str, float] = {}
-    for pair in pairs or []:
-        key, _, text = pair.partition("=")
-        value = number(text)
-        if not key or value is None:
-            raise InputError(
-                f"{option} {pair!r} must be KEY=VALUE, such as position_m=0.01; correct it"
-            )
-        section[key] = value
-    if not section:
-        return {}
-    noise = Definition.parse({"noise": section}, option).noise
-    names = channels or list(run.observations)
-    found = {name: stated_noise(noise, Channel.named(name)) for name in names}
-    deviations = {name: value for name, value in found.items() if value is not None}
-    if not deviations:
-        raise InputError(f"{option} is about none of the recorded channels; correct its key")
-    return deviations

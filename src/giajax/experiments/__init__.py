@@ -7,16 +7,19 @@ from ._bouc_wen_benchmark import (
 )
 from ._figure_12 import figure_12 as figure_12
 from ._files import (
-    check_one_link_folder as check_one_link_folder,
+    ONE_LINK_FILES as ONE_LINK_FILES,
     write_one_link as write_one_link,
+)
+from ._history import (
+    History as History,
+    history as history,
+    other_history as other_history,
+    paper_history as paper_history,
 )
 from ._one_link import (
     OneLink as OneLink,
     Trial as Trial,
-    history as history,
     one_link as one_link,
-    other_history as other_history,
-    paper_history as paper_history,
     record_joint as record_joint,
 )
 from ._simulated_joint import SimulatedJoint as SimulatedJoint

@@ -1,4 +1,4 @@
-"""Fig. 12 of the paper: measured against wanted angles, without and with compensation."""
+"""Fig. 12 of the paper: measured against target angles, without and with compensation."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,7 +19,7 @@ def figure_12(study: OneLink) -> Figure:
     """One row a history, one column a compensation."""
     histories = list(dict.fromkeys(trial.history.name for trial in study.trials))
     columns = list(dict.fromkeys(trial.compensation for trial in study.trials))
-    title = "One link: measured against wanted angle, simulated joint, offset removed"
+    title = "One link: measured against target angle, simulated joint, offset removed"
     figure = new_figure(3.6 * len(columns), 3.4 * len(histories) + 0.5, title)
     grid = figure.subplots(len(histories), len(columns), sharex=True, sharey=True, squeeze=False)
     for row, name in enumerate(histories):
@@ -29,7 +29,7 @@ def figure_12(study: OneLink) -> Figure:
             if column == 0:
                 axes.set_ylabel(f"{_HISTORIES.get(name, name)}\nmeasured angle (deg)")
             if row == len(histories) - 1:
-                axes.set_xlabel("wanted angle (deg)")
+                axes.set_xlabel("target angle (deg)")
             if row == 0:
                 axes.set_title(_NAMES[compensation][0], fontsize=9, loc="left", color=INK)
     return figure
@@ -40,7 +40,7 @@ def _draw(axes: Axes, trial: Trial) -> None:
     axes.plot(ends, ends, color=GREY, linewidth=0.8, linestyle=(0, (4, 3)))
     measured = trial.history.measured
     axes.plot(
-        trial.history.wanted[measured],
+        trial.history.target[measured],
         trial.angles[measured],
         color=_NAMES[trial.compensation][1],
         linewidth=0.9,

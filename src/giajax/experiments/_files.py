@@ -4,28 +4,20 @@ from pathlib import Path
 
 import numpy as np
 
-from .._errors import InputError
 from ..report import to_png
-from ..runs import write_files, write_run
+from ..runs import check_output_folder, make_folder, write_files, write_run
 from ._figure_12 import figure_12
 from ._one_link import OneLink
 
-_FILES = ("fig12.png", "fig12.csv", "errors.csv", "result.json", "recording.csv", "recording.toml")
-
-
-def check_one_link_folder(folder: Path, *, force: bool) -> None:
-    """Refuse a folder that cannot be written or already has such files, before the experiment.
-
-    Raises:
-        InputError: naming the file.
-    """
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder} is a file; give the name of a folder")
-    for name in _FILES:
-        if (folder / name).exists() and not force:
-            raise InputError(
-                f"{folder / name} exists and is not written over; give another folder or --force"
-            )
+ONE_LINK_FILES = (
+    "fig12.png",
+    "fig12.csv",
+    "errors.csv",
+    "result.json",
+    "recording.csv",
+    "recording.toml",
+)
+"""What the 1-link experiment writes."""
 
 
 def write_one_link(study: OneLink, folder: Path, *, force: bool = False) -> list[Path]:
@@ -34,13 +26,8 @@ def write_one_link(study: OneLink, folder: Path, *, force: bool = False) -> list
     Raises:
         InputError: the folder cannot be made, or (without `force`) a file is there.
     """
-    check_one_link_folder(folder, force=force)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"the folder {folder} cannot be made ({error.strerror}); give another one"
-        ) from None
+    check_output_folder(folder, ONE_LINK_FILES, force=force)
+    make_folder(folder)
     contents = {
         folder / "fig12.png": to_png(figure_12(study)),
         folder / "fig12.csv": _numbers(study).encode(),
@@ -55,14 +42,14 @@ def write_one_link(study: OneLink, folder: Path, *, force: bool = False) -> list
 
 
 def _numbers(study: OneLink) -> str:
-    lines = ["history,compensation,time_s,wanted_deg,command_deg,angle_deg"]
+    lines = ["history,compensation,time_s,target_deg,command_deg,angle_deg"]
     for trial in study.trials:
         plan = trial.history
-        rows = zip(plan.times, plan.wanted, trial.commands, trial.angles, strict=True)
-        for time, wanted, command, angle in rows:
+        rows = zip(plan.times, plan.target, trial.commands, trial.angles, strict=True)
+        for time, target, command, angle in rows:
             cell = "" if np.isnan(angle) else f"{angle:.4f}"
             lines.append(
-                f"{plan.name},{trial.compensation},{time:g},{wanted:g},{command:.4f},{cell}"
+                f"{plan.name},{trial.compensation},{time:g},{target:g},{command:.4f},{cell}"
             )
     return "\n".join(lines) + "\n"
 

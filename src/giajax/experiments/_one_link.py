@@ -2,37 +2,23 @@
 
 The joint is recorded while it follows commands; from the recording two compensations are made,
 eq. (12) and the inverse of a modified Prandtl-Ishlinskii operator; and each is judged by how far
-the joint is from where it is wanted, on the paper's own history and on another one.
+the joint is from where it is to be, on the paper's own history and on another one.
 """
 
-import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from ..control import Compensator, compensator_for_loop, compensator_for_model
 from ..fitting import FitResult, fit
-from ..models import (
-    Compensator,
-    HysteresisModel,
-    compensator_for_loop,
-    compensator_for_model,
-    model_for,
-)
+from ..models import model_for
 from ..runs import Run
+from ._history import PAPER, Degrees, History, history, other_history, paper_history
 from ._simulated_joint import RANGE, SimulatedJoint
-
-Degrees = npt.NDArray[np.float64]
-
-# Within this angle a command is held for longer.
-_SLOW = 30.0
-_SLOW_SECONDS, _SECONDS = 20.0, 5.0
 
 # Nested and displaced loops: where eq. (12) needs one loop, an operator with memory needs more.
 _NESTED = (0, 50, -50, 40, -40, 30, -30, 20, -20, 10, -10, 0, 50, 20, 45, 10, -45, -15, -40, -5, 0)
-_OTHER = (0, 45, -35, 30, -20, 50, 10, 40, -10, 20, -50, -5, -30, 15, 0)
-_PAPER = (0, 60, -60, 0)
 
 # The paper does not say within which travel xi goes from 0 to 1.
 TRAVEL = np.deg2rad(40.0)
@@ -42,54 +28,11 @@ _DEAD_ZONES = tuple(float(value) for value in np.deg2rad([0.5, 1, 2, 4, 8, 16, 3
 
 
 @dataclass(frozen=True)
-class History:
-    """Wanted angles one degree apart.
-
-    Attributes:
-        name: what to call it.
-        times: when the joint has come to rest and is measured, s, shape (sample,).
-        wanted: deg, shape (sample,).
-        measured: which samples are measured, after the preparatory movement; shape (sample,).
-    """
-
-    name: str
-    times: npt.NDArray[np.float64]
-    wanted: Degrees
-    measured: npt.NDArray[np.bool_]
-
-
-def history(name: str, turns: Sequence[float]) -> History:
-    """The paper's preparatory movement, then from turn to turn by 1 deg.
-
-    A step takes 5 s, and 20 s where the command is within 30 deg of 0.
-    """
-    before = _steps(_PAPER)
-    wanted = np.concatenate([before, _steps(turns)[1:]])
-    held = np.where(np.abs(wanted) <= _SLOW, _SLOW_SECONDS, _SECONDS)
-    return History(name, np.cumsum(held), wanted, np.arange(len(wanted)) >= len(before) - 1)
-
-
-def _steps(turns: Sequence[float]) -> Degrees:
-    pieces = [np.linspace(a, b, round(abs(b - a)) + 1)[1:] for a, b in itertools.pairwise(turns)]
-    return np.concatenate([[turns[0]], *pieces]).astype(float)
-
-
-def paper_history() -> History:
-    """0, 60, -60, 0 deg, after the same as a preparation."""
-    return history("paper", _PAPER)
-
-
-def other_history() -> History:
-    """Other amplitudes and minor loops, which nothing is identified on."""
-    return history("other", _OTHER)
-
-
-@dataclass(frozen=True)
 class Trial:
     """One history followed with one compensation.
 
     Attributes:
-        history: what was wanted.
+        history: the target.
         compensation: "none", "branches" (eq. 12) or "inverse".
         commands: what was sent, deg, shape (sample,).
         angles: what was measured, the offset removed, deg, NaN during the preparation.
@@ -102,8 +45,8 @@ class Trial:
 
     @property
     def errors(self) -> Degrees:
-        """Measured less wanted angles where measured, deg."""
-        return (self.angles - self.history.wanted)[self.history.measured]
+        """Measured less target angles where measured, deg."""
+        return (self.angles - self.history.target)[self.history.measured]
 
     @property
     def largest(self) -> float:
@@ -163,23 +106,22 @@ def one_link(
     recording, offset = _record(joint)
     paper = paper_history()
     say("eq. (12): the branches of the loop")
-    on_paper = np.rad2deg(recording.values["angle"][: len(paper.wanted)])
+    on_paper = np.rad2deg(recording.values["angle"][: len(paper.target)])
     branches = compensator_for_loop(_run(paper, on_paper), travel)
     say("fitting the modified Prandtl-Ishlinskii operator")
     result = identify(recording)
-    assert isinstance(result.model, HysteresisModel)
     inverse = compensator_for_model(result.model)
     trials, number = [], 0
-    for wanted in (paper, other_history()):
+    for plan in (paper, other_history()):
         for name, compensator in (("none", None), ("branches", branches), ("inverse", inverse)):
-            say(f"the {wanted.name} history, compensation: {name}")
+            say(f"the {plan.name} history, compensation: {name}")
             number += 1
-            commands = _commands(compensator, wanted.wanted)
+            commands = _commands(compensator, plan.target)
             seen = joint.measured(commands, trial=number)
-            error = (seen - wanted.wanted)[wanted.measured]
-            removed = _least_offset(error) if wanted is paper else offset
-            shown = np.where(wanted.measured, seen - removed, np.nan)
-            trials.append(Trial(wanted, name, commands, shown))
+            error = (seen - plan.target)[plan.measured]
+            removed = _least_offset(error) if plan is paper else offset
+            shown = np.where(plan.measured, seen - removed, np.nan)
+            trials.append(Trial(plan, name, commands, shown))
     return OneLink(tuple(trials), recording, result, offset)
 
 
@@ -189,9 +131,9 @@ def record_joint(joint: SimulatedJoint | None = None) -> Run:
 
 
 def _record(joint: SimulatedJoint) -> tuple[Run, float]:
-    plan, paper = history("identification", (*_PAPER, *_NESTED[1:])), paper_history()
-    angles = joint.measured(plan.wanted)
-    error = (angles[: len(paper.wanted)] - paper.wanted)[paper.measured]
+    plan, paper = history("identification", (*PAPER, *_NESTED[1:])), paper_history()
+    angles = joint.measured(plan.target)
+    error = (angles[: len(paper.target)] - paper.target)[paper.measured]
     offset = _least_offset(error)
     return _run(plan, angles - offset), offset
 
@@ -206,11 +148,11 @@ def _least_offset(errors: Degrees) -> float:
     return float(np.median(errors))
 
 
-def _commands(compensator: Compensator | None, wanted: Degrees) -> Degrees:
+def _commands(compensator: Compensator | None, target: Degrees) -> Degrees:
     if compensator is None:
-        return wanted
+        return target
     low, high = compensator.reachable
-    commands = np.rad2deg(compensator.commands(np.clip(np.deg2rad(wanted), low, high)))
+    commands = np.rad2deg(compensator.commands(np.clip(np.deg2rad(target), low, high)))
     # The joint takes no command beyond its range.
     return np.clip(commands, -RANGE, RANGE)
 
@@ -219,7 +161,7 @@ def _run(plan: History, angles: Degrees) -> Run:
     seen = np.where(plan.measured, np.deg2rad(angles), np.nan)
     return Run.from_arrays(
         plan.times,
-        {"command": np.deg2rad(plan.wanted), "angle": seen},
+        {"command": np.deg2rad(plan.target), "angle": seen},
         name=plan.name,
         definition={
             "origin": "simulated 1-link arm (giajax hysteresis)",

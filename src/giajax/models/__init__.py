@@ -1,39 +1,40 @@
 """What predicts channels for a run."""
 
 from ._arm import ArmInputs as ArmInputs, ArmModel as ArmModel
+from ._arm_scene import arm_scene as arm_scene
 from ._build import (
     build_model as build_model,
     model_for as model_for,
     parameter_values as parameter_values,
-)
-from ._compensate import (
-    Compensator as Compensator,
-    compensator_for_loop as compensator_for_loop,
-    compensator_for_model as compensator_for_model,
-    wanted_channel as wanted_channel,
 )
 from ._definition import (
     arm_from_definition as arm_from_definition,
     arm_to_definition as arm_to_definition,
     sensors_from_definition as sensors_from_definition,
 )
-from ._drive import Drive as Drive, Move as Move, joint_moves as joint_moves, sampled as sampled
-from ._hysteresis import HysteresisInputs as HysteresisInputs, HysteresisModel as HysteresisModel
+from ._hysteresis import (
+    HysteresisInputs as HysteresisInputs,
+    HysteresisModel as HysteresisModel,
+)
 from ._hysteresis_definition import hysteresis_keys as hysteresis_keys
 from ._joint import (
     JointInputs as JointInputs,
     JointModel as JointModel,
     joint_from_section as joint_from_section,
 )
+from ._joint_scene import joint_scene as joint_scene
 from ._muscle import MuscleInputs as MuscleInputs, MuscleModel as MuscleModel
+from ._oscillator import OscillatorInputs as OscillatorInputs, OscillatorModel as OscillatorModel
 from ._protocol import (
     AbstractModel as AbstractModel,
     Channels as Channels,
     Derived as Derived,
+    Integration as Integration,
 )
-from ._recording import (
-    RecordingErrors as RecordingErrors,
-    recorded_again as recorded_again,
-    with_errors as with_errors,
+from ._response import (
+    Columns as Columns,
+    comparable as comparable,
+    input_channel as input_channel,
+    output_channel as output_channel,
 )
-from ._synthesise import synthesise as synthesise
+from ._scene import Line as Line, Scene as Scene

@@ -10,9 +10,12 @@ import numpy as np
 from .._errors import InputError
 from .._typing import Array, Bool, Float
 from ..joint import Correction, Joint, JointGeometry, balanced, check_geometry, is_possible
+from ..kinds import JointSection
 from ..parameters import get, inline
 from ..runs import Channel, Definition, Run
+from ._joint_scene import joint_scene
 from ._protocol import AbstractModel, Channels
+from ._scene import Scene
 
 _POINTS = {"anchor_m": "anchor", "wire_m": "wire", "contact_m": "contact"}
 _LENGTHS = {"wire_length_m": "wire_length", "muscle_length_m": "muscle_length"}
@@ -92,9 +95,14 @@ class JointModel(AbstractModel):
             torque=None if torque is None else jnp.asarray(torque, dtype=dtype),
         )
 
-    def drawn_over(self, run: Run) -> str | None:
-        """The bending angle, where it varies."""
-        return "angle" if np.ptp(run.values["angle"]) > 0 else None
+    def initial_section(self, inputs: JointInputs) -> dict[str, Any]:
+        """Nothing: each sample is at rest."""
+        return {}
+
+    def scene(self, run: Run) -> Scene:
+        """Balloons, muscle, wire and lettered points at the angles of the run."""
+        inputs = self.prepare(run)
+        return joint_scene(self.joint.geometry, inputs.angle, inputs.inner, times=run.times)
 
     def predict(
         self, inputs: JointInputs, channels: tuple[str, ...]
@@ -124,6 +132,10 @@ class JointModel(AbstractModel):
         return "the force of the joint is not finite; choose another geometry or torque"
 
     def refined(self, factor: float) -> Self:
+        """The same: it is in closed form."""
+        return self
+
+    def for_derivatives(self, paths: Sequence[str]) -> Self:
         """The same: it is in closed form."""
         return self
 
@@ -159,7 +171,7 @@ class JointModel(AbstractModel):
 
 def joint_from_section(definition: Definition) -> Joint:
     """The joint that the `[joint]` section states; what it does not state is the preset's."""
-    given = definition.joint.given()
+    given = definition.section(JointSection).given()
     geometry: dict[str, Any] = {}
     for key, name in _POINTS.items():
         if given.get(key) is not None:

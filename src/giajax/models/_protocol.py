@@ -6,8 +6,10 @@ from typing import Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
 
+from .._errors import InputError
 from .._typing import Array, Bool, Float, Scalar
 from ..runs import Run
+from ._scene import Scene
 
 Channels = dict[str, Float[Array, " sample"]]
 
@@ -17,6 +19,13 @@ class Derived(NamedTuple):
 
     value: Scalar
     unit: str
+
+
+class Integration(NamedTuple):
+    """How a model is integrated: its solver by name, and the tolerance of a step."""
+
+    solver: str
+    tolerance: float
 
 
 class AbstractModel(eqx.Module):
@@ -75,6 +84,32 @@ class AbstractModel(eqx.Module):
     def refined(self, factor: float) -> Self:
         """The same model with its numerical tolerances multiplied by a factor."""
 
+    def integration(self) -> Integration | None:
+        """How the model is integrated; None where it is in closed form or has steps of its own."""
+        return None
+
+    def with_integration(self, *, solver: str | None, tolerance: float | None) -> Self:
+        """The same model with another solver or tolerance; None leaves the one it has.
+
+        Raises:
+            InputError: the model has none, the solver does not exist, or the tolerance is not a
+                positive number.
+        """
+        raise InputError(
+            f"the {self.kind} model has neither a solver nor a tolerance: leave both out"
+        )
+
+    @abc.abstractmethod
+    def for_derivatives(self, paths: Sequence[str]) -> Self:
+        """The same model, as exact in derivatives by some parameters as in its predictions.
+
+        A model that integrates may need shorter steps for them. Its predictions do not depend on
+        whether they are differentiated, so that a fit and a sensitivity study ask for this.
+
+        Arguments:
+            paths: of parameters of the model, or of the prepared inputs (`free_inputs`).
+        """
+
     @abc.abstractmethod
     def conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
         """Sentences: on what the given parameters, fitted to these runs, are conditional."""
@@ -83,9 +118,21 @@ class AbstractModel(eqx.Module):
     def definition(self) -> dict[str, Any]:
         """Plain data from which `build_model` makes this model again, its parameters apart."""
 
-    def drawn_over(self, run: Run) -> str | None:
-        """The given channel that measured ones of a run are drawn over; None: over time."""
-        return None
+    @abc.abstractmethod
+    def initial_section(self, inputs: Any) -> dict[str, Any]:
+        """Keys of `[initial]` that state how a prepared run begins; none where no state does.
+
+        A run that says `first_row = true` can then be recorded again with another first row.
+        """
+
+    @abc.abstractmethod
+    def scene(self, run: Run) -> Scene | None:
+        """What is seen of the model as it follows a run; None where nothing is.
+
+        Raises:
+            InputError: the run is not one of this model.
+            SimulationError: the model cannot be evaluated.
+        """
 
     def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
         """The model where a fit of some parameters to some runs may start.

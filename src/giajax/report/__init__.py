@@ -1,20 +1,23 @@
-"""What a person sees of a fit: tables, figures and files. Made from a result alone."""
+"""What a person sees of fits and models: tables, figures and files."""
 
+from .._text import format_estimate as format_estimate
 from ._correlation import correlation_figure as correlation_figure
 from ._files import check_folder as check_folder, write_result as write_result
-from ._joint import (
-    angle_figure as angle_figure,
-    angle_table as angle_table,
+from ._joint_angle import angle_figure as angle_figure, angle_table as angle_table
+from ._joint_correction import (
     correction_figure as correction_figure,
     correction_table as correction_table,
+)
+from ._joint_equilibria import (
     equilibria_figure as equilibria_figure,
     equilibria_table as equilibria_table,
-    joint_figure as joint_figure,
-    joint_points as joint_points,
 )
+from ._joint_files import JOINT_FILES as JOINT_FILES, joint_files as joint_files
+from ._joint_shape import joint_figure as joint_figure, joint_points as joint_points
 from ._reached import Reached as Reached, check_figures as check_figures, reached as reached
 from ._recorded import recorded_figure as recorded_figure
 from ._residuals import residuals_figure as residuals_figure
+from ._scene import draw_scene as draw_scene
 from ._sensitivity import (
     information_shares as information_shares,
     sensitivity_figure as sensitivity_figure,
@@ -30,8 +33,4 @@ from ._style import (
     plain as plain,
     to_png as to_png,
 )
-from ._text import (
-    format_estimate as format_estimate,
-    parameter_table as parameter_table,
-    summary as summary,
-)
+from ._text import parameter_table as parameter_table, summary as summary

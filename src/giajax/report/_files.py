@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from .._errors import InputError
-from ..fitting import FitResult
-from ..runs import Definition, Run, write_files
+from ..fitting import FitResult, RunFit
+from ..runs import Definition, Run, check_output_folder, make_folder, run_keys, write_files
 from ._correlation import correlation_figure
 from ._recorded import recorded_figure
 from ._residuals import residuals_figure
@@ -26,8 +25,6 @@ _MOST_RUNS = 6
 # What makes two fits the same fit; the iterations allowed and the folder do not.
 _SAME = ("definition", "runs", "free", "start", "fix", "loss")
 _WORDS = {"definition": "the model's constants", "runs": "what the sidecar states", "loss": "loss"}
-_SECTIONS = ("arm", "hysteresis")
-_KEPT = ("free_motion", "initial", "command", "wind")
 
 
 def check_folder(
@@ -40,7 +37,7 @@ def check_folder(
     Arguments:
         folder: where `write_result` is to write; need not exist.
         runs: the runs to be fitted.
-        config: what `giajax.fitting.configuration` says of the fit.
+        config: of the fit: `Setup.config`, which `giajax.fitting.set_up` makes.
         force: write over any result that is there.
 
     Raises:
@@ -48,7 +45,7 @@ def check_folder(
             result of other data, of another configuration, or of another program.
     """
     folder = Path(folder)
-    _check_writable(folder)
+    check_output_folder(folder)
     path = folder / RESULT
     if force or not path.exists():
         return
@@ -95,7 +92,7 @@ def write_result(result: FitResult, runs: Run | Sequence[Run], folder: str | Pat
     """
     folder = Path(folder)
     runs = [runs] if isinstance(runs, Run) else list(runs)
-    if [run.sha256 for run in runs] != [record["sha256"] for record in result.runs]:
+    if [run.sha256 for run in runs] != [record.sha256 for record in result.runs]:
         raise InputError("the runs are not those of the result; give the same ones in their order")
     # A result that was loaded has no predictions with it.
     predictions = result.predictions or [result.predict(run) for run in runs]
@@ -107,30 +104,14 @@ def write_result(result: FitResult, runs: Run | Sequence[Run], folder: str | Pat
     except KeyboardInterrupt as error:  # figures can be made again; a fit takes longer
         interrupted = error
     contents[RESULT] = result.to_json().encode()
-    _check_writable(folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder} cannot be made ({error.strerror}); give another one") from None
+    check_output_folder(folder)
+    make_folder(folder)
     _remove_stale_figures(folder, contents)
     paths = {folder / name: data for name, data in contents.items()}
     write_files(paths, force=True)
     if interrupted is not None:
         raise interrupted
     return list(paths)
-
-
-def _check_writable(folder: Path) -> None:
-    """Refuse a folder that could not be made or written to."""
-    existing = folder
-    # A name that is a broken link exists for mkdir, but not for `exists`.
-    while not existing.exists() and not existing.is_symlink() and existing != existing.parent:
-        existing = existing.parent
-    if not existing.is_dir():
-        said = "is a file" if existing.exists() else "is a broken link"
-        raise InputError(f"{existing} {said}, but the result goes into a folder; give another one")
-    if not os.access(existing, os.W_OK | os.X_OK):
-        raise InputError(f"{existing} cannot be written; give another folder for the result")
 
 
 def _as_json(value: Any) -> Any:
@@ -156,8 +137,8 @@ def _worth_drawing(result: FitResult) -> list[int]:
     if len(result.runs) <= _MOST_RUNS:
         return list(range(len(result.runs)))
 
-    def misfit(record: Mapping[str, Any]) -> float:
-        ratios = [c["rmse"] / c["noise"] for c in record["channels"].values() if c["rmse"]]
+    def misfit(record: RunFit) -> float:
+        ratios = [c.rmse / c.noise for c in record.channels.values() if c.rmse]
         return max(ratios, default=0.0)
 
     worst = sorted(range(len(result.runs)), key=lambda index: -misfit(result.runs[index]))
@@ -246,15 +227,17 @@ def _csv(columns: Mapping[str, list[str]]) -> bytes:
 def _sidecar(result: FitResult, run: Run, checksum: str) -> Definition:
     """What the prediction was made with, so that it can be read, checked and fitted as a run."""
     stated = run.definition.given()
+    # The noise is that of the recording, which a prediction does not have.
+    about = [key for key in run_keys(model=False) if key != "noise"]
     definition = result.model.definition()
-    model = {key: definition[key] for key in _SECTIONS if key in definition}
+    model = {key: definition[key] for key in run.kind.sections if key in definition}
     return Definition.parse(
         {
             "model": run.model,
             "origin": f"predicted by giajax from a fit to {run.name}",
             "sha256": checksum,
             **model,
-            **{key: stated[key] for key in _KEPT if key in stated},
+            **{key: stated[key] for key in about if key in stated},
         },
         "prediction.toml",
     )

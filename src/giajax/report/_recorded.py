@@ -9,10 +9,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from ..fitting import FitResult
+from ..fitting import FitResult, RunFit
 from ..runs import Channel, Run
-from ._axes import sample_times, time_label, unfinished
-from ._style import BLUE, GREEN, GREY, INK, VERMILLION, new_figure, plain
+from ._abscissa import abscissa, channel_label
+from ._style import BLUE, GREEN, GREY, INK, VERMILLION, new_figure, plain, unfinished
 
 # More panels than this cannot be read on one screen.
 _MOST_PANELS = 24
@@ -24,11 +24,11 @@ _COMPONENTS = {"x": BLUE, "y": VERMILLION, "z": GREEN}
 
 
 def recorded_figure(
-    result: FitResult, run: Run, predicted: Mapping[str, np.ndarray], record: Mapping[str, Any]
+    result: FitResult, run: Run, predicted: Mapping[str, np.ndarray], record: RunFit
 ) -> Figure:
     """Recorded against fitted channels of one run, in the units of its file.
 
-    Over time, or over what the model of the run names, such as the input of a hysteresis loop.
+    Over time, or over what makes them a curve, such as the input of a hysteresis loop.
     One panel a channel; the components of a link or of the tip share one where there would be
     too many. Cells that were not measured are gaps between the dots.
 
@@ -44,9 +44,9 @@ def recorded_figure(
     title = f"{run.name}: recorded and fitted{unfinished(result)}"
     if left_out:
         title += f"; {left_out} more channels are in prediction.csv"
-    over, label = _abscissa(result, run)
+    over, label = abscissa(run)
     # A curve wants to be about as high as it is wide; a motion wants width.
-    height = 2.05 if result.model.drawn_over(run) is None else 3.4
+    height = 2.05 if run.drawn_over is None else 3.4
     figure = new_figure(max(3.7 * columns, 6.5), max(height * rows, 2.4) + 0.6, title)
     grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
     for position, axes in enumerate(grid.flat):
@@ -60,18 +60,6 @@ def recorded_figure(
             axes.tick_params(labelbottom=True)
     _legend(figure, any(len(names) > 1 for names in panels))
     return figure
-
-
-def _abscissa(result: FitResult, run: Run) -> tuple[np.ndarray, str]:
-    """What the channels are drawn over, in the unit of the file, and its name."""
-    name = result.model.drawn_over(run)
-    if name is None:
-        return sample_times(run), time_label(run)
-    return run.channels[name].from_si(run.values[name]), _label(run.channels[name])
-
-
-def _label(channel: Channel) -> str:
-    return channel.name + (f" ({channel.unit.replace('_per_', '/')})" if channel.unit else "")
 
 
 def _starts(over: np.ndarray) -> np.ndarray:
@@ -108,7 +96,7 @@ def _draw_panel(
     run: Run,
     over: np.ndarray,
     predicted: Mapping[str, np.ndarray],
-    record: Mapping[str, Any],
+    record: RunFit,
 ) -> None:
     channels = [run.channels[name] for name in names]
     several = len(channels) > 1
@@ -130,12 +118,12 @@ def _draw_panel(
     for channel in channels:
         fitted = np.insert(channel.from_si(predicted[channel.name]), sweeps, np.nan)
         axes.plot(line, fitted, color=INK if several else BLUE, linewidth=0.8 if several else 1.2)
-    label = _label(channels[0])
+    label = channel_label(channels[0])
     plain(axes, label if len(names) == 1 else label.replace(names[0], names[0][:-2]))
     axes.yaxis.set_major_locator(MaxNLocator(5))
-    worst = [record["channels"][name]["rmse"] for name in names]
-    if None not in worst:
-        axes.set_title(f"RMSE {max(worst):.3g}", fontsize=8, loc="right", color=GREY)
+    known = [rmse for name in names if (rmse := record.channels[name].rmse) is not None]
+    if len(known) == len(names):
+        axes.set_title(f"RMSE {max(known):.3g}", fontsize=8, loc="right", color=GREY)
 
 
 def _colour(channel: Channel) -> str:

@@ -15,36 +15,38 @@ from ._style import BLUE, GREY, INK, new_figure, plain
 _MOST_NAMES = 25
 
 
-def sensitivity_figure(found: Sensitivity, noise: npt.ArrayLike, title: str = "") -> Figure:
+def sensitivity_figure(sensitivity: Sensitivity, noise: npt.ArrayLike, title: str = "") -> Figure:
     """How far each body moves with each parameter over time, and its share of the information.
 
     Arguments:
-        found: the sensitivities.
+        sensitivity: of the positions to the parameters.
         noise: standard deviation of white noise, SI: one number, or one per channel.
         title: of the whole.
     """
-    names, sizes = found.lengths()
-    shares = information_shares(found, noise)
-    errors = found.standard_errors(noise)
-    rows = len(found.parameters)
+    names, sizes = sensitivity.lengths()
+    shares = information_shares(sensitivity, noise)
+    errors = sensitivity.standard_errors(noise)
+    rows = len(sensitivity.parameters)
     tall = float(np.clip(0.14 * len(names) + 1.2, 2.2, 5.0))
     figure = new_figure(10, rows * tall + 0.5, title or "Sensitivity of positions to parameters")
     grid = figure.add_gridspec(rows, 2, width_ratios=[3, 1])
-    times = np.arange(sizes.shape[1], dtype=float) if found.times is None else found.times
+    times = (
+        np.arange(sizes.shape[1], dtype=float) if sensitivity.times is None else sensitivity.times
+    )
     places = np.arange(len(names))
     every = -(-len(names) // _MOST_NAMES)
-    for row, path in enumerate(found.parameters):
+    for row, path in enumerate(sensitivity.parameters):
         axes = figure.add_subplot(grid[row, 0])
-        unit = found.units[row]
+        unit = sensitivity.units[row]
         image = axes.pcolormesh(
             times, places, sizes[row].T, shading="nearest", cmap="cividis", rasterized=True
         )
-        plain(axes, f"{path} = {_value(found, row)}")
+        plain(axes, f"{path} = {_value(sensitivity, row)}")
         axes.grid(False)
         axes.set_yticks(places[::every], names[::every])
-        axes.set_xlabel("time (s)" if found.times is not None else "sample")
+        axes.set_xlabel("time (s)" if sensitivity.times is not None else "sample")
         bar = figure.colorbar(image, ax=axes, pad=0.01)
-        of = _quantity_unit(found)
+        of = _quantity_unit(sensitivity)
         bar.set_label(f"|d position / d parameter| ({of} per {unit or '1'})", fontsize=8)
         bar.ax.tick_params(labelsize=8, length=0, labelcolor=INK)
         bar.outline.set_visible(False)
@@ -59,32 +61,36 @@ def sensitivity_figure(found: Sensitivity, noise: npt.ArrayLike, title: str = ""
     return figure
 
 
-def information_shares(found: Sensitivity, noise: npt.ArrayLike) -> np.ndarray:
+def information_shares(sensitivity: Sensitivity, noise: npt.ArrayLike) -> np.ndarray:
     """Part of the information about each parameter that each body carries; (body, parameter)."""
-    alone = np.diagonal(found.information(noise), axis1=1, axis2=2)
+    alone = np.diagonal(sensitivity.information(noise), axis1=1, axis2=2)
     total = alone.sum(axis=0)
     return np.divide(alone, total, out=np.zeros_like(alone), where=total > 0)
 
 
-def sensitivity_files(found: Sensitivity, noise: npt.ArrayLike) -> dict[str, str]:
+def sensitivity_files(sensitivity: Sensitivity, noise: npt.ArrayLike) -> dict[str, str]:
     """`sensitivity.csv`, derivatives over time, and `information.csv`, by body; as text."""
     over_time = io.StringIO()
     writer = csv.writer(over_time, lineterminator="\n")
-    units = [Channel.named(name).si_unit for name in found.channels]
-    columns = [f"{n} ({u})" if u else n for n, u in zip(found.channels, units, strict=True)]
+    units = [Channel.named(name).si_unit for name in sensitivity.channels]
+    columns = [f"{n} ({u})" if u else n for n, u in zip(sensitivity.channels, units, strict=True)]
     writer.writerow(["parameter", "unit", "time_s", *columns])
-    times = [""] * len(found.predicted) if found.times is None else found.times
-    for path, unit, table in zip(found.parameters, found.units, found.derivatives, strict=True):
+    times = [""] * len(sensitivity.predicted) if sensitivity.times is None else sensitivity.times
+    for path, unit, table in zip(
+        sensitivity.parameters, sensitivity.units, sensitivity.derivatives, strict=True
+    ):
         for time, row in zip(times, table, strict=True):
             shown = f"{time:.9g}" if time != "" else ""
             writer.writerow([path, unit, shown, *(f"{value:.8g}" for value in row)])
     by_body = io.StringIO()
     writer = csv.writer(by_body, lineterminator="\n")
     writer.writerow(["parameter", "unit", "body", "share_percent", "standard_error_alone"])
-    shares, alone = information_shares(found, noise), found.errors_by_body(noise)
-    together = found.standard_errors(noise)
-    for column, (path, unit) in enumerate(zip(found.parameters, found.units, strict=True)):
-        for row, name in enumerate(found.bodies()):
+    shares, alone = information_shares(sensitivity, noise), sensitivity.errors_by_body(noise)
+    together = sensitivity.standard_errors(noise)
+    for column, (path, unit) in enumerate(
+        zip(sensitivity.parameters, sensitivity.units, strict=True)
+    ):
+        for row, name in enumerate(sensitivity.bodies()):
             share = 100 * shares[row, column]
             writer.writerow([path, unit, name, f"{share:.6g}", _finite(alone[row, column])])
         writer.writerow([path, unit, "all", "100", _finite(together[column])])
@@ -95,14 +101,14 @@ def _finite(value: float) -> str:
     return f"{value:.6g}" if np.isfinite(value) else ""
 
 
-def _value(found: Sensitivity, row: int) -> str:
-    return f"{found.values[row]:.4g} {found.units[row]}".strip()
+def _value(sensitivity: Sensitivity, row: int) -> str:
+    return f"{sensitivity.values[row]:.4g} {sensitivity.units[row]}".strip()
 
 
 def _error(error: float, unit: str) -> str:
     return f"{error:.2g} {unit}".strip() if np.isfinite(error) else "infinite"
 
 
-def _quantity_unit(found: Sensitivity) -> str:
-    units = {Channel.named(name).si_unit for name in found.channels}
+def _quantity_unit(sensitivity: Sensitivity) -> str:
+    units = {Channel.named(name).si_unit for name in sensitivity.channels}
     return units.pop() or "1" if len(units) == 1 else "SI"

@@ -5,11 +5,14 @@ import io
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ..fitting import FitResult
+
 # Okabe and Ito's colours, which people who see red and green alike can tell apart.
 BLUE, VERMILLION, GREEN = "#0072B2", "#D55E00", "#009E73"
 INK, GREY, LIGHT = "#222222", "#767676", "#E3E3E3"
 
 MINUS = "\N{MINUS SIGN}"
+DEGREE = "\N{DEGREE SIGN}"
 
 # Written into each file: how a later fit knows a figure of an earlier one from a person's.
 SIGNATURE = "giajax fit"
@@ -37,6 +40,11 @@ def plain(axes: Axes, title: str = "") -> None:
     axes.yaxis.label.set_fontsize(8)
     if title:
         axes.set_title(title, fontsize=9, loc="left", color=INK)
+
+
+def unfinished(result: FitResult) -> str:
+    """What a title says of a fit that did not end well."""
+    return "" if result.status == "converged" else f" ({result.status.replace('_', ' ')})"
 
 
 def to_png(figure: Figure) -> bytes:

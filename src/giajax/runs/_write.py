@@ -13,6 +13,7 @@ from .._errors import InputError
 from ._channels import Channel, order
 from ._definition import Definition
 from ._model import infer_model
+from ._output import check_output_files
 from ._read import sidecar_path
 
 DEFAULT_UNITS = {"angle": "deg", "angular_velocity": "deg_per_s", "pressure": "kPa"}
@@ -70,14 +71,7 @@ def write_files(contents: Mapping[Path, bytes], *, force: bool) -> None:
 
     Raises `InputError` if a file is there, or its folder is not, or cannot be written.
     """
-    for path in contents:
-        if path.exists() and not force:
-            raise InputError(f"{path} exists and is not written over: give another name or --force")
-        if not path.parent.is_dir():
-            raise InputError(
-                f"{path} cannot be written, because the folder {path.parent} does not exist: "
-                "create it or give another name"
-            )
+    check_output_files(contents, force=force)
     temporary = {path: path.with_name(f".{path.name}.{os.getpid()}.part") for path in contents}
     try:
         for path, data in contents.items():

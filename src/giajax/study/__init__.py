@@ -4,16 +4,17 @@ from ._choose import (
     CANDIDATES as CANDIDATES,
     Candidate as Candidate,
     Choice as Choice,
+    choice_hint as choice_hint,
     choose_hysteresis as choose_hysteresis,
 )
-from ._compare import compare as compare
+from ._compare import Comparison as Comparison, compare as compare
 from ._multi_start import (
     SAME_END as SAME_END,
+    SEED as SEED,
+    SPREAD as SPREAD,
     misfit as misfit,
     multi_start as multi_start,
+    solve_from_starts as solve_from_starts,
 )
-from ._sensitivity import (
-    Sensitivity as Sensitivity,
-    planned as planned,
-    sensitivity as sensitivity,
-)
+from ._planned import planned as planned
+from ._sensitivity import Sensitivity as Sensitivity, sensitivity as sensitivity

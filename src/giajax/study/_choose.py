@@ -1,6 +1,7 @@
 """Which hysteresis model: by loops that it was not fitted to, and by AIC and BIC."""
 
 import dataclasses
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -8,9 +9,11 @@ import numpy as np
 
 from .._errors import InputError
 from ..fitting import FitResult, fit
+from ..kinds import HysteresisSection
 from ..models import HysteresisModel, hysteresis_keys, model_for
 from ..parameters import default_free
 from ..runs import Definition, Run
+from ._held_out import parted
 
 # Name: what of [hysteresis] makes it, and what is fitted beside the defaults.
 CANDIDATES: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
@@ -25,9 +28,6 @@ CANDIDATES: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
     "preisach": ({"operator": "preisach"}, ("bias",)),
     "bouc_wen": ({"operator": "bouc_wen"}, ()),
 }
-
-# With fewer measured values than this a part of a run is no loop.
-_LEAST = 8
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,17 +54,26 @@ class Candidate:
     bic: float
     result: FitResult
 
+    @property
+    def converged(self) -> bool:
+        """Whether the fit did: only then its errors are those of the model."""
+        return self.status == "converged"
+
 
 @dataclasses.dataclass(frozen=True)
 class Choice:
-    """All candidates, the best first, and the unit of their errors."""
+    """All candidates and the unit of their errors.
+
+    Those whose fit converged come first, the least error on the held-out loops at the top: the
+    errors of the others are of a fit that ended early, and say little of the model.
+    """
 
     candidates: tuple[Candidate, ...]
     unit: str
 
     @property
     def best(self) -> Candidate:
-        """The candidate with the least error on the held-out loops."""
+        """The converged candidate with the least error on the held-out loops."""
         return self.candidates[0]
 
 
@@ -94,25 +103,49 @@ def choose_hysteresis(
     for name in names:
         if name not in CANDIDATES:
             raise InputError(
-                f"there is no candidate '{name}'; use some of: {', '.join(CANDIDATES)}"
+                f"there is no candidate '{name}': use some of: {', '.join(CANDIDATES)}"
             )
     if not runs or any(run.model != HysteresisModel.kind for run in (*runs, *held_out)):
-        raise InputError("a choice is between models of hysteresis; give runs of hysteresis")
+        raise InputError("a choice is between models of hysteresis: give runs of hysteresis")
     for run in (*runs, *held_out):
         run.require_observations()
     if held_out:
         fitted, judged = list(runs), list(held_out)
     else:
-        parts = [_parted(run, fraction) for run in runs]
+        parts = [parted(run, fraction) for run in runs]
         fitted, judged = [a for a, _ in parts], [b for _, b in parts]
-    found = []
+    tried = []
     for name in names:
         if progress is not None:
             progress(name)
-        found.append(_candidate(name, fitted, judged))
-    found.sort(key=lambda candidate: candidate.held_out_rmse)
+        tried.append(_candidate(name, fitted, judged))
     channel = runs[0].channels[next(iter(runs[0].observations))]
-    return Choice(tuple(found), channel.unit)
+    return Choice(tuple(sorted(tried, key=_rank)), channel.unit)
+
+
+def choice_hint(runs: Sequence[Run], paths: Sequence[str]) -> str:
+    """A sentence on the other operators, where no run says which one it wants; else empty.
+
+    Arguments:
+        runs: that were fitted.
+        paths: of their files.
+    """
+    if any(
+        run.model != HysteresisModel.kind
+        or run.definition.section(HysteresisSection).operator is not None
+        for run in runs
+    ):
+        return ""
+    words = " ".join(f"--data {shlex.quote(path)}" for path in paths)
+    return (
+        "no sidecar states an operator in [hysteresis], so the default was fitted: compare the "
+        f"others with: giajax choose {words}"
+    )
+
+
+def _rank(candidate: Candidate) -> tuple[bool, float]:
+    error = candidate.held_out_rmse
+    return not candidate.converged, error if np.isfinite(error) else np.inf
 
 
 def _candidate(name: str, fitted: Sequence[Run], judged: Sequence[Run]) -> Candidate:
@@ -151,31 +184,11 @@ def _rms(values: np.ndarray) -> float:
 
 def _stating(run: Run, section: Mapping[str, Any]) -> Run:
     """The run with this candidate's [hysteresis]; what else the sidecar states of it stays."""
-    stated, known = run.definition.given(), hysteresis_keys(section["operator"])
+    sections, known = run.definition.given(), hysteresis_keys(section["operator"])
     kept = {
         key: value
-        for key, value in stated.get("hysteresis", {}).items()
+        for key, value in sections.get("hysteresis", {}).items()
         if key in known and key not in ("operator", "elements") and key not in section
     }
-    stated["hysteresis"] = {**kept, **section}
-    return dataclasses.replace(run, definition=Definition.parse(stated, run.name))
-
-
-def _parted(run: Run, fraction: float) -> tuple[Run, Run]:
-    """The run without its last measurements, and with only those."""
-    if not 0 < fraction < 1:
-        raise InputError(f"the held-out fraction is {fraction:g}; give one between 0 and 1")
-    name, values = next(iter(run.observations.items()))
-    measured = np.flatnonzero(~np.isnan(values))
-    first = round(len(measured) * (1 - fraction))
-    if first < _LEAST or len(measured) - first < _LEAST:
-        raise InputError(
-            f"'{run.name}' has {len(measured)} measured values, too few to hold out "
-            f"{fraction:.0%} of them; give a longer run, or another run to judge by"
-        )
-    parts = []
-    for kept in (measured[:first], measured[first:]):
-        part = np.full(len(values), np.nan)
-        part[kept] = values[kept]
-        parts.append(dataclasses.replace(run, values={**run.values, name: part}))
-    return parts[0], parts[1]
+    sections["hysteresis"] = {**kept, **section}
+    return dataclasses.replace(run, definition=Definition.parse(sections, run.name))

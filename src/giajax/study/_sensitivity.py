@@ -69,7 +69,7 @@ class Sensitivity:
         """
         deviations = np.broadcast_to(np.asarray(noise, dtype=float), (len(self.channels),))
         if not np.all(deviations > 0):
-            raise InputError(f"the noise is {deviations.min():g}; give a positive number")
+            raise InputError(f"the noise is {deviations.min():g}: give a positive number")
         weighted = self.derivatives / deviations
         parts = (weighted[:, :, rows] for rows in self.bodies().values())
         return np.stack([np.einsum("itc,jtc->ij", part, part) for part in parts])
@@ -96,17 +96,17 @@ def body_of(channel: str) -> str:
 def expected_errors(information: Float[np.ndarray, "parameter parameter"]) -> np.ndarray:
     """Square roots of the diagonal of the inverse; infinite in directions without information."""
     sizes = np.sqrt(np.diag(information))
-    found = np.full(len(sizes), np.inf)
-    seen = np.flatnonzero(sizes > 0)
-    if len(seen) == 0:
-        return found
-    scaled = information[np.ix_(seen, seen)] / np.outer(sizes[seen], sizes[seen])
+    errors = np.full(len(sizes), np.inf)
+    informed = np.flatnonzero(sizes > 0)
+    if len(informed) == 0:
+        return errors
+    scaled = information[np.ix_(informed, informed)] / np.outer(sizes[informed], sizes[informed])
     values, vectors = np.linalg.eigh(scaled)
     flat = values < _FLAT * values[-1]
     variances = np.sum(vectors[:, ~flat] ** 2 / values[~flat], axis=1)
     loose = np.any(np.abs(vectors[:, flat]) > 0.01, axis=1)
-    found[seen] = np.where(loose, np.inf, np.sqrt(variances) / sizes[seen])
-    return found
+    errors[informed] = np.where(loose, np.inf, np.sqrt(variances) / sizes[informed])
+    return errors
 
 
 def sensitivity(
@@ -132,27 +132,27 @@ def sensitivity(
         >>> import giajax, numpy as np
         >>> from giajax.study import planned, sensitivity
         >>> run = planned(np.linspace(0.0, 5.0, 51), {"joint01_command": np.full(51, 0.3)}, links=4)
-        >>> found = sensitivity(giajax.model_for([run]), run, ["air.drag_coefficient"])
-        >>> found.derivatives.shape
+        >>> result = sensitivity(giajax.model_for([run]), run, ["air.drag_coefficient"])
+        >>> result.derivatives.shape
         (1, 51, 12)
     """
     names = tuple(run.observations if channels is None else channels)
     if not names:
-        raise InputError(f"'{run.name}' has no measured channel; give the channels of interest")
+        raise InputError(f"'{run.name}' has no measured channel: give the channels of interest")
     if not parameters:
-        raise InputError("no parameter is given; give at least one path")
-    model = switched_on(model, parameters)
-    wanted = {part.path: part for path in parameters for part in elements(model, path)}
-    values = jnp.stack([jnp.asarray(part.value(model)) for part in wanted.values()])
+        raise InputError("there is no parameter: give at least one path")
+    model = switched_on(model, parameters).for_derivatives(parameters)
+    parts = {part.path: part for path in parameters for part in elements(model, path)}
+    values = jnp.stack([jnp.asarray(part.value(model)) for part in parts.values()])
     inputs = model.prepare(run)
-    predicted, derivatives, successful = _push(model, inputs, values, tuple(wanted), names)
+    predicted, derivatives, successful = _push(model, inputs, values, tuple(parts), names)
     if not successful:
         raise SimulationError(model.failure(inputs))
     return Sensitivity(
         times=run.times,
         channels=names,
-        parameters=tuple(wanted),
-        units=tuple(part.declaration.unit for part in wanted.values()),
+        parameters=tuple(parts),
+        units=tuple(part.declaration.unit for part in parts.values()),
         values=np.asarray(values),
         predicted=np.asarray(predicted),
         derivatives=np.asarray(derivatives),
@@ -177,31 +177,3 @@ def _push(
 
     basis = jnp.eye(len(paths), dtype=values.dtype)
     return jax.vmap(push, out_axes=(None, 0, None))(basis)
-
-
-def planned(
-    times: Any,
-    inputs: dict[str, Any],
-    *,
-    links: int = 20,
-    channels: Sequence[str] | None = None,
-    definition: dict[str, Any] | None = None,
-    name: str = "planned",
-) -> Run:
-    """A run of an arm that is still to be recorded: what will be commanded, and when.
-
-    Arguments:
-        times: of the samples, s, shape (sample,).
-        inputs: what drives the arm, by channel (`joint01_command`), SI, each (sample,).
-        links: number of links of the arm, unless the definition states it.
-        channels: what will be recorded; the positions of all links by default.
-        definition: what a sidecar would say.
-        name: of the run.
-    """
-    definition = dict(definition or {})
-    arm = {"links": links, **definition.get("arm", {})}
-    every = [f"link{i:02d}_{axis}" for i in range(1, arm["links"] + 1) for axis in "xyz"]
-    blank = {channel: np.zeros(len(np.asarray(times))) for channel in channels or every}
-    return Run.from_arrays(
-        times, {**inputs, **blank}, name=name, definition={**definition, "arm": arm}
-    )

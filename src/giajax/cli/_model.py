@@ -1,0 +1,29 @@
+"""What `--model` names, in every command alike: a fit, or a file that states a model."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from ..models import AbstractModel
+    from ..runs import Definition, Run
+
+
+def is_result(path: Path) -> bool:
+    """Whether this is a fit: its folder, or its result.json."""
+    return path.is_dir() or path.suffix == ".json"
+
+
+def definition_of(path: Path | None) -> "Definition":
+    """What a file that states a model says on top of the sidecars; nothing of a fit."""
+    from ..runs import Definition
+
+    return Definition() if path is None or is_result(path) else Definition.load(path)
+
+
+def model_of(path: Path | None, runs: Sequence["Run"]) -> "AbstractModel":
+    """The model of a fit, or else of the runs, which were read with `definition_of` the file."""
+    from ..fitting import load_result
+    from ..models import model_for
+
+    return model_for(runs) if path is None or not is_result(path) else load_result(path).model

@@ -1,0 +1,24 @@
+"""The command line that made a file, to be written into it and run again."""
+
+import shlex
+from importlib.metadata import version
+
+import typer
+
+
+def origin(context: typer.Context) -> str:
+    """The command line without what only says where to write."""
+    words = [f"giajax {version('giajax')} simulate"]
+    for parameter in context.command.params:
+        value = context.params.get(parameter.name or "")
+        if (
+            parameter.name in ("out", "force")
+            or value in (None, [], ())
+            or value == parameter.default
+        ):
+            continue
+        items = value if isinstance(value, list | tuple) else [value]
+        for item in items:
+            shown = f"{item:.15g}" if isinstance(item, float) else str(item)
+            words.append(f"{parameter.opts[0]} {shlex.quote(shown)}")
+    return " ".join(words)

@@ -1,0 +1,8 @@
+"""Commands that take an arm or a joint where it is to go."""
+
+from ._compensator import (
+    Compensator as Compensator,
+    compensator_for_loop as compensator_for_loop,
+    compensator_for_model as compensator_for_model,
+    target_channel as target_channel,
+)

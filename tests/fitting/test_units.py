@@ -1,0 +1,71 @@
+"""Tables of hysteresis: the units are those of the columns, and the numbers are of a size."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from giajax import fit, model_for, read_run
+from giajax.fitting import Estimate, in_column_units, units_note
+from giajax.report import parameter_table, summary
+
+
+def converted(unit, columns, value=2.0):
+    names = {f"{word}_column": column for word, column in columns.items()}
+    model = SimpleNamespace(definition=lambda: names)
+    one = Estimate(value, 0.1, unit, 0.0, None, True)
+    return in_column_units({"weight": one}, model)["weight"]
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor", "shown"),
+    [
+        ("output/input", 1e3 / 1e-3, "mm/kPa"),
+        ("output", 1e3, "mm"),
+        ("input", 1e-3, "kPa"),
+        ("1/input", 1e3, "1/kPa"),
+        ("N/m", 1.0, "N/m"),
+        ("", 1.0, ""),
+    ],
+)
+def test_units_are_those_of_the_columns(unit, factor, shown):
+    one = converted(unit, {"input": "input_kPa", "output": "output_mm"})
+    assert one.unit == shown
+    assert one.value == pytest.approx(2.0 * factor)
+    assert one.standard_error == pytest.approx(0.1 * factor)
+    assert one.lower == 0
+    assert one.upper is None
+
+
+def test_units_that_cancel_are_none():
+    one = converted("output/input", {"input": "command_deg", "output": "angle_deg"})
+    assert (one.value, one.unit) == (pytest.approx(2.0), "")
+    # A bare column has no unit, so that a slope has that of the other one.
+    one = converted("output/input", {"input": "input", "output": "output_mm"})
+    assert (one.value, one.unit) == (pytest.approx(2e3), "mm")
+    one = converted("input", {"input": "input_deg_per_s"}, [1.0, 2.0])
+    assert one.value == pytest.approx(np.rad2deg([1.0, 2.0]).tolist())
+
+
+def test_what_is_not_known_stays():
+    one = converted("output/input", {"input": "input_kPa"})
+    assert (one.value, one.unit) == (2.0, "output/input")
+    assert units_note({"weight": one}, SimpleNamespace(definition=dict)) == ""
+
+
+def test_a_loop_is_described_in_its_own_units(tmp_path):
+    up = np.concatenate([np.arange(21), np.arange(20, -21, -1), np.arange(-20, 21)]) * 10.0
+    lag = np.concatenate([[0.0], np.sign(np.diff(up))])
+    rows = [f"{u},{0.003 * u - 0.1 * s:.6f}" for u, s in zip(up, lag, strict=True)]
+    path = tmp_path / "loop.csv"
+    path.write_text("\n".join(["input_kPa,output_mm", *rows]) + "\n")
+    (tmp_path / "loop.toml").write_text('model = "hysteresis"\n[hysteresis]\nthresholds = 1\n')
+    run = read_run(path)
+    result = fit(model_for([run]), run, check=False)
+    row = next(line for line in parameter_table(result).splitlines() if line.startswith("elastic"))
+    slope, unit = float(row.split()[1]), row.split()[3]
+    assert unit == "mm/kPa"
+    # As it is in SI, m/Pa, in result.json.
+    assert slope == pytest.approx(1e6 * result.parameters["elastic"].value, rel=1e-3)
+    assert "units               those of input_kPa and output_mm" in summary(result)
+    assert "output/input" not in parameter_table(result)
