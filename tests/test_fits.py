@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from giajax import fit, model_for, read_run
+from giajax import FitTask, model_for
 from giajax.parameters import elements, switched_on
 from giajax.report import reached
 from giajax.runs import Definition
@@ -34,15 +34,10 @@ def true_value(stated, name):
     return stated.get(name, stated.get(ENGINE.get(name, "")))
 
 
-def read(path):
-    definition = Definition.load(path)
-    runs = [read_run(path.parent / name, definition=definition) for name in definition.fit.data]
-    return definition, runs
-
-
 @pytest.mark.parametrize("path", FITS, ids=lambda path: path.stem)
 def test_it_states_the_truth_and_starts_away_from_it(path):
-    definition, runs = read(path)
+    task = FitTask.load(path)
+    definition, runs = task.definition, task.prepare().runs
     model = switched_on(model_for(runs), definition.fit.free)
     freed = {element.path for path in definition.fit.free for element in elements(model, path)}
     # Of parameters that are determined only together, what is determined has a figure too.
@@ -69,17 +64,9 @@ def test_it_states_the_truth_and_starts_away_from_it(path):
 @pytest.mark.slow
 @pytest.mark.parametrize("path", FITS, ids=lambda path: path.stem)
 def test_it_reaches_its_figures(path):
-    definition, runs = read(path)
-    settings = definition.fit
-    result = fit(
-        model_for(runs),
-        runs,
-        free=settings.free,
-        start=settings.start,
-        fix=settings.fix,
-        loss=settings.loss or "linear",
-        check=False,
-    )
+    task = FitTask.load(path)
+    definition, runs = task.definition, task.prepare().runs
+    result = task.run(check=False)
     assert result.status == "converged", result.message
     assert result.iterations <= (40 if result.model.kind == "hysteresis" else 12)
     found = reached(result, definition)

@@ -5,23 +5,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from giajax import fit, model_for
+from giajax import FitTask, model_for
 from giajax.runs import Definition, read_runs
 from giajax.study import compare
 
 ROOT = Path(__file__).parents[1]
 
 
-def read(name):
-    """Definition, fitted runs and validation runs of a definition in fits/."""
-    path = ROOT / "fits" / f"{name}.toml"
-    definition = Definition.load(path)
-    settings = definition.fit
-    fitted, unseen = (
-        read_runs([path.parent / data for data in names], definition)
-        for names in (settings.data, settings.validation)
-    )
-    return definition, fitted, unseen
+def prepared(name):
+    """A definition in fits/, with its runs read."""
+    return FitTask.load(ROOT / "fits" / f"{name}.toml").prepare()
 
 
 def published(name, definition, runs):
@@ -34,18 +27,18 @@ def published(name, definition, runs):
 
 @pytest.mark.slow
 def test_the_triple_pendulum_is_predicted_better_than_by_the_published_parameters():
-    definition, fitted, unseen = read("triple_pendulum")
-    assert (len(fitted), len(unseen)) == (22, 2)
-    model = model_for(fitted)
-    reference = published("triple_pendulum", definition, unseen)
+    ready = prepared("triple_pendulum")
+    unseen = ready.validation
+    assert (len(ready.runs), len(unseen)) == (22, 2)
+    reference = published("triple_pendulum", ready.definition, unseen)
     # What the fit starts from is far off.
-    assert max(row[-1] for row in compare(model, unseen, reference)) > 5
-    result = fit(model, fitted, free=definition.fit.free, check=False)
+    assert max(one.ratio for one in compare(model_for(ready.runs), unseen, reference)) > 5
+    result = ready.run(check=False)
     assert result.status == "converged", result.message
     assert not any(estimate.remark for estimate in result.free.values())
     for refit in (False, True):
-        rows = compare(result.model, unseen, reference, refit_initial=refit)
-        ratios = [row[-1] for row in rows if not row[0].startswith("all")]
+        compared = compare(result.model, unseen, reference, refit_initial=refit)
+        ratios = [one.ratio for one in compared if not one.pooled]
         assert len(ratios) == 6
         assert max(ratios) < (1.2 if refit else 1.0)
         if not refit:
@@ -55,25 +48,28 @@ def test_the_triple_pendulum_is_predicted_better_than_by_the_published_parameter
 
 def test_the_published_triple_pendulum_has_the_errors_that_its_authors_report():
     """Median RMSE of the absolute angles over the 22 runs: 0.0035, 0.0032 and 0.0043 rad."""
-    definition, fitted, _ = read("triple_pendulum")
-    rows = compare(published("triple_pendulum", definition, fitted), fitted)
-    for channel, expected in zip(definition.fit.channels, (0.0035, 0.0032, 0.0043), strict=True):
-        errors = [row[4] for row in rows if row[1] == channel and not row[0].startswith("all")]
+    ready = prepared("triple_pendulum")
+    compared = compare(published("triple_pendulum", ready.definition, ready.runs), ready.runs)
+    channels = ready.definition.fit.channels
+    for channel, expected in zip(channels, (0.0035, 0.0032, 0.0043), strict=True):
+        errors = [one.rmse for one in compared if one.channel == channel and not one.pooled]
+        assert len(errors) == 22
         assert np.median(errors) == pytest.approx(expected, abs=0.5e-4)
 
 
 @pytest.mark.slow
 def test_friction_under_drive_is_better_than_the_published_one():
-    definition, fitted, unseen = read("dfki_double_pendulum")
-    assert (len(fitted), len(unseen)) == (20, 20)
-    result = fit(model_for(fitted), fitted, free=definition.fit.free, check=False)
+    ready = prepared("dfki_double_pendulum")
+    unseen = ready.validation
+    assert (len(ready.runs), len(unseen)) == (20, 20)
+    result = ready.run(check=False)
     assert result.status == "converged", result.message
-    reference = published("dfki_double_pendulum", definition, unseen)
+    reference = published("dfki_double_pendulum", ready.definition, unseen)
     pooled = compare(result.model, unseen, reference)[-2:]
-    assert [row[0] for row in pooled] == ["all 20", "all 20"]
-    assert max(row[-1] for row in pooled) < 0.9
+    assert [(one.run, one.pooled) for one in pooled] == [("all 20", True)] * 2
+    assert max(one.ratio for one in pooled) < 0.9
     # The windows' own initial states are near what was recorded.
-    for run, record in zip(fitted, result.runs, strict=True):
+    for run, record in zip(ready.runs, result.runs, strict=True):
         for joint in (1, 2):
-            own = record["parameters"][f"initial.angle[{joint - 1}]"]["value"]
+            own = record.parameters[f"initial.angle[{joint - 1}]"].value
             assert abs(own - run.values[f"joint{joint:02d}_angle"][0]) < 0.1

@@ -58,6 +58,9 @@ class Decay(AbstractModel):
     def refined(self, factor: float) -> Self:
         return self
 
+    def for_derivatives(self, paths: Sequence[str]) -> Self:
+        return self
+
     def conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
         return [f"about {path}" for path in free]
 

@@ -89,6 +89,7 @@ if TYPE_CHECKING:
     )
     from .study import compare as compare, multi_start as multi_start
     from .synthetic import synthesise as synthesise
+    from .tasks import FitTask as FitTask
 
 _ROOMS = {
     "_errors": ("InputError",),
@@ -160,6 +161,7 @@ _ROOMS = {
     ),
     "study": ("compare", "multi_start"),
     "synthetic": ("synthesise",),
+    "tasks": ("FitTask",),
 }
 _HOME = {name: room for room, names in _ROOMS.items() for name in names}
 

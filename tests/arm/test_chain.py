@@ -34,7 +34,7 @@ def test_a_link_is_a_thin_tube_unless_told_otherwise():
 def test_presets_are_found_by_name():
     assert preset("takeichi_20m").count == 20
     assert preset("takeichi_20m", 3).count == 3
-    with pytest.raises(InputError, match=r"no arm preset 'giraffe'; use one of: takeichi_20m"):
+    with pytest.raises(InputError, match=r"no arm preset 'giraffe': use one of takeichi_20m"):
         preset("giraffe")
 
 
@@ -58,17 +58,26 @@ def test_numbers_may_be_given_for_all_links_or_for_each():
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ({"links": 0}, "an arm of 0 links cannot be built; give at least 1"),
-        ({"mass": [0.1, 0.2]}, "mass has 2 values for 3 links; give one number or 3"),
-        ({"length": -1.0}, "length must be finite and greater than 0 m"),
-        ({"mass": 0.0}, "mass must be finite and greater than 0 kg"),
-        ({"diameter": np.nan}, "diameter must be finite and greater than 0 m"),
-        ({"inertia_axial": 0.0}, "inertia_axial must be finite and greater than 0 kg m^2"),
-        ({"joint_axes": "yaw_pitch"}, "joint_axes is 'yaw_pitch'; give \"pitch_yaw\" or a list"),
+        ({"links": 0}, "an arm of 0 links cannot be built: give at least 1"),
+        ({"mass": [0.1, 0.2]}, "mass has 2 values for 3 links: give one number or 3"),
+        ({"length": -1.0}, "length is out of bounds: give finite numbers greater than 0 m"),
+        ({"mass": 0.0}, "mass is out of bounds: give finite numbers greater than 0 kg"),
+        (
+            {"diameter": np.nan},
+            "diameter is out of bounds: give finite numbers greater than 0 m",
+        ),
+        (
+            {"inertia_axial": 0.0},
+            "inertia_axial is out of bounds: give finite numbers greater than 0 kg m^2",
+        ),
+        ({"joint_axes": "yaw_pitch"}, "joint_axes is 'yaw_pitch': give \"pitch_yaw\" or a list"),
         ({"joint_axes": ["pitch", "yaw"]}, "a list of 3 axes"),
         ({"joint_axes": ["pitch", "yaw", "roll"]}, "the joint axis 'roll' is unknown"),
-        ({"joint_axes": ["yaw", "yaw", [0, 0, 0]]}, "[0, 0, 0] must be three numbers, not all"),
-        ({"joint_axes": ["yaw", "yaw", [0, 1]]}, "[0, 1] must be three numbers"),
+        (
+            {"joint_axes": ["yaw", "yaw", [0, 0, 0]]},
+            "[0, 0, 0] is no direction: give three",
+        ),
+        ({"joint_axes": ["yaw", "yaw", [0, 1]]}, "[0, 1] is no direction: give three numbers"),
     ],
 )
 def test_what_cannot_be_built_is_refused(options, sentence):
@@ -81,7 +90,7 @@ def test_the_classes_check_what_they_are_given():
     arm = takeichi_20m(3)
     with pytest.raises(InputError, match="give each the shape"):
         Links(*[jnp.ones(3)] * 5, jnp.ones(2))
-    with pytest.raises(InputError, match="joint axes must be unit vectors"):
+    with pytest.raises(InputError, match="a joint axis is no unit vector"):
         Joints(axes=((0.0, 0.0, 2.0),))
     with pytest.raises(InputError, match="2 joint axes for 3 links"):
         Arm(arm.links, Joints(axes=(PITCH, YAW)), arm.air, jnp.zeros(3))

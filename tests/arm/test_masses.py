@@ -170,19 +170,19 @@ def camera(link, **places):
 @pytest.mark.parametrize(
     ("build", "sentence"),
     [
-        (lambda: chain(3, drag="middle"), "drag is 'middle'; use one of: centre, strip"),
-        (lambda: chain(3, drag_curve="sphere"), "drag_curve is 'sphere'; use one of: constant, cy"),
-        (lambda: chain(3, strip_points=0), "strip_points is 0; give at least 1"),
+        (lambda: chain(3, drag="middle"), "drag is 'middle': use one of centre, strip"),
+        (lambda: chain(3, drag_curve="sphere"), "drag_curve is 'sphere': use one of constant, cy"),
+        (lambda: chain(3, strip_points=0), "strip_points is 0: give at least 1"),
         (
             lambda: chain(3, parameters={"air.axial_coefficient": 0.1}),
-            'an axial coefficient needs drag = "strip"',
+            "no axial coefficient: use drag = 'strip'",
         ),
         (
             lambda: takeichi_20m(point_masses=camera(99)),
-            "a point mass is on link 99 of an arm of 20 links; correct the number",
+            "a point mass is on link 99 of an arm of 20 links: correct the number",
         ),
-        (lambda: camera(0), "point masses need the number of a link each, counted from 1"),
-        (lambda: PointMasses(()), "point masses need the number of a link each, counted from 1"),
+        (lambda: camera(0), "a point mass has no link, or one below 1: number its link"),
+        (lambda: PointMasses(()), "a point mass has no link, or one below 1: number its link"),
         (lambda: camera(1, up=jnp.zeros(2)), "have 1 links and a up of shape (2,)"),
         (
             lambda: chain(3, mass=[0.04, 0.1, 0.05], trim=True),
@@ -192,19 +192,19 @@ def camera(link, **places):
             lambda: chain(2, mass=0.07, trim=True, centre_of_mass=0.2),
             "link 1 floats level only with its trim weight 8.41 m along a link of 0.99 m",
         ),
-        (lambda: trimmed(chain(2)), "this arm leaves buoyancy out; build it with buoyancy=True"),
-        (lambda: net_lift(chain(2)), "this arm leaves buoyancy out; build it with buoyancy=True"),
+        (lambda: trimmed(chain(2)), "this arm leaves buoyancy out: build it with buoyancy=True"),
+        (lambda: net_lift(chain(2)), "this arm leaves buoyancy out: build it with buoyancy=True"),
         (
             lambda: chain(3, parameters={"buoyancy.trim_mass": 0.1}),
             "there is no parameter 'buoyancy.trim_mass'",
         ),
         (
             lambda: chain(3, parameters={"joints.friction": [0.1, 0.2]}),
-            "'joints.friction' is given 2 values; give one finite number, or 3 of them",
+            "'joints.friction' has 2 values: give one finite number, or 3 of them",
         ),
         (
             lambda: chain(3, parameters={"air.wind": [0.1, np.nan, 0.0]}),
-            "'air.wind' is given 3 values; give one finite number, or 3 of them",
+            "'air.wind' has 3 values: give one finite number, or 3 of them",
         ),
     ],
 )

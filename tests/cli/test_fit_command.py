@@ -256,13 +256,16 @@ def test_a_definition_and_what_goes_before_it(tmp_path, monkeypatch):
     # The command line goes before both, path by path.
     status, out, _ = giajax(
         "fit", "--config", there / "drag.toml", "--start", "joints.damping=0.08", "--fix",
-        "air.drag_coefficient=1.0", "--loss", "linear", "--max-iterations", "1", "--out", "b",
+        "air.drag_coefficient=1.0", "--loss", "linear", "--max-iterations", "1", "--tolerance",
+        "1e-8", "--out", "b",
     )  # fmt: skip
     config = json.loads((here / "b" / "result.json").read_text())["config"]
     assert config["free"] == ["joints.pitch_stiffness", "joints.damping"]
     assert config["start"] == {"joints.damping": 0.08}
     assert config["fix"] == {"joints.yaw_stiffness": 4.0, "air.drag_coefficient": 1.0}
     assert config["loss"] == "linear"
+    assert (config["solver"], config["tolerance"]) == ("tsit5", 1e-8)
+    assert config["definition"]["simulation"]["tolerance"] == 1e-8
 
 
 def test_a_channel_is_renamed_on_the_way(data):
@@ -270,11 +273,15 @@ def test_a_channel_is_renamed_on_the_way(data):
     data.with_suffix(".toml").write_text("[arm]\nlinks = 4")
     status, out, _ = giajax(
         "fit", "--data", data, "--rename", "tip height=link04_z_m", "--free", "joints.damping",
-        "--max-iterations", "1",
+        "--max-iterations", "1", "--out", "out",
     )  # fmt: skip
-    assert status in (0, 1)
-    assert "link04_z" in out
-    assert "noise was estimated" in out or status == 1
+    assert status == 1
+    channels = load_result(data.parent / "out").runs[0].channels
+    assert list(channels) == ["link02_y", "link04_y", "link04_z"]
+    assert channels["link04_z"].n == 36
+    # The sidecar no longer says what the noise is.
+    assert channels["link04_z"].noise == pytest.approx(NOISE, rel=0.5)
+    assert "noise that was not stated is guessed" in out
 
 
 def test_an_interruption_in_the_loop_writes_the_best_so_far(data, tmp_path, monkeypatch):
@@ -342,6 +349,8 @@ def test_ctrl_c_of_the_process(data, tmp_path, moment):
 CSV = "time_s,joint01_command_deg,link04_z_m\n0,0,0.1\n0.1,30,0.2\n0.2,30,0.3\n"
 CSV += "0.3,30,0.4\n0.4,30,0.5\n0.5,30,0.6\n"  # more values than there are parameters
 
+LOOP = "input,output\n0,0\n1,1\n0,0.2\n1,1\n0,0.2\n1,1\n"
+
 # run.csv (None: no file), run.toml, further arguments, and what the sentence must say
 BAD = {
     "missing file": (None, "", [], ["does not exist"]),
@@ -381,6 +390,9 @@ BAD = {
                        ["both free and fixed"]),
     "start and fixed": (CSV, "", ["--start", "joints.damping=1", "--fix", "joints.damping=1"],
                         ["give one of them"]),
+    "unknown solver": (CSV, "", ["--solver", "euler"], ["no solver 'euler'", "dopri8"]),
+    "solver of a loop": (LOOP, "", ["--solver", "tsit5"], ["neither a solver nor"]),
+    "no tolerance": (CSV, "", ["--tolerance", "0"], ["fit.tolerance", "positive"]),
     "unknown loss": (CSV, "", ["--loss", "cauchy"], ["'cauchy'", "huber"]),
     "no iterations": (CSV, "", ["--max-iterations", "0"], ["--max-iterations"]),
     "wrong rename": (CSV, "", ["--rename", "z"], ["OLD=NEW"]),

@@ -74,7 +74,7 @@ def test_a_prediction_is_a_run_of_the_same_operator(loops, tmp_path):
     assert stated.thresholds == read_run(loops).definition.hysteresis.thresholds
     # What it predicted is found again, without noise.
     again = fit(model_for([run]), run, check=False)
-    assert again.runs[0]["channels"]["angle"]["rmse"] < 1e-3
+    assert again.runs[0].channels["angle"].rmse < 1e-3
 
 
 def test_a_sidecar_offers_the_operators(tmp_path, capsys):

@@ -46,8 +46,8 @@ def test_the_force_is_as_stated():
 def test_it_converges_to_the_noise(result):
     assert result.status == "converged", result.message
     assert result.reduced_chi_square == pytest.approx(1, abs=4 * np.sqrt(2 / 8192))
-    assert result.gradient_check["relative_difference"] < 1e-2
-    assert result.tolerance_effect["largest_in_standard_errors"] < 0.2
+    assert result.gradient_check.relative_difference < 1e-2
+    assert result.tolerance_effect.largest_in_standard_errors < 0.2
 
 
 @pytest.mark.slow
@@ -61,7 +61,7 @@ def test_it_flags_the_collinear_parameters_by_itself(result):
         assert result.parameters[path].remark == (
             f"not determined alone: only a combination with {others} is"
         )
-    assert not {"beta", "gamma", "delta"} & set(result.correlation["parameters"])
+    assert not {"beta", "gamma", "delta"} & set(result.correlation.parameters)
 
 
 @pytest.mark.slow

@@ -27,7 +27,7 @@ print(json.dumps({
     "warnings": [str(w.message) for w in caught],
     "pull": (result.parameters["air.drag_coefficient"].value - 1.5)
     / result.parameters["air.drag_coefficient"].standard_error,
-    "check": result.gradient_check["relative_difference"],
+    "check": result.gradient_check.relative_difference,
 }))
 """
 

@@ -2,13 +2,18 @@
 
 import dataclasses
 import json
+from typing import ClassVar
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import giajax
 from giajax import InputError, Run
-from giajax.fitting import configuration, fit
+from giajax.fitting import fit, set_up
+from giajax.fitting._state import begin, step, trial
+from giajax.report import summary
 from toy_model import TRUTH, Decay, height, run
 
 START = {"amplitude": 0.5, "decay": 3.0, "offset": -1.0}
@@ -26,9 +31,9 @@ def test_the_truth_is_recovered_with_honest_errors():
     assert result.status == "converged"
     assert max(abs(pull) for pull in pulls(result).values()) < 3
     assert result.reduced_chi_square == pytest.approx(1, abs=0.5)
-    assert result.conditions == ["about amplitude", "about decay", "about offset"]
-    assert result.gradient_check["relative_difference"] < 1e-7
-    assert [entry["number"] for entry in result.history] == list(range(result.iterations + 1))
+    assert result.conditions == ("about amplitude", "about decay", "about offset")
+    assert result.gradient_check.relative_difference < 1e-7
+    assert [entry.number for entry in result.history] == list(range(result.iterations + 1))
 
 
 def test_intervals_cover_the_truth_as_often_as_they_claim():
@@ -44,7 +49,7 @@ def test_intervals_cover_the_truth_as_often_as_they_claim():
 def test_noise_that_nobody_stated_is_estimated():
     stated = fit(Decay(), run(sigma=0.05, samples=400))
     guessed = fit(Decay(), run(sigma=0.05, samples=400, state_noise=False))
-    assert guessed.runs[0]["channels"]["tip_z"]["noise"] == pytest.approx(0.05, rel=0.1)
+    assert guessed.runs[0].channels["tip_z"].noise == pytest.approx(0.05, rel=0.1)
     for path in TRUTH:
         assert guessed.parameters[path].standard_error == pytest.approx(
             stated.parameters[path].standard_error, rel=0.15
@@ -83,7 +88,7 @@ def test_missing_cells_do_not_count():
         definition={"free_motion": True},
     )
     ours, theirs = fit(Decay(), with_gaps), fit(Decay(), without)
-    assert ours.runs[0]["channels"]["tip_z"]["n"] == 40
+    assert ours.runs[0].channels["tip_z"].n == 40
     for path in TRUTH:
         assert ours.parameters[path].value == pytest.approx(theirs.parameters[path].value, rel=1e-6)
 
@@ -111,7 +116,7 @@ def test_several_runs_of_several_lengths_are_one_fit():
     joint = together.parameters["decay"]
     assert joint.standard_error == pytest.approx(weights.sum() ** -0.5, rel=0.1)
     assert abs(joint.value - mean) < joint.standard_error
-    assert [entry["channels"]["tip_z"]["n"] for entry in together.runs] == [60, 47]
+    assert [entry.channels["tip_z"].n for entry in together.runs] == [60, 47]
     for one, predicted in zip(runs, together.predictions, strict=True):
         values = {path: together.parameters[path].value for path in TRUTH}
         np.testing.assert_allclose(predicted["tip_z"], height(one.times, **values), rtol=1e-9)
@@ -125,7 +130,7 @@ def test_a_parameter_without_response_is_named_before_the_first_step():
     assert idle.value == 4.0
     assert idle.standard_error is None
     assert all(iteration.parameters["idle"] == 4.0 for iteration in seen)
-    assert result.correlation["parameters"] == ["decay"]
+    assert result.correlation.parameters == ("decay",)
 
 
 def test_nothing_responds_is_no_convergence():
@@ -183,6 +188,49 @@ def test_an_optimum_at_a_bound_has_an_error_and_says_so():
     expected = np.sqrt(np.linalg.inv(design.T @ design)[1, 1])
     assert decay.standard_error == pytest.approx(expected, rel=0.2)
     assert decay.value < 0.1 * decay.standard_error
+
+
+class Rough(Decay):
+    """Predictions with the rounding of a simulation, which no derivative sees."""
+
+    def predict(self, inputs, channels):
+        predicted, fine = super().predict(inputs, channels)
+        rounding = {
+            name: jax.lax.stop_gradient(1e-9 * jnp.sin(1e12 * values))
+            for name, values in predicted.items()
+        }
+        return {name: values + rounding[name] for name, values in predicted.items()}, fine
+
+
+def test_a_parameter_at_its_bound_takes_no_part_in_the_gradient_check():
+    """Its coordinate is flat there: weighed like the others it would leave them no step."""
+    times = np.linspace(0.0, 4.0, 60)
+    rising = 2.0 + 0.002 * times + np.random.default_rng(0).normal(scale=0.01, size=60)
+    recording = Run.from_arrays(
+        times, {"tip_z": rising}, noise={"position": 0.01}, definition={"free_motion": True}
+    )
+    result = fit(Rough(), recording, fix={"offset": 0.0})
+    assert "at its lower bound" in result.parameters["decay"].remark
+    check = result.gradient_check
+    assert check.left_out == ("decay",)
+    assert check.direction == {"amplitude": 1.0, "decay": 0.0}
+    assert check.relative_difference < 1e-4
+    assert "DISAGREE" not in summary(result)
+    assert "without decay" in summary(result)
+
+
+def test_a_gradient_check_sees_a_wrong_derivative():
+    result = fit(Misled(), run(), max_iterations=3)
+    assert result.gradient_check.relative_difference > 0.1
+    assert "DISAGREE" in summary(result)
+
+
+class Misled(Decay):
+    """Its derivative by the decay is half of what it is."""
+
+    def predict(self, inputs, channels):
+        slow = (self.decay + jax.lax.stop_gradient(self.decay)) / 2
+        return super(Misled, dataclasses.replace(self, decay=slow)).predict(inputs, channels)
 
 
 def test_the_same_recording_twice_is_refused(tmp_path):
@@ -253,7 +301,7 @@ def test_wrong_questions_are_one_sentence(arguments, sentence):
     with pytest.raises(InputError, match=sentence):
         fit(Decay(), run(), **arguments)
     with pytest.raises(InputError, match=sentence):
-        configuration(Decay(), [run()], **arguments)
+        set_up(Decay(), [run()], **arguments)
 
 
 def test_an_interrupted_fit_keeps_the_best():
@@ -265,6 +313,42 @@ def test_an_interrupted_fit_keeps_the_best():
     assert result.status == "interrupted"
     assert result.cost < fit(Decay(), run(), start=START, max_iterations=1).cost
     assert result.gradient_check is None
+
+
+def test_an_interrupted_step_keeps_the_state_before_it(monkeypatch):
+    from giajax.fitting import _descend
+
+    step, seen = _descend.trial, []
+
+    def interrupted(state):
+        if len(seen) == 2:
+            raise KeyboardInterrupt
+        seen.append(step(state))
+        return seen[-1]
+
+    monkeypatch.setattr(_descend, "trial", interrupted)
+    result = fit(Decay(), run(), start=START)
+    assert (result.status, result.iterations) == ("interrupted", 2)
+    assert result.cost == seen[-1].cost
+    values = {path: estimate.value for path, estimate in result.free.items()}
+    assert values == seen[-1].parameters()
+
+
+def test_a_transition_leaves_the_state_that_it_was_given():
+    begun = begin(set_up(Decay(), run(), start=START))
+    first = step(begun)
+    assert not begun.evaluated
+    before = (first.cost, first.parameters(), first.history)
+    second = trial(first)
+    assert second.cost < first.cost
+    assert (first.cost, first.parameters(), first.history) == before
+    assert (len(second.history), second.trials) == (1, 1)
+
+
+def test_a_solver_is_refused_by_a_model_without_one():
+    for settings in ({"solver": "tsit5"}, {"tolerance": 1e-9}):
+        with pytest.raises(InputError, match="decay model has neither a solver nor a tolerance: "):
+            fit(Decay(), run(), **settings)
 
 
 def test_too_few_iterations_is_no_convergence():
@@ -281,15 +365,26 @@ def test_the_result_is_json_without_nan():
     assert record["config"]["free"] == ["decay", "idle"]
 
 
+class Counted(Decay):
+    """Counts how often it is traced, which is once for each program that is compiled."""
+
+    traces: ClassVar[list[str]] = []
+
+    def predict(self, inputs, channels):
+        self.traces.append("traced")
+        return super().predict(inputs, channels)
+
+
 def test_the_same_fit_compiles_once():
-    fit(Decay(), run(), check=False)
-    again = fit(Decay(), run(seed=9), check=False)
-    assert again.seconds["compile"] < 0.1
+    first = fit(Counted(), run())
+    traced = len(Counted.traces)
+    assert traced > 0
+    again = fit(Counted(), run(seed=9))
+    assert again.parameters["decay"].value != first.parameters["decay"].value
+    assert len(Counted.traces) == traced
 
 
 def test_32_bit_is_warned_once(monkeypatch):
-    import jax
-
     from giajax.fitting import _fit
 
     monkeypatch.setattr(_fit, "_warned", False)

@@ -272,7 +272,7 @@ def test_an_impossible_geometry_is_refused_with_a_sentence(changed, sentence):
         ({"angle": 20.0}, "at most 90 deg"),
         ({"angle": np.nan}, "not finite"),
         ({"angle": 0.1, "torque": np.inf}, "not finite"),
-        ({"angle": 0.1, "side": "left"}, "must be 'inner' or 'outer'"),
+        ({"angle": 0.1, "side": "left"}, "use 'inner' or 'outer'"),
         ({"angle": 0.1, "side": "outer"}, "not the outer one"),
         ({"angle": [0.1, 0.2], "torque": [0.3, 0.3, 0.3]}, "one torque, or one for each"),
     ],

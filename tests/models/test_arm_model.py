@@ -12,7 +12,8 @@ import giajax
 from giajax import InputError, Run
 from giajax.fitting import fit
 from giajax.fitting._bijector import Bijector
-from giajax.fitting._problem import Problem, build_groups, residual
+from giajax.fitting._group import build_groups
+from giajax.fitting._problem import Problem, residual
 from giajax.models import ArmModel, arm_to_definition, build_model, model_for, parameter_values
 
 TIMES = np.linspace(0.0, 6.0, 61)
@@ -79,8 +80,8 @@ def test_the_truth_is_recovered(run):
         estimate = result.parameters[path]
         assert abs(estimate.value - value) < 3 * estimate.standard_error
         assert estimate.standard_error < 0.3 * value
-    assert result.gradient_check["relative_difference"] < 1e-5
-    assert result.tolerance_effect["largest_in_standard_errors"] < 0.01
+    assert result.gradient_check.relative_difference < 1e-5
+    assert result.tolerance_effect.largest_in_standard_errors < 0.01
     assert any("per unit of mass" in sentence for sentence in result.conditions)
 
 

@@ -113,7 +113,7 @@ def test_options_are_fitted(fitted):
         value = float(giajax.parameters.find(truth, path).value(truth))
         assert abs(estimate.value - value) < 3 * estimate.standard_error, path
         assert estimate.standard_error < 0.2 * abs(value), path
-    assert result.gradient_check["relative_difference"] < 1e-5
+    assert result.gradient_check.relative_difference < 1e-5
 
 
 def test_a_result_with_options_rebuilds_its_model(fitted, tmp_path):

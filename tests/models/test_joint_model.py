@@ -84,7 +84,7 @@ def test_runs_that_disagree_and_joints_that_cannot_be_built_are_refused():
     impossible = Run.from_arrays(
         None, dict(one.values), definition={"joint": {"wire_length_m": 0.04}}
     )
-    with pytest.raises(InputError, match="cannot be built at 10 deg: D_x is not below"):
+    with pytest.raises(InputError, match="cannot be built at 10 deg, where D_x is not below"):
         model_for([impossible])
 
 

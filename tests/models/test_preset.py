@@ -3,15 +3,15 @@
 import pytest
 
 from giajax import takeichi_20m
+from giajax.kinds import ArmSection
 from giajax.models import arm_from_definition, arm_to_definition
 from giajax.runs import Definition
-from giajax.runs._arm_sections import Arm
 
 
 def test_the_vocabulary_states_the_preset_as_it_is():
     stated = {
         name: field.json_schema_extra["preset"]
-        for name, field in Arm.model_fields.items()
+        for name, field in ArmSection.model_fields.items()
         if field.json_schema_extra["preset"] is not None and name not in ("preset", "trim")
     }
     actual = arm_to_definition(takeichi_20m())

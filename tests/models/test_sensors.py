@@ -229,7 +229,7 @@ def test_a_camera_frame_is_found_together_with_the_drag_coefficient():
         found = result.parameters[path]
         assert abs(found.value - truth) < 2 * found.standard_error, path
         assert found.standard_error < 0.3 * abs(truth), path
-    assert result.gradient_check["relative_difference"] < 1e-5
+    assert result.gradient_check.relative_difference < 1e-5
 
 
 def test_a_camera_frame_is_found_as_often_as_its_errors_say():

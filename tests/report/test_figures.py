@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
+from giajax.fitting import ChannelFit, Correlation, RunFit
 from giajax.models import model_for
 from giajax.report import correlation_figure, recorded_figure, residuals_figure
 from giajax.report._style import to_png
@@ -38,10 +39,8 @@ def many(links, components="xyz", samples=30):
             values[f"link{link:02d}_{component}"] = np.sin(times + link)
     run = Run.from_arrays(times, values, definition={"arm": {"links": links}})
     predicted = {name: array * 0.9 for name, array in run.observations.items()}
-    record = {
-        "name": "many",
-        "channels": {n: {"unit": "m", "rmse": 0.1, "n": samples, "noise": 0.05} for n in predicted},
-    }
+    channels = {name: ChannelFit("m", rmse=0.1, n=samples, noise=0.05) for name in predicted}
+    record = RunFit("many", None, None, channels)
     return run, predicted, record
 
 
@@ -61,7 +60,8 @@ def test_units_of_the_file_are_those_of_the_axis(result):
     run = Run.from_arrays([0.0, 1.0, 2.0], angles)
     channel = dataclasses.replace(run.channels["joint01_angle"], unit="deg")
     run = dataclasses.replace(run, channels={**run.channels, "joint01_angle": channel})
-    record = {"channels": {"joint01_angle": {"unit": "deg", "rmse": 0.0, "n": 3, "noise": 1.0}}}
+    channels = {"joint01_angle": ChannelFit("deg", rmse=0.0, n=3, noise=1.0)}
+    record = RunFit("angles", None, None, channels)
     figure = recorded_figure(result, run, {"joint01_angle": angles["joint01_angle"]}, record)
     (axes,) = panels(figure)
     assert axes.get_title(loc="left") == "joint01_angle (deg)"
@@ -72,12 +72,13 @@ def drawn(run):
     """The panels of a run as its model draws it, with something as the prediction."""
     model = model_for([run])
     channels = {
-        name: {"unit": run.channels[name].unit, "rmse": 0.1, "n": 3, "noise": 1.0}
+        name: ChannelFit(run.channels[name].unit, rmse=0.1, n=3, noise=1.0)
         for name in run.observations
     }
+    record = RunFit(run.name, None, None, channels)
     result = SimpleNamespace(model=model, status="converged")
     predicted = {name: np.zeros_like(values) for name, values in run.observations.items()}
-    return panels(recorded_figure(result, run, predicted, {"channels": channels}))
+    return panels(recorded_figure(result, run, predicted, record))
 
 
 def test_a_loop_is_drawn_over_its_input():
@@ -87,7 +88,7 @@ def test_a_loop_is_drawn_over_its_input():
     (axes,) = drawn(run)
     assert axes.get_xlabel() == "command (rad)"
     assert all(np.array_equal(line.get_xdata(), command) for line in axes.lines)
-    oscillator = {"model": "hysteresis", "hysteresis": {"operator": "bouc_wen_oscillator"}}
+    oscillator = {"model": "oscillator"}
     (axes,) = drawn(Run.from_arrays(np.arange(4.0), values, definition=oscillator))
     assert axes.get_xlabel() == "time (s)"
 
@@ -144,8 +145,9 @@ def test_residuals_are_in_units_of_the_noise(result, run):
 
 def test_residuals_of_many_runs_and_of_a_bad_fit(result):
     run, predicted, record = many(20)
-    record["channels"] = {n: {**c, "noise": 1e-3} for n, c in record["channels"].items()}
-    bad = dataclasses.replace(result, status="not_converged", runs=[record] * 8)
+    quiet = {n: dataclasses.replace(c, noise=1e-3) for n, c in record.channels.items()}
+    record = dataclasses.replace(record, channels=quiet)
+    bad = dataclasses.replace(result, status="not_converged", runs=(record,) * 8)
     figure = residuals_figure(bad, [run] * 8, [predicted] * 8)
     assert "first 6 of 8 runs" in figure.get_suptitle()
     assert "not converged" in figure.get_suptitle()
@@ -156,7 +158,7 @@ def test_residuals_of_many_runs_and_of_a_bad_fit(result):
 def test_the_correlations_are_written_into_the_cells(result):
     figure = correlation_figure(result)
     axes = figure.axes[0]
-    matrix = np.array(result.correlation["matrix"])
+    matrix = np.array(result.correlation.matrix)
     assert len(axes.texts) == 6
     shown = float(axes.texts[0].get_text().replace("\N{MINUS SIGN}", "-"))
     assert shown == pytest.approx(matrix[1, 0], abs=0.006)
@@ -166,7 +168,8 @@ def test_the_correlations_are_written_into_the_cells(result):
 @pytest.mark.parametrize("count", [0, 1, 2, 30])
 def test_correlations_of_any_number_of_parameters(result, count):
     matrix = np.where(np.eye(count, dtype=bool), 1.0, -0.9985).tolist()
-    correlation = {"parameters": [f"links.mass[{i}]" for i in range(count)], "matrix": matrix}
+    paths = tuple(f"links.mass[{i}]" for i in range(count))
+    correlation = Correlation(paths, tuple(map(tuple, matrix)))
     figure = correlation_figure(dataclasses.replace(result, correlation=correlation))
     text = [item.get_text() for item in figure.axes[0].texts]
     wanted = {0: ["no parameter is determined"], 2: ["\N{MINUS SIGN}0.999"]}

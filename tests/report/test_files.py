@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from giajax._errors import InputError
-from giajax.fitting import configuration, fit, load_result
+from giajax.fitting import fit, load_result, set_up
 from giajax.models import model_for
 from giajax.report import check_folder, write_result
 from giajax.runs import Run, read_run
@@ -26,7 +26,7 @@ NAMES = [
 
 @pytest.fixture
 def config(run):
-    return configuration(model_for([run]), [run], start=START)
+    return set_up(model_for([run]), [run], start=START).config
 
 
 def test_what_is_written(result, run, tmp_path):
@@ -156,7 +156,7 @@ CHANGES = {
 def test_another_configuration_is_refused(result, run, config, tmp_path, change):
     write_result(result, run, tmp_path)
     arguments = {"start": START, **CHANGES[change]}
-    other = configuration(model_for([run]), [run], **arguments)
+    other = set_up(model_for([run]), [run], **arguments).config
     words = {"definition": "model's constants"}
     with pytest.raises(InputError, match=rf"another configuration.*{words.get(change, change)}"):
         check_folder(tmp_path, [run], other)
@@ -171,7 +171,7 @@ def test_another_noise_in_the_sidecar_is_another_configuration(result, run, tmp_
     (tmp_path / "run.csv").write_bytes(run.path.read_bytes())
     (tmp_path / "run.toml").write_text(sidecar)
     louder = read_run(tmp_path / "run.csv")
-    other = configuration(model_for([louder]), [louder], start=START)
+    other = set_up(model_for([louder]), [louder], start=START).config
     with pytest.raises(InputError, match="what the sidecar states"):
         check_folder(tmp_path / "out", [louder], other)
 
@@ -179,7 +179,7 @@ def test_another_noise_in_the_sidecar_is_another_configuration(result, run, tmp_
 def test_other_data_are_refused(result, run, tmp_path):
     write_result(result, run, tmp_path / "out")
     other = read_run(make_run(tmp_path, seed=3))
-    config = configuration(model_for([other]), [other], start=START)
+    config = set_up(model_for([other]), [other], start=START).config
     with pytest.raises(InputError, match=r"other data \(run\).*--force"):
         check_folder(tmp_path / "out", [other], config)
     check_folder(tmp_path / "out", [other], config, force=True)

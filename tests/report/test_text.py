@@ -4,7 +4,7 @@ import dataclasses
 
 import pytest
 
-from giajax.fitting import Estimate
+from giajax.fitting import ChannelFit, Correlation, Estimate, RunFit
 from giajax.report import format_estimate, parameter_table, reached, summary
 from giajax.runs import Definition
 from small_arm import START
@@ -80,10 +80,8 @@ def test_the_summary_of_what_is_missing_says_so(result):
         cost=None,
         gradient_check=None,
         tolerance_effect=None,
-        correlation={"parameters": [], "matrix": []},
-        runs=[
-            {"name": "r", "channels": {"output": {"unit": "", "rmse": None, "n": 3, "noise": 1}}}
-        ],
+        correlation=Correlation(),
+        runs=(RunFit("r", None, None, {"output": ChannelFit("", None, 3, 1.0)}),),
     )
     text = summary(bare)
     for part in ["not finite", "not done", "not known", "1 channel, 3 values"]:
@@ -93,10 +91,9 @@ def test_the_summary_of_what_is_missing_says_so(result):
 
 def test_many_channels_are_one_line(result):
     channels = {
-        f"link{i:02d}_z": {"unit": "m", "rmse": i / 100, "n": 5, "noise": 0.01}
-        for i in range(1, 21)
+        f"link{i:02d}_z": ChannelFit("m", rmse=i / 100, n=5, noise=0.01) for i in range(1, 21)
     }
-    many = dataclasses.replace(result, runs=[{"name": "r", "channels": channels}])
+    many = dataclasses.replace(result, runs=(RunFit("r", None, None, channels),))
     assert "RMSE 0.01 (link01_z) to 0.2 (link20_z) m; noise 0.01; 20 channels" in summary(many)
 
 

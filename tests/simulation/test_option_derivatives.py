@@ -50,6 +50,7 @@ ARMS = {"uneven": uneven, "floating": floating}
 @eqx.filter_jit
 def motion(arm, wind):
     options = {"solver": "dopri8", "rtol": TIGHT, "atol": TIGHT, "throw": False}
+    options["steps_for"] = "derivatives"
     found = simulate(arm, COMMAND, TIMES, wind=wind, **options)
     return jnp.concatenate([found.angles.ravel(), found.rates.ravel()])
 

@@ -49,7 +49,7 @@ def test_interpolation_is_chosen_by_name():
     times, values = [0.0, 1.0, 2.0], [[0.0], [1.0], [0.0]]
     assert_allclose(evaluate(logged(times, values, "zoh"), [0.5, 1.0, 1.5]), [[0.0], [1.0], [1.0]])
     assert_allclose(evaluate(logged(times, values), [0.5, 1.0, 1.5]), [[0.5], [1.0], [0.5]])
-    with pytest.raises(InputError, match="'cubic' is unknown; use 'zoh' or 'linear'"):
+    with pytest.raises(InputError, match="'cubic' is unknown: use 'zoh' or 'linear'"):
         logged(times, values, "cubic")
 
 
@@ -67,26 +67,28 @@ def test_a_step_and_a_ramp_by_joint():
 @pytest.mark.parametrize("joint", [0, 4])
 def test_a_joint_that_the_arm_has_not_is_refused(joint):
     for make in (joint_steps, joint_ramps):
-        with pytest.raises(InputError, match=f"joints 1 to 3; joint {joint} is not one"):
+        with pytest.raises(
+            InputError, match=f"joint {joint} is not in the arm: give a number from 1 to 3"
+        ):
             make(3, {joint: 0.5})
 
 
 @pytest.mark.parametrize("duration", [0.0, -1.0, np.nan])
 def test_a_ramp_takes_time(duration):
-    with pytest.raises(InputError, match="is no ramp; use joint_steps"):
+    with pytest.raises(InputError, match="positive duration, or use joint_steps"):
         joint_ramps(3, {1: 0.5}, duration=duration)
 
 
 @pytest.mark.parametrize(
     ("times", "values", "sentence"),
     [
-        ([0.0, 1.0], [1.0, 2.0], "values of shape \\(row, width\\)"),
-        ([0.0], [[1.0], [2.0]], "given \\(1,\\) and \\(2, 1\\)"),
-        ([], np.zeros((0, 2)), "given \\(0,\\)"),
-        ([0.0, 0.0], [[1.0], [2.0]], "must increase strictly"),
-        ([1.0, 0.0], [[1.0], [2.0]], "must increase strictly"),
-        ([0.0, np.nan], [[1.0], [2.0]], "finite times and values"),
-        ([0.0, 1.0], [[1.0], [np.inf]], "finite times and values"),
+        ([0.0, 1.0], [1.0, 2.0], "the shapes \\(row,\\) and \\(row, width\\)"),
+        ([0.0], [[1.0], [2.0]], "have shapes \\(1,\\) and \\(2, 1\\)"),
+        ([], np.zeros((0, 2)), "have shapes \\(0,\\)"),
+        ([0.0, 0.0], [[1.0], [2.0]], "do not increase strictly"),
+        ([1.0, 0.0], [[1.0], [2.0]], "do not increase strictly"),
+        ([0.0, np.nan], [[1.0], [2.0]], "are not finite"),
+        ([0.0, 1.0], [[1.0], [np.inf]], "are not finite"),
     ],
 )
 @pytest.mark.parametrize("make", [steps, ramps])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-import giajax.simulation._simulate as module
+import giajax.simulation._integrate as module
 from giajax._errors import InputError
 from giajax.arm import link_centres, takeichi_20m, tip_position
 from giajax.parameters import replace
@@ -272,13 +272,13 @@ def test_a_failure_inside_a_compiled_program_raises_too():
 
 REFUSED = {
     "the command drives 2 joints and the arm has 3": {"command": joint_steps(2, {1: 0.5})},
-    "the wind has 2 components; give x, y and z": {"wind": [0.1, 0.2]},
+    "the wind has 2 components: give x, y and z": {"wind": [0.1, 0.2]},
     "give at least two times in one row": {"times": [1.0]},
     "times has shape (2, 2)": {"times": [[0.0, 1.0], [2.0, 3.0]]},
-    "times must increase strictly": {"times": [0.0, 1.0, 1.0]},
+    "times do not increase strictly": {"times": [0.0, 1.0, 1.0]},
     "give one value for each of the 3 joints": {"initial": (np.zeros(2), np.zeros(3))},
-    "there is no solver 'euler'; use one of: tsit5, dopri5": {"solver": "euler"},
-    "derivatives='both' is unknown; use 'forward'": {"derivatives": "both"},
+    "there is no solver 'euler': use one of tsit5, dopri5": {"solver": "euler"},
+    "derivatives='both' is unknown: use 'forward'": {"derivatives": "both"},
 }
 
 

@@ -69,6 +69,7 @@ def motion(vector, tolerance, derivatives):
         rtol=tolerance,
         atol=tolerance,
         derivatives=derivatives,
+        steps_for="derivatives",
         throw=False,
     )
     return jnp.concatenate([found.angles.ravel(), found.rates.ravel()])
@@ -179,7 +180,8 @@ def test_the_refusal_covers_every_input(part):
         still = (jnp.zeros(LINKS), jnp.zeros(LINKS))
         inputs = {"command": command, "wind": constant(np.zeros(3)), "initial": still}
         inputs[part] = jax.tree.map(lambda leaf: leaf + x, inputs[part])
-        found = simulate(ARM, times=TIMES, derivatives=derivatives, throw=False, **inputs)
+        options = {"derivatives": derivatives, "steps_for": "derivatives", "throw": False}
+        found = simulate(ARM, times=TIMES, **inputs, **options)
         return found.rates[-1, 0]
 
     with pytest.raises(TypeError, match="derivatives='forward'"):
@@ -196,25 +198,3 @@ def test_a_failing_simulation_raises_while_it_is_differentiated():
     assert np.all(np.isfinite(both(jnp.asarray(1.2))))
     with pytest.raises(RuntimeError, match="became infinite or NaN"):
         both(jnp.asarray(jnp.nan))
-
-
-def test_only_derivatives_that_need_shorter_steps_take_them():
-    """Those by the default parameters of a fit leave the steps of a planar motion alone."""
-    command = joint_ramps(LINKS, {1: 0.5}, start=0.5)
-
-    @jax.jit
-    def steps(coefficient, wind, d_coefficient, d_wind):
-        def count(coefficient, wind):
-            stiff = {"joints.yaw_stiffness": 3e3, "air.drag_coefficient": coefficient}
-            arm = replace(ARM, stiff)
-            taken = simulate(arm, command, TIMES, wind=wind, throw=False).steps
-            return taken.astype(float)
-
-        point, still = (coefficient, wind), jnp.zeros(3)
-        by_drag = jax.jvp(lambda x: count(x, still), (coefficient,), (d_coefficient,))[0]
-        by_wind = jax.jvp(lambda x: count(1.2, x), (wind,), (d_wind,))[0]
-        return count(*point), by_drag, by_wind
-
-    plain, by_drag, by_wind = steps(1.2, jnp.zeros(3), 1.0, jnp.ones(3))
-    assert_allclose(by_drag, plain)
-    assert by_wind[0] > 2 * plain[0]

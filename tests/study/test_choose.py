@@ -44,9 +44,9 @@ def test_the_operator_behind_the_data_is_chosen(choice):
 
 def test_the_criteria_are_what_they_say(choice):
     for candidate in choice.candidates:
-        record = candidate.result.runs[0]["channels"]["output"]
-        assert record["rmse"] == pytest.approx(candidate.rmse)
-        n, k = record["n"], candidate.parameters + 1
+        record = candidate.result.runs[0].channels["output"]
+        assert record.rmse == pytest.approx(candidate.rmse)
+        n, k = record.n, candidate.parameters + 1
         assert candidate.aic == pytest.approx(n * np.log(candidate.rmse**2) + 2 * k)
         assert candidate.bic - candidate.aic == pytest.approx(k * (np.log(n) - 2))
         # 30 % are held out.
@@ -85,7 +85,7 @@ def test_another_run_judges():
     only = choice.best
     predicted = only.result.predict(other)["output"] - other.values["output"]
     assert only.held_out_rmse == pytest.approx(np.sqrt(np.mean(predicted**2)))
-    assert only.result.runs[0]["channels"]["output"]["n"] == 319
+    assert only.result.runs[0].channels["output"].n == 319
 
 
 def test_bad_questions_are_refused():

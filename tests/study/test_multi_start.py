@@ -30,7 +30,7 @@ def test_the_best_of_several_starts_is_the_result():
     for path in ("amplitude", "decay", "offset"):
         estimate = result.parameters[path]
         assert abs(estimate.value - TRUTH[path]) < 3.5 * estimate.standard_error
-    assert misfit(result) == pytest.approx(min(s["misfit"] for s in result.starts), abs=1e-3)
+    assert misfit(result) == pytest.approx(min(s.misfit for s in result.starts), abs=1e-3)
     assert result.gradient_check is not None
     assert "of 4 ended here" in summary(result)
     assert result.config["start"] == {"amplitude": 0.5, "decay": 3.0}
@@ -41,7 +41,7 @@ def test_a_start_that_fails_is_passed_over():
     result = multi_start(
         Decay(), run(), starts=6, spread=2.0, seed=0, start={"decay": 5.0}, check=False
     )
-    failed = [start for start in result.starts if start["status"] == "failed"]
+    failed = [start for start in result.starts if start.status == "failed"]
     assert failed
     assert result.status == "converged"
 
@@ -51,6 +51,6 @@ def test_ends_are_compared_by_likelihood_when_the_noise_is_estimated():
     noisy = height(times) + 0.01 * np.random.default_rng(0).normal(size=60)
     unknown = Run.from_arrays(times, {"tip_z": noisy}, definition={"free_motion": True})
     result = multi_start(Decay(), unknown, starts=2, start={"decay": 2.0}, check=False)
-    (channel,) = result.runs[0]["channels"].values()
-    assert channel["noise"] == pytest.approx(0.01, rel=0.3)
-    assert misfit(result) == pytest.approx(result.cost + 60 * np.log(channel["noise"]))
+    (channel,) = result.runs[0].channels.values()
+    assert channel.noise == pytest.approx(0.01, rel=0.3)
+    assert misfit(result) == pytest.approx(result.cost + 60 * np.log(channel.noise))

@@ -1,23 +1,16 @@
 """The multibody arm: chain, presets, kinematics, dynamics, air, buoyancy and energy."""
 
 from ._air import drag_force as drag_force
+from ._arm import Arm as Arm
+from ._atmosphere import DRAG_CURVES as DRAG_CURVES, DRAGS as DRAGS, Air as Air
+from ._axes import named_axes as named_axes
 from ._bodies import Bodies as Bodies, bodies as bodies, lift as lift
-from ._chain import (
-    DRAG_CURVES as DRAG_CURVES,
-    DRAGS as DRAGS,
-    Air as Air,
-    Arm as Arm,
-    Joints as Joints,
-    Links as Links,
-    named_axes as named_axes,
-)
+from ._build import chain as chain
 from ._cylinder import cylinder_drag_coefficient as cylinder_drag_coefficient
 from ._dynamics import (
     acceleration as acceleration,
     forward_dynamics as forward_dynamics,
-    inverse_dynamics as inverse_dynamics,
     joint_torque as joint_torque,
-    mass_matrix as mass_matrix,
 )
 from ._energy import (
     damping_power as damping_power,
@@ -25,6 +18,8 @@ from ._energy import (
     kinetic_energy as kinetic_energy,
     potential_energy as potential_energy,
 )
+from ._inertia import mass_matrix as mass_matrix
+from ._joints import Joints as Joints
 from ._kinematics import (
     Pose as Pose,
     link_centres as link_centres,
@@ -32,10 +27,11 @@ from ._kinematics import (
     pose as pose,
     tip_position as tip_position,
 )
+from ._links import Links as Links
+from ._load import inverse_dynamics as inverse_dynamics
 from ._masses import Buoyancy as Buoyancy, PointMasses as PointMasses
 from ._presets import (
     PRESETS as PRESETS,
-    chain as chain,
     pendulum as pendulum,
     preset as preset,
     takeichi_20m as takeichi_20m,

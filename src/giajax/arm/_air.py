@@ -7,8 +7,8 @@ import numpy as np
 
 from .._maths import cross, dot, safe_norm, scaled
 from .._typing import Array, Float
+from ._arm import Arm
 from ._bodies import lift
-from ._chain import Arm
 from ._cylinder import drag_factor
 from ._kinematics import Pose, Rows, angular_velocities, centre_velocities, pose
 
@@ -172,6 +172,9 @@ def drag_force(
         angles: joint angles, rad.
         rates: joint rates, rad/s.
         wind: velocity of the air in the base frame, m/s; still air by default.
+
+    Returns:
+        Force in the base frame, N, shape (link, 3).
     """
     return drag_in_motion(arm, angles, rates, wind).load.force.T
 
@@ -190,7 +193,7 @@ def drag_in_motion(
     rates: Float[Array, " joint"],
     wind: Float[Array, "3"] | None,
 ) -> Dragged:
-    """Drag at given angles and rates, with the velocities of the links' centres and turns."""
+    """Drag in one state of motion, with the velocities of the links' centres and turns."""
     here = pose(arm, angles)
     omega = angular_velocities(here, rates)
     velocity = centre_velocities(arm, here, omega)

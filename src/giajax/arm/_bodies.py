@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._typing import Array, Float
-from ._chain import Arm
+from ._arm import Arm
 
 PerLink = Float[Array, " link"]
 
@@ -41,7 +41,14 @@ class _Point(NamedTuple):
 
 
 def bodies(arm: Arm) -> Bodies:
-    """The bodies of an arm's links, their own structure, helium, trim weights and point masses."""
+    """The bodies of an arm's links, their own structure, helium, trim weights and point masses.
+
+    Arguments:
+        arm: the arm.
+
+    Returns:
+        Mass, centre of mass and inertia of each link with all that it carries.
+    """
     links = arm.links
     transverse, axial = links.inertia_transverse, links.inertia_axial
     points = _points(arm)
@@ -111,7 +118,14 @@ def _no_link_twice(links: tuple[int, ...]) -> list[list[int]]:
 
 
 def lift(arm: Arm) -> PerLink | None:
-    """Force of the air on each link at its centre, upwards, N; None without buoyancy."""
+    """Force of the air on each link at its centre, upwards, N; None without buoyancy.
+
+    Arguments:
+        arm: the arm.
+
+    Returns:
+        Force, N, shape (link,), or None.
+    """
     if arm.buoyancy is None:
         return None
     upwards = arm.air.density * arm.links.volume * arm.gravity

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._typing import Array, Float
-from ._chain import Air
+from ._atmosphere import Air
 
 _LINE = (3.75991, -0.90015)
 _HEIGHT = np.asarray([-0.27163, 2.87305, 0.48415])
@@ -28,6 +28,9 @@ def cylinder_drag_coefficient(reynolds: Float[Array, "*shape"]) -> Float[Array, 
 
     Arguments:
         reynolds: |V| d / nu, not negative.
+
+    Returns:
+        C_D, of the shape of the argument.
     """
     return jnp.exp(np.log(10) * _log10(reynolds))
 

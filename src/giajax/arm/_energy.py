@@ -12,9 +12,9 @@ from ._air import (
     lift_force,
     relative_velocity,
 )
+from ._arm import Arm
 from ._bodies import bodies
-from ._chain import Arm
-from ._dynamics import mass_matrix
+from ._inertia import mass_matrix
 from ._kinematics import pose
 
 
@@ -27,6 +27,9 @@ def kinetic_energy(
         arm: the arm.
         angles: joint angles, rad.
         rates: joint rates, rad/s.
+
+    Returns:
+        Energy, J, shape ().
     """
     return rates @ mass_matrix(arm, angles) @ rates / 2
 
@@ -48,6 +51,9 @@ def potential_energy(
         angles: joint angles, rad.
         command: commanded angles, rad.
         wind: steady velocity of the air in the base frame, m/s; still air by default.
+
+    Returns:
+        Energy, J, shape ().
     """
     here = pose(arm, angles)
     springs = (arm.joints.stiffness * (angles - command) ** 2).sum() / 2
@@ -76,6 +82,9 @@ def drag_power(
         angles: joint angles, rad.
         rates: joint rates, rad/s.
         wind: velocity of the air in the base frame, m/s; still air by default.
+
+    Returns:
+        Power, W, shape ().
     """
     (force, couple), velocity, omega = drag_in_motion(arm, angles, rates, wind)
     power = dot(force, velocity)
@@ -90,5 +99,8 @@ def damping_power(arm: Arm, rates: Float[Array, " joint"]) -> Scalar:
     Arguments:
         arm: the arm.
         rates: joint rates, rad/s.
+
+    Returns:
+        Power, W, shape ().
     """
     return -(arm.joints.resistance(rates) * rates).sum()

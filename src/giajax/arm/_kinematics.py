@@ -13,8 +13,9 @@ import numpy as np
 
 from .._maths import cross, quaternion_product, rotate, rotation_vector_to_quaternion, scaled
 from .._typing import Array, Float
+from ._arm import Arm
+from ._axes import Axis
 from ._bodies import bodies
-from ._chain import Arm, Axis
 
 Rows = Float[Array, "3 link"]
 
@@ -101,7 +102,16 @@ def _orient_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[An
 
 
 def pose(arm: Arm, angles: Float[Array, " joint"], *, sideways: bool = False) -> Pose:
-    """Forward kinematics; `sideways` asks for the links' whole frames."""
+    """Forward kinematics; `sideways` asks for the links' whole frames.
+
+    Arguments:
+        arm: the arm.
+        angles: joint angles, rad.
+        sideways: whether the links' whole frames are needed.
+
+    Returns:
+        Positions and directions of links and joints in the base frame.
+    """
     base = rotation_vector_to_quaternion(arm.base_rotation)
     body = bodies(arm)
     sideways = sideways or body.across is not None
@@ -133,6 +143,9 @@ def link_centres(arm: Arm, angles: Float[Array, " joint"]) -> Float[Array, "link
     Arguments:
         arm: the arm.
         angles: joint angles, rad.
+
+    Returns:
+        Positions, m, shape (link, 3).
     """
     return pose(arm, angles).centre.T
 
@@ -143,6 +156,9 @@ def tip_position(arm: Arm, angles: Float[Array, " joint"]) -> Float[Array, "3"]:
     Arguments:
         arm: the arm.
         angles: joint angles, rad.
+
+    Returns:
+        Position, m, shape (3,).
     """
     return scaled(arm.links.length, pose(arm, angles).direction).sum(axis=-1)
 
@@ -156,6 +172,9 @@ def link_velocities(
         arm: the arm.
         angles: joint angles, rad.
         rates: joint rates, rad/s.
+
+    Returns:
+        Velocities, m/s, shape (link, 3).
     """
     here = pose(arm, angles)
     return centre_velocities(arm, here, angular_velocities(here, rates)).T

@@ -86,11 +86,11 @@ class PointMasses(eqx.Module):
 
     def __check_init__(self) -> None:
         if not self.links or min(self.links) < 1:
-            raise InputError("point masses need the number of a link each, counted from 1")
+            raise InputError("a point mass has no link, or one below 1: number its link from 1")
         for name in ("mass", "position", "left", "up"):
             value = getattr(self, name)
             if value is not None and value.shape not in ((), (len(self.links),)):
                 raise InputError(
                     f"the point masses have {len(self.links)} links and a {name} of shape "
-                    f"{value.shape}; give one number, or one each"
+                    f"{value.shape}: give one number, or one each"
                 )

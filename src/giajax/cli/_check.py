@@ -5,6 +5,8 @@ from typing import Annotated, Any
 
 import typer
 
+from ..kinds import KINDS
+
 EXAMPLES = """\b
 Examples:
   giajax check run.csv
@@ -57,8 +59,8 @@ def _summary(facts: dict[str, Any]) -> list[tuple[str, str]]:
     if command is not None:
         names, corners = ", ".join(command["channels"]), command["corners"]
         rows.append(("command", f"{names}; {command['interpolation']}, {corners} corners"))
-    elif facts["model"] == "arm":
-        rows.append(("command", "none (free motion)"))
+    elif KINDS[facts["model"]].uncommanded:
+        rows.append(("command", KINDS[facts["model"]].uncommanded))
     if wind is not None and wind["source"] == "constant":
         rows.append(("wind", f"constant, {wind['velocity_m_per_s']} m/s"))
     elif wind is not None:

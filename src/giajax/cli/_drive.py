@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .._errors import InputError
+from ..kinds import ArmSection, CommandSection, InitialSection, WindSection
 from ._values import NUMBER, number, settings, with_settings
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ def replayed_run(command: Path, definition: "Definition") -> "Run":
     from ..runs import Definition, read_run, read_sidecar
 
     # Which joints there are is told by the arm that recorded it, where the sidecar states one.
-    recorded = bool(read_sidecar(command).arm.given())
+    recorded = bool(read_sidecar(command).section(ArmSection).given())
     keys = ("command", "wind") if recorded else ("arm", "command", "wind")
     given = {key: item for key, item in definition.given().items() if key in keys}
     return read_run(command, definition=Definition.parse(given))
@@ -70,11 +71,13 @@ def drives_of(run: "Run", rate: float) -> tuple[float, float, list["Drive"]]:
     length = float(run.times[-1] - run.times[0])
     if rate > 0:
         length = max(math.floor(length * rate + 1e-6), 1) / rate
-    definition, drives = run.definition, []
+    command = run.definition.section(CommandSection)
+    wind = run.definition.section(WindSection)
+    drives = []
     if run.commands:
-        drives.append(Drive(run.times, run.commands, definition.command.interpolation))
+        drives.append(Drive(run.times, run.commands, command.interpolation))
     if run.winds:
-        drives.append(Drive(run.times, run.winds, definition.wind.interpolation))
+        drives.append(Drive(run.times, run.winds, wind.interpolation))
     return float(run.times[0]), length, drives
 
 
@@ -162,10 +165,10 @@ def facts_of(
     source = definition if replayed is None else replayed.definition
     driven = {name: drive for drive in drives for name in drive.values}
     facts: dict[str, Any] = {"schema_version": 1}
-    initial = definition.initial.given()
+    initial = definition.section(InitialSection).given()
     commanded = [drive for name, drive in driven.items() if name.startswith("joint")]
     winds = [drive for name, drive in driven.items() if name.startswith("wind")]
-    velocity = source.wind.velocity_m_per_s
+    velocity = source.section(WindSection).velocity_m_per_s
     if not (driven or initial or velocity or float(model.arm.gravity)):
         raise InputError(
             "nothing moves the arm: give --step, --ramp, --command or --wind, or --arm with an "

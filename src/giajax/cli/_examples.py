@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from .._errors import InputError
+from ..kinds import KINDS
 
 EXAMPLES = """\b
 Examples:
@@ -90,7 +91,8 @@ def _run(path: Path, root: Path) -> list[str | int | float | None]:
     windy = [] if facts["wind"] is None else ["wind"]
     time = facts["time"]
     seconds = None if time is None else time["end_s"] - time["start_s"]
-    driven = ", ".join([*names, *windy]) or (facts["model"] if facts["model"] != "arm" else None)
+    unnamed = bool(KINDS[facts["model"]].uncommanded)
+    driven = ", ".join([*names, *windy]) or (None if unnamed else facts["model"])
     return [path.relative_to(root).as_posix(), driven, facts["rows"], seconds, len(measured), gaps]
 
 

@@ -1,17 +1,17 @@
 """`giajax fit`: parameters of an arm from recordings of it."""
 
-import dataclasses
 import math
 import textwrap
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 if TYPE_CHECKING:
     from ..fitting import FitResult, Iteration
     from ..runs import Definition
+    from ..tasks import FitTask
 
 STATUS = {"converged": 0, "not_converged": 1, "interrupted": 130}
 
@@ -90,9 +90,18 @@ def fit(
         list[str] | None,
         typer.Option(metavar="OLD=NEW", help="Read column OLD of the runs as NEW. Repeatable."),
     ] = None,
+    solver: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Integration method, such as tsit5, springs5."),
+    ] = None,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(metavar="TOL", help="Tolerance of the integration (1e-7)."),
+    ] = None,
     max_iterations: Annotated[
-        int, typer.Option(metavar="N", min=1, help="Trial steps before the fit gives up.")
-    ] = 50,
+        int | None,
+        typer.Option(metavar="N", min=1, help="Trial steps before the fit gives up (50)."),
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -112,78 +121,61 @@ def fit(
     Without further options: drag coefficient, pitch and yaw stiffness and damping of an arm.
     The columns of the runs decide the model, their sidecars its constants.
     """
-    from ..runs import Definition, parse_rename
+    from ..runs import parse_rename
 
-    if definition is not None and config is not None:
-        raise typer.BadParameter("give the fit definition as argument or by --config, not both")
-    source = definition or config
-    stated = Definition() if source is None else Definition.load(source)
-    asked = {"free": free, "fix": _values(fix, "--fix"), "start": _values(start, "--start")}
-    plain = {
-        "channels": channels,
-        "window_s": window,
-        "starts": starts,
-        "spread": spread,
-        "seed": seed,
-        "loss": loss,
-    }
-    given = {key: value for key, value in plain.items() if value is not None and value != []}
-    stated = _on_top(stated, asked, given)
-    paths = data or [_beside(source, name) for name in stated.fit.data or []]
-    if not paths:
-        where = f"{source} names no data" if source else "no data is given"
+    task = _task(definition, config).on_top(
+        data=data or None,
+        free=free or None,
+        start=_values(start, "--start"),
+        fix=_values(fix, "--fix"),
+        channels=channels or None,
+        window_s=window,
+        starts=starts,
+        spread=spread,
+        seed=seed,
+        loss=loss,
+        solver=solver,
+        tolerance=tolerance,
+        max_iterations=max_iterations,
+        out=out,
+        rename=parse_rename(rename or []),
+        origin="the command line",
+    )
+    if not task.data:
+        where = f"{task.source} names no data" if task.source else "no data is given"
         raise typer.BadParameter(f"{where}: give at least one run with --data RUN.csv")
-    renamed = parse_rename(rename or [])
-    folder = out or stated.fit.out or Path("giajax-out") / (source or paths[0]).stem
 
     from ._jax import configure
 
     configure()
-    from ..fitting import configuration, fit, prediction_errors
-    from ..models import model_for
     from ..report import check_figures, check_folder, write_result
-    from ..runs import read_runs
-    from ..study import choice_hint, multi_start
+    from ..study import choice_hint
 
-    runs = read_runs(paths, stated, rename=renamed)
-    others = [_beside(source, name) for name in stated.fit.validation or []]
-    validation = read_runs(others, stated, rename=renamed)
-    model = model_for(runs)
-    wanted: dict[str, Any] = {
-        "free": stated.fit.free,
-        "start": stated.fit.start,
-        "fix": stated.fit.fix,
-        "loss": stated.fit.loss or "linear",
-    }
-    check_figures(model, stated)
-    check_folder(folder, runs, configuration(model, runs, **wanted), force=force)
+    ready = task.prepare()
+    check_figures(ready.setup.model, task.definition)
+    check_folder(task.out, ready.runs, ready.setup.config, force=force)
     progress = None if quiet else _Progress()
-    wanted |= {"max_iterations": max_iterations, "progress": progress}
-    count = stated.fit.starts or 1
-    if count == 1:
-        result = fit(model, runs, **wanted)
-    else:
-        result = multi_start(
-            model,
-            runs,
-            starts=count,
-            spread=stated.fit.spread or 0.3,
-            seed=stated.fit.seed or 0,
-            announce=None if progress is None else progress.announce,
-            **wanted,
-        )
+    result = ready.run(progress, None if progress is None else progress.announce)
     if progress is not None:
         progress.end()
-    errors = [prediction_errors(result.model, run) for run in validation]
-    result = dataclasses.replace(result, validation=errors)
-    files = write_result(result, runs, folder)
+    files = write_result(result, ready.runs, task.out)
     if as_json:
         typer.echo(result.to_json(), nl=False)
     elif not quiet:
-        _show(result, stated, files)
-        if hint := choice_hint(runs, [str(path) for path in paths]):
+        _show(result, task.definition, files)
+        if hint := choice_hint(ready.runs, [str(path) for path in task.data]):
             print(f"\n{hint}")
     raise typer.Exit(STATUS[result.status])
+
+
+def _task(definition: Path | None, config: Path | None) -> "FitTask":
+    from ..runs import Definition
+    from ..tasks import FitTask
+
+    if definition is not None and config is not None:
+        raise typer.BadParameter("give the fit definition as argument or by --config, not both")
+    source = definition or config
+    return FitTask(Definition()) if source is None else FitTask.load(source)
 
 
 def _values(pairs: list[str] | None, option: str) -> dict[str, float]:
@@ -200,30 +192,6 @@ def _values(pairs: list[str] | None, option: str) -> dict[str, float]:
             raise typer.BadParameter(f"{option} gives '{path}' twice: give it once")
         values[path] = value
     return values
-
-
-def _on_top(stated: "Definition", asked: dict[str, Any], plain: dict[str, Any]) -> "Definition":
-    """The definition with what the command line says on top, path by path."""
-    from ..runs import Definition
-
-    below = stated.fit
-    free = below.free if asked["free"] is None else asked["free"]
-    starts, fixes = dict(below.start or {}), dict(below.fix or {})
-    # The command line's word on a parameter undoes what the definition says of the same one.
-    for path in asked["fix"]:
-        starts.pop(path, None)
-        if not asked["free"] and free is not None:
-            free = [name for name in free if name != path]
-    for path in (*asked["start"], *(asked["free"] or [])):
-        fixes.pop(path, None)
-    said = {"start": starts | asked["start"], "fix": fixes | asked["fix"], "free": free, **plain}
-    given = stated.given()
-    return Definition.parse({**given, "fit": {**given.get("fit", {}), **said}}, "the command line")
-
-
-def _beside(source: Path | None, name: str) -> Path:
-    """The data of a definition, which are named relative to it."""
-    return Path(name) if source is None else source.parent / name
 
 
 class _Progress:

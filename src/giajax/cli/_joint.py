@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from .._errors import InputError
+from ..kinds import MuscleSection
 from ._values import Values, settings, with_settings
 
 if TYPE_CHECKING:
@@ -90,7 +91,7 @@ def _pair(sections: "Definition", typed: Values, torque: float | None) -> Any:
     from ..models import MuscleModel, joint_from_section
 
     _refuse_unused(sections)
-    muscle = MuscleModel.stated(sections.muscle).muscle
+    muscle = MuscleModel.stated(sections.section(MuscleSection)).muscle
     pair = JointPair(joint_from_section(sections), muscle)
     if torque is not None and not 0 < torque < math.inf:
         raise InputError(f"--torque is {torque:g}: give a positive number of N m")
@@ -105,7 +106,7 @@ def _pair(sections: "Definition", typed: Values, torque: float | None) -> Any:
 
 def _refuse_unused(sections: "Definition") -> None:
     """Refuse what a [muscle] section says and a joint does not use."""
-    muscle = sections.muscle
+    muscle = sections.section(MuscleSection)
     unused = {
         "length_m": muscle.length_m is not None,
         "friction": muscle.friction not in (None, "none"),

@@ -1,7 +1,7 @@
 """`giajax predict`: how well a model predicts runs that it was not fitted to."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -10,8 +10,6 @@ from ._output import print_table
 
 if TYPE_CHECKING:
     from ..runs import Run
-
-_ABOUT_RUNS = ("model", "free_motion", "initial", "command", "wind", "noise", "fit")
 
 EXAMPLES = """\b
 Examples:
@@ -65,13 +63,21 @@ def predict(
     The runs start as their sidecars, or the fit definition, say: with first_row = true in
     [initial] as in their first row.
     """
-    from ..runs import Definition, check_output_files, parse_rename, read_runs, write_files
+    from ..runs import (
+        Definition,
+        check_output_files,
+        parse_rename,
+        read_runs,
+        run_keys,
+        write_files,
+    )
 
     if out is not None:
         check_output_files([out], force=force)
     sections = {} if config is None else Definition.load(config).given()
     # What it says of the model is that of the fit, which `model` states already.
-    sections = {key: value for key, value in sections.items() if key in _ABOUT_RUNS}
+    about = ("model", *run_keys(model=False), "fit")
+    sections = {key: value for key, value in sections.items() if key in about}
     if channels:
         sections["fit"] = {**sections.get("fit", {}), "channels": channels}
     settings = Definition.parse(sections, "the command line")
@@ -87,12 +93,16 @@ def predict(
         return read_runs(data, definition_of(source).merged_with(settings), rename=renamed)
 
     runs = runs_for(model)
-    one = model_of(model, runs)
+    ours = model_of(model, runs)
     other = None if against is None else model_of(against, runs_for(against))
-    rows = compare(one, runs, other, refit_initial=refit_initial)
     headings = ["run", "channel", "unit", "values", "RMSE", "largest"]
-    if other is not None:
+    if against is not None:
         headings += ["RMSE of the other", "ratio"]
+    rows: list[list[Any]] = [
+        [one.run, one.channel, one.unit, one.n, one.rmse, one.largest]
+        + ([] if against is None else [one.reference_rmse, one.ratio])
+        for one in compare(ours, runs, other, refit_initial=refit_initial)
+    ]
     print_table(headings, rows, left=3)
     if out is not None:
         lines = [",".join(str(cell) for cell in row) for row in [headings, *rows]]

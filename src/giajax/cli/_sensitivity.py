@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .._errors import InputError
+from ..kinds import ArmSection, InitialSection, SensorsSection
 from ._drive import (
     DURATION,
     channel_names,
@@ -143,7 +144,7 @@ def sensitivity(
         if replayed is not None:
             start, length, drives = drives_of(replayed, rate or _RATE)
         else:
-            still = bool(wind or sections.initial.given())
+            still = bool(wind or sections.section(InitialSection).given())
             moves = ramp or ([] if step or still else [_DEFAULT_RAMP])
             if moves or step:
                 drives = [moves_of(step or [], moves, count, duration or length)]
@@ -152,8 +153,8 @@ def sensitivity(
             drives, start=start, duration=duration or length, rate=rate or _RATE
         )
         names = channel_names(channels or ["all"], count)
-        facts["arm"] = sections.arm.given()
-        facts["sensors"] = sections.sensors.given()
+        facts["arm"] = sections.section(ArmSection).given()
+        facts["sensors"] = sections.section(SensorsSection).given()
         definition = Definition.parse({k: v for k, v in facts.items() if v}, "sensitivity")
         recorded = planned(
             times, inputs, links=count, channels=names, definition=definition.given()

@@ -8,13 +8,12 @@ import numpy as np
 from .._errors import InputError
 from ..hysteresis import (
     AbstractOperator,
-    BoucWenOscillator,
     InverseByBisection,
     ModifiedPrandtlIshlinskii,
     PrandtlIshlinskii,
     branches_from_loop,
 )
-from ..models import OUTPUTS, AbstractModel, HysteresisModel, comparable, input_channel
+from ..models import AbstractModel, HysteresisModel, comparable, input_channel
 from ..parameters import get
 from ..runs import Channel, Run
 
@@ -104,7 +103,7 @@ def target_channel(run: Run) -> Channel:
     Raises:
         InputError: a run without one, or with several.
     """
-    targets = [channel for channel in run.channels.values() if channel.kind in OUTPUTS]
+    targets = [channel for channel in run.channels.values() if channel.kind in run.kind.outputs]
     if len(targets) != 1:
         raise InputError(
             f"'{run.name}' has {len(targets)} columns of output or angle: give one, the target"
@@ -119,7 +118,7 @@ def compensator_for_model(model: AbstractModel) -> Compensator:
     to.
 
     Raises:
-        InputError: a model of another kind, an oscillator, or an operator that has no inverse.
+        InputError: a model of another kind, or an operator that has no inverse.
     """
     if model.kind != HysteresisModel.kind:
         raise InputError(
@@ -128,11 +127,6 @@ def compensator_for_model(model: AbstractModel) -> Compensator:
         )
     model = cast(HysteresisModel, model)
     operator = model.operator
-    if isinstance(operator, BoucWenOscillator):
-        raise InputError(
-            "an oscillator cannot be compensated: fit a run of input and output at rest with "
-            "another operator in [hysteresis]"
-        )
     state = model.memory()
     inverse: AbstractOperator
     if isinstance(operator, PrandtlIshlinskii | ModifiedPrandtlIshlinskii):
@@ -147,8 +141,8 @@ def compensator_for_model(model: AbstractModel) -> Compensator:
         memory,
         float(get(model, "offset")),
         model.reachable(),
-        model.input_channel(),
-        model.output_channel(),
+        model.columns.input_channel,
+        model.columns.output_channel,
     )
 
 
@@ -165,7 +159,7 @@ def compensator_for_loop(run: Run, travel: float | None = None) -> Compensator:
     """
     run.require_observations()
     name, values = next(iter(run.observations.items()))
-    channel = input_channel(run)
+    channel = input_channel(run, HysteresisModel.kind)
     travel = _TRAVEL * float(np.nanmax(values) - np.nanmin(values)) if travel is None else travel
     operator = branches_from_loop(run.values[channel.name], values, travel)
     if not operator.reachable[0] < operator.reachable[1]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ..models import HysteresisModel
+from ..models import OscillatorModel
 from ..parameters import get
 from ..runs import Run
 from ..synthetic import synthesise
@@ -41,7 +41,7 @@ def bouc_wen_benchmark(seed: int = 0) -> BoucWenBenchmark:
     The force of the multisine is one period of a band-limited signal, that of the sweep is
     linear between its rows.
     """
-    model = HysteresisModel.from_definition({"hysteresis": _section("band_limited")}).refined(1e-3)
+    model = OscillatorModel(interpolation="band_limited").refined(1e-3)
     truth = {path: float(get(model, path)) for path in _PATHS}
     truth |= {name: float(derived.value) for name, derived in model.derived().items()}
     force = multisine(np.random.default_rng(seed))
@@ -59,7 +59,7 @@ def bouc_wen_benchmark(seed: int = 0) -> BoucWenBenchmark:
     )
     times, force = sweep()
     swept = synthesise(
-        HysteresisModel.from_definition({"hysteresis": _section("linear")}).refined(1e-3),
+        OscillatorModel().refined(1e-3),
         times,
         {"input": force},
         ["output"],
@@ -67,14 +67,6 @@ def bouc_wen_benchmark(seed: int = 0) -> BoucWenBenchmark:
         name="bouc_wen_sweep",
     )
     return BoucWenBenchmark(recorded, swept, truth)
-
-
-def _section(interpolation: str) -> dict[str, object]:
-    return {
-        "operator": "bouc_wen_oscillator",
-        "interpolation": interpolation,
-        "input_range": [-200.0, 200.0],
-    }
 
 
 def multisine(random: np.random.Generator) -> npt.NDArray[np.float64]:

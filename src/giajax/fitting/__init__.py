@@ -1,8 +1,27 @@
 """Least squares over chosen parameters of any model that predicts channels."""
 
-from ._configuration import configuration as configuration, set_up as set_up
-from ._descend import Iteration as Iteration
-from ._fit import fit as fit
-from ._predict import predict as predict, prediction_errors as prediction_errors
-from ._result import Estimate as Estimate, FitResult as FitResult, load_result as load_result
+from ._configuration import Setup as Setup, set_up as set_up
+from ._fit import MAX_ITERATIONS as MAX_ITERATIONS, fit as fit, solve as solve
+from ._predict import (
+    errors_of as errors_of,
+    predict as predict,
+    prediction_errors as prediction_errors,
+)
+from ._records import (
+    ChannelErrors as ChannelErrors,
+    ChannelFit as ChannelFit,
+    Correlation as Correlation,
+    Estimate as Estimate,
+    GradientCheck as GradientCheck,
+    Iteration as Iteration,
+    OwnEstimate as OwnEstimate,
+    PredictionErrors as PredictionErrors,
+    RunFit as RunFit,
+    Shift as Shift,
+    Start as Start,
+    ToleranceEffect as ToleranceEffect,
+)
+from ._result import FitResult as FitResult, load_result as load_result
 from ._solver import Marquardt as Marquardt
+from ._table import estimate_table as estimate_table
+from ._units import in_column_units as in_column_units, units_note as units_note

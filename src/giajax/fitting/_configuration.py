@@ -1,7 +1,8 @@
 """What a fit is asked: checked and resolved before anything is evaluated."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -17,30 +18,64 @@ from ..parameters import (
     replace,
     switched_on,
 )
-from ..runs import Run
+from ..runs import Run, run_keys
 from ._loss import check_loss
 
-# What a sidecar says about a run that a fit depends on; [arm] is in the model.
-_ABOUT_RUNS = ("free_motion", "initial", "command", "wind", "noise")
+
+@dataclasses.dataclass(frozen=True)
+class Setup:
+    """What a fit is asked, resolved once: `set_up` makes it, `solve` fits it.
+
+    Attributes:
+        model: with the start values and what is fixed.
+        runs: what is fitted to.
+        parameters: the scalar parameters to fit, apart from those of single runs.
+        unstarted: paths of those whose start nobody chose.
+        loss: how a large residual counts.
+        config: the same as plain data, `config` of the result: two fits of the same data with
+            the same one have the same result.
+    """
+
+    model: AbstractModel
+    runs: tuple[Run, ...]
+    parameters: tuple[Parameter, ...]
+    unstarted: tuple[str, ...]
+    loss: str
+    config: dict[str, Any]
+
+    def at_start(self) -> Self:
+        """With the model where the fit may start (`AbstractModel.at_start`)."""
+        model = self.model.at_start(self.runs, self.unstarted)
+        return dataclasses.replace(self, model=model, unstarted=())
+
+    def started_at(self, values: Mapping[str, float]) -> Self:
+        """With other start values of the parameters to fit, by path."""
+        return dataclasses.replace(self, model=replace(self.model, values), unstarted=())
 
 
-def configuration(
+def set_up(
     model: AbstractModel,
-    runs: Sequence[Run],
+    runs: Run | Sequence[Run],
     *,
     free: Sequence[str] | None = None,
     start: Mapping[str, float] | None = None,
     fix: Mapping[str, float] | None = None,
     loss: str = "linear",
-) -> dict[str, Any]:
-    """What a fit with these arguments is asked, resolved: `config` of its result.
+    solver: str | None = None,
+    tolerance: float | None = None,
+) -> Setup:
+    """Check and resolve the arguments of a fit, without evaluating the model.
 
-    Checks the arguments without evaluating the model; two fits of the same data with the same
-    configuration have the same result.
+    Arguments:
+        model, runs, free, start, fix, loss, solver, tolerance: as of `fit`.
+
+    Returns:
+        What `solve` fits.
 
     Raises:
-        InputError: as `fit` does, apart from a start that cannot be evaluated.
+        InputError: as `fit`, apart from a start that cannot be evaluated.
     """
+    runs = (runs,) if isinstance(runs, Run) else tuple(runs)
     start, fix = dict(start or {}), dict(fix or {})
     check_loss(loss)
     if not runs:
@@ -48,34 +83,64 @@ def configuration(
     for run in runs:
         run.require_observations()
     _check_doubles(runs)
+    if solver is not None or tolerance is not None:
+        model = model.with_integration(solver=solver, tolerance=tolerance)
     model, parameters = _resolved(model, free, start, fix)
-    own = 0
+    _check_determined(model, runs, parameters)
+    begun = {element.path for path in start for element in elements(model, path)}
+    return Setup(
+        model=model,
+        runs=runs,
+        parameters=tuple(parameters),
+        unstarted=tuple(p.path for p in parameters if p.path not in begun),
+        loss=loss,
+        config={
+            "definition": model.definition(),
+            "runs": [_about(run) for run in runs],
+            "free": [parameter.path for parameter in parameters],
+            "start": {path: float(value) for path, value in start.items()},
+            "fix": {path: float(value) for path, value in fix.items()},
+            "loss": loss,
+            **_integration(model),
+        },
+    )
+
+
+def _integration(model: AbstractModel) -> dict[str, Any]:
+    """What computes the predictions: solver and tolerance, None for a model without one."""
+    integration = model.integration()
+    if integration is None:
+        return {"solver": None, "tolerance": None}
+    return {"solver": integration.solver, "tolerance": integration.tolerance}
+
+
+def _about(run: Run) -> dict[str, Any]:
+    """What of a run a fit depends on, beside its data and the constants of the model."""
+    sidecar = run.definition.given()
+    about: dict[str, Any] = {key: sidecar[key] for key in run_keys(model=False) if key in sidecar}
+    if run.observed is not None:
+        about["channels"] = list(run.observed)
+    if run.times is not None:
+        about |= {"from_s": float(run.times[0]), "rows": len(run.times)}
+    return about
+
+
+def _check_determined(
+    model: AbstractModel, runs: Sequence[Run], parameters: Sequence[Parameter]
+) -> None:
+    """Refuse a fit of nothing, and one of more parameters than there are values."""
+    count = len(parameters)
     for run in runs:
         inputs = model.prepare(run)
-        own += sum(get(inputs, path).size for path in model.free_inputs(run))
+        count += sum(get(inputs, path).size for path in model.free_inputs(run))
     measured = sum(int(np.sum(~np.isnan(v))) for run in runs for v in run.observations.values())
-    if not parameters and not own:
+    if not count:
         raise InputError("no parameter is free; free at least one")
-    if measured <= len(parameters) + own:
+    if measured <= count:
         raise InputError(
-            f"{measured} measured values cannot determine {len(parameters) + own} parameters and "
-            "their "
-            "errors; free fewer parameters or give a longer run"
+            f"{measured} measured values cannot determine {count} parameters and their errors; "
+            "free fewer parameters or give a longer run"
         )
-    stated = [run.definition.given() for run in runs]
-    return {
-        "definition": model.definition(),
-        "runs": [
-            {key: said[key] for key in _ABOUT_RUNS if key in said}
-            | ({} if run.observed is None else {"channels": list(run.observed)})
-            | ({} if run.times is None else {"from_s": float(run.times[0]), "rows": len(run.times)})
-            for run, said in zip(runs, stated, strict=True)
-        ],
-        "free": [parameter.path for parameter in parameters],
-        "start": {path: float(value) for path, value in start.items()},
-        "fix": {path: float(value) for path, value in fix.items()},
-        "loss": loss,
-    }
 
 
 def _check_doubles(runs: Sequence[Run]) -> None:
@@ -93,37 +158,23 @@ def _check_doubles(runs: Sequence[Run]) -> None:
         seen[part] = str(run.path)
 
 
-def set_up(
-    model: AbstractModel,
-    runs: Sequence[Run],
-    free: Sequence[str] | None,
-    start: Mapping[str, float],
-    fix: Mapping[str, float],
-) -> tuple[AbstractModel, list[Parameter]]:
-    """The model at its start, and the scalar parameters to fit."""
-    model, parameters = _resolved(model, free, start, fix)
-    given = {element.path for path in start for element in elements(model, path)}
-    unstated = [parameter.path for parameter in parameters if parameter.path not in given]
-    return model.at_start(runs, unstated), parameters
-
-
 def _resolved(
     model: AbstractModel,
     free: Sequence[str] | None,
     start: Mapping[str, float],
     fix: Mapping[str, float],
 ) -> tuple[AbstractModel, list[Parameter]]:
-    """The model with what is stated, and the scalar parameters to fit; evaluates nothing."""
+    """The model with starts and fixed values, and the scalar parameters to fit."""
     model = switched_on(model, (*start, *fix, *(free or ())))
     for path in (*start, *fix):
         find(model, path)
     for path in set(start) & set(fix):
         raise InputError(f"'{path}' is given a start and a fixed value; give one of them")
-    wanted = default_free(model, start) if free is None else free
+    chosen = default_free(model, start) if free is None else free
     model = replace(model, {**start, **fix})
     fixed = {element.path for path in fix for element in elements(model, path)}
     parameters: dict[str, Parameter] = {}
-    for path in wanted:
+    for path in chosen:
         for element in elements(model, path):
             if element.path not in fixed:
                 parameters[element.path] = element

@@ -15,7 +15,7 @@ from .._typing import Array
 from ..models import AbstractModel
 from ..parameters import get, replace
 from ._identifiability import COLLINEAR
-from ._result import Estimate, finite_or_none
+from ._records import Estimate, finite_or_none
 
 # Part of a gradient in undetermined directions that is rounding of the Jacobian.
 _ROUNDING = 1e-5

@@ -5,18 +5,15 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 
 import jax
-import numpy as np
 
 from ..models import AbstractModel
 from ..runs import Run
-from ._bijector import Bijector
-from ._configuration import configuration, set_up
-from ._descend import Descent, Iteration
-from ._fitter import Fitter
-from ._noise import from_differences
-from ._problem import Problem, Sigmas, build_groups, own_start, stated_sigmas
-from ._report import Outcome, report
+from ._conclude import conclude
+from ._configuration import Setup, set_up
+from ._descend import descend
+from ._records import Iteration
 from ._result import FitResult
+from ._state import begin
 
 MAX_ITERATIONS = 50
 
@@ -29,6 +26,8 @@ def fit(
     start: Mapping[str, float] | None = None,
     fix: Mapping[str, float] | None = None,
     loss: str = "linear",
+    solver: str | None = None,
+    tolerance: float | None = None,
     max_iterations: int = MAX_ITERATIONS,
     progress: Callable[[Iteration], None] | None = None,
     check: bool = True,
@@ -46,6 +45,8 @@ def fit(
         start: start values by path, in SI units.
         fix: values by path that are set and not fitted.
         loss: "linear", or "huber" or "soft_l1" where a few cells are outliers.
+        solver: of the simulation, one of `giajax.SOLVERS`; by default that of the model.
+        tolerance: relative and absolute tolerance of the simulation; by default the model's.
         max_iterations: trial steps before the fit gives up.
         progress: called after each step with an `Iteration`.
         check: compute the gradient check and the effect of the solver tolerance at the end.
@@ -56,7 +57,8 @@ def fit(
 
     Raises:
         InputError: an unknown path, a start outside its bounds, a run without measured channels,
-            or a start from which the model cannot be evaluated.
+            a solver or tolerance for a model that has none, or a start from which the model
+            cannot be evaluated.
 
     Example:
         >>> import giajax
@@ -64,53 +66,43 @@ def fit(
         >>> result = giajax.fit(giajax.model_for([run]), run)  # doctest: +SKIP
         >>> result.parameters["air.drag_coefficient"].value  # doctest: +SKIP
     """
-    _warn_once_in_32_bit()
-    runs = [runs] if isinstance(runs, Run) else list(runs)
-    start, fix = dict(start or {}), dict(fix or {})
-    config = configuration(model, runs, free=free, start=start, fix=fix, loss=loss)
-    model, parameters = set_up(model, runs, free, start, fix)
-    stated = stated_sigmas(runs)
-    sigmas: Sigmas = [
-        {
-            name: sigma if sigma is not None else from_differences(run.observations[name])
-            for name, sigma in noise.items()
-        }
-        for run, noise in zip(runs, stated, strict=True)
-    ]
-    groups = build_groups(model, runs, sigmas, len(parameters))
-    own = own_start(groups)
-    bijector = Bijector(
-        (*(p.declaration.lower for p in parameters), *(-np.inf for _ in own)),
-        (*(p.declaration.upper for p in parameters), *(np.inf for _ in own)),
-    )
-    problem = Problem(
-        model=model,
-        groups=groups,
-        bijector=bijector,
-        paths=tuple(p.path for p in parameters),
+    setup = set_up(
+        model,
+        runs,
+        free=free,
+        start=start,
+        fix=fix,
         loss=loss,
+        solver=solver,
+        tolerance=tolerance,
     )
-    values = np.asarray([*(float(p.value(model)) for p in parameters), *own])
-    # A parameter whose start and default are zero has no size of its own: one unit.
-    defaults = np.asarray([*(p.declaration.default for p in parameters), *(0.0 for _ in own)])
-    sizes = np.maximum(np.abs(values), np.abs(defaults))
-    fitter = Fitter(problem, values, np.where(sizes > 0, sizes, 1.0))
-    unstated = any(sigma is None for noise in stated for sigma in noise.values())
+    return solve(setup, max_iterations=max_iterations, progress=progress, check=check)
+
+
+def solve(
+    setup: Setup,
+    *,
+    max_iterations: int = MAX_ITERATIONS,
+    progress: Callable[[Iteration], None] | None = None,
+    check: bool = True,
+) -> FitResult:
+    """Fit what `set_up` resolved.
+
+    Arguments:
+        setup: what to fit to what.
+        max_iterations, progress, check: as of `fit`.
+
+    Returns:
+        As `fit`.
+
+    Raises:
+        InputError: the model cannot be evaluated at the start.
+    """
+    _warn_once_in_32_bit()
+    state = begin(setup)
     began = time.perf_counter()
-    descent = Descent(fitter, runs, stated, sigmas, progress)
-    status, message = descent.run(max_iterations)
-    outcome = Outcome(
-        status=status,
-        message=message,
-        parameters=parameters,
-        sigmas=sigmas,
-        noise_estimated=descent.noise_estimated,
-        noise_guessed=unstated and not descent.noise_estimated,
-        history=descent.history,
-        began=began,
-        config={**config, "max_iterations": max_iterations},
-    )
-    return report(fitter, runs, outcome, check=check and status != "interrupted")
+    state = descend(state, max_iterations, progress)
+    return conclude(state, check=check, max_iterations=max_iterations, began=began)
 
 
 _warned = False
@@ -124,5 +116,5 @@ def _warn_once_in_32_bit() -> None:
     warnings.warn(
         "giajax is fitting in 32-bit, where a long chain keeps about three digits; call "
         'jax.config.update("jax_enable_x64", True) before anything else',
-        stacklevel=3,
+        stacklevel=4,
     )

@@ -1,9 +1,18 @@
 """The standard deviation of a channel's noise, where nobody stated it."""
 
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Self
+
 import numpy as np
+
+from ..runs import Run
 
 # 1.4826 median(|x|) estimates the standard deviation of a normal variable.
 _MAD = 1.4826
+
+# Estimating the noise and fitting with it alternate until the noise changes by less than this.
+_NOISE_CHANGE = 0.05
 
 
 def from_differences(values: np.ndarray) -> float:
@@ -42,3 +51,75 @@ def from_residuals(residuals: np.ndarray, parameters: float, *, robust: bool) ->
         estimate = float(np.sqrt(np.sum(residuals**2) / count))
     # Never zero: data without noise would weigh infinitely.
     return max(estimate, 1e-12 * float(np.max(np.abs(residuals), initial=0.0)), 1e-300)
+
+
+@dataclasses.dataclass(frozen=True)
+class Noise:
+    """Standard deviation of each channel of each run, SI.
+
+    Attributes:
+        declared: what the sidecar of each run says, by channel; None where it says nothing.
+        values: what the channels are weighted with.
+        estimated: whether what nobody declared comes from the residuals of a fit.
+    """
+
+    declared: tuple[Mapping[str, float | None], ...]
+    values: tuple[Mapping[str, float], ...]
+    estimated: bool = False
+
+    @classmethod
+    def of(cls, runs: Sequence[Run]) -> Self:
+        """What the sidecars say; else from the differences of neighbouring samples."""
+        declared = tuple({name: run.noise(name) for name in run.observations} for run in runs)
+        values = tuple(
+            {
+                name: sigma if sigma is not None else from_differences(run.observations[name])
+                for name, sigma in noise.items()
+            }
+            for run, noise in zip(runs, declared, strict=True)
+        )
+        return cls(declared, values)
+
+    @property
+    def complete(self) -> bool:
+        """Whether the sidecars say all of it."""
+        return all(sigma is not None for noise in self.declared for sigma in noise.values())
+
+    def reestimated(
+        self,
+        runs: Sequence[Run],
+        predictions: Sequence[Mapping[str, np.ndarray]],
+        *,
+        parameters: int,
+        robust: bool,
+    ) -> Self:
+        """With what nobody declared from the residuals of a fit.
+
+        It stays the same where no channel changes by as much as a fit would notice.
+
+        Arguments:
+            runs: what was recorded.
+            predictions: of the fit, SI, by channel of each run.
+            parameters: number of fitted parameters.
+            robust: use the median, for a loss that lets outliers stand.
+        """
+        if self.complete:
+            return self
+        # Each channel is taken to have paid for its share of the parameters.
+        share = parameters / sum(map(len, self.declared))
+        values = []
+        change = 0.0
+        for run, noise, before, predicted in zip(
+            runs, self.declared, self.values, predictions, strict=True
+        ):
+            after = dict(before)
+            for name in (name for name, sigma in noise.items() if sigma is None):
+                difference = predicted[name] - run.observations[name]
+                difference = difference[~np.isnan(difference)]
+                after[name] = from_residuals(difference, share, robust=robust)
+                change = max(change, abs(float(np.log(after[name] / before[name]))))
+            values.append(after)
+        kept = change < _NOISE_CHANGE
+        return dataclasses.replace(
+            self, values=self.values if kept else tuple(values), estimated=True
+        )

@@ -1,13 +1,13 @@
 """Predictions of a model for a run, as plain arrays."""
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from .._program import program
 from ..models import AbstractModel, Channels
 from ..runs import Run
+from ._records import ChannelErrors, PredictionErrors
 
 
 @program
@@ -39,7 +39,7 @@ def predict(
 
 def prediction_errors(
     model: AbstractModel, run: Run, channels: Sequence[str] | None = None
-) -> dict[str, Any]:
+) -> PredictionErrors:
     """How far a prediction is from what a run recorded.
 
     Arguments:
@@ -48,24 +48,26 @@ def prediction_errors(
         channels: names without unit; those that the run recorded by default.
 
     Returns:
-        {"name", "path", "channels": {name: {"unit", "rmse", "largest", "n"}}}, in the unit of
-        the recording; infinite where the simulation failed.
+        Errors by channel, in the unit of the recording; infinite where the simulation failed.
 
     Raises:
         InputError: as `predict`.
     """
     names = list(run.observations if channels is None else channels)
-    predicted = predict(model, run, names)
-    found = {}
-    for name in names:
+    return errors_of(run, predict(model, run, names))
+
+
+def errors_of(run: Run, predicted: Mapping[str, np.ndarray]) -> PredictionErrors:
+    """How far predicted channels (SI, by name) are from what a run recorded of them."""
+    errors = {}
+    for name, values in predicted.items():
         channel, recorded = run.channels[name], run.observations[name]
-        difference = (predicted[name] - recorded)[~np.isnan(recorded)]
+        difference = (values - recorded)[~np.isnan(recorded)]
         difference = np.where(np.isnan(difference), np.inf, difference)
-        found[name] = {
-            "unit": channel.unit,
-            "rmse": float(channel.from_si(np.sqrt(np.mean(difference**2)))),
-            "largest": float(channel.from_si(np.max(np.abs(difference)))),
-            "n": len(difference),
-        }
-    path = None if run.path is None else str(run.path)
-    return {"name": run.name, "path": path, "channels": found}
+        errors[name] = ChannelErrors(
+            unit=channel.unit,
+            rmse=float(channel.from_si(np.sqrt(np.mean(difference**2)))),
+            largest=float(channel.from_si(np.max(np.abs(difference)))),
+            n=len(difference),
+        )
+    return PredictionErrors(run.name, None if run.path is None else str(run.path), errors)

@@ -1,59 +1,49 @@
 """The result of a fit, as data: it can be written, read again, and it predicts."""
 
 import dataclasses
+import html
 import json
-import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from .._errors import InputError
-from ..models import AbstractModel, build_model, parameter_values
-from ..parameters import declared
+from ..models import AbstractModel, build_model
 from ..runs import Run
 from ._predict import predict
-
-Status = Literal["converged", "not_converged", "interrupted"]
+from ._records import (
+    Correlation,
+    Estimate,
+    GradientCheck,
+    Iteration,
+    PredictionErrors,
+    RunFit,
+    Start,
+    Status,
+    ToleranceEffect,
+    finite_or_none,
+)
+from ._table import estimate_html, estimate_table
+from ._units import in_column_units
 
 SCHEMA_VERSION = 1
 
 
-@dataclasses.dataclass(frozen=True)
-class Estimate:
-    """One parameter of a result.
-
-    Attributes:
-        value: fitted, or held; a list for an array that was not fitted element by element.
-        standard_error: one standard deviation, in the unit of the value; None if there is none.
-        unit: SI unit.
-        lower, upper: bounds; None where there is none.
-        free: whether the fit was allowed to move it.
-        remark: what a reader must know before using the value; may be empty.
-    """
-
-    value: Any
-    standard_error: float | None
-    unit: str
-    lower: float | None
-    upper: float | None
-    free: bool
-    remark: str = ""
-
-
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, repr=False)
 class FitResult:
-    """What a fit found; `result.model` is the fitted model.
+    """What a fit says of a model; `result.model` is the fitted one.
+
+    Printed, it is the table of its parameters, and in a notebook too.
 
     Attributes:
         status: "converged", "not_converged" or "interrupted".
         message: one sentence that says how it ended.
         model: the fitted model.
         parameters: `Estimate` by path: the free ones, element by element, then all others.
-        correlation: {"parameters": paths, "matrix": rows} of the determined free parameters.
-        runs: for each run {"name", "path", "sha256", "channels": {name: {unit, rmse, n, noise}},
-            "parameters": {path: {value, standard_error}} of what was free in this run alone}.
+        correlation: of the determined free parameters.
+        runs: the fitted runs, with the errors of their channels.
         cost: half the sum of the loss over the weighted residuals.
         reduced_chi_square: squared weighted residuals per degree of freedom.
         iterations: trial steps after the evaluation of the start.
@@ -63,10 +53,10 @@ class FitResult:
         seconds: {"compile", "run"}.
         versions: of giajax and of the libraries that computed it.
         config: what was asked for, resolved; with the parameters it rebuilds the model.
-        history: cost, step and parameters of each iteration.
-        starts: where the fit was started (`giajax.multi_start`), each with its end: {"start",
-            "status", "misfit", "parameters"}; empty for one start.
-        validation: errors of prediction of runs that were not fitted, as `prediction_errors`.
+        history: the start and each iteration.
+        starts: where the fit was started (`giajax.multi_start`), each with its end; empty for
+            one start.
+        validation: errors of prediction of runs that were not fitted.
         derived: `Estimate` by name of what follows from the parameters (`AbstractModel.derived`).
         predictions: predicted channels (SI) of each run, by name; empty after `load_result`.
     """
@@ -75,27 +65,34 @@ class FitResult:
     message: str
     model: AbstractModel
     parameters: dict[str, Estimate]
-    correlation: dict[str, Any]
-    runs: list[dict[str, Any]]
+    correlation: Correlation
+    runs: tuple[RunFit, ...]
     cost: float | None
     reduced_chi_square: float | None
     iterations: int
-    gradient_check: dict[str, Any] | None
-    tolerance_effect: dict[str, Any] | None
-    conditions: list[str]
+    gradient_check: GradientCheck | None
+    tolerance_effect: ToleranceEffect | None
+    conditions: tuple[str, ...]
     seconds: dict[str, float]
     versions: dict[str, str]
     config: dict[str, Any]
-    history: list[dict[str, Any]]
-    starts: list[dict[str, Any]] = dataclasses.field(default_factory=list)
-    validation: list[dict[str, Any]] = dataclasses.field(default_factory=list)
+    history: tuple[Iteration, ...]
+    starts: tuple[Start, ...] = ()
+    validation: tuple[PredictionErrors, ...] = ()
     derived: dict[str, Estimate] = dataclasses.field(default_factory=dict)
-    predictions: list[dict[str, np.ndarray]] = dataclasses.field(default_factory=list, repr=False)
+    predictions: tuple[dict[str, np.ndarray], ...] = ()
 
     @property
     def free(self) -> dict[str, Estimate]:
         """The parameters that the fit was allowed to move."""
         return {path: estimate for path, estimate in self.parameters.items() if estimate.free}
+
+    @property
+    def shown(self) -> dict[str, Estimate]:
+        """The free parameters, what follows from them, and those that somebody chose to hold."""
+        chosen = [path.partition("[")[0] for path in self.config.get("fix", {})]
+        held = {path: self.parameters[path] for path in chosen if path in self.parameters}
+        return {**self.free, **self.derived, **held}
 
     def predict(self, run: Run, channels: Sequence[str] | None = None) -> dict[str, np.ndarray]:
         """Channels (SI) that the fitted model predicts for a run; see `giajax.predict`."""
@@ -108,12 +105,28 @@ class FitResult:
             for field in dataclasses.fields(self)
             if field.name not in ("model", "predictions")
         }
-        for table in ("parameters", "derived"):
-            record[table] = {
-                name: dataclasses.asdict(estimate) for name, estimate in record[table].items()
-            }
         record = {"schema_version": SCHEMA_VERSION, "model": self.model.kind, **record}
-        return json.dumps(_finite(record), indent=2, allow_nan=False) + "\n"
+        return json.dumps(_plain(record), indent=2, allow_nan=False) + "\n"
+
+    def __repr__(self) -> str:
+        free = f"{len(self.free)} free parameters"
+        return f"<FitResult: {self.model.kind} model, {free}, {self.status}>"
+
+    def __str__(self) -> str:
+        return f"{self._headline()}\n\n{estimate_table(self._table())}"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        return f"<p>{html.escape(self._headline())}</p>{estimate_html(self._table())}"
+
+    def _table(self) -> dict[str, Estimate]:
+        """What is shown, in the units of the columns."""
+        return in_column_units(self.shown, self.model)
+
+    def _headline(self) -> str:
+        """How it ended; a message about another end than an optimum does not always say so."""
+        shouted = "NOT CONVERGED: " if self.status == "not_converged" else ""
+        return shouted + self.message
 
 
 def load_result(path: str | Path) -> FitResult:
@@ -133,15 +146,10 @@ def load_result(path: str | Path) -> FitResult:
         if record.pop("schema_version") != SCHEMA_VERSION:
             raise InputError(f"{path} was written by another version of giajax; run the fit again")
         kind = record.pop("model")
-        estimates = {path: Estimate(**estimate) for path, estimate in record["parameters"].items()}
-        model = build_model(
-            kind,
-            record["config"]["definition"],
-            {name: estimate.value for name, estimate in estimates.items()},
-        )
-        derived = {name: Estimate(**item) for name, item in record.pop("derived", {}).items()}
-        record["parameters"] = estimates
-        return FitResult(model=model, derived=derived, **record)
+        records = _records(record)
+        values = {name: estimate.value for name, estimate in records["parameters"].items()}
+        model = build_model(kind, record["config"]["definition"], values)
+        return FitResult(model=model, **{**record, **records})
     except FileNotFoundError:
         raise InputError(f"{path} does not exist; give the folder of a finished fit") from None
     except InputError:
@@ -150,38 +158,33 @@ def load_result(path: str | Path) -> FitResult:
         raise InputError(f"{path} is not a result of giajax; give the folder of a fit") from None
 
 
-def held_estimates(model: AbstractModel, free: Sequence[str]) -> dict[str, Estimate]:
-    """The declared parameters that were not free, with their declarations."""
-    known = declared(model)
-    values = parameter_values(model)
-    whole = {path for path in free if "[" not in path}
-    estimates = {}
-    for path, parameter in known.items():
-        if path in whole:
-            continue
-        declaration = parameter.declaration
-        estimates[path] = Estimate(
-            value=values[path],
-            standard_error=None,
-            unit=declaration.unit,
-            lower=finite_or_none(declaration.lower),
-            upper=finite_or_none(declaration.upper),
-            free=False,
-            remark="held",
-        )
-    return estimates
+def _records(record: Mapping[str, Any]) -> dict[str, Any]:
+    """The typed fields of a stored result; earlier versions lack some of them."""
+    check, effect = record["gradient_check"], record["tolerance_effect"]
+    return {
+        "parameters": {path: Estimate(**item) for path, item in record["parameters"].items()},
+        "derived": {name: Estimate(**item) for name, item in record.get("derived", {}).items()},
+        "correlation": Correlation.of_json(record["correlation"]),
+        "runs": tuple(RunFit.of_json(item) for item in record["runs"]),
+        "gradient_check": None if check is None else GradientCheck.of_json(check),
+        "tolerance_effect": None if effect is None else ToleranceEffect.of_json(effect),
+        "conditions": tuple(record["conditions"]),
+        "history": tuple(Iteration(**item) for item in record["history"]),
+        "starts": tuple(Start(**item) for item in record.get("starts", ())),
+        "validation": tuple(
+            PredictionErrors.of_json(item) for item in record.get("validation", ())
+        ),
+    }
 
 
-def finite_or_none(value: float | None) -> float | None:
-    """A finite number, or None."""
-    return float(value) if value is not None and math.isfinite(value) else None
-
-
-def _finite(value: Any) -> Any:
+def _plain(value: Any) -> Any:
+    """What JSON can hold: records as objects, and null for what is not finite."""
+    if dataclasses.is_dataclass(value):
+        return {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
     if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
+        return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
+        return [_plain(item) for item in value]
     if isinstance(value, float | np.floating):
         return finite_or_none(float(value))
     return value

@@ -16,7 +16,7 @@ import numpy as np
 from .._errors import InputError
 from .._typing import Array, Bool, Float, Scalar
 from ..parameters import parameter
-from ._operator import AbstractOperator
+from ._operator import AbstractOperator, history_by_steps
 
 
 def bouc_wen_rate(
@@ -28,7 +28,16 @@ def bouc_wen_rate(
     delta: Float[Array, "*shape"],
     nu: Float[Array, "*shape"],
 ) -> Float[Array, "*shape"]:
-    """dz/dt = alpha v - beta (gamma |v| |z|^(nu-1) z + delta v |z|^nu)."""
+    """dz/dt = alpha v - beta (gamma |v| |z|^(nu-1) z + delta v |z|^nu).
+
+    Arguments:
+        velocity: v, rate of the input.
+        z: the hysteretic part.
+        alpha, beta, gamma, delta, nu: parameters of the equation.
+
+    Returns:
+        dz/dt, of the shape of the arguments.
+    """
     # |z|^(nu-1) as a number that has a derivative also at z = 0, where the motion begins.
     zero = z == 0
     power = jnp.where(zero, 1, jnp.abs(z)) ** (nu - 1)
@@ -53,7 +62,7 @@ class BoucWen(AbstractOperator):
     """y = elastic u + z, where z follows the Bouc-Wen equation along the input.
 
     Only the products beta gamma and beta delta are determined by a history: the three of them
-    are kept because the literature states them.
+    are kept because they are the literature's.
 
     Arguments:
         elastic: output per input without memory.
@@ -82,7 +91,7 @@ class BoucWen(AbstractOperator):
 
     def __check_init__(self) -> None:
         if self.substeps < 1:
-            raise InputError(f"{self.substeps} substeps are none; give at least 1")
+            raise InputError(f"the operator has {self.substeps} substeps: give at least 1")
 
     def refined(self, factor: float) -> Self:
         """With more substeps: the method is of fourth order."""
@@ -103,7 +112,7 @@ class BoucWen(AbstractOperator):
         if not needed < _MOST:
             raise InputError(
                 f"the knee of the Bouc-Wen operator is too narrow for a range of {width:g} "
-                "(SI); fit a smaller beta, gamma or nu"
+                "(SI): fit a smaller beta, gamma or nu"
             )
         return dataclasses.replace(self, substeps=max(self.substeps, int(np.ceil(needed))))
 
@@ -151,3 +160,9 @@ class BoucWen(AbstractOperator):
         # The number of turns is known, which keeps both modes of differentiation.
         z = jax.lax.fori_loop(0, self.substeps, one, z)
         return (value, z), self.elastic * value + z
+
+    def history(
+        self, inputs: Float[Array, " sample"], state: tuple[Scalar, Scalar] | None = None
+    ) -> tuple[Float[Array, " sample"], tuple[Scalar, Scalar]]:
+        """Outputs at all samples."""
+        return history_by_steps(self, inputs, state)

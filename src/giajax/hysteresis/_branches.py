@@ -8,7 +8,7 @@ import numpy.typing as npt
 from .._errors import InputError
 from .._typing import Array, Float, Scalar
 from ..parameters import is_concrete, parameter
-from ._operator import AbstractOperator
+from ._operator import AbstractExactOperator
 from ._play import clip, play
 
 # With fewer rows than this a branch is no curve.
@@ -31,10 +31,10 @@ class MonotoneCurve(eqx.Module):
         return jnp.interp(x, self.x, self.y)
 
 
-class BranchCompensator(AbstractOperator):
-    """E = xi F + (1 - xi) T (eq. 12): the command to send for a wanted output.
+class BranchCompensator(AbstractExactOperator):
+    """E = xi F + (1 - xi) T (eq. 12): the command to send for a desired output.
 
-    F and T are the inverse rising and falling branches of a measured loop, from the wanted
+    F and T are the inverse rising and falling branches of a measured loop, from the desired
     output to the command. After a reversal xi goes linearly from 0 (falling) to 1 (rising), or
     back, within the travel, and from wherever it was: it is continuous. So it is a stop of half
     the travel, scaled to 0 .. 1.
@@ -42,7 +42,7 @@ class BranchCompensator(AbstractOperator):
     Arguments:
         rising: F.
         falling: T.
-        travel: how far the wanted output goes between the two, in its unit; positive.
+        travel: how far the desired output goes between the two, in its unit; positive.
 
     Raises:
         InputError: a travel that is not positive.
@@ -57,8 +57,8 @@ class BranchCompensator(AbstractOperator):
     def __check_init__(self) -> None:
         if is_concrete(self.travel) and not 0 < float(self.travel) < np.inf:
             raise InputError(
-                f"the travel is {float(self.travel):g}; give a positive one, in the unit of the "
-                "wanted output"
+                f"the travel is {float(self.travel):g}: give a positive one, in the unit of the "
+                "desired output"
             )
 
     @property
@@ -74,7 +74,7 @@ class BranchCompensator(AbstractOperator):
         return jnp.zeros_like(self.travel)
 
     def step(self, state: Scalar, value: Scalar) -> tuple[Scalar, Scalar]:
-        """Memory and command after the wanted output has moved."""
+        """Memory and command after the desired output has moved."""
         half = self.travel / 2
         state = clip(state, value - half, value + half)
         return state, self._command(value, state)
@@ -82,13 +82,20 @@ class BranchCompensator(AbstractOperator):
     def history(
         self, inputs: Float[Array, " sample"], state: Scalar | None = None
     ) -> tuple[Float[Array, " sample"], Scalar]:
-        """Commands for a history of wanted outputs."""
+        """Commands for a history of desired outputs."""
         memory = None if state is None else state[None]
         plays = play(inputs, self.travel[None] / 2, memory)[:, 0]
         return self._command(inputs, plays), plays[-1]
 
     def transition(self, inputs: Float[Array, " sample"]) -> Float[Array, " sample"]:
-        """xi along a history."""
+        """xi along a history.
+
+        Arguments:
+            inputs: desired outputs, shape (sample,).
+
+        Returns:
+            Between 0 and 1, shape (sample,).
+        """
         plays = play(inputs, self.travel[None] / 2)[:, 0]
         return self._xi(inputs, plays)
 
@@ -113,8 +120,11 @@ def branches_from_loop(
         outputs: the measured output, NaN where there is none, shape (sample,).
         travel: see `BranchCompensator`.
 
+    Returns:
+        The compensator, from a desired output to the command.
+
     Raises:
-        InputError: a history without both branches, too short to tell them, or falling ones.
+        InputError: a history without both branches, too short for them, or with falling ones.
 
     Example:
         >>> from giajax.hysteresis import branches_from_loop
@@ -132,11 +142,11 @@ def branches_from_loop(
         if np.count_nonzero(on) < _LEAST or np.ptp(u[on]) == 0 or np.ptp(y[on]) == 0:
             raise InputError(
                 f"the {name} branch of the loop has {np.count_nonzero(on)} measured samples, too "
-                "few to tell it; give a loop that goes up and down over the whole range"
+                "few for a curve: give a loop that goes up and down over the whole range"
             )
         if np.cov(u[on], y[on])[0, 1] < 0:
             raise InputError(
-                f"on the {name} branch the output falls where the input rises; change the sign "
+                f"on the {name} branch the output falls where the input rises: change the sign "
                 "of one column"
             )
         curves.append(_inverse_curve(u[on], y[on]))
@@ -165,7 +175,14 @@ def _inverse_curve(u: np.ndarray, y: np.ndarray) -> MonotoneCurve:
 
 
 def isotonic(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """The nearest sequence that never decreases, in least squares (pool adjacent violators)."""
+    """The nearest sequence that never decreases, in least squares (pool adjacent violators).
+
+    Arguments:
+        values: shape (sample,).
+
+    Returns:
+        The sequence, of the same shape.
+    """
     means: list[float] = []
     counts: list[int] = []
     for value in values:

@@ -54,10 +54,12 @@ class DeadZones(eqx.Module):
             if thresholds.shape != slopes.shape or thresholds.ndim != 1:
                 raise InputError(
                     f"there are {name} dead zones of shape {thresholds.shape} and slopes of shape "
-                    f"{slopes.shape}; give one slope for each dead zone"
+                    f"{slopes.shape}: give one slope for each dead zone"
                 )
             if not bool(jnp.all(thresholds > 0)):
-                raise InputError(f"the {name} dead zones must be positive distances from 0")
+                raise InputError(
+                    f"a threshold of the {name} dead zones is not positive: give distances from 0"
+                )
 
     def __call__(self, x: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
         """The curve at x."""
@@ -74,8 +76,8 @@ class DeadZones(eqx.Module):
         slopes = jnp.concatenate([self.slope[None], self.upper_slopes, self.lower_slopes])
         if is_concrete(slopes) and not bool(jnp.all(slopes > 0)):
             raise InputError(
-                f"a dead zone has the slope {float(jnp.min(slopes)):.3g}, but all must be positive "
-                "for an inverse"
+                f"a dead zone has the slope {float(jnp.min(slopes)):.3g}, without an "
+                "inverse: make all slopes positive"
             )
         return DeadZones(
             1 / self.slope,

@@ -6,8 +6,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from .._typing import Scalar
-from ._operator import AbstractOperator
+from .._typing import Array, Float, Scalar
+from ._operator import AbstractExactOperator, AbstractOperator, history_by_steps
 
 # Each halves the bracket: after 60 of them it is below rounding.
 _HALVINGS = 60
@@ -16,17 +16,19 @@ _HALVINGS = 60
 _EDGE = 1e-12
 
 
-class InverseByBisection(AbstractOperator):
-    """The input within a bracket whose output is nearest to the wanted one, at each step.
+class InverseByBisection(AbstractExactOperator):
+    """The input within a bracket whose output is nearest to the desired one, at each step.
 
     For operators whose output never falls when the input rises, such as Preisach's with a
-    positive density. Where an output belongs to no input of the bracket, the end of it is given.
+    positive density. Where an output belongs to no input of the bracket, its nearest end is
+    the answer.
+
+    The answer is differentiable, by the implicit function theorem, where the operator's output
+    rises there and the bracket does not end there.
 
     Arguments:
         operator: the operator to invert.
         lower, upper: bracket of its input.
-    The input is differentiable: by the implicit function theorem, where the operator's output
-    rises at it and the bracket does not end there.
     """
 
     operator: AbstractOperator
@@ -50,19 +52,25 @@ class InverseByBisection(AbstractOperator):
 
         ends = jnp.full_like(goal, self.lower), jnp.full_like(goal, self.upper)
         low, high = jax.lax.fori_loop(0, _HALVINGS, halve, ends)
-        found = self._differentiable(state, value, (low + high) / 2)
-        return self.operator.step(state, found)[0], found
+        root = self._differentiable(state, value, (low + high) / 2)
+        return self.operator.step(state, root)[0], root
 
-    def _differentiable(self, state: Any, value: Scalar, found: Scalar) -> Scalar:
+    def history(
+        self, inputs: Float[Array, " sample"], state: Any = None
+    ) -> tuple[Float[Array, " sample"], Any]:
+        """Outputs at all samples."""
+        return history_by_steps(self, inputs, state)
+
+    def _differentiable(self, state: Any, value: Scalar, root: Scalar) -> Scalar:
         """The root with its derivative: one Newton step, whose value is 0."""
 
         def output(at: Scalar) -> Scalar:
             return self.operator.step(state, at)[1]
 
-        miss = output(found) - value
-        _, slope = jax.jvp(output, (found,), (jnp.ones_like(found),))
+        miss = output(root) - value
+        _, slope = jax.jvp(output, (root,), (jnp.ones_like(root),))
         slope = jax.lax.stop_gradient(slope)
         room = _EDGE * (self.upper - self.lower)
-        inside = (found > self.lower + room) & (found < self.upper - room) & (slope > 0)
+        inside = (root > self.lower + room) & (root < self.upper - room) & (slope > 0)
         step = (miss - jax.lax.stop_gradient(miss)) / jnp.where(inside, slope, 1)
-        return found - jnp.where(inside, step, 0)
+        return root - jnp.where(inside, step, 0)

@@ -11,19 +11,19 @@ from .._errors import InputError
 from .._typing import Array, Float, Scalar
 from ..parameters import is_concrete, parameter
 from ._dead_zones import DeadZones
-from ._operator import AbstractOperator
+from ._operator import AbstractExactOperator
 from ._play import check_thresholds
 from ._prandtl_ishlinskii import PrandtlIshlinskii
 
 
-class ModifiedPrandtlIshlinskii(AbstractOperator):
+class ModifiedPrandtlIshlinskii(AbstractExactOperator):
     """y = S(H[u]): a memoryless curve of the output of a Prandtl-Ishlinskii operator of plays.
 
     H alone is odd and does not know where 0 is; S is neither: it gives loops without symmetry,
     and a region that is soft at an angle fixed on the joint.
 
     H = (u + sum of weights times plays) / (1 + sum of weights) has the slope 1 in large loops,
-    because its scale and that of S cannot be told apart.
+    because its scale and that of S cannot be separated.
 
     Arguments:
         dead_zones: S.
@@ -47,7 +47,7 @@ class ModifiedPrandtlIshlinskii(AbstractOperator):
         if is_concrete(self.weights) and self.weights.shape != self.thresholds.shape:
             raise InputError(
                 f"there are weights of shape {self.weights.shape} and thresholds of shape "
-                f"{self.thresholds.shape}; give one weight for each threshold"
+                f"{self.thresholds.shape}: give one weight for each threshold"
             )
 
     @property
@@ -87,8 +87,13 @@ class ModifiedPrandtlIshlinskii(AbstractOperator):
         return self.hysteresis.inverse_state(state)
 
 
-class InverseModified(AbstractOperator):
-    """u = H^-1[S^-1(y)]: the exact inverse of a modified Prandtl-Ishlinskii operator."""
+class InverseModified(AbstractExactOperator):
+    """u = H^-1[S^-1(y)]: the exact inverse of a modified Prandtl-Ishlinskii operator.
+
+    Arguments:
+        dead_zones: the inverse of S.
+        hysteresis: the inverse of H.
+    """
 
     dead_zones: DeadZones
     hysteresis: PrandtlIshlinskii

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from .._errors import InputError
 from .._typing import Array, Float, Scalar
 from ..parameters import is_concrete, parameter
-from ._operator import AbstractOperator
+from ._operator import AbstractExactOperator
 
 Method = Literal["scan", "associative"]
 METHODS = ("scan", "associative")
@@ -47,6 +47,9 @@ def play(
         state: w before the first sample, shape (threshold,); 0 by default.
         method: "scan" or "associative"; by default the first on a CPU.
 
+    Returns:
+        w after each sample, shape (sample, threshold).
+
     Raises:
         InputError: an unknown method.
 
@@ -59,7 +62,7 @@ def play(
     if method is None:
         method = "scan" if jax.default_backend() == "cpu" else "associative"
     if method not in METHODS:
-        raise InputError(f"there is no method '{method}'; use one of: {', '.join(METHODS)}")
+        raise InputError(f"there is no method '{method}': use one of {', '.join(METHODS)}")
     state = jnp.zeros_like(thresholds) if state is None else state
     if method == "scan":
         return _scan(inputs, thresholds, state)
@@ -93,13 +96,22 @@ def stop(
 ) -> Float[Array, "sample threshold"]:
     """Stop operators of many thresholds, e = u - w: what the play of the same threshold leaves.
 
-    Arguments: as of `play`; `state` is that of the play, w.
+    Arguments:
+        inputs, thresholds, method: as of `play`.
+        state: that of the play, w, before the first sample; 0 by default.
+
+    Returns:
+        e after each sample, shape (sample, threshold).
     """
     return inputs[:, None] - play(inputs, thresholds, state, method)
 
 
-class Play(AbstractOperator):
-    """Play operators side by side: backlash of half-widths `thresholds`."""
+class Play(AbstractExactOperator):
+    """Play operators side by side: backlash of half-widths `thresholds`.
+
+    Arguments:
+        thresholds: half-widths, not negative, in the unit of the input, shape (threshold,).
+    """
 
     thresholds: Float[Array, " threshold"] = parameter(
         0.0, unit="input", lower=0, doc="half-width of the backlash"
@@ -127,8 +139,12 @@ class Play(AbstractOperator):
         return outputs, outputs[-1]
 
 
-class Stop(AbstractOperator):
-    """Stop operators side by side: elastic up to `thresholds`, then sliding. Remembers plays."""
+class Stop(AbstractExactOperator):
+    """Stop operators side by side: elastic up to `thresholds`, then sliding. Remembers plays.
+
+    Arguments:
+        thresholds: not negative, in the unit of the input, shape (threshold,).
+    """
 
     thresholds: Float[Array, " threshold"] = parameter(
         1.0, unit="input", lower=0, doc="input at which the element begins to slide"
@@ -166,7 +182,7 @@ def check_thresholds(thresholds: Array) -> None:
         return
     if thresholds.ndim != 1 or thresholds.shape[0] == 0:
         raise InputError(
-            f"thresholds have the shape {thresholds.shape}; give a list of at least one number"
+            f"thresholds have the shape {thresholds.shape}: give a list of at least one number"
         )
     if not bool(jnp.all(jnp.isfinite(thresholds) & (thresholds >= 0))):
-        raise InputError("thresholds must be finite and at least 0; correct the negative one")
+        raise InputError("a threshold is negative or not finite: give finite numbers of at least 0")

@@ -15,14 +15,14 @@ from .._errors import InputError
 from .._typing import Array, Float, Scalar
 from ..parameters import is_concrete, parameter
 from ._dead_zones import per_row
-from ._operator import AbstractOperator
+from ._operator import AbstractExactOperator
 from ._play import check_thresholds, clip, play
 
 Elements = Literal["play", "stop"]
 ELEMENTS = ("play", "stop")
 
 
-class PrandtlIshlinskii(AbstractOperator):
+class PrandtlIshlinskii(AbstractExactOperator):
     """y = elastic u + sum of weights times plays (or stops) of the input.
 
     Arguments:
@@ -49,11 +49,11 @@ class PrandtlIshlinskii(AbstractOperator):
     def __check_init__(self) -> None:
         check_thresholds(self.thresholds)
         if self.elements not in ELEMENTS:
-            raise InputError(f"there are no elements '{self.elements}'; use play or stop")
+            raise InputError(f"there are no elements '{self.elements}': use play or stop")
         if is_concrete(self.weights) and self.weights.shape != self.thresholds.shape:
             raise InputError(
                 f"there are weights of shape {self.weights.shape} and thresholds of shape "
-                f"{self.thresholds.shape}; give one weight for each threshold"
+                f"{self.thresholds.shape}: give one weight for each threshold"
             )
 
     def of_plays(self) -> tuple[Scalar, Float[Array, " threshold"]]:
@@ -107,8 +107,8 @@ class PrandtlIshlinskii(AbstractOperator):
         slopes = jnp.concatenate([elastic[None], elastic + jnp.cumsum(weights)])
         if is_concrete(slopes) and not bool(jnp.all(slopes > 0)):
             raise InputError(
-                f"the slope of the loading curve falls to {float(jnp.min(slopes)):.3g}, but must "
-                "be positive for an inverse; fit with a positive elastic weight"
+                f"the slope of the loading curve falls to {float(jnp.min(slopes)):.3g}, which has "
+                "no inverse: fit with a positive elastic weight"
             )
         # The loading curve at each threshold, from the slope of each piece before it.
         lengths = jnp.diff(thresholds, prepend=jnp.zeros_like(thresholds[:1]))

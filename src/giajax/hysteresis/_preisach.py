@@ -15,11 +15,11 @@ import jax.numpy as jnp
 from .._errors import InputError
 from .._typing import Array, Float, Scalar
 from ..parameters import parameter
-from ._operator import AbstractOperator
+from ._operator import AbstractExactOperator
 from ._play import clip, play
 
 
-class Preisach(AbstractOperator):
+class Preisach(AbstractExactOperator):
     """y = slope u + saturation times the mean of all relays, weighted by their density.
 
     The density is a log-normal distribution of the half-width r of the relays times a normal
@@ -61,9 +61,9 @@ class Preisach(AbstractOperator):
 
     def __check_init__(self) -> None:
         if not 0 < self.extent < float("inf"):
-            raise InputError(f"the extent is {self.extent:g}; give the largest input, positive")
+            raise InputError(f"the extent is {self.extent:g}: give the largest input, positive")
         if self.rows < 2:
-            raise InputError(f"a mesh of {self.rows} rows is none; give at least 2")
+            raise InputError(f"the mesh has {self.rows} rows: give at least 2")
 
     @property
     def half_widths(self) -> Float[Array, " row"]:

@@ -1,5 +1,7 @@
 """One joint at rest: muscle paths, forces, corrections, muscles and their pressures."""
 
+from ._answer import PressureAnswer as PressureAnswer
+from ._balance import MuscleState as MuscleState, muscle_balance as muscle_balance
 from ._braided import BraidedMuscle as BraidedMuscle
 from ._correction import (
     READINGS as READINGS,
@@ -8,13 +10,8 @@ from ._correction import (
     Correction as Correction,
 )
 from ._empirical import EmpiricalMuscle as EmpiricalMuscle
-from ._equilibria import (
-    Equilibria as Equilibria,
-    Equilibrium as Equilibrium,
-    Spring as Spring,
-    equilibria as equilibria,
-    joint_spring as joint_spring,
-)
+from ._equilibria import equilibria as equilibria
+from ._equilibrium import Equilibria as Equilibria, Equilibrium as Equilibrium
 from ._friction import Friction as Friction
 from ._geometry import (
     LARGEST_ANGLE as LARGEST_ANGLE,
@@ -24,7 +21,6 @@ from ._geometry import (
 )
 from ._muscle import (
     AbstractMuscle as AbstractMuscle,
-    PressureAnswer as PressureAnswer,
     muscle_force as muscle_force,
     muscle_pressure as muscle_pressure,
 )
@@ -34,15 +30,12 @@ from ._pair import (
     net_torque as net_torque,
     pair_command as pair_command,
 )
-from ._piston import Piston as Piston
-from ._statics import (
+from ._path import (
     BRANCHES as BRANCHES,
-    Joint as Joint,
     MusclePath as MusclePath,
-    MuscleState as MuscleState,
-    balanced as balanced,
     branch_angles as branch_angles,
-    muscle_balance as muscle_balance,
     muscle_path as muscle_path,
-    muscle_state as muscle_state,
 )
+from ._piston import Piston as Piston
+from ._spring import Spring as Spring, joint_spring as joint_spring
+from ._statics import Joint as Joint, balanced as balanced, muscle_state as muscle_state

@@ -18,7 +18,7 @@ class BraidedMuscle(AbstractMuscle):
     muscles of 18 deg contract by 20 to 25 % where it says 39 %: their ends do not widen, and the
     tube takes part of the pressure. k, the end correction, shortens the contraction (k = 1.6
     gives 24.6 %); p_0 is the dead band in which the tube does not yet press on the braid; eta,
-    the effectiveness, covers what is left. A and eta cannot be told apart by force.
+    the effectiveness, covers what is left. Force alone does not separate A from eta.
 
     Chou, Hannaford, IEEE Trans. Robotics and Automation 12 (1996) 90; Tondu, Lopez, IEEE Control
     Systems 20 (2000) 15.
@@ -26,6 +26,7 @@ class BraidedMuscle(AbstractMuscle):
 
     name: ClassVar[str] = "braided"
     own_motion: ClassVar[int] = 1
+    pushes: ClassVar[bool] = False
 
     diameter: Scalar = parameter(
         3.5e-3, unit="m", lower=0, doc="diameter of the muscle at rest", assumed=True
@@ -92,7 +93,7 @@ class BraidedMuscle(AbstractMuscle):
         """Force by the law, N."""
         return jnp.maximum(pressure - self.dead_band, 0) * self._per_pascal(contraction)
 
-    def wanted_pressure(
+    def pressure_for(
         self,
         force: Float[Array, "*shape"],
         contraction: Float[Array, "*shape"],

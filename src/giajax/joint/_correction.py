@@ -122,11 +122,11 @@ class Correction(eqx.Module):
     def __check_init__(self) -> None:
         if self.reading not in READINGS:
             raise InputError(
-                f"there is no correction '{self.reading}'; use one of: {', '.join(READINGS)}"
+                f"there is no correction '{self.reading}': use one of {', '.join(READINGS)}"
             )
         if not 0 <= self.blend <= np.pi / 6:
             raise InputError(
-                f"the correction is blended over {np.rad2deg(self.blend):g} deg about 0; give a "
+                f"the correction is blended over {np.rad2deg(self.blend):g} deg about 0: give a "
                 "half-width of 0 to 30 deg"
             )
 

@@ -27,6 +27,7 @@ class EmpiricalMuscle(AbstractMuscle):
 
     name: ClassVar[str] = "empirical"
     own_motion: ClassVar[int] = 1
+    pushes: ClassVar[bool] = False
 
     force_limit: Scalar = parameter(
         20.0,
@@ -91,7 +92,7 @@ class EmpiricalMuscle(AbstractMuscle):
         active = pressure / self.pressure_limit * jnp.exp(-((self.bell * strain) ** 2))
         return self.largest_force(length) * (active - self._passive(strain))
 
-    def wanted_pressure(
+    def pressure_for(
         self,
         force: Float[Array, "*shape"],
         contraction: Float[Array, "*shape"],

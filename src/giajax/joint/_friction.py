@@ -19,7 +19,7 @@ class Friction(eqx.Module):
     would have no derivative.
 
     Arguments:
-        pressures: at which the half-widths are given, increasing, Pa; between them they are
+        pressures: of the half-widths, increasing, Pa; between them they are
             linear, beyond them constant.
         half_width: half of the force between the two directions, N, shape (node,).
         presliding: displacement from rest to full friction, m.
@@ -45,7 +45,7 @@ class Friction(eqx.Module):
 
     def __check_init__(self) -> None:
         if np.any(np.diff(self.pressures) <= 0) or not self.pressures:
-            raise InputError("the pressures of friction must increase; sort them, each once")
+            raise InputError("the pressures of friction do not increase: sort them, each once")
 
     @classmethod
     def at_pressures(cls, pressures: tuple[float, ...]) -> "Friction":

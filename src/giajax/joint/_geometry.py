@@ -94,6 +94,14 @@ def is_possible(
 
     A wire that is too short for the outer muscle is no matter here: the outer equations do not
     know of it, and a fit may pass through such a joint. `check_geometry` refuses it.
+
+    Arguments:
+        geometry: of the joint.
+        angle: bending angles of the muscle, rad.
+        inner: whether the muscle is the inner one, of the same shape.
+
+    Returns:
+        Of the same shape.
     """
     possible = jnp.ones(angle.shape, bool)
     for bad, _ in _complaints(geometry, angle, inner=True):
@@ -126,7 +134,7 @@ def check_geometry(geometry: JointGeometry, angles: np.ndarray | None = None) ->
         for bad, sentence in _complaints(geometry, angle, inner=inner):
             if bool(jnp.any(bad)):
                 at = np.rad2deg(side[int(jnp.argmax(bad))])
-                raise InputError(f"the joint cannot be built at {at:.3g} deg: {sentence}")
+                raise InputError(f"the joint cannot be built at {at:.3g} deg, where {sentence}")
 
 
 def _complaints(
@@ -141,29 +149,29 @@ def _complaints(
         return [
             (
                 wire_x >= wire / 2,
-                "D_x is not below half of L_wire, so that the wire cannot reach the bush; make "
+                "D_x is not below half of L_wire, so that the wire cannot reach the bush: make "
                 "wire_length larger or wire_x smaller",
             ),
             (
                 anchor_x <= 0,
-                "the muscle's ends A and C have crossed; make anchor_x larger or anchor_y smaller",
+                "the muscle's ends A and C have crossed: make anchor_x larger or anchor_y smaller",
             ),
         ]
     crossing = jnp.maximum(anchor_y, contact_y)
     return [
         (
             2 * jnp.hypot(wire_x, crossing - wire_y) > wire,
-            "the wire does not reach around the outer muscle, where it is to be slack; make "
+            "the wire does not reach around the outer muscle, where it is to be slack: make "
             "wire_length larger or contact_y smaller",
         ),
         (
             (contact_x <= 0) | (crossing <= 0),
-            "the balloon's shoulders P and Q have crossed, or lie behind the joint; make "
+            "the balloon's shoulders P and Q have crossed, or lie behind the joint: make "
             "contact_x or contact_y larger",
         ),
         (
             (anchor_y < contact_y) & (anchor_x <= contact_x),
-            "the muscle's end N lies nearer to the joint than the balloon's shoulder Q; make "
+            "the muscle's end N lies nearer to the joint than the balloon's shoulder Q: make "
             "anchor_x larger",
         ),
     ]

@@ -8,45 +8,19 @@ import jax.numpy as jnp
 import numpy.typing as npt
 
 from .._errors import InputError
-from .._typing import Array, Bool, Float, Int
+from .._typing import Array, Float
 from ..parameters import is_concrete
+from ._answer import (
+    NEEDS_PRESSURE,
+    NEEDS_PUSH,
+    PULLS_ANYWAY,
+    REACHED,
+    TOO_SHORT,
+    PressureAnswer,
+)
 
 # Below this (N) a force is the rounding of zero, not a push.
 _NO_FORCE = 1e-9
-
-REACHED, NEEDS_PUSH, NEEDS_PRESSURE, TOO_SHORT, PULLS_ANYWAY = range(5)
-_MEANING = {
-    REACHED: "reached",
-    NEEDS_PUSH: "the muscle would have to push, which it cannot; raise the co-contraction torque",
-    NEEDS_PRESSURE: "it takes more than the pressure limit; ask for less, or a wider muscle",
-    TOO_SHORT: "the muscle does not shorten so far at any pressure; ask for less contraction",
-    PULLS_ANYWAY: "it has more force than that without any pressure; ask for more",
-}
-
-
-class PressureAnswer(eqx.Module):
-    """Pressure for a wanted force; arrays of one shape.
-
-    Attributes:
-        pressure: within 0 and the muscle's limit, Pa. Where the force is out of reach, the
-            pressure that comes nearest to it.
-        force: what the muscle pulls with at that pressure, N.
-        code: 0 reached, 1 the muscle would have to push, 2 more than the pressure limit, 3 it
-            does not shorten so far at any pressure, 4 it has more force without any pressure.
-    """
-
-    pressure: Float[Array, "*shape"]
-    force: Float[Array, "*shape"]
-    code: Int[Array, "*shape"]
-
-    @property
-    def reached(self) -> Bool[Array, "*shape"]:
-        """Whether the force is what was asked for."""
-        return self.code == REACHED
-
-    def message(self, index: int | tuple[int, ...] = ()) -> str:
-        """What the code of one element means, and what to do."""
-        return _MEANING[int(self.code[index])]
 
 
 class AbstractMuscle(eqx.Module):
@@ -55,6 +29,8 @@ class AbstractMuscle(eqx.Module):
     name: ClassVar[str]
     own_motion: ClassVar[int]
     """Sign of the recorded displacement in which it moves by itself: +1 where it shortens."""
+    pushes: ClassVar[bool]
+    """Whether its force may be negative; else it is slack beyond its reach."""
 
     @abc.abstractmethod
     def signed_force(
@@ -63,10 +39,19 @@ class AbstractMuscle(eqx.Module):
         contraction: Float[Array, "*shape"],
         length: Float[Array, ""],
     ) -> Float[Array, "*shape"]:
-        """Force by the law alone, N; negative beyond its reach."""
+        """Force by the law alone, N; negative beyond its reach.
+
+        Arguments:
+            pressure: above the surroundings, Pa.
+            contraction: relative to the length at rest.
+            length: of the muscle at rest, m.
+
+        Returns:
+            Force, N.
+        """
 
     @abc.abstractmethod
-    def wanted_pressure(
+    def pressure_for(
         self,
         force: Float[Array, "*shape"],
         contraction: Float[Array, "*shape"],
@@ -75,6 +60,14 @@ class AbstractMuscle(eqx.Module):
         """Pressure that the law says for a force >= 0, Pa, and the force gained per pascal.
 
         Where nothing is gained there is no such pressure, and its value means nothing.
+
+        Arguments:
+            force: at least 0, N.
+            contraction: relative to the length at rest.
+            length: of the muscle at rest, m.
+
+        Returns:
+            Pressure, Pa, and force gained per pascal, N/Pa.
         """
 
     @property
@@ -88,8 +81,18 @@ class AbstractMuscle(eqx.Module):
         contraction: Float[Array, "*shape"],
         length: Float[Array, ""],
     ) -> Float[Array, "*shape"]:
-        """Force, N, never negative: a muscle beyond its reach is slack."""
-        return jnp.maximum(self.signed_force(pressure, contraction, length), 0)
+        """Force, N: that of the law, or 0 where the actuator is slack.
+
+        Arguments:
+            pressure: above the surroundings, Pa.
+            contraction: relative to the length at rest.
+            length: of the muscle at rest, m.
+
+        Returns:
+            Force, N.
+        """
+        force = self.signed_force(pressure, contraction, length)
+        return force if self.pushes else jnp.maximum(force, 0)
 
     def answer(
         self,
@@ -97,20 +100,29 @@ class AbstractMuscle(eqx.Module):
         contraction: Float[Array, "*shape"],
         length: Float[Array, ""],
     ) -> PressureAnswer:
-        """Pressure for a force at a contraction; nothing is checked."""
-        wanted, gain = self.wanted_pressure(jnp.maximum(force, 0), contraction, length)
+        """Pressure for a force at a contraction; nothing is checked.
+
+        Arguments:
+            force: to be reached, N.
+            contraction: relative to the length at rest.
+            length: of the muscle at rest, m.
+
+        Returns:
+            The pressure, or the nearest one, and why the force is out of reach.
+        """
+        needed, gain = self.pressure_for(jnp.maximum(force, 0), contraction, length)
         able = gain > 0
-        pressure = jnp.where(able, jnp.clip(wanted, 0, self.limit), self.limit)
+        pressure = jnp.where(able, jnp.clip(needed, 0, self.limit), self.limit)
         code = jnp.where(
             able,
             jnp.where(
-                wanted > self.limit,
+                needed > self.limit,
                 NEEDS_PRESSURE,
-                jnp.where(wanted * gain < -_NO_FORCE, PULLS_ANYWAY, REACHED),
+                jnp.where(needed * gain < -_NO_FORCE, PULLS_ANYWAY, REACHED),
             ),
             jnp.where(force > _NO_FORCE, TOO_SHORT, REACHED),
         )
-        # No force is had without pressure wherever the muscle cannot pull.
+        # Where the muscle cannot pull, it has no force without pressure.
         pressure = jnp.where(~able & (force <= _NO_FORCE), 0, pressure)
         push = force < -_NO_FORCE
         return PressureAnswer(
@@ -133,6 +145,9 @@ def muscle_force(
         pressure: above the surroundings, Pa, of any shape.
         contraction: relative to the length at rest, of the same shape or one number.
         length: of the muscle at rest, m.
+
+    Returns:
+        Force, N, of the shape of the arguments; 0 where the muscle is slack.
 
     Raises:
         InputError: a number that is not finite, a negative pressure, or a contraction of 1 or
@@ -158,7 +173,7 @@ def muscle_pressure(
 
     Arguments:
         muscle: the law.
-        force: wanted, N, of any shape.
+        force: to be reached, N, of any shape.
         contraction: relative to the length at rest, of the same shape or one number.
         length: of the muscle at rest, m.
 
@@ -172,7 +187,7 @@ def muscle_pressure(
         >>> import giajax
         >>> answer = giajax.muscle_pressure(giajax.BraidedMuscle(), 2.0, 0.35)
         >>> bool(answer.reached), answer.message()
-        (False, 'the muscle does not shorten so far at any pressure; ask for less contraction')
+        (False, 'the muscle does not shorten so far at any pressure: ask for less contraction')
     """
     force, contraction, length = _arrays(force, contraction, length)
     _check(contraction, length, force=force)
@@ -188,7 +203,7 @@ def _arrays(
     )
     if length.ndim or (first.ndim and contraction.ndim and first.shape != contraction.shape):
         raise InputError(
-            f"values have the shapes {first.shape}, {contraction.shape} and {length.shape}; give "
+            f"values have the shapes {first.shape}, {contraction.shape} and {length.shape}: give "
             "arrays of one shape, or numbers, and one length"
         )
     shape = first.shape or contraction.shape
@@ -200,14 +215,14 @@ def _check(contraction: Array, length: Array, **others: Array) -> None:
         return
     for what, values in {"contraction": contraction, "length": length, **others}.items():
         if not bool(jnp.all(jnp.isfinite(values))):
-            raise InputError(f"a {what} is not finite; give finite numbers")
+            raise InputError(f"a {what} is not finite: give finite numbers")
     if bool(jnp.any(contraction >= 1)):
         raise InputError(
-            f"a contraction is {float(jnp.max(contraction)):g}, and 1 is a muscle of no length; "
-            "give the fraction of its length at rest, not percent"
+            f"a contraction is {float(jnp.max(contraction)):g}, and at 1 nothing is left of the "
+            "muscle: give the fraction of its length at rest, not percent"
         )
     if "pressure" in others and bool(jnp.any(others["pressure"] < 0)):
         raise InputError(
-            f"a pressure is {float(jnp.min(others['pressure'])):g} Pa; give the pressure above the "
+            f"a pressure is {float(jnp.min(others['pressure'])):g} Pa: give the pressure above the "
             "surroundings, 0 or more"
         )

@@ -9,10 +9,12 @@ from .._errors import InputError
 from .._program import program
 from .._typing import Array, Float, Scalar
 from ..parameters import is_concrete
+from ._answer import PressureAnswer
+from ._balance import MuscleState, muscle_balance
 from ._braided import BraidedMuscle
 from ._geometry import LARGEST_ANGLE, check_geometry
-from ._muscle import AbstractMuscle, PressureAnswer
-from ._statics import Joint, MuscleState, balanced, muscle_balance
+from ._muscle import AbstractMuscle
+from ._statics import Joint, balanced
 
 
 class JointPair(eqx.Module):
@@ -42,7 +44,7 @@ class PairCommand(eqx.Module):
         angle: of the pair, rad, any shape.
         first, second: states of the muscle towards which a positive angle bends, and of the
             other one.
-        first_pressure, second_pressure: their pressures, and whether they are to be had.
+        first_pressure, second_pressure: their pressures, and whether they give these forces.
     """
 
     angle: Float[Array, "*shape"]
@@ -76,13 +78,13 @@ def pair_command(
 
     Arguments:
         pair: the joint and its muscles.
-        angle: wanted, rad, any shape, within -60 to 60 deg.
+        angle: to be held, rad, any shape, within -60 to 60 deg.
         load: torque from outside, towards negative angles, N m, one number or one an angle.
         cocontraction: torque of each muscle against the other, N m; the joint's 0.3 by default.
 
     Returns:
-        Contractions, forces and pressures of both muscles. Where a pressure is not to be had,
-        its answer says why.
+        Contractions, forces and pressures of both muscles. Where no pressure gives a
+        force, its answer says why.
 
     Raises:
         InputError: an angle beyond 60 deg, a number that is not finite, or an impossible
@@ -102,7 +104,7 @@ def pair_command(
     if is_concrete((pair, angle, load, torque)):
         check_range(angle)
         if not bool(jnp.all(jnp.isfinite(load) & jnp.isfinite(torque))):
-            raise InputError("a load or co-contraction torque is not finite; give finite numbers")
+            raise InputError("a load or co-contraction torque is not finite: give finite numbers")
         angles = np.asarray(angle).ravel()
         check_geometry(pair.joint.geometry, np.concatenate([angles, -angles]))
     return _pair_command(pair, angle, load, torque)
@@ -114,7 +116,7 @@ def check_range(angle: Array) -> None:
     if not bool(jnp.all(inside)):
         worst = float(jnp.rad2deg(angle.ravel()[jnp.argmin(inside)]))
         raise InputError(
-            f"the wanted angle is {worst:.4g} deg, and a joint bends by at most 60 deg; give "
+            f"the angle is {worst:.4g} deg, and a joint bends by at most 60 deg: give "
             "radians, and a smaller angle"
         )
 
@@ -150,6 +152,9 @@ def net_torque(
         load: torque from outside, towards negative angles, N m.
         angle: of the pair, rad.
         ahead: whether the first muscle is the inner one, of the angle's shape; what decides at 0.
+
+    Returns:
+        Torque, N m, of the shape of the angle.
     """
     one = jnp.ones_like(angle)
     first = muscle_balance(pair.joint.geometry, angle, one, ahead)

@@ -12,11 +12,13 @@ from ._muscle import AbstractMuscle
 class Piston(AbstractMuscle):
     """F = p A + offset, A = pi bore^2 / 4.
 
-    Its force pushes outwards, and its recorded position grows where it is pressed in.
+    Its force pushes outwards, and is of either sign, as a load cell shows it; its recorded position
+    grows where it is pressed in.
     """
 
     name: ClassVar[str] = "piston"
     own_motion: ClassVar[int] = -1
+    pushes: ClassVar[bool] = True
 
     bore: Scalar = parameter(
         0.025, unit="m", lower=0, doc="diameter of the bore", frozen=False, assumed=True
@@ -47,16 +49,7 @@ class Piston(AbstractMuscle):
         """Force by the law, N."""
         return pressure * self.area + self.offset
 
-    def force(
-        self,
-        pressure: Float[Array, "*shape"],
-        contraction: Float[Array, "*shape"],
-        length: Float[Array, ""],
-    ) -> Float[Array, "*shape"]:
-        """Force, N: what a load cell shows, of either sign."""
-        return self.signed_force(pressure, contraction, length)
-
-    def wanted_pressure(
+    def pressure_for(
         self,
         force: Float[Array, "*shape"],
         contraction: Float[Array, "*shape"],

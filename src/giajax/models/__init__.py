@@ -13,11 +13,8 @@ from ._definition import (
     sensors_from_definition as sensors_from_definition,
 )
 from ._hysteresis import (
-    OUTPUTS as OUTPUTS,
     HysteresisInputs as HysteresisInputs,
     HysteresisModel as HysteresisModel,
-    comparable as comparable,
-    input_channel as input_channel,
 )
 from ._hysteresis_definition import hysteresis_keys as hysteresis_keys
 from ._joint import (
@@ -27,9 +24,17 @@ from ._joint import (
 )
 from ._joint_scene import joint_scene as joint_scene
 from ._muscle import MuscleInputs as MuscleInputs, MuscleModel as MuscleModel
+from ._oscillator import OscillatorInputs as OscillatorInputs, OscillatorModel as OscillatorModel
 from ._protocol import (
     AbstractModel as AbstractModel,
     Channels as Channels,
     Derived as Derived,
+    Integration as Integration,
+)
+from ._response import (
+    Columns as Columns,
+    comparable as comparable,
+    input_channel as input_channel,
+    output_channel as output_channel,
 )
 from ._scene import Line as Line, Scene as Scene

@@ -1,5 +1,6 @@
 """The arm as a model: from commands and wind to positions and joint angles."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Self
 
@@ -11,16 +12,20 @@ from .._errors import InputError
 from .._program import program
 from .._typing import Array, Bool, Float, Scalar
 from ..arm import Arm
+from ..kinds import ArmSection, CommandSection, InitialSection, SensorsSection, WindSection
 from ..parameters import declared, find, inline, parameter
 from ..runs import Channel, Definition, Run
 from ..simulation import (
     SOLVERS,
     Signal,
     SimulationError,
+    StepsFor,
     Trajectory,
+    check_steps_for,
     check_wind,
     constant,
     integrate,
+    is_disturbance,
     logged,
 )
 from ._arm_scene import arm_scene
@@ -32,7 +37,7 @@ from ._definition import (
 )
 from ._delays import Seen, seen_with_delays
 from ._initial import initial_state
-from ._protocol import AbstractModel, Channels
+from ._protocol import AbstractModel, Channels, Integration
 from ._scene import Scene
 from ._sensors import CONDITIONS, Sensors
 
@@ -107,6 +112,7 @@ class ArmModel(AbstractModel):
         solver: one of `giajax.SOLVERS`.
         max_steps: step limit of one simulation.
         sensors: what stands between the motion and its recording; exact by default.
+        steps_for: what the integrator's steps are short enough for; see `giajax.simulate`.
     """
 
     kind: ClassVar[str] = "arm"
@@ -118,8 +124,10 @@ class ArmModel(AbstractModel):
     solver: str = eqx.field(default="tsit5", static=True)
     max_steps: int = eqx.field(default=_MAX_STEPS, static=True)
     sensors: Sensors = inline(default_factory=Sensors)
+    steps_for: StepsFor = eqx.field(default="motion", static=True)
 
     def __check_init__(self) -> None:
+        check_steps_for(self.steps_for)
         if self.solver not in SOLVERS:
             raise InputError(
                 f"there is no solver '{self.solver}'; use one of: {', '.join(SOLVERS)}"
@@ -136,9 +144,9 @@ class ArmModel(AbstractModel):
         first, *others = runs
         arm = arm_from_definition(first.definition)
         sensors = sensors_from_definition(first.definition)
-        stated = [first.definition.arm, first.definition.sensors]
+        sections = [first.definition.section(of) for of in (ArmSection, SensorsSection)]
         for other in others:
-            if [other.definition.arm, other.definition.sensors] == stated:
+            if [other.definition.section(type(of)) for of in sections] == sections:
                 continue
             their_arm = arm_from_definition(other.definition)
             their_sensors = sensors_from_definition(other.definition)
@@ -163,7 +171,8 @@ class ArmModel(AbstractModel):
 
     def free_inputs(self, run: Run) -> tuple[str, ...]:
         """The initial state, where the run says `[initial] free = true`."""
-        return ("initial.angle", "initial.rate") if run.definition.initial.free else ()
+        free = run.definition.section(InitialSection).free
+        return ("initial.angle", "initial.rate") if free else ()
 
     def initial_section(self, inputs: ArmInputs) -> dict[str, Any]:
         """Angles and rates at the first sample, as the arm has them: without the sensors."""
@@ -202,7 +211,7 @@ class ArmModel(AbstractModel):
     def _initial(self, run: Run, times: np.ndarray) -> InitialState:
         """The state at the first sample; a first row was seen by the angle sensors."""
         angle, rate = map(jnp.asarray, initial_state(run, times, self.arm.count))
-        if run.definition.initial.first_row:
+        if run.definition.section(InitialSection).first_row:
             encoder = self.sensors.encoder
             angle, rate = encoder.true_angles(angle), encoder.true_rates(rate)
         return InitialState(angle, rate)
@@ -219,7 +228,7 @@ class ArmModel(AbstractModel):
                     f"'{run.name}' drives joint {joint} of an arm of {self.arm.count} joints"
                 )
             values[:, joint - 1] = column
-        return logged(times, values, run.definition.command.interpolation)
+        return logged(times, values, run.definition.section(CommandSection).interpolation)
 
     def trajectory(self, inputs: ArmInputs) -> Trajectory:
         """Motion of the arm at the samples of a prepared run, as it is: without sensors."""
@@ -239,6 +248,7 @@ class ArmModel(AbstractModel):
             solver=self.solver,
             max_steps=self.max_steps,
             derivatives="forward",
+            steps_for=self.steps_for,
             span=(inputs.times[0], end),
         )
 
@@ -291,6 +301,28 @@ class ArmModel(AbstractModel):
         """The same model with the integrator's tolerances multiplied by a factor."""
         return eqx.tree_at(lambda model: model.tolerance, self, self.tolerance * factor)
 
+    def for_derivatives(self, paths: Sequence[str]) -> Self:
+        """With the steps that a parameter needs which may set moving what is at rest."""
+        if not any(path.startswith("initial.") or is_disturbance(path) for path in paths):
+            return self
+        return dataclasses.replace(self, steps_for="derivatives")
+
+    def integration(self) -> Integration:
+        """Its solver, and the relative and absolute tolerance."""
+        return Integration(self.solver, float(self.tolerance))
+
+    def with_integration(self, *, solver: str | None, tolerance: float | None) -> Self:
+        """The same arm with another solver or tolerance."""
+        if tolerance is not None and not 0 < tolerance < np.inf:
+            raise InputError(
+                f"the tolerance is {tolerance:g}, and must be positive: give a number such as "
+                f"{_TOLERANCE:g}"
+            )
+        model = self if solver is None else dataclasses.replace(self, solver=solver)
+        if tolerance is None:
+            return model
+        return dataclasses.replace(model, tolerance=jnp.asarray(tolerance))
+
     def conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
         """The scale that motion alone cannot determine, and what C_D and sensors refer to."""
         return self._scale(free, runs) + self._sensor_conditions(free, runs)
@@ -321,8 +353,8 @@ class ArmModel(AbstractModel):
         fitted = {path.partition("[")[0] for path in free}
         sentences = [f"{path}: {said}" for path, said in CONDITIONS.items() if path in fitted]
         encoder = sorted(fitted & {"encoder.offset", "encoder.scale"})
-        read = [run for run in runs if run.definition.initial.first_row]
-        if encoder and any(not run.definition.initial.free for run in read):
+        read = [run for run in runs if run.definition.section(InitialSection).first_row]
+        if encoder and any(not run.definition.section(InitialSection).free for run in read):
             sentences.append(
                 f"{', '.join(encoder)}: the state in the first row was read with the start value; "
                 "say free = true in [initial] to fit that state too"
@@ -365,7 +397,7 @@ def _trajectory(model: ArmModel, inputs: ArmInputs) -> Trajectory:
 
 
 def _wind(run: Run, times: np.ndarray) -> Signal | None:
-    stated = run.definition.wind
+    stated = run.definition.section(WindSection)
     if stated.velocity_m_per_s is not None:
         return constant(stated.velocity_m_per_s)
     if not run.winds:

@@ -1,34 +1,30 @@
 """Which model a set of runs, or a stored result, needs."""
 
 from collections.abc import Mapping, Sequence
+from importlib import import_module
 from typing import Any
 
 import numpy as np
 
 from .._errors import InputError
+from ..kinds import KINDS
 from ..parameters import declared, replace
-from ..runs import Run
-from ._arm import ArmModel
-from ._hysteresis import HysteresisModel
-from ._joint import JointModel
-from ._muscle import MuscleModel
+from ..runs import Run, upgraded
 from ._protocol import AbstractModel
 
-MODELS: dict[str, type[AbstractModel]] = {
-    ArmModel.kind: ArmModel,
-    HysteresisModel.kind: HysteresisModel,
-    JointModel.kind: JointModel,
-    MuscleModel.kind: MuscleModel,
-}
-"""The models by name; nothing else in the toolkit knows which there are."""
+
+def _model_class(kind: str) -> type[AbstractModel]:
+    """The class that the kind names; imported only when a model of it is built."""
+    module, _, name = KINDS[kind].model.partition(":")
+    found: type[AbstractModel] = getattr(import_module(f".{module}", __package__), name)
+    return found
 
 
 def model_for(runs: Sequence[Run]) -> AbstractModel:
     """The model of some runs, with the constants that their sidecars state.
 
     Raises:
-        InputError: runs of several models, of a model that this version cannot fit, or whose
-            sidecars contradict each other.
+        InputError: runs of several models, or whose sidecars contradict each other.
     """
     first, *others = runs
     for run in others:
@@ -37,12 +33,7 @@ def model_for(runs: Sequence[Run]) -> AbstractModel:
                 f"'{first.name}' is a run of the {first.model} model and '{run.name}' of the "
                 f"{run.model} model; fit them separately"
             )
-    if first.model not in MODELS:
-        raise InputError(
-            f"'{first.name}' is a run of the {first.model} model, which this version of giajax "
-            f"cannot fit yet; it fits runs of: {', '.join(MODELS)}"
-        )
-    return MODELS[first.model].for_runs(runs)
+    return _model_class(first.model).for_runs(runs)
 
 
 def build_model(
@@ -58,11 +49,17 @@ def build_model(
     Raises:
         InputError: an unknown kind or path.
     """
-    if kind not in MODELS:
-        raise InputError(f"this version of giajax has no model '{kind}'")
+    older = upgraded({"model": kind, **definition})
+    kind = older.pop("model")
+    if kind not in KINDS:
+        raise InputError(
+            f"there is no kind of model '{kind}' in this version: use one of {', '.join(KINDS)}"
+        )
+    former = KINDS[kind].former_parameters
+    values = {path: v for path, v in parameters.items() if path.partition("[")[0] not in former}
     # Whole arrays first: an element may belong to an array that the definition has as a number.
-    whole = {path: value for path, value in parameters.items() if "[" not in path}
-    return replace(replace(MODELS[kind].from_definition(definition), whole), parameters)
+    whole = {path: value for path, value in values.items() if "[" not in path}
+    return replace(replace(_model_class(kind).from_definition(older), whole), values)
 
 
 def parameter_values(model: AbstractModel) -> dict[str, Any]:

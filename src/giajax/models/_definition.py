@@ -7,6 +7,7 @@ import numpy as np
 
 from .._errors import InputError
 from ..arm import Arm, PointMasses, named_axes, preset
+from ..kinds import DEFAULT_PRESET, ArmSection, SensorsSection
 from ..parameters import declared, default_free, replace
 from ..runs import Definition
 from ._sensors import Sensors
@@ -68,8 +69,8 @@ def arm_from_definition(definition: Definition) -> Arm:
         InputError: an unknown preset or parameter, or lists that do not have one element per
             link.
     """
-    given = dict(definition.arm.given())
-    name = given.pop("preset", "takeichi_20m")
+    given = dict(definition.section(ArmSection).given())
+    name = given.pop("preset", DEFAULT_PRESET)
     links = given.pop("links", None) or _listed(given)
     changes: dict[str, Any] = {
         argument: given.pop(key) for key, argument in (_ARRAYS | _PLAIN).items() if key in given
@@ -173,7 +174,7 @@ def _axes(arm: Arm) -> str | list[list[float]]:
 
 def sensors_from_definition(definition: Definition) -> Sensors:
     """What the `[sensors]` section states; what it does not state is left out."""
-    given = definition.sensors.given()
+    given = definition.section(SensorsSection).given()
     known = {_SENSORS[key]: value for key, value in given.items() if value is not None}
     return replace(Sensors(), {path: np.multiply(v, si) for (path, si), v in known.items()})
 

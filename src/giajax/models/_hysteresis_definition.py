@@ -12,13 +12,12 @@ from .._typing import Array
 from ..hysteresis import (
     AbstractOperator,
     BoucWen,
-    BoucWenOscillator,
     DeadZones,
     ModifiedPrandtlIshlinskii,
     PrandtlIshlinskii,
     Preisach,
 )
-from ..runs import Hysteresis
+from ..kinds import HysteresisSection
 
 Numbers = int | tuple[float, ...]
 
@@ -37,15 +36,13 @@ def hysteresis_keys(operator: str) -> list[str]:
         "modified_prandtl_ishlinskii": ("thresholds", "upper_dead_zones", "lower_dead_zones"),
         "preisach": ("rows",),
         "bouc_wen": (),
-        "bouc_wen_oscillator": ("interpolation",),
     }[operator]
-    memory = [] if operator == "bouc_wen_oscillator" else ["previous_extremes"]
-    return ["operator", *used, "input_range", *memory]
+    return ["operator", *used, "input_range", "previous_extremes"]
 
 
 @dataclasses.dataclass(frozen=True)
 class HysteresisSettings:
-    """The `[hysteresis]` section with nothing left open; see `giajax.runs.Hysteresis`."""
+    """The `[hysteresis]` section with nothing left open; see `giajax.kinds.HysteresisSection`."""
 
     operator: str
     elements: str
@@ -55,7 +52,6 @@ class HysteresisSettings:
     rows: int
     input_range: tuple[float, float]
     previous_extremes: Numbers
-    interpolation: str
 
     def to_dict(self) -> dict[str, Any]:
         """The section as plain data, with what this operator uses."""
@@ -71,7 +67,7 @@ class HysteresisSettings:
         return (self.input_range[1] - self.input_range[0]) / 2
 
 
-def settings_for(stated: Hysteresis, inputs: Sequence[np.ndarray]) -> HysteresisSettings:
+def settings_for(stated: HysteresisSection, inputs: Sequence[np.ndarray]) -> HysteresisSettings:
     """What is stated, and for the rest the default; the range is that of the inputs.
 
     Raises:
@@ -89,7 +85,7 @@ def settings_for(stated: Hysteresis, inputs: Sequence[np.ndarray]) -> Hysteresis
     def chosen(name: str) -> Any:
         value = getattr(stated, name)
         if value is None:
-            extra = Hysteresis.model_fields[name].json_schema_extra
+            extra = HysteresisSection.model_fields[name].json_schema_extra
             value = extra["preset"] if isinstance(extra, dict) else None
         return tuple(float(v) for v in value) if isinstance(value, list) else value
 
@@ -116,9 +112,7 @@ class Scale:
         return cls(height / width, height) if height > 0 and width > 0 else cls()
 
 
-def operator_from_settings(
-    settings: HysteresisSettings, scale: Scale
-) -> AbstractOperator | BoucWenOscillator:
+def operator_from_settings(settings: HysteresisSettings, scale: Scale) -> AbstractOperator:
     """The operator with start values of the size of the data."""
     slope, reach = scale.slope, settings.reach
     if settings.operator == "prandtl_ishlinskii":
@@ -153,16 +147,14 @@ def operator_from_settings(
             extent=_ROOM * max(abs(end) for end in settings.input_range),
             rows=settings.rows,
         )
-    if settings.operator == "bouc_wen":
-        return BoucWen(
-            elastic=_array(slope * _ELASTIC),
-            alpha=_array(slope * (1 - _ELASTIC)),
-            beta=_array(_KNEE / reach),
-            gamma=_array(0.5),
-            delta=_array(0.1),
-            nu=_array(1.0),
-        )
-    return BoucWenOscillator()
+    return BoucWen(
+        elastic=_array(slope * _ELASTIC),
+        alpha=_array(slope * (1 - _ELASTIC)),
+        beta=_array(_KNEE / reach),
+        gamma=_array(0.5),
+        delta=_array(0.1),
+        nu=_array(1.0),
+    )
 
 
 def _array(value: float | np.ndarray) -> Array:

@@ -6,6 +6,7 @@ import numpy as np
 
 from .._errors import InputError
 from .._typing import Float
+from ..kinds import InitialSection
 from ..runs import Run
 
 Row = Float[np.ndarray, " joint"]
@@ -21,7 +22,7 @@ def initial_state(run: Run, times: np.ndarray, joints: int) -> tuple[Row, Row]:
     Raises:
         InputError: a list of another length, or `first_row` without what it needs.
     """
-    stated = run.definition.initial
+    stated = run.definition.section(InitialSection)
     if not stated.first_row:
         return (
             _stated(run, stated.angle_deg, joints),

@@ -10,6 +10,7 @@ import numpy as np
 from .._errors import InputError
 from .._typing import Array, Bool, Float
 from ..joint import Correction, Joint, JointGeometry, balanced, check_geometry, is_possible
+from ..kinds import JointSection
 from ..parameters import get, inline
 from ..runs import Channel, Definition, Run
 from ._joint_scene import joint_scene
@@ -134,6 +135,10 @@ class JointModel(AbstractModel):
         """The same: it is in closed form."""
         return self
 
+    def for_derivatives(self, paths: Sequence[str]) -> Self:
+        """The same: it is in closed form."""
+        return self
+
     def conditions(self, free: Sequence[str], runs: Sequence[Run] = ()) -> list[str]:
         """That alpha and beta are what the geometry and the torque leave over."""
         sentences = []
@@ -166,7 +171,7 @@ class JointModel(AbstractModel):
 
 def joint_from_section(definition: Definition) -> Joint:
     """The joint that the `[joint]` section states; what it does not state is the preset's."""
-    given = definition.joint.given()
+    given = definition.section(JointSection).given()
     geometry: dict[str, Any] = {}
     for key, name in _POINTS.items():
         if given.get(key) is not None:

@@ -10,8 +10,9 @@ import numpy as np
 from .._errors import InputError
 from .._typing import Array, Bool, Float, Scalar
 from ..joint import AbstractMuscle, BraidedMuscle, EmpiricalMuscle, Friction, Piston
+from ..kinds import MuscleSection
 from ..parameters import get, parameter
-from ..runs import Channel, Definition, Muscle, Run
+from ..runs import Channel, Definition, Run
 from ._protocol import AbstractModel, Channels
 
 LAWS: dict[str, type[AbstractMuscle]] = {
@@ -66,10 +67,10 @@ class MuscleModel(AbstractModel):
             InputError: the sidecars disagree in [muscle], or state what their law does not know.
         """
         first, *others = runs
-        stated = first.definition.muscle
+        stated = first.definition.section(MuscleSection)
         for other in others:
-            theirs = other.definition.muscle
-            for key in Muscle.model_fields:
+            theirs = other.definition.section(MuscleSection)
+            for key in MuscleSection.model_fields:
                 if getattr(stated, key) != getattr(theirs, key):
                     raise InputError(
                         f"the sidecars of '{first.name}' and '{other.name}' disagree in [muscle] "
@@ -81,12 +82,11 @@ class MuscleModel(AbstractModel):
     @classmethod
     def from_definition(cls, definition: Mapping[str, Any]) -> Self:
         """The muscle that `definition()` described."""
-        return cls.stated(
-            Definition.parse({"muscle": definition["muscle"]}, "stored result").muscle
-        )
+        stored = Definition.parse({"muscle": definition["muscle"]}, "stored result")
+        return cls.stated(stored.section(MuscleSection))
 
     @classmethod
-    def stated(cls, stated: Muscle) -> Self:
+    def stated(cls, stated: MuscleSection) -> Self:
         """The muscle that a `[muscle]` section states.
 
         Raises:
@@ -205,6 +205,10 @@ class MuscleModel(AbstractModel):
         return "the force of the muscle is not finite; choose other start values"
 
     def refined(self, factor: float) -> Self:
+        """The same: it is in closed form."""
+        return self
+
+    def for_derivatives(self, paths: Sequence[str]) -> Self:
         """The same: it is in closed form."""
         return self
 

@@ -6,6 +6,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
 
+from .._errors import InputError
 from .._typing import Array, Bool, Float, Scalar
 from ..runs import Run
 from ._scene import Scene
@@ -18,6 +19,13 @@ class Derived(NamedTuple):
 
     value: Scalar
     unit: str
+
+
+class Integration(NamedTuple):
+    """How a model is integrated: its solver by name, and the tolerance of a step."""
+
+    solver: str
+    tolerance: float
 
 
 class AbstractModel(eqx.Module):
@@ -75,6 +83,32 @@ class AbstractModel(eqx.Module):
     @abc.abstractmethod
     def refined(self, factor: float) -> Self:
         """The same model with its numerical tolerances multiplied by a factor."""
+
+    def integration(self) -> Integration | None:
+        """How the model is integrated; None where it is in closed form or has steps of its own."""
+        return None
+
+    def with_integration(self, *, solver: str | None, tolerance: float | None) -> Self:
+        """The same model with another solver or tolerance; None leaves the one it has.
+
+        Raises:
+            InputError: the model has none, the solver does not exist, or the tolerance is not a
+                positive number.
+        """
+        raise InputError(
+            f"the {self.kind} model has neither a solver nor a tolerance: leave both out"
+        )
+
+    @abc.abstractmethod
+    def for_derivatives(self, paths: Sequence[str]) -> Self:
+        """The same model, as exact in derivatives by some parameters as in its predictions.
+
+        A model that integrates may need shorter steps for them. Its predictions do not depend on
+        whether they are differentiated, so that a fit and a sensitivity study ask for this.
+
+        Arguments:
+            paths: of parameters of the model, or of the prepared inputs (`free_inputs`).
+        """
 
     @abc.abstractmethod
     def conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:

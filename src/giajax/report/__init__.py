@@ -1,5 +1,6 @@
 """What a person sees of fits and models: tables, figures and files."""
 
+from .._text import format_estimate as format_estimate
 from ._correlation import correlation_figure as correlation_figure
 from ._files import check_folder as check_folder, write_result as write_result
 from ._joint_angle import angle_figure as angle_figure, angle_table as angle_table
@@ -32,8 +33,4 @@ from ._style import (
     plain as plain,
     to_png as to_png,
 )
-from ._text import (
-    format_estimate as format_estimate,
-    parameter_table as parameter_table,
-    summary as summary,
-)
+from ._text import parameter_table as parameter_table, summary as summary

@@ -13,8 +13,8 @@ _MOST_NUMBERS = 16
 
 def correlation_figure(result: FitResult) -> Figure:
     """Correlations between the parameters that the data determine."""
-    paths = result.correlation["parameters"]
-    matrix = np.array(result.correlation["matrix"], dtype=float).reshape(len(paths), len(paths))
+    paths = result.correlation.parameters
+    matrix = np.array(result.correlation.matrix, dtype=float).reshape(len(paths), len(paths))
     size = max(0.55 * len(paths), 1.0)
     title = f"Correlation of the estimates{unfinished(result)}"
     figure = new_figure(min(size, 11) + 3.6, min(size, 11) + 1.9, title)

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from .._errors import InputError
-from ..fitting import FitResult
-from ..runs import Definition, Run, check_output_folder, make_folder, write_files
+from ..fitting import FitResult, RunFit
+from ..runs import Definition, Run, check_output_folder, make_folder, run_keys, write_files
 from ._correlation import correlation_figure
 from ._recorded import recorded_figure
 from ._residuals import residuals_figure
@@ -25,8 +25,6 @@ _MOST_RUNS = 6
 # What makes two fits the same fit; the iterations allowed and the folder do not.
 _SAME = ("definition", "runs", "free", "start", "fix", "loss")
 _WORDS = {"definition": "the model's constants", "runs": "what the sidecar states", "loss": "loss"}
-_SECTIONS = ("arm", "hysteresis")
-_KEPT = ("free_motion", "initial", "command", "wind")
 
 
 def check_folder(
@@ -39,7 +37,7 @@ def check_folder(
     Arguments:
         folder: where `write_result` is to write; need not exist.
         runs: the runs to be fitted.
-        config: what `giajax.fitting.configuration` says of the fit.
+        config: of the fit: `Setup.config`, which `giajax.fitting.set_up` makes.
         force: write over any result that is there.
 
     Raises:
@@ -94,7 +92,7 @@ def write_result(result: FitResult, runs: Run | Sequence[Run], folder: str | Pat
     """
     folder = Path(folder)
     runs = [runs] if isinstance(runs, Run) else list(runs)
-    if [run.sha256 for run in runs] != [record["sha256"] for record in result.runs]:
+    if [run.sha256 for run in runs] != [record.sha256 for record in result.runs]:
         raise InputError("the runs are not those of the result; give the same ones in their order")
     # A result that was loaded has no predictions with it.
     predictions = result.predictions or [result.predict(run) for run in runs]
@@ -139,8 +137,8 @@ def _worth_drawing(result: FitResult) -> list[int]:
     if len(result.runs) <= _MOST_RUNS:
         return list(range(len(result.runs)))
 
-    def misfit(record: Mapping[str, Any]) -> float:
-        ratios = [c["rmse"] / c["noise"] for c in record["channels"].values() if c["rmse"]]
+    def misfit(record: RunFit) -> float:
+        ratios = [c.rmse / c.noise for c in record.channels.values() if c.rmse]
         return max(ratios, default=0.0)
 
     worst = sorted(range(len(result.runs)), key=lambda index: -misfit(result.runs[index]))
@@ -229,15 +227,17 @@ def _csv(columns: Mapping[str, list[str]]) -> bytes:
 def _sidecar(result: FitResult, run: Run, checksum: str) -> Definition:
     """What the prediction was made with, so that it can be read, checked and fitted as a run."""
     stated = run.definition.given()
+    # The noise is that of the recording, which a prediction does not have.
+    about = [key for key in run_keys(model=False) if key != "noise"]
     definition = result.model.definition()
-    model = {key: definition[key] for key in _SECTIONS if key in definition}
+    model = {key: definition[key] for key in run.kind.sections if key in definition}
     return Definition.parse(
         {
             "model": run.model,
             "origin": f"predicted by giajax from a fit to {run.name}",
             "sha256": checksum,
             **model,
-            **{key: stated[key] for key in _KEPT if key in stated},
+            **{key: stated[key] for key in about if key in stated},
         },
         "prediction.toml",
     )

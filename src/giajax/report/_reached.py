@@ -2,11 +2,11 @@
 
 import dataclasses
 
+from .._text import format_estimate
 from ..fitting import Estimate, FitResult
 from ..models import AbstractModel
 from ..parameters import find, switched_on
 from ..runs import Definition, Figure
-from ._text import format_estimate
 
 
 @dataclasses.dataclass(frozen=True)

@@ -9,9 +9,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from ..fitting import FitResult
+from ..fitting import FitResult, RunFit
 from ..runs import Channel, Run
-from ._abscissa import abscissa, channel_label, drawn_over
+from ._abscissa import abscissa, channel_label
 from ._style import BLUE, GREEN, GREY, INK, VERMILLION, new_figure, plain, unfinished
 
 # More panels than this cannot be read on one screen.
@@ -24,7 +24,7 @@ _COMPONENTS = {"x": BLUE, "y": VERMILLION, "z": GREEN}
 
 
 def recorded_figure(
-    result: FitResult, run: Run, predicted: Mapping[str, np.ndarray], record: Mapping[str, Any]
+    result: FitResult, run: Run, predicted: Mapping[str, np.ndarray], record: RunFit
 ) -> Figure:
     """Recorded against fitted channels of one run, in the units of its file.
 
@@ -46,7 +46,7 @@ def recorded_figure(
         title += f"; {left_out} more channels are in prediction.csv"
     over, label = abscissa(run)
     # A curve wants to be about as high as it is wide; a motion wants width.
-    height = 2.05 if drawn_over(run) is None else 3.4
+    height = 2.05 if run.drawn_over is None else 3.4
     figure = new_figure(max(3.7 * columns, 6.5), max(height * rows, 2.4) + 0.6, title)
     grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
     for position, axes in enumerate(grid.flat):
@@ -96,7 +96,7 @@ def _draw_panel(
     run: Run,
     over: np.ndarray,
     predicted: Mapping[str, np.ndarray],
-    record: Mapping[str, Any],
+    record: RunFit,
 ) -> None:
     channels = [run.channels[name] for name in names]
     several = len(channels) > 1
@@ -121,9 +121,9 @@ def _draw_panel(
     label = channel_label(channels[0])
     plain(axes, label if len(names) == 1 else label.replace(names[0], names[0][:-2]))
     axes.yaxis.set_major_locator(MaxNLocator(5))
-    worst = [record["channels"][name]["rmse"] for name in names]
-    if None not in worst:
-        axes.set_title(f"RMSE {max(worst):.3g}", fontsize=8, loc="right", color=GREY)
+    known = [rmse for name in names if (rmse := record.channels[name].rmse) is not None]
+    if len(known) == len(names):
+        axes.set_title(f"RMSE {max(known):.3g}", fontsize=8, loc="right", color=GREY)
 
 
 def _colour(channel: Channel) -> str:

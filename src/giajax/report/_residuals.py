@@ -1,13 +1,12 @@
 """The figure of the residuals: what the model misses, when and where."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ..fitting import FitResult
+from ..fitting import FitResult, RunFit
 from ..runs import Run
 from ._abscissa import sample_times, time_label
 from ._style import BLUE, GREY, LIGHT, VERMILLION, new_figure, plain, unfinished
@@ -41,13 +40,11 @@ def residuals_figure(
     return figure
 
 
-def _weighted(
-    run: Run, predicted: Mapping[str, np.ndarray], record: Mapping[str, Any]
-) -> np.ndarray:
+def _weighted(run: Run, predicted: Mapping[str, np.ndarray], record: RunFit) -> np.ndarray:
     """Residuals in units of the noise, NaN where not measured; shape (sample, channel)."""
     columns = []
     for name, values in run.observations.items():
-        sigma = run.channels[name].to_si(record["channels"][name]["noise"])
+        sigma = run.channels[name].to_si(record.channels[name].noise)
         columns.append((values - predicted[name]) / sigma)
     return np.stack(columns, axis=-1)
 

@@ -1,7 +1,11 @@
 """Recorded runs: reading, checking, describing and writing them. Imports no JAX."""
 
 from ._channels import Channel as Channel, parse_column as parse_column
-from ._definition import Definition as Definition
+from ._definition import (
+    Definition as Definition,
+    run_keys as run_keys,
+    upgraded as upgraded,
+)
 from ._describe import describe as describe
 from ._fit_sections import Figure as Figure
 from ._output import (
@@ -10,7 +14,6 @@ from ._output import (
     check_output_run as check_output_run,
     make_folder as make_folder,
 )
-from ._part_sections import Hysteresis as Hysteresis, Muscle as Muscle
 from ._read import (
     parse_rename as parse_rename,
     read_run as read_run,

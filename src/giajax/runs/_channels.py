@@ -10,45 +10,34 @@ import numpy as np
 import numpy.typing as npt
 
 from .._errors import InputError
+from .._words import one_of, shown
+from ..kinds import KINDS, ChannelKind
 from ._units import QUANTITIES, QUANTITY_OF_SUFFIX, from_si, to_si
-from ._words import one_of, shown
 
-_NUMBER = r"(?P<index>[0-9]+)"
-_COMPONENT = r"(?P<component>[xyz])"
 
-# kind: (pattern of the name, how the documentation writes it, quantity; None means any quantity)
-_TABLE: dict[str, tuple[str, str, str | None]] = {
-    "time": ("time", "time", "time"),
-    "joint_command": (f"joint{_NUMBER}_command", "jointNN_command", "angle"),
-    "joint_angle": (f"joint{_NUMBER}_angle", "jointNN_angle", "angle"),
-    "joint_rate": (f"joint{_NUMBER}_rate", "jointNN_rate", "angular_velocity"),
-    "joint_torque": (f"joint{_NUMBER}_torque", "jointNN_torque", "torque"),
-    "link_angle": (f"link{_NUMBER}_angle", "linkNN_angle", "angle"),
-    "link_position": (f"link{_NUMBER}_{_COMPONENT}", "linkNN_x", "length"),
-    "tip_position": (f"tip_{_COMPONENT}", "tip_x", "length"),
-    "wind": (f"wind_{_COMPONENT}", "wind_x", "velocity"),
-    "input": ("input", "input", None),
-    "output": ("output", "output", None),
-    "command": ("command", "command", "angle"),
-    "angle": ("angle", "angle", "angle"),
-    "side": ("side", "side", "text"),
-    "contraction": ("contraction", "contraction", "ratio"),
-    "force": ("force", "force", "force"),
-    "torque": ("torque", "torque", "torque"),
-    "pressure": ("pressure", "pressure", "pressure"),
-    "position": ("position", "position", "length"),
-    "phase": ("phase", "phase", "text"),
-}
+def _gathered() -> dict[str, ChannelKind]:
+    """The rows that the kinds of models declare, each once, after time."""
+    table = {"time": ChannelKind("time", "time", "time", "input")}
+    for row in (row for kind in KINDS.values() for row in kind.channels):
+        first = table.setdefault(row.name, row)
+        if (first.column, first.quantity, first.texts) != (row.column, row.quantity, row.texts):
+            raise TypeError(f"two kinds of models declare the row {row.name!r} in different ways")
+    return table
+
+
+_TABLE = _gathered()
 _PATTERNS = {
-    kind: re.compile(rf"(?P<name>{row[0]})(?:_(?P<suffix>.+))?", re.DOTALL)
+    kind: re.compile(rf"(?P<name>{row.pattern})(?:_(?P<suffix>.+))?", re.DOTALL)
     for kind, row in _TABLE.items()
 }
 # Columns are written in this order: the order of the table.
-KINDS: tuple[str, ...] = tuple(_TABLE)
+ROWS: tuple[str, ...] = tuple(_TABLE)
 
 _ARTICLE = {"angle": "an", "angular_velocity": "an"}
 
-TEXTS: dict[str, tuple[str, ...]] = {"side": ("inner", "outer"), "phase": ("fill", "exhaust")}
+TEXTS: dict[str, tuple[str, ...]] = {row.name: row.texts for row in _TABLE.values() if row.texts}
+NOISE_KEYS: dict[str, str] = {row.name: row.noise for row in _TABLE.values() if row.noise}
+"""Key of `[noise]` that holds for a row, beside its own column."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +79,7 @@ class Channel:
         kind, match, _ = found
         if unit is None:
             units = _units_of(kind)
-            quantity = _TABLE[kind][2] or "ratio"
+            quantity = _TABLE[kind].quantity or "ratio"
             plain = [u for u in units if QUANTITIES[quantity].suffixes.get(u) == _si(quantity)]
             unit = plain[0] if plain else units[0]
         if unit not in _units_of(kind):
@@ -157,7 +146,7 @@ def parse_columns(names: Iterable[str]) -> dict[str, Channel]:
 
 def order(channel: Channel) -> tuple[int, int, int]:
     """Sort key of the columns in a written file: kind, then number, then component."""
-    return (KINDS.index(channel.kind), channel.index or 0, channel.component or 0)
+    return (ROWS.index(channel.kind), channel.index or 0, channel.component or 0)
 
 
 def _si(quantity: str) -> str:
@@ -186,23 +175,23 @@ def _channel(kind: str, match: re.Match[str], unit: str) -> Channel:
         kind=kind,
         index=None if number is None else int(number),
         component=None if component is None else "xyz".index(component),
-        quantity=_TABLE[kind][2] or QUANTITY_OF_SUFFIX[unit],
+        quantity=_TABLE[kind].quantity or QUANTITY_OF_SUFFIX[unit],
         unit=unit,
     )
 
 
 def _units_of(kind: str) -> list[str]:
-    quantity = _TABLE[kind][2]
+    quantity = _TABLE[kind].quantity
     return list(QUANTITY_OF_SUFFIX if quantity is None else QUANTITIES[quantity].suffixes)
 
 
 def _bad_suffix(name: str, kind: str, suffix: str | None, what: str) -> str:
-    quantity = _TABLE[kind][2]
+    quantity = _TABLE[kind].quantity
     units = _units_of(kind)
     if units == [""]:
         return (
-            f"{what} {shown(name)} ends in {suffix!r}, but {_TABLE[kind][1]} has no unit: "
-            f"rename it with --rename {name}={_TABLE[kind][1]}"
+            f"{what} {shown(name)} ends in {suffix!r}, but {_TABLE[kind].column} has no unit: "
+            f"rename it with --rename {name}={_TABLE[kind].column}"
         )
     of = "it" if quantity is None else f"{_ARTICLE.get(quantity, 'a')} {quantity.replace('_', ' ')}"
     units = [unit for unit in units if unit]
@@ -223,7 +212,7 @@ def _unknown(name: str, what: str) -> str:
     if near is not None:
         given = f"{what} {shown(name)} is not in the column table: did you mean {near!r}"
         return f"{given} ({rename})?" if what == "column" else f"{given}?"
-    known = ", ".join(row[1] for row in _TABLE.values())
+    known = ", ".join(row.column for row in _TABLE.values())
     remedy = f"rename it with {rename}, or remove it" if what == "column" else "correct the name"
     return f"{what} {shown(name)} is not in the column table ({known}): {remedy}"
 
@@ -233,8 +222,8 @@ def nearest(name: str, *, suffixes: bool = True) -> str | None:
     numbers = re.findall(r"[0-9]+", name)
     number = f"{int(numbers[0]) or 1:02d}" if numbers and len(numbers[0]) < 5 else "01"
     candidates = []
-    for kind, (_, called, _) in _TABLE.items():
-        plain = called.replace("NN", number)
+    for kind, row in _TABLE.items():
+        plain = row.column.replace("NN", number)
         for channel in [plain[:-1] + c for c in "xyz"] if "_x" in plain else [plain]:
             candidates += [
                 f"{channel}_{unit}" if unit and suffixes else channel for unit in _units_of(kind)

@@ -9,8 +9,8 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from .._errors import InputError
+from .._words import shown
 from ._toml import key_path
-from ._words import shown
 
 
 def complaint(cls: type[BaseModel], error: ValidationError, source: str) -> InputError:

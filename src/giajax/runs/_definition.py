@@ -3,44 +3,72 @@
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
-from pydantic import Field, ValidationError, field_validator
+from pydantic import Field, ValidationError, create_model, field_validator
 
 from .._errors import InputError
-from ._arm_sections import Arm, Command, Initial, Sensors, Wind
+from .._words import one_of
+from ..kinds import KINDS, Name, Section, key
 from ._complaints import complaint, plain
 from ._fit_sections import Figure, Fit, Noise
-from ._part_sections import Hysteresis, Joint, Muscle
-from ._section import Name, Section, key
 from ._toml import to_toml
 
+S = TypeVar("S", bound=Section)
 
-class Definition(Section):
-    """A sidecar, a fit definition or a user's own arm. Every section and key is optional.
+_QUOTED = [f'"{name}"' for name in KINDS]
 
-    A section that was not given is there with its defaults, so `definition.arm.links` is always
-    legal; `definition.given()` has only what was given.
-    """
+if TYPE_CHECKING:
+    KindName = str
+else:
+    KindName = Literal[*KINDS]
+
+
+class _Head(Section):
+    """The keys at the top of a file."""
 
     schema_version: Literal[1] = key("1", "version of this vocabulary", default=1)
-    model: Literal["arm", "hysteresis", "joint", "muscle"] | None = key(
-        '"arm", "hysteresis", "joint" or "muscle"', "what the run is a run of"
+    model: KindName | None = key(one_of(_QUOTED), "what the run is a run of", example="arm")
+    origin: str | None = key(
+        "text", "where the run comes from", example="who recorded this, with what, when"
     )
-    origin: str | None = key("text", "where the run comes from")
-    licence: str | None = key("text", "terms under which it may be used")
+    licence: str | None = key("text", "terms under which it may be used", example="CC0-1.0")
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = key(
         "64 hexadecimal digits", "checksum of the data file"
     )
-    free_motion: bool | None = key("true or false", "true: the arm moves without commands")
-    arm: Arm = Field(default_factory=Arm)
-    sensors: Sensors = Field(default_factory=Sensors)
-    initial: Initial = Field(default_factory=Initial)
-    command: Command = Field(default_factory=Command)
-    wind: Wind = Field(default_factory=Wind)
-    hysteresis: Hysteresis = Field(default_factory=Hysteresis)
-    joint: Joint = Field(default_factory=Joint)
-    muscle: Muscle = Field(default_factory=Muscle)
+    free_motion: bool | None = key(
+        "true or false", "true: the arm moves without commands", example=True
+    )
+
+
+_CLASSES = {
+    name: section
+    for kind in KINDS.values()
+    for name, section in {**kind.sections, **kind.run_sections}.items()
+}
+_NAMES = {section: name for name, section in _CLASSES.items()}
+
+if TYPE_CHECKING:
+
+    class _Sections(_Head):
+        """The sections of the kinds of models, as fields."""
+
+else:
+    _Sections = create_model(
+        "_Sections",
+        __base__=_Head,
+        **{name: (section, Field(default_factory=section)) for name, section in _CLASSES.items()},
+    )
+
+
+class Definition(_Sections):
+    """A sidecar, a fit definition or a user's own arm. Every section and key is optional.
+
+    A section that is not in the file is there with its defaults, so
+    `definition.section(ArmSection).links` is always legal; `definition.given()` has only what
+    the file has. Each kind of model brings its sections.
+    """
+
     noise: Noise = Field(default_factory=Noise)
     truth: dict[str, Any] = key(
         "a table", "what the maker of the data knows; never read by a fit", default={}
@@ -49,6 +77,11 @@ class Definition(Section):
     figures: dict[Name, Figure] = key(
         'a table like [figures."air.drag_coefficient"]', "figures to reach", default={}
     )
+
+    def section(self, of: type[S]) -> S:
+        """The section of a class, with its defaults where it is not in the file."""
+        section: S = getattr(self, _NAMES[of])
+        return section
 
     @field_validator("sha256", mode="before")
     @classmethod
@@ -63,7 +96,7 @@ class Definition(Section):
         is not what its key must be.
         """
         try:
-            return cls.model_validate(plain(data))
+            return cls.model_validate(upgraded(plain(data)))
         except ValidationError as error:
             raise complaint(cls, error, source) from None
 
@@ -102,6 +135,27 @@ class Definition(Section):
     def to_toml(self) -> str:
         """TOML text with what was given, the version first; `load` reads it back."""
         return to_toml({"schema_version": self.schema_version, **self.given()})
+
+
+def upgraded(data: dict[str, Any]) -> dict[str, Any]:
+    """Plain data of an older version, which each kind of model knows to read, as of this one."""
+    for kind in KINDS.values():
+        data = kind.upgraded(data)
+    return data
+
+
+def run_keys(*, model: bool) -> tuple[str, ...]:
+    """What a definition may say about a run: data, checksum and fit are not among it.
+
+    Arguments:
+        model: whether with what it says of the model of the run.
+    """
+    sections = [
+        name
+        for kind in KINDS.values()
+        for name in ({**kind.sections, **kind.run_sections} if model else kind.run_sections)
+    ]
+    return (*(("model",) if model else ()), "free_motion", *dict.fromkeys(sections), "noise")
 
 
 def _merge(below: Any, above: Any, depth: int) -> Any:

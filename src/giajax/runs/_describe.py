@@ -5,8 +5,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ._checks import DEFAULT_PRESET
-from ._model import GIVEN, PREDICTED
+from ..kinds import KINDS, CommandSection, WindSection
 from ._read import sidecar_path
 from ._run import Run
 
@@ -48,11 +47,11 @@ def _command(run: Run) -> dict[str, Any] | None:
     commands = {
         name: array
         for name, array in run.commands.items()
-        if run.channels[name].kind in ("joint_command", "joint_torque", "input", "command")
+        if run.channels[name].kind in KINDS[run.model].commands
     }
     if not commands:
         return None
-    interpolation = run.definition.command.interpolation
+    interpolation = run.definition.section(CommandSection).interpolation
     steps = np.arange(len(next(iter(commands.values())))) if run.times is None else run.times
     return {
         "channels": list(commands),
@@ -74,14 +73,15 @@ def _corners(times: npt.NDArray[Any], values: npt.NDArray[Any], interpolation: s
 
 
 def _wind(run: Run) -> dict[str, Any] | None:
-    constant = run.definition.wind.velocity_m_per_s
+    section = run.definition.section(WindSection)
+    constant = section.velocity_m_per_s
     if constant is not None:
         return {"source": "constant", "velocity_m_per_s": list(constant)}
     if run.winds:
         return {
             "source": "columns",
             "channels": list(run.winds),
-            "interpolation": run.definition.wind.interpolation,
+            "interpolation": section.interpolation,
         }
     return None
 
@@ -111,9 +111,9 @@ def _channel(run: Run, name: str) -> dict[str, Any]:
 
 
 def _part(run: Run, kind: str) -> str:
-    if kind in PREDICTED[run.model]:
+    if kind in KINDS[run.model].outputs:
         return "measured"
-    return "command" if kind in GIVEN[run.model] else "wind"
+    return "command" if kind in KINDS[run.model].inputs else "wind"
 
 
 def _sidecar(run: Run) -> dict[str, Any] | None:
@@ -133,36 +133,7 @@ def _sidecar(run: Run) -> dict[str, Any] | None:
 
 
 def _notes(run: Run) -> list[str]:
-    notes = []
-    definition = run.definition
-    if run.model == "arm":
-        where = "no sidecar" if _sidecar(run) is None else "no [arm] in the sidecar"
-        if not definition.arm.given():
-            notes.append(f"{where}: the constants of the preset {DEFAULT_PRESET} are assumed")
-        if not definition.initial.given():
-            notes.append("initial state not stated: the arm starts straight and at rest")
-        if run.commands and "interpolation" not in definition.command.given():
-            notes.append("command interpolation not stated: linear between two rows")
-        if not run.winds and definition.wind.velocity_m_per_s is None:
-            notes.append("wind not stated: still air is assumed")
-        absent = [f"wind_{c}" for c in "xyz" if run.winds and f"wind_{c}" not in run.winds]
-        if absent:
-            notes.append(f"{' and '.join(absent)} not recorded: taken as zero")
-    if run.model == "hysteresis" and definition.hysteresis.operator is None:
-        notes.append("operator not stated in [hysteresis]: Prandtl-Ishlinskii of ten is assumed")
-    if run.model == "joint":
-        if not definition.joint.given():
-            notes.append("no [joint] in the sidecar: the geometry that giajax assumes is taken")
-        if "torque" not in run.channels:
-            notes.append(
-                f"torque not recorded: {definition.joint.torque_N_m or 0.3:g} N m is taken"
-            )
-    if run.model == "muscle":
-        if definition.muscle.law is None:
-            notes.append("law not stated in [muscle]: a braided muscle is assumed")
-        without = None if definition.muscle.law == "piston" else "none"
-        if "phase" in run.channels and (definition.muscle.friction or without) == "none":
-            notes.append("the phase is recorded, but [muscle] states no friction: it is not used")
+    notes = KINDS[run.model].notes(run, _sidecar(run) is not None)
     if not run.observations:
         notes.append("no measured channel: the run can be simulated, but not fitted")
     silent = [name for name in run.observations if run.noise(name) is None]

@@ -6,8 +6,8 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from .._errors import InputError
+from ..kinds import Finite, Name, Positive, Section, flat, key
 from ._channels import parse_column
-from ._section import Finite, Name, Positive, Section, flat, key
 
 _NOISE = "a positive number, the standard deviation"
 
@@ -18,9 +18,11 @@ class Noise(Section):
     model_config: ClassVar[ConfigDict] = ConfigDict(extra="allow", strict=True, frozen=True)
     __pydantic_extra__: dict[str, Positive] = Field(init=False)
 
-    position_m: Positive | None = key(_NOISE, "standard deviation of every position")
-    angle_deg: Positive | None = key(_NOISE, "standard deviation of every angle")
-    rate_deg_per_s: Positive | None = key(_NOISE, "standard deviation of every joint rate")
+    position_m: Positive | None = key(_NOISE, "standard deviation of every position", example=0.01)
+    angle_deg: Positive | None = key(_NOISE, "standard deviation of every angle", example=0.5)
+    rate_deg_per_s: Positive | None = key(
+        _NOISE, "standard deviation of every joint rate", example=1.0
+    )
 
     @property
     def columns(self) -> dict[str, float]:
@@ -69,6 +71,13 @@ class Fit(Section):
     )
     loss: Literal["linear", "huber", "soft_l1"] | None = key(
         '"linear", "huber" or "soft_l1"', "how a large residual counts"
+    )
+    solver: Name | None = key("the name of a solver", "of the simulation")
+    tolerance: Positive | None = key(
+        "a positive number", "relative and absolute tolerance of the simulation"
+    )
+    max_iterations: Annotated[int, Field(ge=1)] | None = key(
+        "a whole number of at least 1", "trial steps before the fit gives up"
     )
     out: Name | None = key("the name of a folder", "where the result goes")
 

@@ -1,56 +1,29 @@
-"""Which model a set of channels belongs to, and which part each channel plays in it."""
+"""Which kind of model a set of channels belongs to."""
 
 from collections.abc import Iterable
 
 from .._errors import InputError
+from .._words import one_of
+from ..kinds import KINDS, Kind
 from ._channels import Channel
-from ._words import one_of
-
-MODELS = ("arm", "hysteresis", "joint", "muscle")
-
-# What a model is given, in the order in which a file is written, and what it predicts.
-GIVEN: dict[str, tuple[str, ...]] = {
-    "arm": ("joint_command", "joint_torque"),
-    "hysteresis": ("input", "command"),
-    "joint": ("angle", "side", "torque"),
-    "muscle": ("pressure", "contraction", "position", "phase"),
-}
-PREDICTED: dict[str, tuple[str, ...]] = {
-    "arm": ("joint_angle", "joint_rate", "link_angle", "link_position", "tip_position"),
-    "hysteresis": ("output", "angle"),
-    "joint": ("contraction", "force"),
-    "muscle": ("force",),
-}
-_ARM_ONLY = GIVEN["arm"] + PREDICTED["arm"]
 
 
-def belongs(channel: Channel, model: str) -> bool:
-    """Whether the table lists the channel for this model."""
-    return (
-        channel.kind == "time"
-        or (channel.kind == "wind" and model == "arm")
-        or channel.kind in GIVEN[model] + PREDICTED[model]
-    )
+def belongs(channel: Channel, kind: Kind) -> bool:
+    """Whether a run of this kind may hold the channel."""
+    return channel.kind == "time" or any(row.name == channel.kind for row in kind.channels)
 
 
 def infer_model(channels: Iterable[Channel]) -> str | None:
-    """The model that the channels tell by themselves, or None."""
-    kinds = {channel.kind for channel in channels}
-    if kinds & set(_ARM_ONLY):
-        return "arm"
-    if "side" in kinds:
-        return "joint"
-    if "pressure" in kinds:
-        return "muscle"
-    if {"command", "angle"} <= kinds or {"input", "output"} <= kinds:
-        return "hysteresis"
-    return None
+    """The kind of model that the channels tell by themselves, or None."""
+    rows = frozenset(channel.kind for channel in channels)
+    return next((kind.name for kind in KINDS.values() if kind.told_by(rows)), None)
 
 
 def decide_model(channels: Iterable[Channel], stated: str | None, source: str) -> str:
-    """The model of a run: as its sidecar states, else as its channels tell.
+    """The kind of model of a run: as its sidecar states, else as its channels tell.
 
-    Raises `InputError` if neither tells, or if a channel belongs to another model.
+    Raises:
+        InputError: neither tells, or a channel belongs to another kind.
     """
     channels = list(channels)
     inferred = infer_model(channels)
@@ -59,10 +32,10 @@ def decide_model(channels: Iterable[Channel], stated: str | None, source: str) -
         names = ", ".join(channel.name for channel in channels)
         raise InputError(
             f"{source}: the channels {names} do not tell the model: "
-            f'state it in the sidecar as model = "..." ({one_of(MODELS)})'
+            f'state it in the sidecar as model = "..." ({one_of(KINDS)})'
         )
     for channel in channels:
-        if belongs(channel, model):
+        if belongs(channel, KINDS[model]):
             continue
         if stated is not None and inferred not in (None, stated):
             raise InputError(

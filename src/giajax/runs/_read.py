@@ -5,25 +5,10 @@ from pathlib import Path
 
 from .._errors import InputError
 from ._checks import Wording
-from ._definition import Definition
+from ._definition import Definition, run_keys
 from ._run import Run, build_run
 from ._select import observing, windows
 from ._table import Table, read_table
-
-# What a definition may say about a run; the rest of it (data, checksum, [fit]) is not the run's.
-_ABOUT_RUNS = (
-    "model",
-    "free_motion",
-    "arm",
-    "sensors",
-    "hysteresis",
-    "initial",
-    "command",
-    "wind",
-    "joint",
-    "muscle",
-    "noise",
-)
 
 
 def read_run(
@@ -52,7 +37,8 @@ def read_run(
             f"{stated.sha256[:12]}...: get the file again, or correct sha256 there"
         )
     if definition is not None:
-        given = {key: item for key, item in definition.given().items() if key in _ABOUT_RUNS}
+        about = run_keys(model=True)
+        given = {key: item for key, item in definition.given().items() if key in about}
         stated = stated.merged_with(Definition.parse(given))
     return run_of(table, path, stated)
 

@@ -9,20 +9,16 @@ import numpy as np
 import numpy.typing as npt
 
 from .._errors import InputError
-from ._channels import TEXTS, Channel, parse_column
+from ..kinds import KINDS, Kind
+from ._channels import NOISE_KEYS, TEXTS, Channel, parse_column
 from ._checks import Wording, check_content
 from ._definition import Definition
 from ._fit_sections import Noise
-from ._model import GIVEN, PREDICTED, decide_model
-from ._units import from_si, to_si
+from ._model import decide_model
+from ._units import QUANTITY_OF_SUFFIX, from_si, to_si
 
-# Key of [noise] by quantity -> (kinds it holds for, quantity, unit).
-_NOISE_KEYS: dict[str, tuple[tuple[str, ...], str, str]] = {
-    "position_m": (("link_position", "tip_position"), "length", "m"),
-    "angle_deg": (("joint_angle", "link_angle", "angle"), "angle", "deg"),
-    "rate_deg_per_s": (("joint_rate",), "angular_velocity", "deg_per_s"),
-}
-_NOISE_QUANTITIES = {"position": "position_m", "angle": "angle_deg", "rate": "rate_deg_per_s"}
+# Noise of arrays is given by quantity, without the unit that ends the key in a file.
+_NOISE_QUANTITIES = {key.partition("_")[0]: key for key in Noise.model_fields}
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +26,7 @@ class Run:
     """One experiment, in SI units.
 
     - `name`: the file's stem, or as given.
-    - `model`: `arm`, `hysteresis`, `joint` or `muscle`.
+    - `model`: name of its kind, one of `giajax.kinds.KINDS`.
     - `times`: float64, shape (T,), s, strictly increasing; None for a static run.
     - `values`: channel name -> float64, shape (T,), SI; NaN = not measured. A text channel
       (`side`, `phase`) is an object array of str or None. Time is not among them.
@@ -104,19 +100,29 @@ class Run:
         )
 
     @property
+    def kind(self) -> Kind:
+        """What its kind of model declares."""
+        return KINDS[self.model]
+
+    @property
+    def drawn_over(self) -> str | None:
+        """The input that its measured channels are drawn over; None: over time."""
+        return self.kind.drawn_over(self)
+
+    @property
     def commands(self) -> dict[str, npt.NDArray[Any]]:
         """The channels that the model is given, wind apart: name -> (T,), SI."""
-        return self._of_kinds(GIVEN[self.model])
+        return self._of_rows(self.kind.inputs)
 
     @property
     def winds(self) -> dict[str, npt.NDArray[Any]]:
         """The recorded air velocity: `wind_x`, ... -> (T,), m/s."""
-        return self._of_kinds(("wind",))
+        return self._of_rows(self.kind.rows("surroundings"))
 
     @property
     def observations(self) -> dict[str, npt.NDArray[Any]]:
         """The channels that a fit compares with its prediction: name -> (T,), SI."""
-        measured = self._of_kinds(PREDICTED[self.model])
+        measured = self._of_rows(self.kind.outputs)
         if self.observed is None:
             return measured
         return {name: measured[name] for name in self.observed if name in measured}
@@ -131,22 +137,16 @@ class Run:
     def require_observations(self) -> None:
         """Raise `InputError` if the run holds nothing that a fit could compare."""
         if not self.observations:
-            examples = {
-                "arm": "linkNN_z_m or jointNN_angle_deg",
-                "hysteresis": "output or angle_deg",
-                "joint": "contraction or force_N",
-                "muscle": "force_N",
-            }
             raise InputError(
                 f"{self.path or self.name} holds no measured channel to fit: it must have at least "
-                f"one, such as {examples[self.model]}, so add its column"
+                f"one, such as {self.kind.measured}, so add its column"
             )
 
-    def _of_kinds(self, kinds: tuple[str, ...]) -> dict[str, npt.NDArray[Any]]:
+    def _of_rows(self, rows: tuple[str, ...]) -> dict[str, npt.NDArray[Any]]:
         return {
             name: self.values[name]
             for name, channel in self.channels.items()
-            if channel.kind in kinds
+            if channel.kind in rows
         }
 
 
@@ -181,11 +181,17 @@ def stated_noise(stated: Noise, channel: Channel) -> float | None:
             recorded = parse_column(column)
             if recorded.name == channel.name:
                 return float(recorded.to_si(deviation))
-    for key, (kinds, quantity, unit) in _NOISE_KEYS.items():
-        deviation = getattr(stated, key)
-        if channel.kind in kinds and deviation is not None:
-            return float(to_si(quantity, unit, deviation))
-    return None
+    key = NOISE_KEYS.get(channel.kind)
+    of_quantity = None if key is None else getattr(stated, key)
+    if key is None or of_quantity is None:
+        return None
+    return float(to_si(*_unit_of(key), of_quantity))
+
+
+def _unit_of(key: str) -> tuple[str, str]:
+    """Quantity and unit of a key of `[noise]`, which ends in its unit."""
+    unit = key.partition("_")[2]
+    return QUANTITY_OF_SUFFIX[unit], unit
 
 
 def _noise_section(noise: Mapping[str, float], channels: Mapping[str, Channel]) -> dict[str, Any]:
@@ -193,8 +199,7 @@ def _noise_section(noise: Mapping[str, float], channels: Mapping[str, Channel]) 
     for name, deviation in noise.items():
         if name in _NOISE_QUANTITIES:
             key = _NOISE_QUANTITIES[name]
-            _, quantity, unit = _NOISE_KEYS[key]
-            section[key] = float(from_si(quantity, unit, deviation))
+            section[key] = float(from_si(*_unit_of(key), deviation))
         elif name in channels:
             section[channels[name].column] = float(channels[name].from_si(deviation))
         else:

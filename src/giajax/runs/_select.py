@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from .._errors import InputError
+from ..kinds import InitialSection
 from ._channels import Channel
 from ._run import Run
 
@@ -60,7 +61,7 @@ def windows(run: Run, length: float) -> list[Run]:
     Raises `InputError` if the initial state is stated and would be that of every window, if the
     run has no times, or if a window would hold fewer than four samples or none of a channel.
     """
-    initial = run.definition.initial
+    initial = run.definition.section(InitialSection)
     if not initial.first_row:
         raise InputError(
             f"'{run.name}' is to be cut into windows, each of which needs its own initial state; "

@@ -15,8 +15,8 @@ import numpy.typing as npt
 import polars as pl
 
 from .._errors import InputError
+from .._words import shown
 from ._channels import Channel, nearest, parse_column, parse_columns
-from ._words import shown
 
 _MISSING = ("", "nan", "na")
 _NUMBER = re.compile(

@@ -1,5 +1,12 @@
 """Motion over time: inputs, integration by diffrax, and its result."""
 
+from ._disturbances import (
+    STEPS_FOR as STEPS_FOR,
+    StepsFor as StepsFor,
+    check_steps_for as check_steps_for,
+    is_disturbance as is_disturbance,
+)
+from ._integrate import integrate as integrate
 from ._signal import (
     Signal as Signal,
     constant as constant,
@@ -12,7 +19,6 @@ from ._signal import (
 from ._simulate import (
     MAX_STEPS as MAX_STEPS,
     check_wind as check_wind,
-    integrate as integrate,
     simulate as simulate,
 )
 from ._solvers import SOLVERS as SOLVERS

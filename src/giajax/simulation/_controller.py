@@ -1,17 +1,12 @@
 """Step-size control: steps that derivatives survive, too, and an end to a motion that cannot go on.
 
-A step-size controller sees the errors of the motion, not those of its derivatives. An arm at rest
-has no error at all, and one that moves in a plane has none across it: the steps then grow until
-they are unstable for what a derivative sets swinging there, by a wind across or a first angle.
-Derivatives by parameters of links, joints and air are safe, because they move only what moves
-already; the others are given shorter steps.
+Where such steps are needed, and why, stands in `_disturbances`.
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import diffrax
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 
@@ -31,14 +26,24 @@ _STABLE: dict[type[diffrax.AbstractSolver], float] = {
 }
 
 
+class Rates(NamedTuple):
+    """Rates of the fastest motions that an arm is capable of (`fastest_rate`), 1/s.
+
+    Attributes:
+        all: of all motions.
+        explicit: of those that the method does not take implicitly.
+    """
+
+    all: Scalar
+    explicit: Scalar
+
+
 def step_size_controller(
     solver: diffrax.AbstractSolver,
     rtol: Scalar,
     atol: Scalar,
     corners: Array,
-    rate: Scalar,
-    explicit_rate: Scalar,
-    disturbances: Any,
+    rates: Rates | None = None,
 ) -> diffrax.AbstractStepSizeController:
     """Control to the tolerances that steps neither over a corner nor too far, and never hangs.
 
@@ -46,31 +51,17 @@ def step_size_controller(
         solver: the integration method.
         rtol, atol: tolerances of a step.
         corners: times that no step may cross, s.
-        rate: of the fastest motion that the arm is capable of (`fastest_rate`), 1/s.
-        explicit_rate: of the fastest one that the method does not take implicitly, 1/s.
-        disturbances: the arrays whose derivatives may move what is at rest.
+        rates: of what a derivative may set swinging; None where the motion alone counts.
     """
-    careful = jax.lax.stop_gradient(_is_differentiated(disturbances)) == 1
-    slowness = jnp.where(careful, 1 / rate, jnp.inf)
-    stable = jnp.where(careful, 1 / explicit_rate, jnp.inf)
+    slowness = stable = jnp.full((), jnp.inf)
+    if rates is not None:
+        slowness = 1 / rates.all
+        stable = _STABLE.get(type(solver), jnp.inf) / rates.explicit
     controller = diffrax.PIDController(rtol=rtol, atol=atol)
     return diffrax.ClipStepSizeController(
-        _Careful(controller, _STABLE.get(type(solver), jnp.inf) * stable, slowness),
+        _Careful(controller, stable, slowness),
         jump_ts=corners,
     )
-
-
-@eqx.filter_custom_jvp
-def _is_differentiated(tree: Any) -> Array:
-    """1 where a derivative is being taken by something in `tree`, else 0."""
-    return jnp.zeros(())
-
-
-@_is_differentiated.def_jvp
-def _is_differentiated_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
-    # Tangents that are known to be zero are None here.
-    differentiated = bool(jax.tree.leaves(tangents))
-    return jnp.full((), differentiated, dtype=jnp.result_type(float)), jnp.zeros(())
 
 
 def fastest_rate(arm: Arm, angles: Float[Array, " joint"], *, springs: bool = True) -> Scalar:
@@ -143,8 +134,8 @@ class _Careful(diffrax.AbstractAdaptiveStepSizeController):
         keep, next_t0, next_t1, jump, state, result = self.controller.adapt_step_size(
             t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
         )
-        # At rest nothing tells how long a step may be for the derivatives to be as exact as the
-        # motion, but for the tolerance: an oscillation of size 1 would ask for about this.
+        # At rest nothing but the tolerance limits how long a step may be for the derivatives to be
+        # as exact as the motion: an oscillation of size 1 would ask for about this.
         tolerance = jnp.maximum(self.rtol, self.atol)
         exact = 25 * tolerance ** (1 / error_order) * self.slowness
         resting = jnp.all(jnp.abs(y_error) <= 1e-6 * tolerance)  # but for rounding

@@ -25,7 +25,7 @@ def adjoint(derivatives: str) -> diffrax.AbstractAdjoint:
     if derivatives == "reverse":
         return diffrax.RecursiveCheckpointAdjoint()
     raise InputError(
-        f"derivatives={derivatives!r} is unknown; use 'forward' (few parameters: jax.jvp, "
+        f"derivatives={derivatives!r} is unknown: use 'forward' (few parameters: jax.jvp, "
         "jax.jacfwd) or 'reverse' (many parameters: jax.grad, jax.vjp)"
     )
 
@@ -37,7 +37,7 @@ def guard_outputs(tree: T, derivatives: str) -> T:
     return eqxi.nondifferentiable_backward(
         tree,
         msg="simulate(derivatives='forward') was differentiated in reverse mode (jax.grad, "
-        "jax.vjp); call it with derivatives='reverse', or use jax.jvp or jax.jacfwd",
+        "jax.vjp): call it with derivatives='reverse', or use jax.jvp or jax.jacfwd",
     )
 
 
@@ -51,7 +51,7 @@ def guard_inputs(tree: T, derivatives: str) -> T:
     except TypeError:
         raise TypeError(
             "simulate(derivatives='reverse') was differentiated in forward mode (jax.jvp, "
-            "jax.jacfwd); call it with derivatives='forward', or use jax.grad or jax.vjp"
+            "jax.jacfwd): call it with derivatives='forward', or use jax.grad or jax.vjp"
         ) from None
     return eqx.combine(arrays, rest)
 

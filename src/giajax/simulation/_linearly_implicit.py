@@ -5,105 +5,25 @@ Here the springs and dampers of the joints are implicit, and nothing else is.
 """
 
 from collections.abc import Callable
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import diffrax
 import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from .._typing import Array, Bool, Float, Scalar
+from ._interpolation import QuinticInterpolation, State
+from ._tableau import tableau
 
-State = Float[Array, "2 joint"]
 # Whether the slope at the start of the next step is known, and the slope.
 Carried = tuple[Bool[Array, ""], State]
-Springs = tuple[Float[Array, "joint joint"], Float[Array, " joint"], Float[Array, " joint"]]
 
+Springs = tuple[Float[Array, "joint joint"], Float[Array, " joint"], Float[Array, " joint"]]
 
 # The embedded method is so near to the method itself that its difference understates the error;
 # with this a tolerance means about the same error of an arm's motion as with Tsit5.
 _CAUTION = 10.0
-
-
-def _rows(tableau: diffrax.ButcherTableau) -> np.ndarray:
-    """The matrix of a method as a square, and below it the weights of the end of the step."""
-    size = len(tableau.b_sol)
-    matrix = np.zeros((size + 1, size + 1))
-    for row, lower in enumerate((*tableau.a_lower, tableau.b_sol), start=1):
-        matrix[row, : len(lower)] = lower
-    if tableau.a_diagonal is not None:
-        matrix[range(size), range(size)] = tableau.a_diagonal
-    return matrix
-
-
-class Tableau(NamedTuple):
-    """The coefficients of an additive Runge-Kutta method as a W-method.
-
-    Attributes:
-        combine: of which slopes h f(Y) and of which h J (Y - y0) each stage is made, the first
-            stage being the start and the last row the end of the step.
-        times: of the stages, as fractions of the step.
-        error: of which slopes the error of the step is made.
-        gamma: the diagonal of the implicit method.
-    """
-
-    combine: np.ndarray
-    times: np.ndarray
-    error: np.ndarray
-    gamma: float
-
-
-def tableau() -> Tableau:
-    """The coefficients of ARK5(4)8L[2]SA."""
-    explicit, implicit = diffrax.KenCarp5.tableau.tableaus
-    combine = _rows(explicit)
-    # The rows of both have the same sums, so that J y0 drops out of their difference.
-    springs = _rows(implicit) - combine
-    gamma = float(springs[1, 1])
-    np.fill_diagonal(springs, 0)
-    return Tableau(
-        np.concatenate([combine, springs], axis=1),
-        np.concatenate([[0], explicit.c, [1]]),
-        np.append(explicit.b_error, 0),
-        gamma,
-    )
-
-
-class QuinticInterpolation(diffrax.AbstractLocalInterpolation):
-    """Angles by the polynomial through angles, rates and accelerations at both ends of a step.
-
-    The rates are its slope. Both are of the fifth order, as the method is; the interpolation that
-    Kennedy and Carpenter give is of the third.
-    """
-
-    t0: Scalar  # type: ignore[misc]
-    t1: Scalar  # type: ignore[misc]
-    y0: State
-    y1: State
-    f0: State
-    f1: State
-
-    def evaluate(self, t0: Any, t1: Any | None = None, left: bool = True) -> State:
-        """The state at a time, or the change between two."""
-        del left
-        if t1 is not None:
-            return self.evaluate(t1) - self.evaluate(t0)
-        step = self.t1 - self.t0
-        # A step of no length occurs between corners that differ by rounding.
-        step = jnp.where(step == 0, 1, step)
-        x = (t0 - self.t0) / step
-        start, end = self.y0[0], self.y1[0]
-        v0, v1 = step * self.y0[1], step * self.y1[1]
-        a0, a1 = step**2 * self.f0[1], step**2 * self.f1[1]
-        # What is left to reach at the end after a motion with the acceleration of the start.
-        angle, rate, bend = end - start - v0 - a0 / 2, v1 - v0 - a0, a1 - a0
-        c3 = 10 * angle - 4 * rate + bend / 2
-        c4 = -15 * angle + 7 * rate - bend
-        c5 = 6 * angle - 3 * rate + bend / 2
-        angles = start + x * (v0 + x * (a0 / 2 + x * (c3 + x * (c4 + x * c5))))
-        rates = v0 + x * (a0 + x * (3 * c3 + x * (4 * c4 + x * 5 * c5)))
-        return jnp.stack([angles, rates / step])
 
 
 class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
@@ -168,15 +88,15 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
         )
 
         def advance(parts: Array, stage: Array) -> tuple[Array, tuple[State, State]]:
-            given = jnp.sum(combine[stage][:, None, None] * parts, axis=0)
+            known_part = jnp.sum(combine[stage][:, None, None] * parts, axis=0)
             # The end of the step is a sum, not a stage.
-            change = jnp.where(stage == end, given, solve(given))
+            change = jnp.where(stage == end, known_part, solve(known_part))
             # Not beyond the end by rounding, where the next piece of the command may start.
             time = jnp.minimum(t0 + times[stage] * step, t1)
             slope = terms.vf(time, y0 + change, args)
             parts = parts.at[stage].set(step * slope)
             # h J (Y - y0)
-            parts = parts.at[end + 1 + stage].set((change - given) / gamma)
+            parts = parts.at[end + 1 + stage].set((change - known_part) / gamma)
             return parts, (y0 + change, slope)
 
         # In a loop the equation of motion is compiled once.
@@ -205,8 +125,8 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
         )
         inverse = half.T @ half
 
-        def solve(given: State) -> State:
-            angles, rates = given
+        def solve(right_side: State) -> State:
+            angles, rates = right_side
             rates = rates - inverse @ (spring * angles + damper * rates)
             return jnp.stack([angles + scale * rates, rates])
 

@@ -24,6 +24,11 @@ class Signal(eqx.Module):
 
     From knot i on, until the next knot, the value is `values[i] + slopes[i] * (t - times[i])`;
     before the first knot it is `values[0]`.
+
+    Arguments:
+        times: of the knots, increasing, s, shape (knot,).
+        values: just after each knot, shape (knot, width).
+        slopes: after each knot, per second, shape (knot, width).
     """
 
     times: Float[Array, " knot"]
@@ -59,7 +64,14 @@ class Signal(eqx.Module):
 
 
 def constant(value: Any) -> Signal:
-    """A signal that never changes; `value` has shape (width,) and may be differentiated."""
+    """A signal that never changes.
+
+    Arguments:
+        value: shape (width,); may be differentiated.
+
+    Returns:
+        The signal; its one knot is at 0 s.
+    """
     value = jnp.atleast_1d(jnp.asarray(value, dtype=jnp.result_type(float)))
     return _signal(np.zeros(1), value[None], np.zeros((1, value.size)))
 
@@ -70,6 +82,9 @@ def steps(times: Any, values: Any) -> Signal:
     Arguments:
         times: strictly increasing, shape (row,), s.
         values: shape (row, width).
+
+    Returns:
+        The signal; rows that repeat the one before are left out.
     """
     times, values = _rows(times, values)
     changes = np.concatenate([[True], np.any(values[1:] != values[:-1], axis=1)])
@@ -77,7 +92,7 @@ def steps(times: Any, values: Any) -> Signal:
 
 
 def ramps(times: Any, values: Any, *, tolerance: float = 1e-5) -> Signal:
-    """A signal that is linear between the given values and holds the last one.
+    """A signal that is linear between its rows and holds the last one.
 
     Rows that lie on a straight line between their neighbours are merged, so that a log at
     10 Hz of one ramp leaves two corners, not fifty.
@@ -87,6 +102,9 @@ def ramps(times: Any, values: Any, *, tolerance: float = 1e-5) -> Signal:
         values: shape (row, width).
         tolerance: how far a merged row may lie off the line, as a fraction of the largest value;
             the default merges rows that were rounded to six digits.
+
+    Returns:
+        The signal; rows on a straight line between their neighbours are left out.
     """
     times, values = _rows(times, values)
     allowed = tolerance * max(np.abs(values).max(), 1e-300)
@@ -100,6 +118,14 @@ def ramps(times: Any, values: Any, *, tolerance: float = 1e-5) -> Signal:
 def logged(times: Any, values: Any, interpolation: str = "linear") -> Signal:
     """A signal through logged rows: `zoh` holds each row until the next, `linear` joins them.
 
+    Arguments:
+        times: strictly increasing, shape (row,), s.
+        values: shape (row, width).
+        interpolation: "zoh" or "linear".
+
+    Returns:
+        The signal.
+
     Raises:
         InputError: another interpolation, or times that do not increase.
     """
@@ -107,16 +133,19 @@ def logged(times: Any, values: Any, interpolation: str = "linear") -> Signal:
         return steps(times, values)
     if interpolation == "linear":
         return ramps(times, values)
-    raise InputError(f"the interpolation {interpolation!r} is unknown; use 'zoh' or 'linear'")
+    raise InputError(f"the interpolation {interpolation!r} is unknown: use 'zoh' or 'linear'")
 
 
 def joint_steps(joints: int, angles: Mapping[int, float], *, time: float = 0.0) -> Signal:
-    """A command that steps at one time from the straight arm to the given angles.
+    """A command that steps at one time from the straight arm to other angles.
 
     Arguments:
         joints: number of joints of the arm.
         angles: commanded angle by joint number (1 is the base joint), rad.
         time: of the step, s.
+
+    Returns:
+        The command, in rad, with one column for each joint.
 
     Example:
         >>> import giajax
@@ -129,15 +158,20 @@ def joint_steps(joints: int, angles: Mapping[int, float], *, time: float = 0.0) 
 def joint_ramps(
     joints: int, angles: Mapping[int, float], *, start: float = 0.0, duration: float = 1.0
 ) -> Signal:
-    """A command that moves linearly from the straight arm to the given angles.
+    """A command that moves linearly from the straight arm to other angles.
 
     Arguments:
         joints: number of joints of the arm.
         angles: commanded angle at the end by joint number (1 is the base joint), rad.
         start, duration: of the movement, s.
+
+    Returns:
+        The command, in rad, with one column for each joint.
     """
     if not duration > 0:
-        raise InputError(f"a ramp of {duration} s is no ramp; use joint_steps for a step")
+        raise InputError(
+            f"a ramp lasts {duration} s: give a positive duration, or use joint_steps for a step"
+        )
     return ramps([start, start + duration], [np.zeros(joints), _target(joints, angles)])
 
 
@@ -145,7 +179,7 @@ def _target(joints: int, angles: Mapping[int, float]) -> np.ndarray:
     target = np.zeros(joints)
     for joint, angle in angles.items():
         if not 1 <= joint <= joints:
-            raise InputError(f"the arm has joints 1 to {joints}; joint {joint} is not one of them")
+            raise InputError(f"joint {joint} is not in the arm: give a number from 1 to {joints}")
         target[joint - 1] = angle
     return target
 
@@ -158,13 +192,17 @@ def _rows(times: Any, values: Any) -> tuple[np.ndarray, np.ndarray]:
     times, values = np.asarray(times, dtype=float), np.asarray(values, dtype=float)
     if times.ndim != 1 or values.ndim != 2 or len(times) != len(values) or len(times) == 0:
         raise InputError(
-            f"a signal needs times of shape (row,) and values of shape (row, width); "
-            f"given {times.shape} and {values.shape}"
+            f"the times and values of a signal have shapes {times.shape} and {values.shape}: give "
+            "them the shapes (row,) and (row, width)"
         )
     if not (np.all(np.isfinite(times)) and np.all(np.isfinite(values))):
-        raise InputError("a signal needs finite times and values; fill or drop the missing rows")
+        raise InputError(
+            "the times or values of a signal are not finite: fill or drop the missing rows"
+        )
     if np.any(np.diff(times) <= 0):
-        raise InputError("the times of a signal must increase strictly; sort them and drop doubles")
+        raise InputError(
+            "the times of a signal do not increase strictly: sort them and drop doubles"
+        )
     return times, values
 
 

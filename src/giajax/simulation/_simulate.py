@@ -2,26 +2,22 @@
 
 from typing import Any
 
-import diffrax
-import equinox.internal as eqxi
 import jax.numpy as jnp
 import numpy as np
 
 from .._errors import InputError
-from .._program import program
-from .._typing import Array, Float, Scalar
+from .._typing import Array, Float
 from ..arm import Arm
 from ..parameters import is_concrete
-from ._controller import fastest_rate, step_size_controller
 from ._derivatives import Derivatives, adjoint, guard_inputs, guard_outputs
-from ._linearly_implicit import LinearlyImplicit
-from ._motion import Inputs, motion
+from ._disturbances import StepsFor, check_steps_for, refuse_disturbances
+from ._integrate import integrate
 from ._signal import Signal, constant
 from ._solvers import solver as solver_named
-from ._trajectory import RESULTS, SimulationError, Trajectory
+from ._trajectory import SimulationError, Trajectory
 
 MAX_STEPS = 100_000
-"""Step limit of a simulation when nothing is said."""
+"""Step limit of a simulation by default."""
 
 
 def simulate(
@@ -37,6 +33,7 @@ def simulate(
     atol: Any = 1e-6,
     max_steps: int = MAX_STEPS,
     derivatives: Derivatives = "forward",
+    steps_for: StepsFor = "motion",
     throw: bool = True,
 ) -> Trajectory:
     """Simulate the motion of an arm.
@@ -47,7 +44,7 @@ def simulate(
     Arguments:
         arm: the arm.
         command: commanded angles over time, rad; width = number of joints.
-        times: increasing times at which the motion is wanted, s, shape (sample,).
+        times: increasing times of the samples, s, shape (sample,).
         wind: velocity of the air in the base frame, m/s: a signal of width 3, three numbers, or
             None for still air. With added mass it must not jump: the force would be infinite.
         torque: of the joints' drives over time, beside springs and dampers, N m; width = number
@@ -60,13 +57,23 @@ def simulate(
         max_steps: step limit.
         derivatives: "forward" for few parameters (`jax.jvp`, `jax.jacfwd`); "reverse" for many
             (`jax.grad`), which keeps about the square root of the number of steps in memory.
+        steps_for: "motion" for steps that the motion needs, whose derivatives by links, joints
+            and air are as exact as it is; "derivatives" for steps that are stable for whatever
+            is at rest, too, as derivatives by a disturbance need: the command, the wind, the
+            torque, the initial state, or the arm's base rotation, gravity, wind, buoyancy and
+            point masses. Those are shorter where stiff joints rest; the value of the simulation
+            is the same with and without derivatives.
         throw: raise when the simulation fails; otherwise read `Trajectory.result`.
+
+    Returns:
+        The motion at the times, with angles (rad), rates (rad/s) and how the simulation ended.
 
     Raises:
         InputError: shapes that do not fit the arm, times that do not increase, an unknown
-            solver or mode.
+            solver, mode or choice of steps.
         SimulationError: the simulation failed and `throw` is true.
         RuntimeError, TypeError: differentiated in the mode that was not asked for.
+        TypeError: differentiated by a disturbance with `steps_for="motion"`.
 
     Example:
         >>> import giajax, jax.numpy as jnp
@@ -84,6 +91,9 @@ def simulate(
     _check(arm, command, times, wind, torque)
     solver_named(solver)  # refuse a wrong name before anything is compiled
     adjoint(derivatives)
+    check_steps_for(steps_for)
+    # Behind the guard below everything seems to be differentiated.
+    rtol = rtol + refuse_disturbances(steps_for, arm, (command, wind, torque, state))
     arm, command, wind, torque, state = guard_inputs(
         (arm, command, wind, torque, state), derivatives
     )
@@ -98,6 +108,7 @@ def simulate(
         solver=solver,
         max_steps=max_steps,
         derivatives=derivatives,
+        steps_for=steps_for,
     )
     trajectory = guard_outputs(trajectory, derivatives)
     if throw:
@@ -116,7 +127,7 @@ def _initial_state(arm: Arm, initial: tuple[Any, Any] | None) -> Float[Array, "2
     angles, rates = (jnp.asarray(part, dtype=dtype) for part in initial)
     if angles.shape != (arm.count,) or rates.shape != (arm.count,):
         raise InputError(
-            f"the initial angles and rates have shapes {angles.shape} and {rates.shape}; "
+            f"the initial angles and rates have shapes {angles.shape} and {rates.shape}: "
             f"give one value for each of the {arm.count} joints"
         )
     return jnp.stack([angles, rates])
@@ -127,25 +138,30 @@ def _check(
 ) -> None:
     if command.width != arm.count:
         raise InputError(
-            f"the command drives {command.width} joints and the arm has {arm.count}; "
+            f"the command drives {command.width} joints and the arm has {arm.count}: "
             "give one column per joint"
         )
     if wind is not None and wind.width != 3:
-        raise InputError(f"the wind has {wind.width} components; give x, y and z")
+        raise InputError(f"the wind has {wind.width} components: give x, y and z")
     if torque is not None and torque.width != arm.count:
         raise InputError(
-            f"the torque drives {torque.width} joints and the arm has {arm.count}; "
+            f"the torque drives {torque.width} joints and the arm has {arm.count}: "
             "give one column per joint"
         )
     check_wind(arm, wind)
     if times.ndim != 1 or times.shape[0] < 2:
-        raise InputError(f"times has shape {times.shape}; give at least two times in one row")
+        raise InputError(f"times has shape {times.shape}: give at least two times in one row")
     if is_concrete(times) and not np.all(np.diff(np.asarray(times)) > 0):
-        raise InputError("times must increase strictly; sort them and drop doubles")
+        raise InputError("the times do not increase strictly: sort them and drop doubles")
 
 
 def check_wind(arm: Arm, wind: Signal | None) -> None:
     """Refuse a wind that jumps where the arm has added mass.
+
+    Arguments:
+        arm: the arm.
+        wind: velocity of the air over time; None for still air. While a program is traced nothing
+            is checked.
 
     Raises:
         InputError: the jump would be an infinite force for no time.
@@ -154,88 +170,6 @@ def check_wind(arm: Arm, wind: Signal | None) -> None:
         return
     if bool(wind.jumps):
         raise InputError(
-            "the wind jumps, and with added mass the force of that is infinite; give a wind that "
+            "the wind jumps, and with added mass the force of that is infinite: give a wind that "
             'is linear between its rows (interpolation = "linear")'
         )
-
-
-@program
-def integrate(
-    arm: Arm,
-    command: Signal,
-    times: Float[Array, " sample"],
-    wind: Signal | None,
-    torque: Signal | None,
-    state: Float[Array, "2 joint"],
-    tolerances: tuple[Scalar, Scalar],
-    *,
-    solver: str,
-    max_steps: int,
-    derivatives: str,
-    span: tuple[Scalar, Scalar] | None = None,
-) -> Trajectory:
-    """The compiled core of `simulate`: no checks, never raises.
-
-    `span` is from when to when to integrate, where that is not from the first to the last time.
-    """
-    begin, end = (times[0], times[-1]) if span is None else span
-    inputs = [signal for signal in (command, wind, torque) if signal is not None]
-    corners = jnp.concatenate([signal.times for signal in inputs])
-    rtol, atol = tolerances
-    method = solver_named(solver)
-    rate = fastest_rate(arm, state[0])
-    implicit = isinstance(method, LinearlyImplicit)
-    solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(motion),
-        method,
-        t0=begin,
-        t1=end,
-        dt0=None,
-        y0=state,
-        args=Inputs(arm, command, wind, torque, eqxi.prevbefore(end)),
-        saveat=diffrax.SaveAt(ts=times),
-        stepsize_controller=step_size_controller(
-            method,
-            rtol,
-            atol,
-            corners,
-            rate=rate,
-            explicit_rate=fastest_rate(arm, state[0], springs=False) if implicit else rate,
-            disturbances=(
-                (inputs, state, arm.base_rotation, arm.gravity, arm.air.wind),
-                (arm.buoyancy, arm.point_masses),
-            ),
-        ),
-        adjoint=adjoint(derivatives),
-        max_steps=max_steps,
-        throw=False,
-    )
-    assert solution.ys is not None
-    angles, rates = solution.ys[:, 0], solution.ys[:, 1]
-    steps = jnp.stack(
-        [
-            jnp.asarray(solution.stats["num_accepted_steps"]),
-            jnp.asarray(solution.stats["num_rejected_steps"]),
-        ]
-    )
-    return Trajectory(
-        times=times,
-        angles=angles,
-        rates=rates,
-        arm=arm,
-        command=command,
-        wind=wind,
-        result=_result(solution, jnp.all(jnp.isfinite(solution.ys))),
-        steps=steps,
-    )
-
-
-def _result(solution: diffrax.Solution, finite: Array) -> RESULTS:
-    def where(condition: Any, code: Any, otherwise: Any) -> Any:
-        return RESULTS.where(condition, code, otherwise)
-
-    ended = solution.result
-    code = where(finite, RESULTS.successful, RESULTS.not_finite)
-    code = where(ended == diffrax.RESULTS.successful, code, RESULTS.not_finite)
-    code = where(ended == diffrax.RESULTS.dt_min_reached, RESULTS.step_too_small, code)
-    return where(ended == diffrax.RESULTS.max_steps_reached, RESULTS.max_steps_reached, code)

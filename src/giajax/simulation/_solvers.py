@@ -30,5 +30,5 @@ def solver(name: str) -> diffrax.AbstractAdaptiveSolver:
         InputError: there is no such solver.
     """
     if name not in SOLVERS:
-        raise InputError(f"there is no solver '{name}'; use one of: {', '.join(SOLVERS)}")
+        raise InputError(f"there is no solver '{name}': use one of {', '.join(SOLVERS)}")
     return SOLVERS[name]()

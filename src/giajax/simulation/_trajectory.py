@@ -16,12 +16,12 @@ class RESULTS(eqx.Enumeration):
 
     successful = ""
     max_steps_reached = (
-        "the simulation reached its step limit before the last time; raise max_steps, loosen "
+        "the simulation reached its step limit before the last time: raise max_steps, loosen "
         "rtol and atol, or choose solver='springs5' for a stiff arm"
     )
-    not_finite = "the simulation became infinite or NaN; check the parameters and the initial state"
+    not_finite = "the simulation became infinite or NaN: check the parameters and the initial state"
     step_too_small = (
-        "the simulation needs steps smaller than floating point resolves; loosen rtol and atol, "
+        "the simulation needs steps smaller than floating point resolves: loosen rtol and atol, "
         "or check the parameters"
     )
 
@@ -31,7 +31,7 @@ class SimulationError(RuntimeError):
 
 
 class Trajectory(eqx.Module):
-    """Motion of an arm at given times.
+    """Motion of an arm at its samples.
 
     Attributes:
         times: s, shape (sample,).

@@ -7,11 +7,14 @@ from ._choose import (
     choice_hint as choice_hint,
     choose_hysteresis as choose_hysteresis,
 )
-from ._compare import compare as compare
+from ._compare import Comparison as Comparison, compare as compare
 from ._multi_start import (
     SAME_END as SAME_END,
+    SEED as SEED,
+    SPREAD as SPREAD,
     misfit as misfit,
     multi_start as multi_start,
+    solve_from_starts as solve_from_starts,
 )
 from ._planned import planned as planned
 from ._sensitivity import Sensitivity as Sensitivity, sensitivity as sensitivity

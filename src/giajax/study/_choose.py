@@ -9,6 +9,7 @@ import numpy as np
 
 from .._errors import InputError
 from ..fitting import FitResult, fit
+from ..kinds import HysteresisSection
 from ..models import HysteresisModel, hysteresis_keys, model_for
 from ..parameters import default_free
 from ..runs import Definition, Run
@@ -130,7 +131,8 @@ def choice_hint(runs: Sequence[Run], paths: Sequence[str]) -> str:
         paths: of their files.
     """
     if any(
-        run.model != HysteresisModel.kind or run.definition.hysteresis.operator is not None
+        run.model != HysteresisModel.kind
+        or run.definition.section(HysteresisSection).operator is not None
         for run in runs
     ):
         return ""

@@ -2,13 +2,44 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
-from ..fitting import fit, prediction_errors
+from ..fitting import PredictionErrors, errors_of, fit, prediction_errors
 from ..models import AbstractModel
 from ..runs import Definition, Run
+
+
+@dataclasses.dataclass(frozen=True)
+class Comparison:
+    """Errors of prediction of one channel, in the unit of the recording.
+
+    Attributes:
+        run: name of the run; "all N" for N runs together.
+        channel: its name, without unit.
+        unit: of the recording.
+        n: number of measured values.
+        rmse: root mean square error of the model.
+        largest: largest absolute error of the model.
+        reference_rmse: root mean square error of the other model; None without one.
+        pooled: whether several runs are taken together.
+    """
+
+    run: str
+    channel: str
+    unit: str
+    n: int
+    rmse: float
+    largest: float
+    reference_rmse: float | None = None
+    pooled: bool = False
+
+    @property
+    def ratio(self) -> float | None:
+        """Error of the model relative to that of the other one; None without one."""
+        if self.reference_rmse is None:
+            return None
+        return self.rmse / self.reference_rmse if self.reference_rmse else float("nan")
 
 
 def compare(
@@ -17,7 +48,7 @@ def compare(
     other: AbstractModel | None = None,
     *,
     refit_initial: bool = False,
-) -> list[list[Any]]:
+) -> list[Comparison]:
     """Errors of prediction, channel by channel.
 
     Arguments:
@@ -27,50 +58,70 @@ def compare(
         refit_initial: fit the initial state of each run first, for each model by itself.
 
     Returns:
-        Rows: run, channel, unit, number of values, RMSE, largest error, and with another model
-        its RMSE and the ratio of the first to it; errors in the unit of the recording.
+        A comparison for each channel of each run, and of several runs for each channel of all
+        of them together.
 
     Raises:
         InputError: as `giajax.predict` and `giajax.fit`.
     """
-    rows = []
+    comparisons = []
     for run in runs:
         errors = _errors(model, run, refit_initial)
-        others = None if other is None else _errors(other, run, refit_initial)
-        for name, found in errors.items():
-            row = [run.name, name, found["unit"], found["n"], found["rmse"], found.get("largest")]
-            if others is not None:
-                reference = others[name]["rmse"]
-                row += [reference, found["rmse"] / reference if reference else np.nan]
-            rows.append(row)
-    return rows if len(runs) == 1 else [*rows, *_pooled(rows)]
+        reference = None if other is None else _errors(other, run, refit_initial)
+        comparisons += [
+            Comparison(
+                run=run.name,
+                channel=name,
+                unit=channel.unit,
+                n=channel.n,
+                rmse=_known(channel.rmse),
+                largest=_known(channel.largest),
+                reference_rmse=None if reference is None else reference.channels[name].rmse,
+            )
+            for name, channel in errors.channels.items()
+        ]
+    return comparisons if len(runs) == 1 else [*comparisons, *_pooled(comparisons)]
 
 
-def _pooled(rows: Sequence[list[Any]]) -> list[list[Any]]:
-    """One row a channel for all runs together."""
-    by_channel: dict[tuple[str, str], list[list[Any]]] = {}
-    for row in rows:
-        by_channel.setdefault((row[1], row[2]), []).append(row)
+def _known(error: float | None) -> float:
+    """An error that was computed; None, which only a file holds, was not finite."""
+    return float("inf") if error is None else error
+
+
+def _pooled(comparisons: Sequence[Comparison]) -> list[Comparison]:
+    """One comparison a channel for all runs together."""
+    by_channel: dict[tuple[str, str], list[Comparison]] = {}
+    for one in comparisons:
+        by_channel.setdefault((one.channel, one.unit), []).append(one)
     pooled = []
-    for (name, unit), those in by_channel.items():
-        counts = np.asarray([row[3] for row in those])
-
-        def together(column: int, those: Any = those, counts: Any = counts) -> float:
-            squares = np.asarray([row[column] for row in those]) ** 2
-            return float(np.sqrt(np.sum(counts * squares) / np.sum(counts)))
-
-        largest = [row[5] for row in those]
-        worst = None if None in largest else max(largest)
-        row = [f"all {len(those)}", name, unit, int(counts.sum()), together(4), worst]
-        if len(those[0]) > 6:
-            row += [together(6), together(4) / together(6)]
-        pooled.append(row)
+    for (channel, unit), those in by_channel.items():
+        counts = [one.n for one in those]
+        references = [one.reference_rmse for one in those if one.reference_rmse is not None]
+        pooled.append(
+            Comparison(
+                run=f"all {len(those)}",
+                channel=channel,
+                unit=unit,
+                n=sum(counts),
+                rmse=_together(counts, [one.rmse for one in those]),
+                largest=max(one.largest for one in those),
+                reference_rmse=_together(counts, references) if references else None,
+                pooled=True,
+            )
+        )
     return pooled
 
 
-def _errors(model: AbstractModel, run: Run, refit: bool) -> dict[str, dict[str, Any]]:
+def _together(counts: Sequence[int], errors: Sequence[float]) -> float:
+    """Root mean square error of all values of several runs."""
+    weights = np.asarray(counts) / np.sum(counts)
+    return float(np.sqrt(np.sum(weights * np.asarray(errors) ** 2)))
+
+
+def _errors(model: AbstractModel, run: Run, refit: bool) -> PredictionErrors:
     if not refit:
-        return prediction_errors(model, run)["channels"]
+        return prediction_errors(model, run)
     free = Definition.parse({"initial": {"free": True}})
     run = dataclasses.replace(run, definition=run.definition.merged_with(free))
-    return fit(model, run, free=[], check=False).runs[0]["channels"]
+    (predicted,) = fit(model, run, free=[], check=False).predictions
+    return errors_of(run, predicted)

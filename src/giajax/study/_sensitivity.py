@@ -141,7 +141,7 @@ def sensitivity(
         raise InputError(f"'{run.name}' has no measured channel: give the channels of interest")
     if not parameters:
         raise InputError("there is no parameter: give at least one path")
-    model = switched_on(model, parameters)
+    model = switched_on(model, parameters).for_derivatives(parameters)
     parts = {part.path: part for path in parameters for part in elements(model, path)}
     values = jnp.stack([jnp.asarray(part.value(model)) for part in parts.values()])
     inputs = model.prepare(run)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from .._errors import InputError
+from ..kinds import InitialSection
 from ..models import AbstractModel
 from ..parameters import default_free, get
 from ..runs import Definition, Run
@@ -61,7 +62,7 @@ def recorded_again(
     facts = {path: np.asarray(get(model, path), dtype=float).tolist() for path in (*known, *truth)}
     made = dataclasses.asdict(errors)
     facts["recording"] = {key: value for key, value in made.items() if value not in ({}, 0.0)}
-    if run.definition.initial.first_row:
+    if run.definition.section(InitialSection).first_row:
         # The first row of the new run has noise, or is not recorded.
         kept = {key: value for key, value in sections["initial"].items() if key != "first_row"}
         sections["initial"] = {**kept, **model.initial_section(prepared)}

@@ -10,14 +10,18 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Vector = Annotated[list[Finite], Field(min_length=3, max_length=3)]
 Name = Annotated[str, Field(min_length=1)]
+Count = Annotated[int, Field(ge=1)]
 
 
-def key(must: str, meaning: str, *, preset: Any = None, default: Any = None) -> Any:
+def key(
+    must: str, meaning: str, *, preset: Any = None, default: Any = None, example: Any = None
+) -> Any:
     """Declare a key once: what it must be (errors), what it means (`giajax init`).
 
-    `preset` is its value in the preset `takeichi_20m`, for the template of a sidecar.
+    `preset` is its value where a file does not state it, for the template of a sidecar; `example`
+    is what the template shows where there is none.
     """
-    extra = {"must": must, "preset": preset}
+    extra = {"must": must, "preset": preset, "example": preset if example is None else example}
     return Field(default=default, description=meaning, json_schema_extra=extra)
 
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from ..fitting import Estimate
 from ..models import AbstractModel
 from ..runs import Channel, parse_column
+from ._records import Estimate
 
 # What a declaration calls the units of the columns that a model was fitted to.
 _WORDS = ("input", "output")

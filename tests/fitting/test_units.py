@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from giajax import fit, model_for, read_run
-from giajax.fitting import Estimate
+from giajax.fitting import Estimate, in_column_units, units_note
 from giajax.report import parameter_table, summary
-from giajax.report._units import in_column_units, units_note
 
 
 def converted(unit, columns, value=2.0):

@@ -24,7 +24,7 @@ class PointMass(Section):
     up_m: Finite = key("a number", "its distance above the link's axis", default=0.0)
 
 
-class Arm(Section):
+class ArmSection(Section):
     """`[arm]`: the known constants of the arm. A number holds for all links."""
 
     preset: Name | None = key(
@@ -89,11 +89,14 @@ class Arm(Section):
         "true or false", "hang the trim weights that make each link float", preset=False
     )
     point_masses: list[PointMass] | None = key(
-        "a list of tables with link, mass_kg and position_m", "bodies fixed to links"
+        "a list of tables with link, mass_kg and position_m",
+        "bodies fixed to links",
+        example=[{"link": 20, "mass_kg": 0.003, "position_m": 0.99}],
     )
     parameters: dict[Name, Finite | list[Finite]] | None = key(
         "a table of parameter paths and numbers",
         "any other parameter by its path, SI ('giajax parameters' lists them)",
+        example={"air.added_mass_coefficient": 1.0},
     )
 
     @field_validator("parameters", mode="before")
@@ -109,7 +112,7 @@ class Arm(Section):
         return axes
 
     @model_validator(mode="after")
-    def _lists_agree(self) -> "Arm":
+    def _lists_agree(self) -> "ArmSection":
         # Without `links` the lists must still agree with each other; the run checks the rest.
         self.check_lists(self.links)
         return self
@@ -134,58 +137,80 @@ Delay = Annotated[float, Field(ge=-5, le=5, allow_inf_nan=False)]
 _DELAY = "a number from -5 to 5"
 
 
-class Sensors(Section):
+class SensorsSection(Section):
     """`[sensors]`: what is known of camera, markers and angle sensors. Unless given: exact."""
 
     camera_rotation_deg: Vector | None = key(
-        "a list of three numbers", "rotation vector of the camera frame in the base frame"
+        "a list of three numbers",
+        "rotation vector of the camera frame in the base frame",
+        example=[0.0, 5.0, 0.0],
     )
     camera_origin_m: Vector | None = key(
-        "a list of three numbers", "origin of the camera frame in the base frame"
+        "a list of three numbers",
+        "origin of the camera frame in the base frame",
+        example=[0.0, 0.1, 0.0],
     )
-    camera_scale: Positive | None = key("a positive number", "recorded over true distances")
-    camera_delay_s: Delay | None = key(_DELAY, "how long before its time stamp a position was true")
+    camera_scale: Positive | None = key(
+        "a positive number", "recorded over true distances", example=1.0
+    )
+    camera_delay_s: Delay | None = key(
+        _DELAY, "how long before its time stamp a position was true", example=0.05
+    )
     marker_along_m: Finite | list[Finite] | None = key(
-        f"a number {_PER_LINK}", "distance of a link's marker from its centre, along the link"
+        f"a number {_PER_LINK}",
+        "distance of a link's marker from its centre, along the link",
+        example=0.0,
     )
     marker_left_m: Finite | list[Finite] | None = key(
-        f"a number {_PER_LINK}", "distance of a link's marker to the left of its centre"
+        f"a number {_PER_LINK}",
+        "distance of a link's marker to the left of its centre",
+        example=0.0,
     )
     marker_up_m: Finite | list[Finite] | None = key(
-        f"a number {_PER_LINK}", "distance of a link's marker above its centre"
+        f"a number {_PER_LINK}", "distance of a link's marker above its centre", example=0.15
     )
     marker_tip_m: Vector | None = key(
-        "a list of three numbers", "offset of the tip's marker from the tip: along, left, up"
+        "a list of three numbers",
+        "offset of the tip's marker from the tip: along, left, up",
+        example=[0.0, 0.0, 0.0],
     )
     encoder_offset_deg: Finite | list[Finite] | None = key(
-        "a number or a list of them, one a joint", "what an angle sensor shows at the angle 0"
+        "a number or a list of them, one a joint",
+        "what an angle sensor shows at the angle 0",
+        example=0.0,
     )
     encoder_scale: Positive | list[Positive] | None = key(
-        "a positive number or a list of them, one a joint", "shown over true changes of an angle"
+        "a positive number or a list of them, one a joint",
+        "shown over true changes of an angle",
+        example=1.0,
     )
     encoder_delay_s: Delay | None = key(
-        _DELAY, "how long before its time stamp a joint's angle was true"
+        _DELAY, "how long before its time stamp a joint's angle was true", example=0.05
     )
 
 
-class Initial(Section):
+class InitialSection(Section):
     """`[initial]`: joint angles and rates at the first sample. Unless given: straight, at rest."""
 
     angle_deg: Finite | list[Finite] | None = key(
-        "a number or a list of them, one a joint", "joint angles at the first sample"
+        "a number or a list of them, one a joint", "joint angles at the first sample", example=0.0
     )
     rate_deg_per_s: Finite | list[Finite] | None = key(
-        "a number or a list of them, one a joint", "joint rates at the first sample"
+        "a number or a list of them, one a joint", "joint rates at the first sample", example=0.0
     )
     first_row: bool | None = key(
-        "true or false", "true: as in the first row of the joint angle and rate columns"
+        "true or false",
+        "true: as in the first row of the joint angle and rate columns",
+        example=True,
     )
     free: bool | None = key(
-        "true or false", "true: parameters of this run, which a fit finds; the others are a start"
+        "true or false",
+        "true: parameters of this run, which a fit finds; the others are a start",
+        example=True,
     )
 
     @model_validator(mode="after")
-    def _stated_once(self) -> "Initial":
+    def _stated_once(self) -> "InitialSection":
         if self.first_row and (self.angle_deg is not None or self.rate_deg_per_s is not None):
             raise ValueError(
                 "says first_row = true and angle_deg or rate_deg_per_s, but must say the state "
@@ -198,20 +223,22 @@ Interpolation = Literal["zoh", "linear"]
 _BETWEEN_ROWS = '"linear" or "zoh" (held until the next row)'
 
 
-class Command(Section):
+class CommandSection(Section):
     """`[command]`: how the joint commands run between two rows."""
 
     interpolation: Interpolation = key(
-        _BETWEEN_ROWS, "between two rows: linear, or zoh (held)", default="linear"
+        _BETWEEN_ROWS, "between two rows: linear, or zoh (held)", default="linear", example="linear"
     )
 
 
-class Wind(Section):
+class WindSection(Section):
     """`[wind]`: how the wind columns run between two rows, or a constant wind instead."""
 
     interpolation: Interpolation = key(
-        _BETWEEN_ROWS, "between two rows: linear, or zoh (held)", default="linear"
+        _BETWEEN_ROWS, "between two rows: linear, or zoh (held)", default="linear", example="linear"
     )
     velocity_m_per_s: Vector | None = key(
-        "a list of three numbers", "constant wind (x, y, z), instead of wind columns"
+        "a list of three numbers",
+        "constant wind (x, y, z), instead of wind columns",
+        example=[0.0, 0.0, 0.2],
     )

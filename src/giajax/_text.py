@@ -1,0 +1,64 @@
+"""Numbers and sentences as text."""
+
+import math
+import textwrap
+from collections.abc import Sequence
+from typing import Any
+
+# Digits of a value that has no standard error to say how many it deserves.
+_DIGITS = 6
+
+# Below this a number is written with an exponent: nobody counts five zeros.
+_LEAST_FIXED = 1e-4
+
+
+def format_estimate(value: Any, standard_error: float | None) -> tuple[str, str]:
+    """A value and its standard error with the digits that they deserve.
+
+    The error has two significant digits and the value ends at the same decimal place.
+
+    Example:
+        >>> format_estimate(1.0496623, 0.0060814)
+        ('1.0497', '0.0061')
+    """
+    if value is None:
+        return "-", "-"
+    if isinstance(value, list):
+        low, high = min(value), max(value)
+        text = f"{low:.{_DIGITS}g}"
+        return (text if low == high else f"{text} .. {high:.{_DIGITS}g}"), "-"
+    if standard_error is None or not math.isfinite(standard_error) or standard_error <= 0:
+        return f"{value:.{_DIGITS}g}", "-"
+    # Through the rounded number: 0.0999 becomes 0.10, not 0.100.
+    exponent = int(f"{standard_error:.1e}".partition("e")[2])
+    decimals = 1 - exponent
+    if max(abs(value), standard_error) >= _LEAST_FIXED and -4 <= decimals <= 7:
+        places = max(decimals, 0)
+        return (
+            f"{round(value, decimals):.{places}f}",
+            f"{round(standard_error, decimals):.{places}f}",
+        )
+    digits = 0 if value == 0 else math.floor(math.log10(abs(value))) - exponent + 1
+    return f"{value:.{min(max(digits, 0), 15)}e}", f"{standard_error:.1e}"
+
+
+def wrapped(text: str, width: int | None, first: str, others: str) -> Sequence[str]:
+    """Lines of a text; none where it is empty.
+
+    Arguments:
+        text: on one line.
+        width: columns that there are; without one nothing is wrapped.
+        first, others: what the first and the other lines begin with.
+    """
+    if not text:
+        return []
+    if width is None:
+        return [first + text]
+    return textwrap.wrap(
+        text,
+        width=max(width, len(others) + 20),
+        initial_indent=first,
+        subsequent_indent=others,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )

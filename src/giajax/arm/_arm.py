@@ -1,0 +1,67 @@
+"""The arm: a chain of rigid links, joints with a spring and a damper, and the air around it.
+
+Frame: x along the straight arm away from the base, z up, y to the left; the origin is joint 1.
+Joint i precedes link i. Angles are in radians and everything is SI.
+"""
+
+import equinox as eqx
+
+from .._errors import InputError
+from .._typing import Array, Float, Scalar
+from ..parameters import parameter
+from ._atmosphere import Air
+from ._joints import Joints
+from ._links import Links
+from ._masses import Buoyancy, PointMasses
+
+
+class Arm(eqx.Module):
+    """A chain of links in air, fixed at its base.
+
+    Build one with a preset (`takeichi_20m`) or with `chain`. Every array of it may be
+    differentiated, batched and replaced (`giajax.replace`). What is None is left out, and costs
+    nothing.
+
+    Arguments:
+        links: the rigid links.
+        joints: axes, springs and dampers.
+        air: what surrounds the links.
+        buoyancy: helium and trim weights; None where lift and weight are no part of the model.
+        point_masses: bodies fixed to links; None for none.
+        base_rotation: rotation vector of the straight arm, rad, shape (3,).
+        gravity: along -z, m/s^2.
+    """
+
+    links: Links
+    joints: Joints
+    air: Air
+    buoyancy: Buoyancy | None = None
+    point_masses: PointMasses | None = None
+    base_rotation: Float[Array, "3"] = parameter(
+        0.0,
+        unit="rad",
+        shape=(3,),
+        doc="turn of the straight arm against the base frame, as a rotation vector",
+    )
+    gravity: Scalar = parameter(
+        0.0,
+        unit="m/s^2",
+        doc="acceleration of gravity along -z; 0 where buoyancy balances weight",
+    )
+
+    def __check_init__(self) -> None:
+        if len(self.joints.axes) != self.links.count:
+            raise InputError(
+                f"{len(self.joints.axes)} joint axes for {self.links.count} links: "
+                "give one axis per link"
+            )
+        if self.point_masses is not None and max(self.point_masses.links) > self.links.count:
+            raise InputError(
+                f"a point mass is on link {max(self.point_masses.links)} of an arm of "
+                f"{self.links.count} links: correct the number"
+            )
+
+    @property
+    def count(self) -> int:
+        """Number of links, which is the number of joints and of degrees of freedom."""
+        return self.links.count

@@ -1,0 +1,93 @@
+"""The air around an arm: its properties, and which of its effects count."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+
+from .._errors import InputError
+from .._typing import Array, Float, Scalar
+from ..parameters import parameter
+
+DRAGS = ("centre", "strip")
+"""Where drag acts: at each link's centre (eq. 1), or along the link."""
+
+DRAG_CURVES = ("constant", "cylinder")
+"""How C_D depends on the Reynolds number."""
+
+
+class Air(eqx.Module):
+    """The air: by default as the paper's eq. (1) sees it, and on request all of it.
+
+    - `drag = "centre"`: eq. (1), with the full velocity of each link's centre.
+    - `drag = "strip"`: cross-flow drag, from the velocity normal to the link alone, integrated
+      along the link by `strip_points` Gauss points; `axial_coefficient` adds what acts along it.
+    - `drag_curve = "constant"`: C_D is `drag_coefficient`. "cylinder": it follows the Reynolds
+      number as that of a smooth circular cylinder does, scaled so that `drag_coefficient` is its
+      value at Re = 1e5.
+    - `added_mass_coefficient`: the air that a link must move out of its way (Kirchhoff).
+    - `wind`: a constant wind, beside that of the run.
+    """
+
+    density: Scalar = parameter(
+        1.204, unit="kg/m^3", lower=0, doc="density of the air (20 C, 1 atm)"
+    )
+    drag_coefficient: Scalar = parameter(
+        1.2,
+        unit="",
+        lower=0,
+        upper=50,
+        frozen=False,
+        assumed=True,
+        doc="drag coefficient C_D of eq. (1), referred to length times diameter",
+    )
+    axial_coefficient: Scalar | None = parameter(
+        0.02,
+        unit="",
+        lower=0,
+        upper=50,
+        optional=True,
+        assumed=True,
+        doc="coefficient of the drag along a link, referred to length times diameter (strip drag)",
+    )
+    added_mass_coefficient: Scalar | None = parameter(
+        1.0,
+        unit="",
+        lower=0,
+        upper=10,
+        optional=True,
+        doc="added mass across a link over the air that it displaces (1 for a long cylinder)",
+    )
+    wind: Float[Array, "3"] | None = parameter(
+        0.0,
+        unit="m/s",
+        shape=(3,),
+        optional=True,
+        doc="constant velocity of the air in the base frame, beside the wind of the run",
+    )
+    viscosity: Scalar = parameter(
+        1.516e-5, unit="m^2/s", lower=0, doc="kinematic viscosity of the air (20 C, 1 atm)"
+    )
+    drag: str = eqx.field(static=True, default="centre")
+    strip_points: int = eqx.field(static=True, default=3)
+    drag_curve: str = eqx.field(static=True, default="constant")
+
+    def __check_init__(self) -> None:
+        _check_choice("drag", self.drag, DRAGS)
+        _check_choice("drag_curve", self.drag_curve, DRAG_CURVES)
+        if self.strip_points < 1:
+            raise InputError(f"strip_points is {self.strip_points}: give at least 1")
+        if self.axial_coefficient is not None and self.drag == "centre":
+            raise InputError(
+                "drag = 'centre' has the full velocity already and no axial coefficient: "
+                "use drag = 'strip', or leave air.axial_coefficient out"
+            )
+
+
+def _check_choice(name: str, value: str, choices: Sequence[str]) -> None:
+    """Refuse a value that is not among the choices.
+
+    Raises:
+        InputError: naming the choices.
+    """
+    if value not in choices:
+        raise InputError(f"{name} is {value!r}: use one of {', '.join(choices)}")

@@ -1,0 +1,114 @@
+"""Load of the links: the torque that a motion needs against inertia, gravity and air."""
+
+import jax.numpy as jnp
+
+from .._maths import cross, dot, scaled
+from .._typing import Array, Float
+from ._air import Flow, added_mass, added_mass_load, drag, flow, lift_force, relative_velocity
+from ._arm import Arm
+from ._bodies import bodies
+from ._inertia import inertia_times
+from ._kinematics import Pose, Rows, angular_velocities, pose, sum_from_base, sum_from_tip
+
+
+def inverse_dynamics(
+    arm: Arm,
+    angles: Float[Array, " joint"],
+    rates: Float[Array, " joint"],
+    accelerations: Float[Array, " joint"],
+    wind: Float[Array, "3"] | None = None,
+    wind_rate: Float[Array, "3"] | None = None,
+) -> Float[Array, " joint"]:
+    """Joint torques that produce accelerations against inertia, gravity and drag, N m.
+
+    Springs and dampers of the joints are part of the torque, not of the load; see
+    `joint_torque`.
+
+    Arguments:
+        arm: the arm.
+        angles: joint angles, rad.
+        rates: joint rates, rad/s.
+        accelerations: joint accelerations, rad/s^2.
+        wind: velocity of the air in the base frame, m/s; still air by default.
+        wind_rate: its rate of change, m/s^2, which added mass feels; 0 by default.
+
+    Returns:
+        Torques, N m, shape (joint,).
+    """
+    return required_torque(arm, pose(arm, angles), rates, accelerations, flow(arm, wind, wind_rate))
+
+
+def required_torque(
+    arm: Arm,
+    here: Pose,
+    rates: Float[Array, " joint"],
+    accelerations: Float[Array, " joint"],
+    wind: Flow,
+) -> Float[Array, " joint"]:
+    """Inverse dynamics."""
+    carried = sum_from_tip(carried_load(arm, here, rates, accelerations, wind))
+    torque = load_torque(here, carried)
+    if arm.joints.armature is not None:
+        torque = torque + arm.joints.armature * accelerations
+    return torque
+
+
+def load_torque(here: Pose, carried: Float[Array, "6 link"]) -> Float[Array, " joint"]:
+    """Torque about each joint's axis of what is carried beyond it."""
+    return dot(here.axis, carried[3:] - cross(here.joint, carried[:3]))
+
+
+def carried_load(
+    arm: Arm,
+    here: Pose,
+    rates: Float[Array, " joint"],
+    accelerations: Float[Array, " joint"] | None,
+    wind: Flow,
+) -> Float[Array, "6 link"]:
+    """Force that each link needs and its moment about the origin, to be summed from the tip.
+
+    No accelerations stand for zero accelerations.
+    """
+    links, body, e = arm.links, bodies(arm), here.direction
+    span = scaled(links.length, e)
+
+    turning = scaled(rates, here.axis)
+    omega = angular_velocities(here, rates)
+    # The axis of a joint turns with the links before it, which is the Coriolis term.
+    gain = cross(omega, turning)
+    if accelerations is not None:
+        gain = gain + scaled(accelerations, here.axis)
+    span_velocity = cross(omega, span)
+    # Sums along the chain are what an evaluation spends its time on, few rows or many.
+    summed = sum_from_base(jnp.concatenate([gain, span_velocity]))
+    alpha, end_velocity = summed[:3], summed[3:]
+
+    def acceleration_of(offset: Rows) -> Rows:
+        return cross(alpha, offset) + cross(omega, cross(omega, offset))
+
+    span_acceleration = cross(alpha, span) + cross(omega, span_velocity)
+    centre_velocity = end_velocity - span_velocity / 2
+    joint_acceleration = sum_from_base(span_acceleration) - span_acceleration
+    mass_acceleration = joint_acceleration + acceleration_of(here.mass_centre - here.joint)
+    upwards = jnp.zeros((3, 1), span.dtype).at[2, 0].set(1) * arm.gravity
+    inertial = scaled(body.mass, mass_acceleration + upwards)
+    spin = inertia_times(body, here, alpha) + cross(omega, inertia_times(body, here, omega))
+
+    relative = relative_velocity(arm, centre_velocity, wind)
+    leaning = cross(omega, e)
+    load = drag(arm, here, relative, leaning)
+    force = load.force
+    if load.couple is not None:
+        spin = spin - load.couple
+    lifted = lift_force(arm)
+    if lifted is not None:
+        force = force + lifted
+    rod = added_mass(arm)
+    if rod is not None:
+        centre_acceleration = joint_acceleration + span_acceleration / 2
+        push, couple = added_mass_load(
+            arm, rod, here, relative, leaning, omega, alpha, centre_acceleration, wind
+        )
+        force, spin = force + push, spin - couple
+    moment = spin + cross(here.mass_centre, inertial) - cross(here.centre, force)
+    return jnp.concatenate([inertial - force, moment])

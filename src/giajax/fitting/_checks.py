@@ -1,0 +1,107 @@
+"""Checks at the end of a fit: its derivatives, and what a finer tolerance would change."""
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+
+from ._records import GradientCheck, Shift, ToleranceEffect, finite_or_none
+from ._state import FitState, evaluate
+from ._statistics import Statistics
+
+# Central differences in the free coordinate, at a tolerance where the steps of the integrator
+# do not show: truncation and noise are then both near 1e-8.
+_DIFFERENCE = 1e-4
+_DIFFERENCE_32 = 3e-2
+_FINER = 1e-3
+
+
+class Checks(NamedTuple):
+    """Both checks, None where one could not be done, and whether Ctrl-C came between."""
+
+    gradient: GradientCheck | None
+    tolerance: ToleranceEffect | None
+    interrupted: bool
+
+
+def checks(state: FitState, statistics: Statistics) -> Checks:
+    """Both checks of a fit; it is done, and worth keeping, when Ctrl-C comes here."""
+    gradient = tolerance = None
+    try:
+        gradient = gradient_check(state, statistics)
+        tolerance = tolerance_effect(state, statistics)
+    except KeyboardInterrupt:
+        return Checks(gradient, tolerance, interrupted=True)
+    return Checks(gradient, tolerance, interrupted=False)
+
+
+def gradient_check(state: FitState, statistics: Statistics) -> GradientCheck | None:
+    """The Jacobian against a central difference at the optimum, at a finer tolerance.
+
+    One direction in which every parameter has the same weight in the residual: a wrong column
+    of any of them shows. Parameters at a bound take no part. Their coordinate is flat there, and
+    for the same weight all others would have to move by less than rounding. Nor do those that
+    nothing responds to where they ended.
+
+    Returns:
+        None where no parameter is left, or a simulation beside the optimum failed.
+    """
+    problem = dataclasses.replace(state.problem, model=state.problem.model.refined(_FINER))
+    centre = np.asarray(state.coordinate)
+    offset = _DIFFERENCE if centre.dtype == np.float64 else _DIFFERENCE_32
+    jacobian = state.jacobian(evaluate(state, centre, problem))
+    norms = jacobian.norms()
+    takes_part = np.zeros(problem.size, bool)
+    takes_part[statistics.alive] = True
+    takes_part[list(statistics.bounds)] = False
+    takes_part &= norms > 0
+    if not np.any(takes_part):
+        return None
+    weakest = np.min(norms[takes_part])
+    # The strongest response gets the smallest offset; the weakest parameter moves by the step.
+    direction = np.divide(weakest, norms, out=np.zeros_like(norms), where=takes_part)
+    ahead, behind = (
+        np.asarray(evaluate(state, centre + sign * offset * direction, problem).residual)
+        for sign in (1, -1)
+    )
+    by_difference = (ahead - behind) / (2 * offset)
+    by_autodiff = jacobian.times(direction)
+    relative = np.linalg.norm(by_autodiff - by_difference) / np.linalg.norm(by_autodiff)
+    if not np.isfinite(relative):
+        return None
+    return GradientCheck(
+        relative_difference=float(relative),
+        direction=dict(zip(problem.paths, direction.tolist(), strict=False)),
+        step=offset,
+        left_out=tuple(
+            path for path, there in zip(problem.paths, takes_part, strict=False) if not there
+        ),
+    )
+
+
+def tolerance_effect(state: FitState, statistics: Statistics) -> ToleranceEffect | None:
+    """How far the optimum moves, to first order, when the solver tolerance is halved.
+
+    Returns:
+        None where no parameter is determined.
+    """
+    determined = list(statistics.determined)
+    if not determined:
+        return None
+    factor = 0.5
+    problem = dataclasses.replace(state.problem, model=state.problem.model.refined(factor))
+    finer = np.asarray(evaluate(state, state.coordinate, problem).residual)
+    change = finer - np.asarray(state.inner.residual)
+    jacobian = state.natural_jacobian()
+    gram = np.linalg.pinv(jacobian.reduced()[:, determined])
+    shifts = -gram @ (gram.T @ jacobian.transposed_times(change)[determined])
+    by_parameter = {}
+    largest = 0.0
+    for index, shift in zip(determined, shifts.tolist(), strict=True):
+        error = statistics.standard_errors[index]
+        relative = abs(shift) / error if error else np.inf
+        largest = max(largest, relative)
+        by_parameter[statistics.labels[index]] = Shift(
+            finite_or_none(shift), finite_or_none(relative)
+        )
+    return ToleranceEffect(factor, finite_or_none(largest), by_parameter)

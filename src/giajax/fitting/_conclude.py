@@ -1,0 +1,133 @@
+"""From the last state of a fit to its result."""
+
+import platform
+import time
+from collections.abc import Mapping
+from importlib.metadata import version
+
+import numpy as np
+
+from ..parameters import replace
+from ..runs import Run
+from ._checks import Checks, checks
+from ._derived import derived_estimates
+from ._estimates import estimates, own_estimates
+from ._problem import predictions_by_run
+from ._records import ChannelFit, Correlation, OwnEstimate, RunFit, finite_or_none
+from ._result import FitResult
+from ._state import FitState
+from ._statistics import Statistics, statistics
+
+# Residuals of this many times the noise are worth a word.
+_NOTABLE = 1.15
+
+
+def conclude(state: FitState, *, check: bool, max_iterations: int, began: float) -> FitResult:
+    """Everything that is known at the end.
+
+    Arguments:
+        state: the last one, with its ending.
+        check: compute the gradient check and the effect of the solver tolerance.
+        max_iterations: that were allowed, for `config`.
+        began: when the fit began, by `time.perf_counter`, s.
+    """
+    if state.ending is None:
+        raise ValueError("the fit has not ended: call `descend` first")
+    status, message = state.ending
+    setup, problem = state.setup, state.problem
+    model = replace(problem.model, state.parameters())
+    known = statistics(state)
+    done = Checks(None, None, interrupted=False)
+    if check and status != "interrupted" and np.any(np.asarray(state.active)):
+        done = checks(state, known)
+    if done.interrupted:
+        status = "interrupted"
+        message += ", then interrupted before its result was checked"
+    predictions = predictions_by_run(problem, state.inner.aux, setup.runs)
+    paths, active = list(problem.paths), np.asarray(state.active)
+    moved = [path for path, on in zip(paths, active, strict=False) if on]
+    compiling = state.step_seconds[0] - float(np.median(state.step_seconds[1:] or [0.0]))
+    compiling = max(compiling, 0.0)
+    elapsed = time.perf_counter() - began
+    return FitResult(
+        status=status,
+        message=message + _note(state, known),
+        model=model,
+        parameters=estimates(state, known, model),
+        derived=derived_estimates(model, paths, known.alive, known.root, known.covariance),
+        correlation=_correlation(known, paths),
+        runs=tuple(
+            _run_fit(run, predicted, sigmas, own)
+            for run, predicted, sigmas, own in zip(
+                setup.runs,
+                predictions,
+                state.noise.values,
+                own_estimates(state, known),
+                strict=True,
+            )
+        ),
+        cost=finite_or_none(state.cost),
+        reduced_chi_square=finite_or_none(known.reduced_chi_square),
+        iterations=state.history[-1].number,
+        gradient_check=done.gradient,
+        tolerance_effect=done.tolerance,
+        conditions=tuple(model.conditions(moved, setup.runs)),
+        seconds={"compile": compiling, "run": elapsed - compiling},
+        versions=_versions(),
+        config={**setup.config, "max_iterations": max_iterations},
+        history=state.history,
+        predictions=tuple(predictions),
+    )
+
+
+def _correlation(known: Statistics, paths: list[str]) -> Correlation:
+    """Correlations of the model's parameters, those of single runs left out."""
+    rows = [row for row, index in enumerate(known.determined) if index < len(paths)]
+    matrix = known.correlation[np.ix_(rows, rows)].tolist()
+    return Correlation(
+        tuple(paths[known.determined[row]] for row in rows), tuple(map(tuple, matrix))
+    )
+
+
+def _note(state: FitState, known: Statistics) -> str:
+    """What to add to the message about the residuals."""
+    note = ""
+    if state.noise.estimated:
+        note += "; the noise was estimated from the residuals where it was not stated"
+    elif not state.noise.complete:
+        note += (
+            "; the noise that was not stated is guessed from the differences of neighbouring "
+            "samples, and the standard errors with it"
+        )
+    ratio = np.sqrt(known.reduced_chi_square)
+    if ratio > _NOTABLE:
+        note += f"; the residuals are {ratio:.3g} times the noise"
+        if known.scale > 1:
+            note += ", and the standard errors are scaled by that"
+    return note
+
+
+def _run_fit(
+    run: Run,
+    predicted: Mapping[str, np.ndarray],
+    sigmas: Mapping[str, float],
+    own: dict[str, OwnEstimate],
+) -> RunFit:
+    channels = {}
+    for name, values in run.observations.items():
+        channel = run.channels[name]
+        difference = (predicted[name] - values)[~np.isnan(values)]
+        rmse = float(np.sqrt(np.mean(difference**2)))
+        channels[name] = ChannelFit(
+            unit=channel.unit,
+            rmse=finite_or_none(float(channel.from_si(rmse))),
+            n=len(difference),
+            noise=float(channel.from_si(sigmas[name])),
+        )
+    path = None if run.path is None else str(run.path)
+    return RunFit(run.name, path, run.sha256, channels, own)
+
+
+def _versions() -> dict[str, str]:
+    names = ("giajax", "jax", "jaxlib", "equinox", "diffrax", "optimistix", "lineax", "numpy")
+    return {"python": platform.python_version(), **{name: version(name) for name in names}}

@@ -1,0 +1,98 @@
+"""Estimates of the parameters: value, standard error, and what a reader must know of them."""
+
+import numpy as np
+
+from ..models import AbstractModel, parameter_values
+from ..parameters import Parameter, declared
+from ._identifiability import largest_correlations
+from ._records import Estimate, OwnEstimate, finite_or_none
+from ._state import FitState
+from ._statistics import Statistics
+
+# Parameters that are more correlated than this are worth a remark.
+_NEARLY_THE_SAME = 0.98
+
+
+def estimates(state: FitState, statistics: Statistics, model: AbstractModel) -> dict[str, Estimate]:
+    """Estimates by path of the parameters: the free ones, then those that the fitted model held."""
+    active = np.asarray(state.active)
+    free = {
+        parameter.path: Estimate(
+            value=float(statistics.values[index]),
+            standard_error=finite_or_none(statistics.standard_errors.get(index)),
+            unit=parameter.declaration.unit,
+            lower=finite_or_none(parameter.declaration.lower),
+            upper=finite_or_none(parameter.declaration.upper),
+            free=True,
+            remark=remark(statistics, index, moves=bool(active[index])),
+        )
+        for index, parameter in enumerate(state.setup.parameters)
+    }
+    return {**free, **_held(model, tuple(free))}
+
+
+def own_estimates(state: FitState, statistics: Statistics) -> list[dict[str, OwnEstimate]]:
+    """What was fitted of each run alone, by path."""
+    estimates: list[dict[str, OwnEstimate]] = [{} for _ in state.setup.runs]
+    for group in state.problem.groups:
+        for member, columns in zip(group.members, group.own_columns(), strict=True):
+            for label, column in zip(group.own_labels(), columns.tolist(), strict=True):
+                error = finite_or_none(statistics.standard_errors.get(column))
+                estimates[member][label] = OwnEstimate(float(statistics.values[column]), error)
+    return estimates
+
+
+def remark(statistics: Statistics, index: int, *, moves: bool) -> str:
+    """What a reader must know before using the value of a free parameter; may be empty.
+
+    Arguments:
+        statistics: of the fit.
+        index: position of the parameter.
+        moves: whether any channel responded to it where the fit started.
+    """
+    if not moves:
+        return "not determined: no channel responds to it; left at its start"
+    for group in statistics.together:
+        if index in group:
+            others = ", ".join(statistics.labels[i] for i in group if i != index)
+            return f"not determined alone: only a combination with {others} is"
+    error = finite_or_none(statistics.standard_errors.get(index))
+    if error is None:
+        return "not determined: no channel responds to it where it ended"
+    if index in statistics.bounds:
+        return (
+            f"at its {statistics.bounds[index]} bound: the best value is the bound itself, and "
+            "the standard error says how far from it the data allow"
+        )
+    if error > abs(statistics.values[index]):
+        return "barely determined: the standard error exceeds the value"
+    partners = largest_correlations(statistics.correlation, _NEARLY_THE_SAME)
+    row = statistics.determined.index(index)
+    if row in partners:
+        partner, correlation = partners[row]
+        other = statistics.labels[statistics.determined[partner]]
+        return f"correlation {correlation:+.3f} with {other}"
+    return ""
+
+
+def _held(model: AbstractModel, free: tuple[str, ...]) -> dict[str, Estimate]:
+    """The declared parameters that were not free, with their declarations."""
+    values = parameter_values(model)
+    return {
+        path: _held_estimate(parameter, values[path])
+        for path, parameter in declared(model).items()
+        if path not in free
+    }
+
+
+def _held_estimate(parameter: Parameter, value: object) -> Estimate:
+    declaration = parameter.declaration
+    return Estimate(
+        value=value,
+        standard_error=None,
+        unit=declaration.unit,
+        lower=finite_or_none(declaration.lower),
+        upper=finite_or_none(declaration.upper),
+        free=False,
+        remark="held",
+    )

@@ -1,0 +1,72 @@
+"""The least-squares problem to first order: a block of the Jacobian a run, and their triangle."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .._typing import Array, Float
+from ._group import Group
+from ._problem import Prediction, Problem, over_runs, run_residual
+
+
+def linearise(
+    coordinate: Float[Array, " parameter"], problem: Problem
+) -> tuple[Array, tuple[Array, ...], Array, Array, Prediction]:
+    """Residual, Jacobian in blocks, its triangular factor R, Q^T r, and the predictions.
+
+    The block of a run, shape (row, shared + own), comes from one vmapped jvp; no derivative of a
+    run by the parameters of another one is ever computed. Each block is reduced to a triangle
+    by itself, and the triangles together to R: an orthogonal reduction, as QR of the whole.
+
+    Returns:
+        residual of shape (residual,); blocks of each group, shape (run, row, shared + own);
+        R of shape (parameter, parameter); Q^T r; predictions.
+    """
+
+    def one(
+        values: Array, group: Group, inputs: Any, observed: Array, weight: Array
+    ) -> tuple[Array, ...]:
+        def push(tangent: Array) -> tuple[Array, Array, Any]:
+            return jax.jvp(
+                lambda v: run_residual(v, problem, group, inputs, observed, weight),
+                (values,),
+                (tangent,),
+                has_aux=True,
+            )
+
+        basis = jnp.eye(values.shape[0], dtype=values.dtype)
+        row, block, aux = jax.vmap(push, out_axes=(None, 1, None))(basis)
+        whole = jnp.concatenate([block, row[:, None]], axis=1)
+        # A failed run has NaN here; its step is rejected, and nobody reads the triangle.
+        triangle = jnp.linalg.qr(jnp.where(jnp.isfinite(whole), whole, 0), mode="r")
+        missing = whole.shape[1] - triangle.shape[0]
+        return row, block, jnp.pad(triangle, ((0, missing), (0, 0))), *aux
+
+    parts = over_runs(one, coordinate, problem)
+    rows, blocks, triangles, tables, successes = zip(*parts, strict=True)
+    whole = jnp.concatenate(
+        [_placed(t, g, problem) for t, g in zip(triangles, problem.groups, strict=True)]
+    )
+    if whole.shape[0] > whole.shape[1]:
+        whole = jnp.linalg.qr(whole, mode="r")
+    row = jnp.concatenate([part.ravel() for part in rows])
+    prediction = Prediction(tuple(tables), jnp.all(jnp.concatenate(successes)))
+    return row, tuple(blocks), whole[:-1, :-1], whole[:-1, -1], prediction
+
+
+def _placed(triangles: Float[Array, "run row column"], group: Group, problem: Problem) -> Array:
+    """Triangles of a group's runs, with their columns where they belong in the whole."""
+    runs, count, _ = triangles.shape
+    shared = len(problem.paths)
+    whole = jnp.zeros((runs, count, problem.size + 1), triangles.dtype)
+    whole = whole.at[:, :, :shared].set(triangles[:, :, :shared])
+    whole = whole.at[:, :, -1].set(triangles[:, :, -1])
+    if group.width:
+        at = np.ix_(np.arange(runs), np.arange(count))
+        columns = group.own_columns()[:, None, :]
+        whole = whole.at[at[0][..., None], at[1][..., None], columns].set(
+            triangles[:, :, shared:-1]
+        )
+    return whole.reshape(runs * count, -1)

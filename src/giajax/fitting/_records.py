@@ -1,0 +1,245 @@
+"""What a result is made of: small frozen records, each of which JSON gives back.
+
+Field by field they are the objects of `result.json`. What is not finite is null there, and None
+here once a file was read. The classmethods `of_json` take such objects, also those of earlier
+versions, which lack what was added since.
+"""
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from typing import Any, Literal, Self
+
+Status = Literal["converged", "not_converged", "interrupted"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Iteration:
+    """What `progress` is told after each trial step.
+
+    Attributes:
+        number: 0 for the evaluation of the start.
+        cost: half the sum of the loss, at the best point so far.
+        step: largest change of a free coordinate that was tried: relative for a positive
+            parameter, in its own unit for one without bounds.
+        accepted: whether the trial point became the best one.
+        parameters: values of the free parameters at the best point, by path.
+    """
+
+    number: int
+    cost: float
+    step: float
+    accepted: bool
+    parameters: dict[str, float]
+
+
+@dataclasses.dataclass(frozen=True)
+class Estimate:
+    """One parameter of a result.
+
+    Attributes:
+        value: fitted, or held; a list for an array that was not fitted element by element.
+        standard_error: one standard deviation, in the unit of the value; None if there is none.
+        unit: SI unit.
+        lower, upper: bounds; None where there is none.
+        free: whether the fit was allowed to move it.
+        remark: what a reader must know before using the value; may be empty.
+    """
+
+    value: Any
+    standard_error: float | None
+    unit: str
+    lower: float | None
+    upper: float | None
+    free: bool
+    remark: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class OwnEstimate:
+    """A parameter of one run alone, such as an initial angle: its value and standard error, SI."""
+
+    value: float
+    standard_error: float | None
+
+
+@dataclasses.dataclass(frozen=True)
+class ChannelFit:
+    """How well one channel of a fitted run is described, in the unit of the recording.
+
+    Attributes:
+        unit: of the recording.
+        rmse: root mean square of recorded minus predicted; None where that is not finite.
+        n: number of measured values.
+        noise: standard deviation that the values were weighted with.
+    """
+
+    unit: str
+    rmse: float | None
+    n: int
+    noise: float
+
+
+@dataclasses.dataclass(frozen=True)
+class RunFit:
+    """One fitted run.
+
+    Attributes:
+        name: of the run.
+        path: of its file; None for a run that was made in memory.
+        sha256: checksum of the file.
+        channels: by name.
+        parameters: what was free in this run alone, by path.
+    """
+
+    name: str
+    path: str | None
+    sha256: str | None
+    channels: dict[str, ChannelFit]
+    parameters: dict[str, OwnEstimate] = dataclasses.field(default_factory=dict)
+
+    @classmethod
+    def of_json(cls, record: Mapping[str, Any]) -> Self:
+        """The record that an object of `result.json` holds."""
+        return cls(
+            name=record["name"],
+            path=record["path"],
+            sha256=record["sha256"],
+            channels={name: ChannelFit(**item) for name, item in record["channels"].items()},
+            parameters={
+                path: OwnEstimate(**item) for path, item in record.get("parameters", {}).items()
+            },
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class ChannelErrors:
+    """Errors of prediction of one channel, in the unit of the recording.
+
+    Attributes:
+        unit: of the recording.
+        rmse: root mean square error; infinite (None from a file) where the simulation failed.
+        largest: largest absolute error; likewise.
+        n: number of measured values.
+    """
+
+    unit: str
+    rmse: float | None
+    largest: float | None
+    n: int
+
+
+@dataclasses.dataclass(frozen=True)
+class PredictionErrors:
+    """How far a prediction is from what a run recorded.
+
+    Attributes:
+        name: of the run.
+        path: of its file; None for a run that was made in memory.
+        channels: by name.
+    """
+
+    name: str
+    path: str | None
+    channels: dict[str, ChannelErrors]
+
+    @classmethod
+    def of_json(cls, record: Mapping[str, Any]) -> Self:
+        """The record that an object of `result.json` holds."""
+        channels = {name: ChannelErrors(**item) for name, item in record["channels"].items()}
+        return cls(record["name"], record["path"], channels)
+
+
+@dataclasses.dataclass(frozen=True)
+class Correlation:
+    """Correlations of the estimates.
+
+    Attributes:
+        parameters: paths of the free parameters that the data determine.
+        matrix: its rows; None from a file where a correlation is not finite.
+    """
+
+    parameters: tuple[str, ...] = ()
+    matrix: tuple[tuple[float | None, ...], ...] = ()
+
+    @classmethod
+    def of_json(cls, record: Mapping[str, Any]) -> Self:
+        """The record that an object of `result.json` holds."""
+        return cls(tuple(record["parameters"]), tuple(map(tuple, record["matrix"])))
+
+
+@dataclasses.dataclass(frozen=True)
+class GradientCheck:
+    """Derivatives by automatic differentiation against central differences, at the optimum.
+
+    Attributes:
+        relative_difference: norm of the difference between the two derivatives of the residuals
+            along one direction, relative to the norm of the derivative.
+        direction: part of each parameter of the model in it, in free coordinates, by path.
+        step: length of the difference along it.
+        left_out: paths of the parameters that take no part, because they ended at a bound or
+            nothing responds to them.
+    """
+
+    relative_difference: float
+    direction: dict[str, float]
+    step: float
+    left_out: tuple[str, ...] = ()
+
+    @classmethod
+    def of_json(cls, record: Mapping[str, Any]) -> Self:
+        """The record that an object of `result.json` holds."""
+        return cls(**{**record, "left_out": tuple(record.get("left_out", ()))})
+
+
+@dataclasses.dataclass(frozen=True)
+class Shift:
+    """How far a parameter moves: in its unit, and in its standard errors."""
+
+    shift: float | None
+    standard_errors: float | None
+
+
+@dataclasses.dataclass(frozen=True)
+class ToleranceEffect:
+    """What a finer tolerance of the solver would change, to first order.
+
+    Attributes:
+        factor: on the tolerance.
+        largest_in_standard_errors: the largest shift of a parameter.
+        by_parameter: all of them, by path.
+    """
+
+    factor: float
+    largest_in_standard_errors: float | None
+    by_parameter: dict[str, Shift]
+
+    @classmethod
+    def of_json(cls, record: Mapping[str, Any]) -> Self:
+        """The record that an object of `result.json` holds."""
+        shifts = {path: Shift(**item) for path, item in record["by_parameter"].items()}
+        return cls(record["factor"], record["largest_in_standard_errors"], shifts)
+
+
+@dataclasses.dataclass(frozen=True)
+class Start:
+    """One of several starts of a fit, and where it ended.
+
+    Attributes:
+        start: values of the free parameters, by path.
+        status: of the fit from there, or "failed" where it could not be evaluated.
+        misfit: minus the logarithm of the likelihood, up to a constant; None where it failed.
+        parameters: where it ended, by path; None where it failed.
+        message: why it failed; None where it did not.
+    """
+
+    start: dict[str, float]
+    status: str
+    misfit: float | None = None
+    parameters: dict[str, float] | None = None
+    message: str | None = None
+
+
+def finite_or_none(value: float | None) -> float | None:
+    """A finite number, or None."""
+    return float(value) if value is not None and math.isfinite(value) else None

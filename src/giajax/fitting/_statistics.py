@@ -1,0 +1,98 @@
+"""Standard errors and correlations of what was fitted, and which of it the data determine."""
+
+import dataclasses
+
+import numpy as np
+
+from ._identifiability import responds, undetermined_groups
+from ._state import FitState
+from ._uncertainty import correlation_matrix, uncertainty
+
+# A parameter this close to its bound, in standard errors, is at it.
+_AT_BOUND = 0.1
+
+
+@dataclasses.dataclass(frozen=True)
+class Statistics:
+    """What the residuals and the Jacobian at the end say of the free parameters, by position.
+
+    Attributes:
+        labels: names of all free parameters, those of single runs with the run.
+        values: of all of them, shape (parameter,).
+        alive: those that the residuals respond to.
+        together: groups of which only a combination is determined.
+        determined: those that have a standard error of their own.
+        standard_errors: of each determined one.
+        correlation: of the determined ones, in their order.
+        root: R of the QR factorisation of the Jacobian, columns of `alive`.
+        covariance: of `alive`.
+        reduced_chi_square: sum of squared weighted residuals per degree of freedom.
+        scale: factor on the covariance, 1 unless the residuals exceed the noise.
+        bounds: of the parameters that ended at one: "lower" or "upper".
+    """
+
+    labels: tuple[str, ...]
+    values: np.ndarray
+    alive: np.ndarray
+    together: tuple[tuple[int, ...], ...]
+    determined: tuple[int, ...]
+    standard_errors: dict[int, float]
+    correlation: np.ndarray
+    root: np.ndarray
+    covariance: np.ndarray
+    reduced_chi_square: float
+    scale: float
+    bounds: dict[int, str]
+
+
+def statistics(state: FitState) -> Statistics:
+    """The statistics of a fit where it ended."""
+    problem = state.problem
+    jacobian = state.natural_jacobian()
+    moves = responds(jacobian.norms(), state.sizes)
+    alive = np.flatnonzero(np.asarray(state.active) & moves)
+    root = jacobian.reduced()[:, alive]
+    together = tuple(tuple(int(alive[i]) for i in group) for group in undetermined_groups(root))
+    loose = {index for group in together for index in group}
+    determined = tuple(int(i) for i in alive if i not in loose)
+    residuals, measured = weighted_residuals(state)
+    spread = uncertainty(residuals, jacobian, loss=problem.loss, measured=measured, columns=alive)
+    rows = [int(np.flatnonzero(alive == i)[0]) for i in determined]
+    covariance = spread.covariance[np.ix_(rows, rows)]
+    errors = np.sqrt(np.diag(covariance))
+    standard_errors = {i: float(error) for i, error in zip(determined, errors, strict=True)}
+    return Statistics(
+        labels=tuple(problem.labels(state.setup.runs)),
+        values=state.values(),
+        alive=alive,
+        together=together,
+        determined=determined,
+        standard_errors=standard_errors,
+        correlation=correlation_matrix(covariance),
+        root=root,
+        covariance=spread.covariance,
+        reduced_chi_square=spread.reduced_chi_square,
+        scale=spread.scale,
+        bounds=_at_bounds(state, standard_errors),
+    )
+
+
+def weighted_residuals(state: FitState) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals in units of the noise before the loss transforms them, and which are measured."""
+    groups = state.problem.groups
+    weights = np.concatenate([np.asarray(g.weight).ravel() for g in groups])
+    observed = np.concatenate([np.asarray(g.observed).ravel() for g in groups])
+    predicted = np.concatenate([np.asarray(p).ravel() for p in state.inner.aux.channels])
+    measured = weights > 0
+    return np.where(measured, (predicted - observed) * weights, 0.0), measured
+
+
+def _at_bounds(state: FitState, standard_errors: dict[int, float]) -> dict[int, str]:
+    """The determined parameters that ended at a bound, and at which."""
+    bijector, values = state.problem.bijector, state.values()
+    return {
+        index: name
+        for index, error in standard_errors.items()
+        for name, bound in (("upper", bijector.upper[index]), ("lower", bijector.lower[index]))
+        if np.isfinite(error) and abs(values[index] - bound) < _AT_BOUND * error
+    }

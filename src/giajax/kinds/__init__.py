@@ -1,0 +1,47 @@
+"""The kinds of models: what their runs hold and what their files say. Imports no JAX.
+
+A kind is a file here, which declares it, one in `giajax.models`, which computes, and its line in
+`KINDS`. Readers, commands, fits and reports ask the kind, and know none by name.
+"""
+
+from ._arm import ARM, DEFAULT_PRESET as DEFAULT_PRESET
+from ._arm_sections import (
+    ArmSection as ArmSection,
+    CommandSection as CommandSection,
+    InitialSection as InitialSection,
+    SensorsSection as SensorsSection,
+    WindSection as WindSection,
+)
+from ._hysteresis import HYSTERESIS, HysteresisSection as HysteresisSection
+from ._joint import JOINT, JointSection as JointSection
+from ._kind import (
+    ChannelKind as ChannelKind,
+    Content as Content,
+    Kind as Kind,
+    Offer as Offer,
+    RecordedChannel as RecordedChannel,
+    Sections as Sections,
+    Wording as Wording,
+)
+from ._muscle import MUSCLE, MuscleSection as MuscleSection
+from ._oscillator import OSCILLATOR, OscillatorSection as OscillatorSection
+from ._section import (
+    Finite as Finite,
+    Name as Name,
+    Positive as Positive,
+    Section as Section,
+    flat as flat,
+    key as key,
+)
+
+KINDS: dict[str, Kind] = {
+    kind.name: kind
+    for kind in (
+        ARM,
+        HYSTERESIS,
+        JOINT,
+        MUSCLE,
+        OSCILLATOR,
+    )
+}
+"""The kinds by name; nothing else in the toolkit knows which there are."""

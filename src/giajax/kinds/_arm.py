@@ -1,0 +1,167 @@
+"""An arm: from joint commands, torques and wind to positions and joint angles."""
+
+from collections.abc import Mapping, Sequence
+
+from .._errors import InputError
+from ._arm_sections import (
+    ArmSection,
+    CommandSection,
+    InitialSection,
+    SensorsSection,
+    WindSection,
+)
+from ._kind import ChannelKind, Content, Kind, Offer, RecordedChannel, Wording
+
+DEFAULT_PRESET = "takeichi_20m"
+DEFAULT_LINKS = 20
+
+_CHANNELS = (
+    ChannelKind("joint_command", "jointNN_command", "angle", "input"),
+    ChannelKind("joint_angle", "jointNN_angle", "angle", "output", noise="angle_deg"),
+    ChannelKind("joint_rate", "jointNN_rate", "angular_velocity", "output", noise="rate_deg_per_s"),
+    ChannelKind("joint_torque", "jointNN_torque", "torque", "input"),
+    ChannelKind("link_angle", "linkNN_angle", "angle", "output", noise="angle_deg"),
+    ChannelKind("link_position", "linkNN_x", "length", "output", noise="position_m"),
+    ChannelKind("tip_position", "tip_x", "length", "output", noise="position_m"),
+    ChannelKind("wind", "wind_x", "velocity", "surroundings"),
+)
+_COMMANDS = ("joint_command", "joint_torque")
+
+
+def _told_by(rows: frozenset[str]) -> bool:
+    return bool(rows & {row.name for row in _CHANNELS if row.part != "surroundings"})
+
+
+def links_of(section: ArmSection) -> int | None:
+    """The number of links of a section or of its preset; None if it is not known here."""
+    if section.links is not None:
+        return section.links
+    return DEFAULT_LINKS if section.preset in (None, DEFAULT_PRESET) else None
+
+
+def _check(content: Content, wording: Wording) -> None:
+    channels, definition = content.channels, content.definition
+    section = definition.section(ArmSection)
+    links = links_of(section)
+    for channel in channels.values():
+        if links is not None and channel.index is not None and channel.index > links:
+            part = "link" if channel.kind == "link_position" else "joint"
+            raise InputError(
+                f"{wording.source}: {wording.of(channel)} is of {part} {channel.index}, but the "
+                f"arm has {links} links: correct the name, or state links in [arm]"
+            )
+    try:
+        section.check_lists(links)
+    except ValueError as error:
+        raise InputError(f"{wording.source}: [arm] {error}") from None
+    _check_motion(channels, content, wording, links)
+    windy = [channel for channel in channels.values() if channel.kind == "wind"]
+    if windy and definition.section(WindSection).velocity_m_per_s is not None:
+        raise InputError(
+            f"{wording.source}: wind.velocity_m_per_s states a constant wind, but "
+            f"{wording.of(windy[0])} records it: remove one or the other"
+        )
+
+
+def _check_motion(
+    channels: Mapping[str, RecordedChannel], content: Content, wording: Wording, links: int | None
+) -> None:
+    """What moves the arm: a command, an initial state, or nothing on purpose."""
+    initial = content.definition.section(InitialSection)
+    for key in ("angle_deg", "rate_deg_per_s"):
+        value = getattr(initial, key)
+        if isinstance(value, list) and links is not None and len(value) != links:
+            raise InputError(
+                f"{wording.source}: initial.{key} has {len(value)} values, but must have one for "
+                f"each of the {links} joints: correct the list"
+            )
+    commanded = any(channel.kind in _COMMANDS for channel in channels.values())
+    free = bool(content.definition.free_motion)
+    if commanded and free:
+        raise InputError(
+            f"{wording.source}: free_motion = true is stated, but there are command columns: "
+            "remove one or the other"
+        )
+    has_initial = bool(initial.first_row) or bool(initial.free)
+    has_initial |= initial.angle_deg is not None or initial.rate_deg_per_s is not None
+    if not commanded and not free and not has_initial:
+        raise InputError(
+            f"{wording.source} has no command column: an arm run must have one such as "
+            "joint01_command_deg, or a sidecar with free_motion = true or [initial], so add it"
+        )
+
+
+def _notes(content: Content, sidecar: bool) -> list[str]:
+    definition, notes = content.definition, []
+    rows = {channel.kind for channel in content.channels.values()}
+    if not definition.section(ArmSection).given():
+        where = "no [arm] in the sidecar" if sidecar else "no sidecar"
+        notes.append(f"{where}: the constants of the preset {DEFAULT_PRESET} are assumed")
+    if not definition.section(InitialSection).given():
+        notes.append("initial state not stated: the arm starts straight and at rest")
+    if rows & set(_COMMANDS) and "interpolation" not in definition.section(CommandSection).given():
+        notes.append("command interpolation not stated: linear between two rows")
+    if "wind" not in rows:
+        if definition.section(WindSection).velocity_m_per_s is None:
+            notes.append("wind not stated: still air is assumed")
+        return notes
+    absent = [f"wind_{axis}" for axis in "xyz" if f"wind_{axis}" not in content.channels]
+    if absent:
+        notes.append(f"{' and '.join(absent)} not recorded: taken as zero")
+    return notes
+
+
+def _template(channels: Sequence[RecordedChannel]) -> list[Offer]:
+    rows = {channel.kind for channel in channels}
+    largest = max((channel.index or 0 for channel in channels), default=0)
+    commanded = bool(rows & set(_COMMANDS))
+    arm = dict.fromkeys(ArmSection.model_fields)
+    if largest > DEFAULT_LINKS:
+        arm["links"] = largest
+    sensors = [
+        name for name in SensorsSection.model_fields if _records(name.partition("_")[0], rows)
+    ]
+    angles = {channel.index for channel in channels if channel.kind == "joint_angle"}
+    recorded = largest > 0 and angles == set(range(1, largest + 1))
+    state = ["first_row"] if recorded else ["angle_deg", "rate_deg_per_s"]
+    wind = "interpolation" if "wind" in rows else "velocity_m_per_s"
+    return [
+        *([] if commanded else [Offer("", {"free_motion": True})]),
+        Offer("arm", arm, "known constants; a number holds for all links, a list has one a link"),
+        Offer(
+            "sensors",
+            dict.fromkeys(sensors),
+            "known errors of the recording; a fit can find them too",
+        ),
+        Offer(
+            "initial",
+            dict.fromkeys((*state, "free")),
+            "at the first sample; a number holds for all joints",
+        ),
+        *([Offer("command", {"interpolation": None})] if commanded else []),
+        Offer("wind", {wind: None}),
+    ]
+
+
+def _records(sensor: str, rows: set[str]) -> bool:
+    """Whether a sensor records one of these rows of the table."""
+    angles = {"joint_angle", "joint_rate", "link_angle"}
+    return bool(rows & (angles if sensor == "encoder" else {"link_position", "tip_position"}))
+
+
+ARM = Kind(
+    name="arm",
+    model="_arm:ArmModel",
+    channels=_CHANNELS,
+    told_by=_told_by,
+    measured="linkNN_z_m or jointNN_angle_deg",
+    sections={"arm": ArmSection, "sensors": SensorsSection},
+    run_sections={"initial": InitialSection, "command": CommandSection, "wind": WindSection},
+    commands=_COMMANDS,
+    uncommanded="none (free motion)",
+    timed=True,
+    check=_check,
+    notes=_notes,
+    template=_template,
+    template_heading=f"# is as in the preset {DEFAULT_PRESET}.",
+)

@@ -1,0 +1,192 @@
+"""What a kind of model declares of itself, without JAX; `giajax.kinds.KINDS` lists the kinds."""
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple, Protocol, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from ._section import Section
+
+S = TypeVar("S", bound=Section)
+
+
+@dataclass(frozen=True)
+class ChannelKind:
+    """A row of the column table.
+
+    Attributes:
+        name: of the row, such as `link_position`.
+        column: a channel of the row without its unit, as documentation writes it: `linkNN_x`. NN
+            stands for the number of a joint or link, x at the end for x, y or z.
+        quantity: of its values, as in `runs`' table of quantities; None: any.
+        part: what it is to the model: an input, something of the surroundings that acts on it
+            as well, or an output, which is what it predicts.
+        texts: the values of a channel that holds text.
+        noise: key of `[noise]` that holds for it, beside its own column.
+    """
+
+    name: str
+    column: str
+    quantity: str | None
+    part: Literal["input", "surroundings", "output"]
+    texts: tuple[str, ...] = ()
+    noise: str | None = None
+
+    @property
+    def pattern(self) -> str:
+        """Regular expression of the channels of this row, with groups `index` and `component`."""
+        numbered = self.column.replace("NN", "(?P<index>[0-9]+)")
+        return re.sub("_x$", "_(?P<component>[xyz])", numbered)
+
+
+class RecordedChannel(Protocol):
+    """What a kind asks of a channel of a run; see `giajax.runs.Channel`."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def kind(self) -> str: ...
+    @property
+    def index(self) -> int | None: ...
+    @property
+    def quantity(self) -> str: ...
+    @property
+    def unit(self) -> str: ...
+
+
+class Sections(Protocol):
+    """What a kind asks of a definition; see `giajax.runs.Definition`."""
+
+    @property
+    def free_motion(self) -> bool | None: ...
+
+    def section(self, of: type[S]) -> S:
+        """The section of a class, with its defaults where it is not in the file."""
+
+
+class Content(Protocol):
+    """What a kind asks of a run; see `giajax.runs.Run`."""
+
+    @property
+    def times(self) -> npt.NDArray[np.float64] | None: ...
+    @property
+    def values(self) -> Mapping[str, npt.NDArray[Any]]: ...
+    @property
+    def channels(self) -> Mapping[str, RecordedChannel]: ...
+    @property
+    def definition(self) -> Sections: ...
+
+
+class Wording(Protocol):
+    """How errors name the parts of a run: `row 5` and columns of a file, samples of arrays."""
+
+    @property
+    def source(self) -> str: ...
+
+    def at(self, index: Any) -> str:
+        """The row of the sample with this index."""
+
+    def of(self, channel: RecordedChannel) -> str:
+        """The name of the channel in the person's file or arrays."""
+
+
+class Offer(NamedTuple):
+    """A section in the template of a sidecar.
+
+    Attributes:
+        section: its name; empty for keys before the first section.
+        keys: the keys to offer -> their values; None: the key is a comment with an example.
+        comment: after the section's name.
+    """
+
+    section: str
+    keys: Mapping[str, Any]
+    comment: str = ""
+
+
+def _no_check(content: Content, wording: Wording) -> None:
+    """For a kind whose runs are checked by their channels alone."""
+
+
+def _no_notes(content: Content, sidecar: bool) -> list[str]:
+    return []
+
+
+def _over_time(content: Content) -> str | None:
+    return None
+
+
+def _unchanged(data: dict[str, Any]) -> dict[str, Any]:
+    return data
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of model: what its runs hold, what its files say, where the model is.
+
+    Attributes:
+        name: the `model = "..."` of a sidecar.
+        model: module in `giajax.models` and class, as `_arm:ArmModel`; imported when a model is
+            built, because that needs JAX.
+        channels: rows of the column table, in the order of a written file.
+        told_by: whether a run with these rows is of this kind, where no sidecar says so.
+        measured: columns to fit, as an example in messages.
+        sections: of a definition, that describe the model -> their classes.
+        run_sections: of a definition, that describe one run.
+        commands: rows of the table that count as a command in a description of a run.
+        uncommanded: what a description says of a run without a command; empty: nothing.
+        timed: whether every run has times.
+        drawn_over: the input over which measured channels of a run are drawn; None: over time.
+        check: raises `InputError` for what no model of this kind could use in a run.
+        notes: sentences on what is assumed in a run, because its file does not say it. The
+            second argument is whether there is a sidecar.
+        template: sections to offer for a run with these channels.
+        template_heading: the second line of a template.
+        former_parameters: paths in results of older versions that no longer exist.
+        upgraded: a definition of an older version as one of this version.
+    """
+
+    name: str
+    model: str
+    channels: tuple[ChannelKind, ...]
+    told_by: Callable[[frozenset[str]], bool]
+    measured: str
+    sections: Mapping[str, type[Section]] = field(default_factory=dict)
+    run_sections: Mapping[str, type[Section]] = field(default_factory=dict)
+    commands: tuple[str, ...] = ()
+    uncommanded: str = ""
+    timed: bool = False
+    drawn_over: Callable[[Content], str | None] = _over_time
+    check: Callable[[Content, Wording], None] = _no_check
+    notes: Callable[[Content, bool], list[str]] = _no_notes
+    template: Callable[[Sequence[RecordedChannel]], list[Offer]] | None = None
+    template_heading: str = "# is assumed or unknown."
+    former_parameters: frozenset[str] = frozenset()
+    upgraded: Callable[[dict[str, Any]], dict[str, Any]] = _unchanged
+
+    def rows(self, *parts: str) -> tuple[str, ...]:
+        """Names of the rows of the column table that play one of these parts."""
+        return tuple(row.name for row in self.channels if row.part in parts)
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Rows of what the model is driven by, apart from its surroundings."""
+        return self.rows("input")
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Rows of what the model predicts, and a run measures."""
+        return self.rows("output")
+
+    def offers(self, channels: Sequence[RecordedChannel]) -> list[Offer]:
+        """The sections that a template offers: each of the model with all of its keys, unless
+        the kind chooses them by the channels of the run."""
+        if self.template is not None:
+            return self.template(channels)
+        return [
+            Offer(name, dict.fromkeys(section.model_fields), "unless stated: what giajax assumes")
+            for name, section in self.sections.items()
+        ]

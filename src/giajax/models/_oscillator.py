@@ -1,0 +1,164 @@
+"""An oscillator as a model: from the history of a force to that of a displacement."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Self
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from .._errors import InputError
+from .._typing import Array, Bool, Float, Scalar
+from ..hysteresis import MOST_STEPS, BoucWenOscillator
+from ..kinds import OscillatorSection
+from ..parameters import inline, parameter
+from ..runs import Definition, Run
+from ._protocol import AbstractModel, Channels, Derived
+from ._response import Columns, check_outputs, input_channel, products, products_condition
+
+# Neighbouring intervals that differ by more than this part are not rounding of a file.
+_UNEVEN = 1e-5
+
+
+class OscillatorInputs(eqx.Module):
+    """What the oscillator needs of a run.
+
+    Attributes:
+        forces: SI, at equal distances since the sample before; see `BoucWenOscillator.motion`.
+        intervals: s, since the sample before.
+    """
+
+    forces: Float[Array, "sample part"]
+    intervals: Float[Array, " sample"]
+
+
+class OscillatorModel(AbstractModel):
+    """Predicts `output`, the displacement of a mass, from `input`, the force on it.
+
+    Arguments:
+        oscillator: its parameters keep their own paths (`mass`, `beta`).
+        offset: added to the output, such as the zero of the sensor.
+        interpolation: of the force between two rows, "linear" or "band_limited".
+        columns: of input and output in the runs, where known.
+    """
+
+    kind: ClassVar[str] = "oscillator"
+
+    oscillator: BoucWenOscillator = inline(default_factory=BoucWenOscillator)
+    offset: Scalar = parameter(0.0, unit="output", frozen=False, doc="added to the output")
+    interpolation: str = eqx.field(default="linear", static=True)
+    columns: Columns = eqx.field(default_factory=Columns, static=True)
+
+    @classmethod
+    def for_runs(cls, runs: Sequence[Run]) -> Self:
+        """The oscillator of the benchmark, as the sidecars say how its force runs.
+
+        Raises:
+            InputError: the sidecars disagree in [oscillator].
+        """
+        first, *others = runs
+        section = first.definition.section(OscillatorSection)
+        for other in others:
+            if other.definition.section(OscillatorSection) != section:
+                raise InputError(
+                    f"the sidecars of '{first.name}' and '{other.name}' disagree in [oscillator]: "
+                    "correct one, or fit the runs separately"
+                )
+        return cls._made(section, Columns.of(first))
+
+    @classmethod
+    def from_definition(cls, definition: Mapping[str, Any]) -> Self:
+        """The oscillator that `definition()` described."""
+        stored = Definition.parse({"oscillator": definition["oscillator"]}, "stored result")
+        return cls._made(stored.section(OscillatorSection), Columns.from_definition(definition))
+
+    @classmethod
+    def _made(cls, section: OscillatorSection, columns: Columns) -> Self:
+        return cls(interpolation=section.interpolation or "linear", columns=columns)
+
+    def definition(self) -> dict[str, Any]:
+        """The `[oscillator]` section, and the columns of input and output where known."""
+        return {"oscillator": {"interpolation": self.interpolation}, **self.columns.to_dict()}
+
+    def free_inputs(self, run: Run) -> tuple[str, ...]:
+        """None: it starts at rest."""
+        return ()
+
+    def prepare(self, run: Run) -> OscillatorInputs:
+        """The force of a run, between its rows, too."""
+        channel = input_channel(run, self.kind)
+        self.columns.check(run)
+        if run.times is None:
+            raise InputError(
+                f"'{run.name}' has no times, which an oscillator needs: add the column time_s"
+            )
+        values = np.asarray(run.values[channel.name], dtype=float)
+        dtype = jnp.result_type(float)
+        return OscillatorInputs(
+            jnp.asarray(_forces(run.name, run.times, values, self.interpolation), dtype),
+            jnp.asarray(np.diff(run.times, prepend=run.times[0]), dtype),
+        )
+
+    def initial_section(self, inputs: OscillatorInputs) -> dict[str, Any]:
+        """Nothing: it starts at rest."""
+        return {}
+
+    def scene(self, run: Run) -> None:
+        """Nothing: of its mass only the displacement is known."""
+
+    def predict(
+        self, inputs: OscillatorInputs, channels: tuple[str, ...]
+    ) -> tuple[Channels, Bool[Array, ""]]:
+        """The displacement, SI, under the name of each channel, of shape (sample,)."""
+        check_outputs(self.kind, channels)
+        output = self.offset + self.oscillator.motion(inputs.forces, inputs.intervals)[:, 0]
+        return dict.fromkeys(channels, output), jnp.all(jnp.isfinite(output))
+
+    def failure(self, inputs: OscillatorInputs) -> str:
+        """The motion is not finite."""
+        return (
+            "the motion of the oscillator is not finite: choose start values with a smaller beta, "
+            "gamma or delta, or a larger mass and damping"
+        )
+
+    def refined(self, factor: float) -> Self:
+        """The same model with more steps from sample to sample."""
+        return eqx.tree_at(lambda model: model.oscillator, self, self.oscillator.refined(factor))
+
+    def for_derivatives(self, paths: Sequence[str]) -> Self:
+        """The same: its steps are those of the samples."""
+        return self
+
+    def conditions(self, free: Sequence[str], runs: Sequence[Run] = ()) -> list[str]:
+        """That beta, gamma and delta count only as products."""
+        return products_condition(free)
+
+    def derived(self) -> dict[str, Derived]:
+        """The products of the Bouc-Wen parameters that a history determines."""
+        return products(self.oscillator, "1/m")
+
+
+def _forces(name: str, times: np.ndarray, values: np.ndarray, interpolation: str) -> np.ndarray:
+    """Forces at equal distances after the sample before, shape (sample, 2 MOST_STEPS)."""
+    count = 2 * MOST_STEPS
+    if interpolation == "linear":
+        fractions = np.arange(1, count + 1) / count
+        steps = np.diff(values)[:, None] * fractions[None]
+        rows = values[:-1, None] + steps
+    else:
+        intervals = np.diff(times)
+        if np.ptp(intervals) > _UNEVEN * np.mean(intervals):
+            raise InputError(
+                f"'{name}' is not sampled evenly, which interpolation = \"band_limited\" needs; "
+                'state "linear" in [oscillator]'
+            )
+        rows = _band_limited(values, count)[1 : count * (len(values) - 1) + 1].reshape(-1, count)
+    return np.concatenate([np.full((1, count), values[0]), rows])
+
+
+def _band_limited(values: np.ndarray, factor: int) -> np.ndarray:
+    """One period of a band-limited signal, sampled more often: zeros beyond its spectrum."""
+    spectrum = np.fft.rfft(values)
+    if len(values) % 2 == 0:
+        spectrum[-1] /= 2  # the highest frequency is shared by the two sides of the spectrum
+    return factor * np.fft.irfft(spectrum, factor * len(values))

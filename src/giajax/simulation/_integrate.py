@@ -1,0 +1,107 @@
+"""The compiled core of a simulation: diffrax on the equation of motion."""
+
+from typing import Any
+
+import diffrax
+import equinox.internal as eqxi
+import jax.numpy as jnp
+
+from .._program import program
+from .._typing import Array, Float, Scalar
+from ..arm import Arm
+from ._controller import Rates, fastest_rate, step_size_controller
+from ._derivatives import adjoint
+from ._disturbances import refuse_disturbances
+from ._linearly_implicit import LinearlyImplicit
+from ._motion import Inputs, motion
+from ._signal import Signal
+from ._solvers import solver as solver_named
+from ._trajectory import RESULTS, Trajectory
+
+
+@program
+def integrate(
+    arm: Arm,
+    command: Signal,
+    times: Float[Array, " sample"],
+    wind: Signal | None,
+    torque: Signal | None,
+    state: Float[Array, "2 joint"],
+    tolerances: tuple[Scalar, Scalar],
+    *,
+    solver: str,
+    max_steps: int,
+    derivatives: str,
+    steps_for: str,
+    span: tuple[Scalar, Scalar] | None = None,
+) -> Trajectory:
+    """The compiled core of `simulate`: no checks, and a failure is a result code.
+
+    Arguments:
+        arm, command, times, wind, torque: as of `simulate`.
+        state: angles (rad) and rates (rad/s) at the beginning, shape (2, joint).
+        tolerances: relative and absolute tolerance of a step.
+        solver, max_steps, derivatives, steps_for: as of `simulate`.
+        span: from when to when to integrate, s; by default from the first to the last time.
+
+    Returns:
+        The trajectory at the times; its result code says how the integration ended.
+
+    Raises:
+        TypeError: differentiated by a disturbance with `steps_for="motion"`.
+    """
+    begin, end = (times[0], times[-1]) if span is None else span
+    inputs = [signal for signal in (command, wind, torque) if signal is not None]
+    corners = jnp.concatenate([signal.times for signal in inputs])
+    rtol, atol = tolerances
+    if derivatives == "forward":
+        rtol = rtol + refuse_disturbances(steps_for, arm, (inputs, state))
+    method = solver_named(solver)
+    fastest = None
+    if steps_for == "derivatives":
+        rate = fastest_rate(arm, state[0])
+        implicit = isinstance(method, LinearlyImplicit)
+        fastest = Rates(rate, fastest_rate(arm, state[0], springs=False) if implicit else rate)
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(motion),
+        method,
+        t0=begin,
+        t1=end,
+        dt0=None,
+        y0=state,
+        args=Inputs(arm, command, wind, torque, eqxi.prevbefore(end)),
+        saveat=diffrax.SaveAt(ts=times),
+        stepsize_controller=step_size_controller(method, rtol, atol, corners, fastest),
+        adjoint=adjoint(derivatives),
+        max_steps=max_steps,
+        throw=False,
+    )
+    assert solution.ys is not None
+    angles, rates = solution.ys[:, 0], solution.ys[:, 1]
+    steps = jnp.stack(
+        [
+            jnp.asarray(solution.stats["num_accepted_steps"]),
+            jnp.asarray(solution.stats["num_rejected_steps"]),
+        ]
+    )
+    return Trajectory(
+        times=times,
+        angles=angles,
+        rates=rates,
+        arm=arm,
+        command=command,
+        wind=wind,
+        result=_result(solution, jnp.all(jnp.isfinite(solution.ys))),
+        steps=steps,
+    )
+
+
+def _result(solution: diffrax.Solution, finite: Array) -> RESULTS:
+    def where(condition: Any, code: Any, otherwise: Any) -> Any:
+        return RESULTS.where(condition, code, otherwise)
+
+    ended = solution.result
+    code = where(finite, RESULTS.successful, RESULTS.not_finite)
+    code = where(ended == diffrax.RESULTS.successful, code, RESULTS.not_finite)
+    code = where(ended == diffrax.RESULTS.dt_min_reached, RESULTS.step_too_small, code)
+    return where(ended == diffrax.RESULTS.max_steps_reached, RESULTS.max_steps_reached, code)

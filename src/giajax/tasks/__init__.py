@@ -1,0 +1,3 @@
+"""What `giajax fit` does, from Python: a fit with its data, its settings and its validation."""
+
+from ._fit_task import FitTask as FitTask

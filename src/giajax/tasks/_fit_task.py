@@ -1,0 +1,214 @@
+"""A fit as data: what to fit to what, before anything is read or computed. Imports no JAX."""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+from .._errors import InputError
+from ..runs import Definition, read_runs
+
+if TYPE_CHECKING:
+    from ..fitting import FitResult, Iteration
+    from ._preparation import Preparation
+
+# Where results go unless somebody says so.
+_OUT = Path("giajax-out")
+
+
+@dataclasses.dataclass(frozen=True)
+class FitTask:
+    """A fit definition with the files it is about, and what was asked on top of it.
+
+    Attributes:
+        definition: all settings, merged; what it leaves out has its default.
+        data: files of the runs to fit.
+        validation: files of the runs that the result must predict and is not fitted to.
+        rename: the files' column name -> the name it has in the column table.
+        source: the fit definition; None where there is none.
+
+    Example:
+        >>> import giajax
+        >>> task = giajax.FitTask.load("fits/base_step.toml").on_top(loss="huber")
+        >>> task.definition.fit.loss
+        'huber'
+        >>> result = task.run()  # doctest: +SKIP
+    """
+
+    definition: Definition
+    data: tuple[Path, ...] = ()
+    validation: tuple[Path, ...] = ()
+    rename: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    source: Path | None = None
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """The task of a fit definition.
+
+        Arguments:
+            path: a TOML file; the files that it names are relative to it.
+
+        Raises:
+            InputError: it is missing, not TOML or not legal.
+        """
+        path = Path(path)
+        definition = Definition.load(path)
+        return cls(
+            definition=definition,
+            data=tuple(path.parent / name for name in definition.fit.data or ()),
+            validation=tuple(path.parent / name for name in definition.fit.validation or ()),
+            source=path,
+        )
+
+    @classmethod
+    def of(cls, data: Sequence[str | Path], **settings: Any) -> Self:
+        """The task of some runs.
+
+        Arguments:
+            data: files of the runs to fit.
+            settings: as of `on_top`.
+
+        Raises:
+            InputError: as `on_top`.
+        """
+        return cls(Definition()).on_top(data=data, **settings)
+
+    def on_top(
+        self,
+        *,
+        data: Sequence[str | Path] | None = None,
+        validation: Sequence[str | Path] | None = None,
+        free: Sequence[str] | None = None,
+        start: Mapping[str, float] | None = None,
+        fix: Mapping[str, float] | None = None,
+        channels: Sequence[str] | None = None,
+        window_s: float | None = None,
+        starts: int | None = None,
+        spread: float | None = None,
+        seed: int | None = None,
+        loss: str | None = None,
+        solver: str | None = None,
+        tolerance: float | None = None,
+        max_iterations: int | None = None,
+        out: str | Path | None = None,
+        rename: Mapping[str, str] | None = None,
+        origin: str = "the arguments",
+    ) -> Self:
+        """The task with some settings changed; what is left out stays.
+
+        `start` and `fix` go path by path, and the last word on a parameter undoes what was said
+        before of the same one: a parameter that is fixed here is no longer free, nor has it a
+        start; one that is free or has a start here is no longer fixed.
+
+        Arguments:
+            data, validation: files, in place of those before.
+            free: paths of the parameters to fit, in place of those before.
+            start: start values by path, SI.
+            fix: values by path that are held, SI.
+            channels: names without unit of the channels to fit; all that were measured.
+            window_s: cut each run into windows of this length, s, each with its own start.
+            starts: how many starts; the best end is the result. 1 unless somebody says so.
+            spread: how far the other starts are from the first, relative; 0.3.
+            seed: of the other starts; 0.
+            loss: "linear" (the default), "huber" or "soft_l1".
+            solver: of the simulation, one of `giajax.SOLVERS`.
+            tolerance: relative and absolute tolerance of the simulation.
+            max_iterations: trial steps before the fit gives up; 50.
+            out: where the result goes (`giajax-out/` and the name of the definition or run).
+            rename: the files' column name -> the name it has in the column table.
+            origin: what an error calls the origin of these settings.
+
+        Raises:
+            InputError: a value that its key may not have.
+        """
+        values = {
+            "channels": None if channels is None else list(channels),
+            "window_s": window_s,
+            "starts": starts,
+            "spread": spread,
+            "seed": seed,
+            "loss": loss,
+            "solver": solver,
+            "tolerance": tolerance,
+            "max_iterations": max_iterations,
+            "out": None if out is None else str(out),
+        }
+        settings = {
+            **_parameters(self.definition, free, start or {}, fix or {}),
+            **{key: value for key, value in values.items() if value is not None},
+        }
+        whole = self.definition.given()
+        whole["fit"] = {**whole.get("fit", {}), **settings}
+        return dataclasses.replace(
+            self,
+            definition=Definition.parse(whole, origin),
+            data=self.data if data is None else tuple(map(Path, data)),
+            validation=self.validation if validation is None else tuple(map(Path, validation)),
+            rename=self.rename if rename is None else dict(rename),
+        )
+
+    @property
+    def out(self) -> Path:
+        """Where the result goes."""
+        if self.definition.fit.out is not None:
+            return Path(self.definition.fit.out)
+        named = self.source or (self.data[0] if self.data else Path("fit"))
+        return _OUT / named.stem
+
+    def prepare(self) -> "Preparation":
+        """Read the runs, build their model and resolve the arguments; nothing is evaluated.
+
+        Raises:
+            InputError: no data, files that are no runs, or as `giajax.fit`.
+        """
+        if not self.data:
+            raise InputError("the task has no data: give at least one run")
+        runs = read_runs(self.data, self.definition, rename=self.rename)
+        validation = read_runs(self.validation, self.definition, rename=self.rename)
+        from ._preparation import prepare
+
+        return prepare(self.definition, runs, validation)
+
+    def run(
+        self,
+        progress: "Callable[[Iteration], None] | None" = None,
+        announce: Callable[[int, Mapping[str, float]], None] | None = None,
+        *,
+        check: bool = True,
+    ) -> "FitResult":
+        """Fit, and predict the runs of the validation.
+
+        JAX computes in 32-bit unless `jax.config.update("jax_enable_x64", True)` came first,
+        which a fit wants; `giajax fit` switches it on by itself.
+
+        Arguments:
+            progress: called after each step with an `Iteration`.
+            announce: with several starts, called before each with its number and values.
+            check: compute the gradient check and the effect of the solver tolerance at the end.
+
+        Returns:
+            The result, which is not written anywhere.
+
+        Raises:
+            InputError: as `prepare`, or a start from which the model cannot be evaluated.
+        """
+        return self.prepare().run(progress, announce, check=check)
+
+
+def _parameters(
+    definition: Definition,
+    free: Sequence[str] | None,
+    start: Mapping[str, float],
+    fix: Mapping[str, float],
+) -> dict[str, Any]:
+    """Free, start and fix of a definition with others on top, path by path."""
+    below = definition.fit
+    freed = below.free if free is None else list(free)
+    starts, fixes = dict(below.start or {}), dict(below.fix or {})
+    for path in fix:
+        starts.pop(path, None)
+        if not free and freed is not None:
+            freed = [name for name in freed if name != path]
+    for path in (*start, *(free or ())):
+        fixes.pop(path, None)
+    return {"free": freed, "start": {**starts, **start}, "fix": {**fixes, **fix}}

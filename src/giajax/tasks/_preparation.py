@@ -1,0 +1,88 @@
+"""A fit whose runs are read and whose arguments are resolved."""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+
+from ..fitting import (
+    MAX_ITERATIONS,
+    FitResult,
+    Iteration,
+    Setup,
+    prediction_errors,
+    set_up,
+    solve,
+)
+from ..models import model_for
+from ..runs import Definition, Run
+from ..study import SEED, SPREAD, solve_from_starts
+
+
+@dataclasses.dataclass(frozen=True)
+class Preparation:
+    """What `FitTask.prepare` returns: all that a fit needs, before anything is evaluated.
+
+    Attributes:
+        definition: all settings.
+        setup: the model, the runs to fit, and what is free.
+        validation: runs that the result must predict.
+    """
+
+    definition: Definition
+    setup: Setup
+    validation: tuple[Run, ...]
+
+    @property
+    def runs(self) -> tuple[Run, ...]:
+        """The runs to fit, or their windows."""
+        return self.setup.runs
+
+    def run(
+        self,
+        progress: Callable[[Iteration], None] | None = None,
+        announce: Callable[[int, Mapping[str, float]], None] | None = None,
+        *,
+        check: bool = True,
+    ) -> FitResult:
+        """Fit, and predict the runs of the validation; as `FitTask.run`.
+
+        Raises:
+            InputError: the model cannot be evaluated at the start.
+        """
+        settings = self.definition.fit
+        most = settings.max_iterations or MAX_ITERATIONS
+        starts = settings.starts or 1
+        if starts == 1:
+            result = solve(self.setup, max_iterations=most, progress=progress, check=check)
+        else:
+            result = solve_from_starts(
+                self.setup,
+                starts=starts,
+                spread=SPREAD if settings.spread is None else settings.spread,
+                seed=SEED if settings.seed is None else settings.seed,
+                max_iterations=most,
+                progress=progress,
+                announce=announce,
+                check=check,
+            )
+        errors = tuple(prediction_errors(result.model, run) for run in self.validation)
+        return dataclasses.replace(result, validation=errors)
+
+
+def prepare(definition: Definition, runs: Sequence[Run], validation: Sequence[Run]) -> Preparation:
+    """Build the model of the runs and resolve what the definition asks of it.
+
+    Raises:
+        InputError: as `giajax.fit`, apart from a start that cannot be evaluated.
+    """
+    settings = definition.fit
+    setup = set_up(
+        model_for(runs),
+        runs,
+        free=settings.free,
+        start=settings.start,
+        fix=settings.fix,
+        loss=settings.loss or "linear",
+        solver=settings.solver,
+        tolerance=settings.tolerance,
+    )
+    return Preparation(definition, setup, tuple(validation))

@@ -1,0 +1,93 @@
+"""A result as data: read from earlier versions, shown, and small records all the way down."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from giajax import load_result, read_run
+from giajax.fitting import Estimate, GradientCheck, Shift
+from giajax.report import summary
+
+# Written by giajax before results were records: two starts, a validation, estimated noise.
+EARLIER = Path(__file__).parent / "earlier"
+
+
+@pytest.fixture(scope="module")
+def earlier():
+    return load_result(EARLIER)
+
+
+def test_a_result_of_an_earlier_version_is_read(earlier):
+    assert earlier.parameters["weights[0]"].value == pytest.approx(0.8021, abs=1e-4)
+    assert earlier.runs[0].channels["output"].n == 55
+    assert earlier.runs[0].parameters == {}
+    assert earlier.validation[0].channels["output"].rmse == pytest.approx(0.00541, abs=1e-5)
+    assert [start.status for start in earlier.starts] == ["converged", "converged"]
+    assert earlier.starts[1].misfit == pytest.approx(earlier.starts[0].misfit)
+    assert earlier.gradient_check.left_out == ()
+    assert earlier.tolerance_effect.by_parameter["elastic"] == Shift(0.0, 0.0)
+    assert earlier.correlation.parameters == ("elastic", "weights[0]", "offset")
+    assert earlier.history[-1].number == earlier.iterations
+    assert "2 of 2 ended here" in summary(earlier)
+
+
+def test_it_predicts_as_it_did(earlier):
+    run = read_run(EARLIER / "loops.csv")
+    difference = earlier.predict(run)["output"] - run.observations["output"]
+    rmse = earlier.runs[0].channels["output"].rmse
+    assert np.sqrt(np.mean(difference**2)) == pytest.approx(rmse, rel=1e-9)
+
+
+def test_what_was_written_before_is_written_again(earlier):
+    """The shape of result.json stays: every key is where it was, with its value."""
+
+    def check(before, after):
+        if isinstance(before, dict):
+            for key, value in before.items():
+                check(value, after[key])
+        elif isinstance(before, list):
+            assert len(before) == len(after)
+            for one, other in zip(before, after, strict=True):
+                check(one, other)
+        else:
+            assert before == after
+
+    check(json.loads((EARLIER / "result.json").read_text()), json.loads(earlier.to_json()))
+
+
+def test_what_is_not_finite_is_null_in_any_depth(earlier):
+    check = GradientCheck(float("nan"), {"elastic": float("inf")}, 1e-4, ("offset",))
+    record = json.loads(dataclasses.replace(earlier, gradient_check=check).to_json())
+    assert record["gradient_check"] == {
+        "relative_difference": None,
+        "direction": {"elastic": None},
+        "step": 1e-4,
+        "left_out": ["offset"],
+    }
+
+
+def test_a_result_is_a_table(earlier):
+    headline, blank, head, *rows = str(earlier).splitlines()
+    assert headline.startswith("converged in 9 iterations")
+    assert blank == ""
+    assert head.split() == ["parameter", "value", "error", "unit", "bounds", "remark"]
+    assert [row.split()[:3] for row in rows] == [
+        ["elastic", "0.4993", "0.0038"],
+        ["weights[0]", "0.8021", "0.0043"],
+        ["offset", "0.09933", "0.00072"],
+    ]
+    assert len(repr(earlier)) < 100
+    stopped = dataclasses.replace(earlier, status="not_converged", message="no optimum")
+    assert str(stopped).startswith("NOT CONVERGED: no optimum")
+
+
+def test_a_notebook_shows_a_table_in_which_nothing_is_markup(earlier):
+    odd = Estimate(1.5, 0.1, "m", None, None, free=True, remark="where a < b & c")
+    page = dataclasses.replace(earlier, parameters={"width": odd}, derived={})._repr_html_()
+    assert page.count("<tr>") == 2
+    for cell in ("width", "1.50", "0.10", "m", "where a &lt; b &amp; c"):
+        assert f"<td>{cell}</td>" in page
+    assert "converged in 9 iterations" in page
