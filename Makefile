@@ -1,35 +1,78 @@
 # Two commands on a machine with Python, make and a package registry: `make demo`, `make test`.
 PYTHON ?= python3
 VENV ?= .venv
+CONSTRAINTS ?= constraints.txt
 BIN := $(VENV)/bin
+# Workers steal tests from each other at the end; the compiled programs are shared on disk.
+PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
 
-.PHONY: help demo test lint types bench synthetic clean
+# The word after `evidence` is the name of a study, and no target.
+ifeq (evidence,$(firstword $(MAKECMDGOALS)))
+NAME ?= $(word 2,$(MAKECMDGOALS))
+ifneq (,$(NAME))
+$(eval $(NAME):;@:)
+endif
+endif
+
+.PHONY: help demo check quick test test-slow test-all test-lowest test-python evidence \
+	lint types bench synthetic clean
 
 help:
-	@echo "make demo       install into $(VENV) and fit the demonstration run"
-	@echo "make test       install and run the tests"
-	@echo "make lint       formatting and lint"
-	@echo "make types      static types"
-	@echo "make bench      side-by-side measurements against MuJoCo and scipy"
-	@echo "make synthetic  regenerate data/synthetic"
+	@echo "make demo           install into $(VENV) and fit the demonstration run"
+	@echo "make test           install and run the tests but the slow ones, in minutes"
+	@echo
+	@echo "make check          lint, types and the tests that compile nothing, within a minute"
+	@echo "make test-slow      the tests that 'make test' leaves out"
+	@echo "make test-all       both"
+	@echo "make test-lowest    the lowest versions that pyproject.toml allows"
+	@echo "make test-python    another Python: make test-python PYTHON=python3.13"
+	@echo "make evidence NAME  a study that takes long, into docs/evidence; without a name, lists them"
+	@echo "make lint           formatting and lint"
+	@echo "make types          static types"
+	@echo "make bench          side-by-side measurements against MuJoCo and scipy"
+	@echo "make synthetic      regenerate data/synthetic"
 
 # A stamp per set of extras: installing again happens only when the project's metadata change.
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
 
-$(VENV)/.installed: pyproject.toml constraints.txt | $(VENV)/bin/python
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e . -c constraints.txt
+$(VENV)/.installed: pyproject.toml $(CONSTRAINTS) | $(VENV)/bin/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e . -c $(CONSTRAINTS)
 	@touch $@
 
-$(VENV)/.installed-dev: pyproject.toml constraints.txt | $(VENV)/bin/python
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]' -c constraints.txt
+$(VENV)/.installed-dev: pyproject.toml $(CONSTRAINTS) | $(VENV)/bin/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]' -c $(CONSTRAINTS)
 	@touch $@ $(VENV)/.installed
 
 demo: $(VENV)/.installed
 	$(BIN)/giajax fit --data data/synthetic/base_step.csv
 
+check: $(VENV)/.installed-dev
+	@$(MAKE) --no-print-directory --jobs=2 --keep-going lint types quick
+
+# One process: a second one would import everything again.
+quick: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest -m quick $(PYTEST_ARGS)
+
 test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -n 2 $(PYTEST_ARGS)
+	$(PYTEST) -m "not slow" $(PYTEST_ARGS)
+
+test-slow: $(VENV)/.installed-dev
+	$(PYTEST) -m slow $(PYTEST_ARGS)
+
+# What is slow is run even where something else failed, and is not run twice.
+test-all: $(VENV)/.installed-dev
+	@$(MAKE) --no-print-directory --keep-going test test-slow
+
+# An environment of its own for each; the static tools are those of the newest versions.
+test-lowest:
+	@$(MAKE) --no-print-directory quick test VENV=.venv-lowest CONSTRAINTS=constraints-lowest.txt
+
+test-python:
+	@$(MAKE) --no-print-directory quick test VENV=.venv-$(notdir $(PYTHON))
+
+evidence: $(VENV)/.installed-dev
+	$(BIN)/python -m evidence $(NAME) $(EVIDENCE_ARGS)
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
@@ -39,12 +82,12 @@ types: $(VENV)/.installed-dev
 	$(BIN)/mypy
 
 bench: $(VENV)/.installed-dev
-	$(BIN)/python benchmarks/bench.py $(BENCH_ARGS)
-	$(BIN)/python benchmarks/options.py
-	$(BIN)/python benchmarks/hysteresis.py
+	$(BIN)/python -m benchmarks.bench $(BENCH_ARGS)
+	$(BIN)/python -m benchmarks.options
+	$(BIN)/python -m benchmarks.hysteresis
 
 synthetic: $(VENV)/.installed
 	$(BIN)/python data/synthetic/regenerate.py
 
 clean:
-	rm -rf $(VENV) .jax_cache .pytest_cache .mypy_cache .ruff_cache build dist
+	rm -rf $(VENV) .venv-* .jax_cache .pytest_cache .mypy_cache .ruff_cache build dist

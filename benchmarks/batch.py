@@ -4,7 +4,7 @@ Items differ in drag, stiffnesses, damping and command. Layouts are one vmap wit
 one with the items last, a loop over items (chunk 1), and a loop over chunks of vmaps. In a vmap
 every item waits for the one that takes the most steps; within a chunk it waits for fewer.
 
-    python benchmarks/batch.py [--quick] [--out FILE]
+    python -m benchmarks.batch [--quick] [--out FILE]
 """
 
 import os
@@ -19,11 +19,11 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from arms import driven_arm, random_states
+from benchmarks.measuring import RESULTS, command_line, fastest, store
 from giajax.arm import Arm, acceleration
 from giajax.parameters import replace
 from giajax.simulation import Signal, simulate
-from measuring import RESULTS, command_line, fastest, store
+from peers.arms import driven_arm, random_states
 
 SOLVERS = ("springs5", "tsit5")
 NAMES = ("air.drag_coefficient", "joints.pitch_stiffness", "joints.yaw_stiffness", "joints.damping")

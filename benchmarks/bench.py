@@ -5,7 +5,7 @@ Each takes the coarsest step or tolerance that keeps the tip within 1e-4 m of a 
 the table shows which. Times are wall time, minimum and median of the repeats; contenders take
 turns, so that another load on the machine falls on all of them. Compare ratios, not seconds.
 
-    python benchmarks/bench.py [--quick] [--out FILE]
+    python -m benchmarks.bench [--quick] [--out FILE]
 """
 
 import datetime
@@ -32,12 +32,12 @@ from rich.console import Console
 from rich.table import Table
 
 import giajax.parameters
-from arms import driven_arm, random_states
+from benchmarks.measuring import RESULTS, command_line, store
 from giajax.arm import Arm, acceleration
 from giajax.simulation import Signal, simulate
-from measuring import RESULTS, command_line, store
-from mujoco_chain import MujocoChain
-from scipy_chain import ScipyChain
+from peers.arms import driven_arm, random_states
+from peers.mujoco_chain import MujocoChain
+from peers.scipy_chain import ScipyChain
 
 ROOT = Path(__file__).resolve().parents[1]
 RUN = ROOT / "data" / "synthetic" / "base_step.csv"

@@ -1,6 +1,6 @@
 """Play operators: the two scans and a numpy loop, with gradient and peak memory.
 
-    python benchmarks/hysteresis.py [--samples 100000] [--thresholds 200] [--repeats 3] [--json]
+    python -m benchmarks.hysteresis [--samples 100000] [--thresholds 200] [--repeats 3] [--json]
 
 One process each, so that the peak of one is not that of another. Ratios within one call say more
 than seconds on a shared machine.
@@ -14,7 +14,7 @@ import sys
 
 import numpy as np
 
-from measuring import fastest
+from benchmarks.measuring import fastest
 
 METHODS = ("scan", "associative", "numpy")
 
@@ -111,7 +111,7 @@ def main(arguments: list[str]) -> int:
         return 0
     found = []
     for method in METHODS:
-        command = [sys.executable, __file__, "--only", method]
+        command = [sys.executable, "-m", "benchmarks.hysteresis", "--only", method]
         command += [
             f"--{name}={value}"
             for name, value in zip(("samples", "thresholds", "repeats"), size, strict=True)

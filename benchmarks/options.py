@@ -5,7 +5,7 @@ one compiled loop, each from the result of the one before; contenders take turns
 leaves out must cost nothing, and what it takes in at most 1.5 times the plain evaluation, drag
 along the links by 3 points at most twice.
 
-    python benchmarks/options.py [--quick] [--out FILE]
+    python -m benchmarks.options [--quick] [--out FILE]
 """
 
 from collections.abc import Callable
@@ -16,10 +16,10 @@ import jax.numpy as jnp
 from rich.console import Console
 from rich.table import Table
 
-from arms import random_states
-from bench import spread, timed
+from benchmarks.bench import spread, timed
+from benchmarks.measuring import RESULTS, command_line, store
 from giajax.arm import Arm, PointMasses, acceleration, takeichi_20m, takeichi_20m_full
-from measuring import RESULTS, command_line, store
+from peers.arms import random_states
 
 
 def variants(links: int) -> dict[str, tuple[Arm, float | None]]:

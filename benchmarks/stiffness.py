@@ -4,7 +4,7 @@ The 20-link arm of the paper, joints 1 and 2 driven, 25 s, for several yaw stiff
 cost at an error is read from its work-precision curve, between two tolerances. The order is that
 of steps of one length on a shorter arm, at the steps and between them.
 
-    python benchmarks/stiffness.py [--quick] [--out DIR]
+    python -m benchmarks.stiffness [--quick] [--out DIR]
 """
 
 import os
@@ -20,14 +20,14 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from arms import driven_arm
+from benchmarks.measuring import RESULTS, command_line, store
 from giajax.arm import Arm, takeichi_20m
 from giajax.parameters import replace
 from giajax.report._style import new_figure, plain
 from giajax.simulation import Signal, constant, simulate
 from giajax.simulation._motion import Inputs, motion
 from giajax.simulation._solvers import solver as solver_named
-from measuring import RESULTS, command_line, store
+from peers.arms import driven_arm
 
 STIFFNESSES = (30.0, 300.0, 3000.0)  # N m/rad
 ERRORS = (1e-3, 1e-4)  # m, at the tip

@@ -1,4 +1,8 @@
-"""One session, one precision: float64, strict promotion, every warning an error."""
+"""One session, one precision: float64, strict promotion, every warning an error.
+
+And the tiers: tests marked `quick` compile nothing (`make check`), tests marked `slow` are left out
+of `make test`, which says so at its end.
+"""
 
 import gc
 import os
@@ -27,9 +31,11 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 # Compiling is most of the time of these tests: keep what was compiled for the next session.
+# By way of the environment it is shared with the processes that the tests start.
 CACHE = os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".jax_cache"))
+LEAST = os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
 jax.config.update("jax_compilation_cache_dir", CACHE)
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+jax.config.update("jax_persistent_cache_min_compile_time_secs", float(LEAST))
 
 with install_import_hook("giajax", "beartype.beartype"):
     import giajax  # noqa: F401
@@ -38,6 +44,65 @@ with install_import_hook("giajax", "beartype.beartype"):
 # dies, after a thousand tests.
 MAPS = Path("/proc/self/maps")
 MOST_MAPS = 8_000
+
+
+COMPILING = "/jax/core/compile/backend_compile_duration"
+programs = 0
+
+
+def count_programs(event, duration, **_):
+    """A listener of JAX: one more program was compiled, or read from the cache."""
+    global programs
+    programs += event == COMPILING
+
+
+jax.monitoring.register_event_duration_secs_listener(count_programs)
+
+
+@pytest.fixture
+def compiled():
+    """A function that says how many programs this process has compiled so far."""
+    return lambda: programs
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item):
+    """A test that says that it is quick compiles nothing, however fast the machine."""
+    before = programs
+    outcome = yield
+    compiled = programs - before
+    if compiled and item.get_closest_marker("quick"):
+        pytest.fail(f"marked as quick, and {compiled} programs were compiled: remove the mark")
+    return outcome
+
+
+SLOW_LEFT_OUT = pytest.StashKey[int]()
+
+
+def pytest_deselected(items):
+    """Count what is left out for being slow; `pytest -k` and `make check` leave out more."""
+    if not items or (config := items[0].config).option.markexpr != "not slow":
+        return
+    slow = sum(item.get_closest_marker("slow") is not None for item in items)
+    config.stash[SLOW_LEFT_OUT] = config.stash.get(SLOW_LEFT_OUT, 0) + slow
+
+
+def pytest_sessionfinish(session):
+    """Workers select the tests, and tell the process that reports: each the same number."""
+    if hasattr(session.config, "workeroutput"):
+        session.config.workeroutput["slow_left_out"] = session.config.stash.get(SLOW_LEFT_OUT, 0)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node):
+    """A worker of pytest-xdist has ended."""
+    node.config.stash[SLOW_LEFT_OUT] = getattr(node, "workeroutput", {}).get("slow_left_out", 0)
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    """What was left out is said, so that nobody takes a part for the whole."""
+    if number := config.stash.get(SLOW_LEFT_OUT, 0):
+        terminalreporter.write_sep("-", f"{number} slow tests left out: make test-all runs them")
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -10,12 +10,18 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 
 
+def benchmark(name, *options):
+    """Run a benchmark as its users do, in the root of the project; returns what it prints."""
+    command = [sys.executable, "-m", f"benchmarks.{name}", *map(str, options)]
+    ended = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+    assert ended.returncode == 0, ended.stderr
+    return ended.stdout
+
+
 @pytest.mark.slow
 def test_the_benchmark_runs(tmp_path):
     out = tmp_path / "new" / "bench.json"
-    command = [sys.executable, str(ROOT / "benchmarks" / "bench.py"), "--quick", "--out", str(out)]
-    ended = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
-    assert ended.returncode == 0, ended.stderr
+    printed = benchmark("bench", "--quick", "--out", out)
     found = json.loads(out.read_text())
     assert set(found["chosen"]) == set(found["run"]) > set(found["gradient"])
     for name, chosen in found["chosen"].items():
@@ -25,16 +31,13 @@ def test_the_benchmark_runs(tmp_path):
         assert gradient["error"] < 0.05, name
     assert all(ratio > 0 for ratio in found["ratios"].values())
     for heading in ("value + 4", "One evaluation", "Ratios"):
-        assert heading in ended.stdout
+        assert heading in printed
     assert [path.name for path in tmp_path.iterdir()] == ["new"]
 
 
 @pytest.mark.slow
 def test_the_benchmark_of_stiff_joints_runs(tmp_path):
-    program = str(ROOT / "benchmarks" / "stiffness.py")
-    command = [sys.executable, program, "--quick", "--out", str(tmp_path / "out")]
-    ended = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
-    assert ended.returncode == 0, ended.stderr
+    benchmark("stiffness", "--quick", "--out", tmp_path / "out")
     found = json.loads((tmp_path / "out" / "stiffness.json").read_text())
     at_error = found["seconds_at_error"]["30"]["0.0001"]
     assert set(at_error) == {"tsit5", "springs5", "kvaerno5"}
@@ -49,9 +52,7 @@ def test_the_benchmark_of_stiff_joints_runs(tmp_path):
 @pytest.mark.slow
 def test_the_benchmark_of_batches_runs(tmp_path):
     out = tmp_path / "new" / "batch.json"
-    command = [sys.executable, str(ROOT / "benchmarks" / "batch.py"), "--quick", "--out", str(out)]
-    ended = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
-    assert ended.returncode == 0, ended.stderr
+    benchmark("batch", "--quick", "--out", out)
     found = json.loads(out.read_text())
     layouts = {"items first, 1", "items first, 4", "items last, 4", "one by one, 4"}
     assert layouts <= set(found["evaluation"])
@@ -59,12 +60,11 @@ def test_the_benchmark_of_batches_runs(tmp_path):
     assert all(seconds > 0 for part in ("evaluation", "run") for seconds in found[part].values())
 
 
-def test_the_benchmark_of_the_scans_runs(tmp_path):
+@pytest.mark.slow
+def test_the_benchmark_of_the_scans_runs():
     size = ["--samples", "500", "--thresholds", "5", "--repeats", "1"]
-    command = [sys.executable, str(ROOT / "benchmarks" / "hysteresis.py"), *size, "--json"]
-    ended = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
-    assert ended.returncode == 0, ended.stderr
-    found = {row["method"]: row for row in json.loads(ended.stdout)}
+    rows = json.loads(benchmark("hysteresis", *size, "--json"))
+    found = {row["method"]: row for row in rows}
     assert list(found) == ["scan", "associative", "numpy"]
     for row in found.values():
         assert row["sum_of_gradient"] == found["numpy"]["sum_of_gradient"]
@@ -75,11 +75,7 @@ def test_the_benchmark_of_the_scans_runs(tmp_path):
 @pytest.mark.slow
 def test_the_cost_of_every_option_is_measured(tmp_path):
     out = tmp_path / "options.json"
-    script = ROOT / "benchmarks" / "options.py"
-    ended = subprocess.run(
-        [sys.executable, str(script), "--quick", "--out", str(out)], capture_output=True, text=True
-    )
-    assert ended.returncode == 0, ended.stderr
+    benchmark("options", "--quick", "--out", out)
     found = json.loads(out.read_text())["options"]
     assert found["plain"]["ratio"] == 1
     assert all(each["min"] > 0 for each in found.values())

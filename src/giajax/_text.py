@@ -2,7 +2,7 @@
 
 import math
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 # Digits of a value that has no standard error to say how many it deserves.
@@ -62,3 +62,17 @@ def wrapped(text: str, width: int | None, first: str, others: str) -> Sequence[s
         break_long_words=False,
         break_on_hyphens=False,
     )
+
+
+def one_of(names: Iterable[Any]) -> str:
+    """`a`, `a or b`, `a, b or c`."""
+    listed = [str(name) for name in names]
+    if len(listed) < 2:
+        return "".join(listed)
+    return f"{', '.join(listed[:-1])} or {listed[-1]}"
+
+
+def shown(value: Any, longest: int = 60) -> str:
+    """A value much as its author wrote it, on one line and not longer than a line."""
+    text = repr(value) if not isinstance(value, bool) else str(value).lower()
+    return text if len(text) <= longest else f"{text[: longest - 3]}..."

@@ -13,9 +13,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import giajax.arm
-from arms import full_arm, random_states
 from giajax.arm import _cylinder, chain, cylinder_drag_coefficient, takeichi_20m
 from giajax.parameters import replace
+from peers.arms import full_arm, random_states
 
 drag_force = eqx.filter_jit(giajax.arm.drag_force)
 drag_power = eqx.filter_jit(giajax.arm.drag_power)

@@ -8,9 +8,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 import giajax.arm as mechanics
-from arms import full_arm, general_arm, random_states
 from giajax.arm import takeichi_20m
 from giajax.parameters import replace
+from peers.arms import full_arm, general_arm, random_states
 
 LINKS = 3
 
@@ -53,7 +53,7 @@ def test_no_public_function_is_left_out():
     assert functions - builders - without_state == set(FUNCTIONS)
 
 
-@pytest.mark.parametrize("build", [general_arm, full_arm])
+@pytest.mark.parametrize("build", [general_arm, pytest.param(full_arm, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_both_modes_agree_with_differences(name, build):
     """One random direction over every number of the arm, of the state and of the wind at once."""

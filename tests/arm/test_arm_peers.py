@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from arms import full_arm, general_arm, random_states
 from giajax.arm import acceleration, takeichi_20m
-from mujoco_chain import MujocoChain
-from scipy_chain import ScipyChain
+from peers.arms import full_arm, general_arm, random_states
+from peers.mujoco_chain import MujocoChain
+from peers.scipy_chain import ScipyChain
 
 
 @eqx.filter_jit

@@ -8,10 +8,10 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import giajax.arm
-from arms import general_arm, random_states
 from giajax.arm import chain, takeichi_20m
 from giajax.parameters import get, replace
-from scipy_chain import ScipyChain
+from peers.arms import general_arm, random_states
+from peers.scipy_chain import ScipyChain
 
 # Compiled as a whole: one by one, the operations of a function compile for a second.
 acceleration = eqx.filter_jit(giajax.arm.acceleration)

@@ -9,9 +9,9 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 import giajax.arm
-from arms import general_arm, random_states
 from giajax.arm import chain, takeichi_20m
-from scipy_chain import ScipyChain
+from peers.arms import general_arm, random_states
+from peers.scipy_chain import ScipyChain
 
 link_centres = eqx.filter_jit(giajax.arm.link_centres)
 link_velocities = eqx.filter_jit(giajax.arm.link_velocities)

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from arms import full_arm, random_states
 from giajax.arm import (
     cylinder_drag_coefficient,
     forward_dynamics,
@@ -20,6 +19,7 @@ from giajax.arm import (
     mass_matrix,
 )
 from giajax.parameters import replace
+from peers.arms import full_arm, random_states
 
 LINKS = 3
 STATES = random_states(LINKS, 4)
@@ -181,6 +181,7 @@ def lagranges_torque(arm, angles, rates, accelerations, wind, gust):
     return rate - force - drag_torque(arm, angles, rates, wind + arm.air.wind)
 
 
+@pytest.mark.slow
 def test_the_torque_is_that_of_lagrange_with_every_option_on(arm, numbers):
     @jax.jit
     def both(*state):

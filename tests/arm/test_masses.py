@@ -10,7 +10,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 import giajax.arm
-from arms import full_arm, random_states
 from giajax._errors import InputError
 from giajax.arm import (
     PointMasses,
@@ -22,6 +21,7 @@ from giajax.arm import (
     trimmed,
 )
 from giajax.parameters import replace
+from peers.arms import full_arm, random_states
 
 acceleration = eqx.filter_jit(giajax.arm.acceleration)
 inverse_dynamics = eqx.filter_jit(giajax.arm.inverse_dynamics)
@@ -61,6 +61,7 @@ def test_a_link_lifts_what_the_paper_says():
     assert_allclose(inverse_dynamics(arm, *[jnp.zeros(20)] * 3)[1::2], 0, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("build", [takeichi_20m, full_arm], ids=["the paper's", "uneven"])
 def test_a_trimmed_arm_stays_wherever_it_is_put(build):
     """Weight and lift balance about every point of a level link, whatever its pose."""
@@ -89,6 +90,7 @@ def test_a_trimmed_arm_stays_wherever_it_is_put(build):
     assert np.abs(acceleration(off, angles, still, still, calm)).max() > 1e-3
 
 
+@pytest.mark.slow
 def test_the_full_arm_floats_at_rest_when_it_is_straight():
     arm, still = takeichi_20m_full(), jnp.zeros(20)
     assert_allclose(acceleration(arm, still, still, still), 0, atol=1e-11)

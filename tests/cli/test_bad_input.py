@@ -6,6 +6,8 @@ from giajax._errors import InputError
 from giajax.cli import main
 from giajax.runs import read_run
 
+pytestmark = pytest.mark.quick
+
 HEAD = "time_s,joint01_command_deg,link06_z_m\n"
 GOOD = HEAD + "0,0,0.1\n0.1,30,0.2\n0.2,30,0.3\n"
 

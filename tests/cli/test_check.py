@@ -8,6 +8,8 @@ import pytest
 
 from giajax.cli import main
 
+pytestmark = pytest.mark.quick
+
 CSV = "time_s,joint01_command_deg,link06_z_m\n0,0,0.1\n0.1,30,\n0.2,30,-0.3\n"
 
 

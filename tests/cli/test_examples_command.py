@@ -7,6 +7,8 @@ import pytest
 from giajax.cli import _examples, main
 from giajax.runs import Definition, read_run
 
+pytestmark = pytest.mark.quick
+
 ROOT = Path(__file__).parents[2]
 
 

@@ -316,6 +316,7 @@ sys.exit(main())
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moment", ["compiling", "1"])
 def test_ctrl_c_of_the_process(data, tmp_path, moment):
     environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path / "cache")}

@@ -8,6 +8,8 @@ import pytest
 
 from giajax.cli._jax import cache_directory
 
+pytestmark = pytest.mark.quick
+
 
 def test_the_cache_is_where_the_user_keeps_caches(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "caches"))

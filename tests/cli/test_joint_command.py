@@ -160,6 +160,7 @@ def test_bad_input_is_one_sentence_and_exit_status_2(arguments, sentence, tmp_pa
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_a_definition_states_joint_and_muscle(tmp_path, capsys):
     stated = tmp_path / "mine.toml"
     stated.write_text('[joint]\ncorrection = "none"\n[muscle]\ndiameter_m = 0.0045\n')

@@ -83,6 +83,7 @@ def test_a_value_for_each_element(out):
     np.testing.assert_allclose(seen.values["tip_z"], plain.values["tip_z"] + 0.2, atol=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("digits", ["4", "9"])
 def test_steps_off_the_samples_are_read_back_as_they_were(out, digits):
     options = ["--step", "1=30@0.517", "--step", "1=0@1.23", "--step", "2=-10", "--digits", digits]
@@ -96,6 +97,7 @@ def test_steps_off_the_samples_are_read_back_as_they_were(out, digits):
         )
 
 
+@pytest.mark.slow
 def test_commands_and_wind_of_a_recorded_run(out, tmp_path):
     recorded = tmp_path / "recorded.csv"
     recorded.write_text(
@@ -241,6 +243,7 @@ def test_where_it_cannot_be_written(tmp_path, capsys):
     assert "does not exist" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_simulation_that_fails_is_one_sentence_and_status_1(out, capsys):
     options = [
         "--links",

@@ -70,6 +70,7 @@ def test_the_weights_are_a_density():
     )
 
 
+@pytest.mark.slow
 def test_a_larger_extreme_wipes_out_what_was_before():
     it = operator()
     _, quiet = it.history(path([0, -0.9, 0.8]))
@@ -119,6 +120,7 @@ def test_a_density_without_centre_is_a_prandtl_ishlinskii_operator():
     np.testing.assert_allclose(it.history(inputs)[0], plays.history(inputs)[0], atol=1e-13)
 
 
+@pytest.mark.slow
 def test_the_mesh_converges():
     inputs = path([0, 0.9, -0.7, 0.5, -0.2, 0.35])
     coarse, fine, finest = (np.asarray(operator(n).history(inputs)[0]) for n in (20, 40, 160))

@@ -81,7 +81,10 @@ def test_a_dense_scan_confirms_every_equilibrium(name):
     assert several > 3 or name == "empirical"
 
 
-@pytest.mark.parametrize("name", PAIRS)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.slow] * (name != "corrected")) for name in PAIRS],
+)
 def test_an_angle_gives_pressures_that_give_the_angle_back(name):
     """To 1e-9 rad wherever it is stable; where it is not, the solver lists it as unstable."""
     pair = PAIRS[name]

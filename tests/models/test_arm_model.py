@@ -116,6 +116,7 @@ def test_long_runs_get_more_steps():
     assert model_for([run]).max_steps == 6_000_000
 
 
+@pytest.mark.slow
 def test_mass_and_forces_are_only_determined_together(run):
     free = [*TRUTH, "links.mass", "links.inertia_transverse", "links.inertia_axial"]
     result = fit(model_for([run]), run, free=free, start=START, max_iterations=30, check=False)
@@ -188,6 +189,7 @@ def test_several_arm_runs_fit_together():
         assert abs(estimate.value - value) < 3.5 * estimate.standard_error
 
 
+@pytest.mark.slow
 def test_a_stiff_trial_is_rejected_and_the_fit_goes_on(run):
     """A step limit that the start needs almost wholly makes bolder trials fail."""
     model = ArmModel(giajax.takeichi_20m(LINKS), max_steps=700)

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 import giajax
-from arms import full_arm
 from giajax import InputError, Run
 from giajax.fitting import fit
 from giajax.models import (
@@ -16,6 +15,7 @@ from giajax.models import (
     parameter_values,
 )
 from giajax.runs import Definition
+from peers.arms import full_arm
 
 TIMES = np.linspace(0.0, 3.0, 31)
 RAMP = np.clip(TIMES - 0.3, 0, 0.7)
@@ -106,6 +106,7 @@ def fitted():
     return truth, run, result
 
 
+@pytest.mark.slow
 def test_options_are_fitted(fitted):
     truth, _, result = fitted
     assert result.status == "converged", result.message
@@ -116,6 +117,7 @@ def test_options_are_fitted(fitted):
     assert result.gradient_check.relative_difference < 1e-5
 
 
+@pytest.mark.slow
 def test_a_result_with_options_rebuilds_its_model(fitted, tmp_path):
     _, run, result = fitted
     (tmp_path / "result.json").write_text(result.to_json())

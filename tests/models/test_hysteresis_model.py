@@ -123,6 +123,7 @@ def test_a_memory_from_before_the_run_is_found():
         assert found.standard_error < np.deg2rad(1)
 
 
+@pytest.mark.slow
 def test_a_memory_is_found_with_everything_else():
     """From a run that states nothing, alone and among several starts."""
     inputs = np.deg2rad(turning([10, 16, 6, 55, -58, 50, -20, 30, -50, 12]))

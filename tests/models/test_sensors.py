@@ -252,6 +252,7 @@ def test_a_camera_frame_is_found_as_often_as_its_errors_say():
     assert np.mean(within) == pytest.approx(0.954, abs=0.02)
 
 
+@pytest.mark.slow
 def test_a_camera_frame_that_is_ignored_spoils_the_fit():
     """What the sensors are for: without them the residuals say that something is wrong."""
     run = recorded(**TRUE_FRAME)
@@ -259,6 +260,7 @@ def test_a_camera_frame_that_is_ignored_spoils_the_fit():
     assert result.reduced_chi_square > 20
 
 
+@pytest.mark.slow
 def test_what_a_planar_recording_cannot_tell_of_the_frame_is_named():
     """Heights of a motion in pitch: no turn about x or z, no shift along x or y shows."""
     planar = {"joint01_command": COMMAND["joint01_command"]}
@@ -272,6 +274,7 @@ def test_what_a_planar_recording_cannot_tell_of_the_frame_is_named():
     assert found["camera.origin[2]"].standard_error < 0.01
 
 
+@pytest.mark.slow
 def test_the_turn_of_base_and_camera_are_one():
     """Without gravity and wind only the turn of the arm against the camera is determined."""
     run = recorded(**TRUE_FRAME)

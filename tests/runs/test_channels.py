@@ -9,6 +9,8 @@ from giajax._errors import InputError
 from giajax.runs import Channel, parse_column
 from giajax.runs._channels import parse_columns
 
+pytestmark = pytest.mark.quick
+
 # column, name, kind, index, component, quantity, unit, value as recorded, the same in SI
 COLUMNS = [
     ("time_s", "time", "time", None, None, "time", "s", 2.5, 2.5),

@@ -8,6 +8,8 @@ import pytest
 
 from giajax.runs import Definition, Run, describe, read_run, sidecar_template
 
+pytestmark = pytest.mark.quick
+
 CSV = (
     "time_s,joint01_command_deg,joint02_command_deg,link06_z_m,link12_z_cm,wind_x_m_per_s\n"
     "0,0,0,0.5,,0.2\n"

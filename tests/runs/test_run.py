@@ -8,6 +8,8 @@ import pytest
 from giajax._errors import InputError
 from giajax.runs import Definition, Run
 
+pytestmark = pytest.mark.quick
+
 TIMES = [0.0, 0.1, 0.2, 0.3]
 NAN = math.nan
 

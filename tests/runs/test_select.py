@@ -6,6 +6,8 @@ import pytest
 from giajax import InputError, Run
 from giajax.runs import observing, windows
 
+pytestmark = pytest.mark.quick
+
 TIMES = np.linspace(0.0, 2.1, 211)
 
 

@@ -10,6 +10,8 @@ from giajax._errors import InputError
 from giajax.runs import Definition
 from giajax.runs._toml import to_toml
 
+pytestmark = pytest.mark.quick
+
 FULL = """
 schema_version = 1
 model = "arm"

@@ -63,6 +63,7 @@ def test_a_falling_horizontal_cylinder(drag, added):
     assert_allclose(found, speed * np.tanh(times / time), rtol=1e-6, atol=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("added", [None, 1.0])
 @pytest.mark.parametrize(("drag", "share"), [("centre", 1 / 16), ("strip", 1 / 8)])
 def test_a_link_that_swings_loses_energy_to_the_air(drag, share, added):

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from arms import full_arm, general_arm
 from giajax.arm import (
     damping_power,
     drag_power,
@@ -16,6 +15,7 @@ from giajax.arm import (
 )
 from giajax.parameters import replace
 from giajax.simulation import constant, joint_ramps, simulate
+from peers.arms import full_arm, general_arm
 
 TIGHT = {"solver": "dopri8", "rtol": 1e-11, "atol": 1e-11}
 

@@ -8,11 +8,11 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.linalg import eigh
 
-from arms import general_arm, random_states
 from giajax.arm import mass_matrix, pendulum
 from giajax.parameters import replace
 from giajax.simulation import constant, simulate
 from giajax.simulation._controller import fastest_rate, step_size_controller
+from peers.arms import general_arm, random_states
 
 
 def test_a_step_into_nowhere_is_tried_smaller():

@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 
 from giajax.arm import takeichi_20m
@@ -39,6 +40,7 @@ print(json.dumps({
 """
 
 
+@pytest.mark.slow
 def test_a_simulation_in_32_bit_is_near_that_in_64_bit():
     environment = os.environ | {"JAX_ENABLE_X64": "0", "PYTHONWARNINGS": "error"}
     ended = subprocess.run(

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from arms import driven_arm
 from giajax.arm import takeichi_20m
 from giajax.parameters import replace
 from giajax.simulation import constant, joint_ramps, joint_steps, simulate
 from giajax.simulation._linearly_implicit import LinearlyImplicit
 from giajax.simulation._motion import Inputs, motion, springs
 from giajax.simulation._tableau import tableau
+from peers.arms import driven_arm
 
 # Order conditions of W-methods (Hairer and Wanner, Solving ODEs II, IV.7). A tree is a node of
 # the equation's f, with any number of branches, or of the matrix J, which is linear and has one.

@@ -6,10 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from arms import full_arm
 from giajax.arm import takeichi_20m_full
 from giajax.parameters import declared, left_out, replace
 from giajax.simulation import joint_ramps, ramps, simulate
+from peers.arms import full_arm
 
 LINKS = 2
 TIMES = np.linspace(0.0, 1.0, 6)

@@ -23,7 +23,7 @@ from giajax.simulation import (
     simulate,
     steps,
 )
-from scipy_chain import ScipyChain
+from peers.scipy_chain import ScipyChain
 
 LINKS = 3
 TIMES = np.linspace(0.0, 5.0, 51)

@@ -127,6 +127,7 @@ def test_forward_mode_is_the_difference(point):
         assert_allclose(column, difference, rtol=0, atol=1e-5 * max(scale, 0.1), err_msg=label)
 
 
+@pytest.mark.slow
 def test_reverse_mode_is_the_difference(point):
     vector, expected = point
     cotangent = jnp.asarray(np.random.default_rng(0).normal(size=expected.shape[0]))
@@ -173,6 +174,7 @@ def test_forward_through_a_reverse_simulation_is_refused_with_a_sentence(compile
         (jax.jit(derivative) if compiled else derivative)(1.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", ["command", "wind", "initial"])
 def test_the_refusal_covers_every_input(part):
     def last(x, derivatives):

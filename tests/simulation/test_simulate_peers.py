@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from arms import driven_arm, general_arm
 from giajax.simulation import joint_ramps, joint_steps, ramps, simulate
-from mujoco_chain import MujocoChain
-from scipy_chain import ScipyChain
+from peers.arms import driven_arm, general_arm
+from peers.mujoco_chain import MujocoChain
+from peers.scipy_chain import ScipyChain
 
 TIMES = np.linspace(0.0, 25.0, 251)
 

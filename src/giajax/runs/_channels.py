@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .._errors import InputError
-from .._words import one_of, shown
+from .._text import one_of, shown
 from ..kinds import KINDS, ChannelKind
 from ._units import QUANTITIES, QUANTITY_OF_SUFFIX, from_si, to_si
 

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from .._errors import InputError
-from .._words import shown
+from .._text import shown
 from ._toml import key_path
 
 

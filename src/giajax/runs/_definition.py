@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 from pydantic import Field, ValidationError, create_model, field_validator
 
 from .._errors import InputError
-from .._words import one_of
+from .._text import one_of
 from ..kinds import KINDS, Name, Section, key
 from ._complaints import complaint, plain
 from ._fit_sections import Figure, Fit, Noise

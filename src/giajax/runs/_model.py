@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 
 from .._errors import InputError
-from .._words import one_of
+from .._text import one_of
 from ..kinds import KINDS, Kind
 from ._channels import Channel
 

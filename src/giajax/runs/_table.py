@@ -15,7 +15,7 @@ import numpy.typing as npt
 import polars as pl
 
 from .._errors import InputError
-from .._words import shown
+from .._text import shown
 from ._channels import Channel, nearest, parse_column, parse_columns
 
 _MISSING = ("", "nan", "na")

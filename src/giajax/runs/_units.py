@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .._errors import InputError
-from .._words import one_of
+from .._text import one_of
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from giajax.arm import Arm
 from giajax.arm._bodies import lift
 from giajax.simulation import Signal
-from scipy_chain import NumpySignal, cross
+from peers.scipy_chain import NumpySignal, cross
 
 Array = np.ndarray
 

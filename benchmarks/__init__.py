@@ -1,0 +1,1 @@
+"""Measurements, each a command: `python -m benchmarks.NAME` in the root of the project."""

@@ -1,0 +1,16 @@
+"""Studies that take too long for a test; what they found is kept in `docs/evidence`.
+
+    python -m evidence           list them
+    python -m evidence coverage  run one and write docs/evidence/coverage.json (`make evidence`)
+
+The documentation quotes those files. The tests run a fiftieth of each study again, with other
+random numbers, and ask whether its figures could be those of the same program. A new study is a
+module with a `Study`, and a line in `STUDIES`.
+"""
+
+from ._coverage import COVERAGE
+from ._page import PAGE as PAGE, page as page
+from ._record import FOLDER as FOLDER, read as read, record as record, write as write
+from ._study import Study as Study
+
+STUDIES = {study.name: study for study in (COVERAGE,)}

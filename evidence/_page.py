@@ -1,0 +1,42 @@
+"""The page that shows the stored figures, written from their files."""
+
+from collections.abc import Iterable
+
+from ._record import FOLDER, read
+from ._study import Study
+
+PAGE = FOLDER / "README.md"
+
+_INTRODUCTION = """\
+# Evidence
+
+What takes too long for a test. Each table is written by `make evidence NAME` from the file
+beside it, which has the commit, the versions and the seed; `make test-all` runs a fiftieth of
+each study again, with other random numbers, and compares.
+"""
+
+
+def page(studies: Iterable[Study]) -> str:
+    """The text of the page.
+
+    Arguments:
+        studies: in the order of the page; those that were never run are left out.
+    """
+    return "\n".join([_INTRODUCTION, *(_section(study) for study in studies if _is_stored(study))])
+
+
+def _is_stored(study: Study) -> bool:
+    return (FOLDER / f"{study.name}.json").exists()
+
+
+def _section(study: Study) -> str:
+    content = read(study)
+    versions = content["versions"]
+    commit = (content["commit"] or "unknown")[:12]
+    run = (
+        f"{content['size']} repetitions in {content['seconds']:.0f} s, seed {content['seed']}, "
+        f"commit {commit}, jax {versions['jax']}, Python {versions['python']}: "
+        f"[{study.name}.json]({study.name}.json)."
+    )
+    rows = "\n".join(study.table(content["figures"]))
+    return f"## {study.name.capitalize()}\n\n{study.meaning}\n\n{rows}\n\n{run}\n"

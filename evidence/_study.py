@@ -1,0 +1,31 @@
+"""What a study is: how it is run, compared with an earlier run of itself, and shown."""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+Figures = dict[str, Any]
+
+
+@dataclasses.dataclass(frozen=True)
+class Study:
+    """A study whose figures depend on a size and on random numbers, and on nothing else.
+
+    Attributes:
+        name: of the study and of its file, `docs/evidence/NAME.json`.
+        meaning: what is repeated and what the figures are, for the page.
+        size: number of repetitions of the stored run.
+        seed: of the random numbers of the stored run.
+        run: figures, as JSON, of (size, seed).
+        disagreements: sentences on what a smaller run of the same program with other random
+            numbers could not have found, of (stored figures, new figures).
+        table: the figures as rows of Markdown.
+    """
+
+    name: str
+    meaning: str
+    size: int
+    seed: int
+    run: Callable[[int, int], Figures]
+    disagreements: Callable[[Figures, Figures], list[str]]
+    table: Callable[[Figures], list[str]]
