@@ -1,4 +1,7 @@
-"""Hysteresis as a model: from the history of an input to that of an output."""
+"""Hysteresis as a model: from the history of an input to that of an output.
+
+Longer than 200 lines because all that a fit asks of a model stands in one class.
+"""
 
 import dataclasses
 from collections.abc import Mapping, Sequence

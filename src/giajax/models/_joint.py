@@ -13,6 +13,7 @@ from ..joint import Correction, Joint, JointGeometry, balanced, check_geometry, 
 from ..kinds import JointSection
 from ..parameters import get, inline
 from ..runs import Channel, Definition, Run
+from ._agreement import check_agreement
 from ._joint_scene import joint_scene
 from ._protocol import AbstractModel, Channels
 from ._scene import Scene
@@ -57,13 +58,7 @@ class JointModel(AbstractModel):
         section = joint_to_section(joint_from_section(first.definition))
         for other in others:
             theirs = joint_to_section(joint_from_section(other.definition))
-            for key, value in section.items():
-                if theirs[key] != value:
-                    raise InputError(
-                        f"the sidecars of '{first.name}' and '{other.name}' disagree in [joint] "
-                        f"{key} ({value} and {theirs[key]}); correct one, or fit the runs "
-                        "separately"
-                    )
+            check_agreement("joint", (first, section), (other, theirs))
         joint = joint_from_section(first.definition)
         for run in runs:
             check_geometry(joint.geometry, run.values.get("angle"))

@@ -1,4 +1,7 @@
-"""A muscle as a model: from pressure and contraction to force."""
+"""A muscle as a model: from pressure and contraction to force.
+
+Longer than 200 lines because all that a fit asks of a model stands in one class.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Self
@@ -13,6 +16,7 @@ from ..joint import AbstractMuscle, BraidedMuscle, EmpiricalMuscle, Friction, Pi
 from ..kinds import MuscleSection
 from ..parameters import get, parameter
 from ..runs import Channel, Definition, Run
+from ._agreement import check_agreement
 from ._protocol import AbstractModel, Channels
 
 LAWS: dict[str, type[AbstractMuscle]] = {
@@ -70,13 +74,7 @@ class MuscleModel(AbstractModel):
         stated = first.definition.section(MuscleSection)
         for other in others:
             theirs = other.definition.section(MuscleSection)
-            for key in MuscleSection.model_fields:
-                if getattr(stated, key) != getattr(theirs, key):
-                    raise InputError(
-                        f"the sidecars of '{first.name}' and '{other.name}' disagree in [muscle] "
-                        f"{key} ({getattr(stated, key)} and {getattr(theirs, key)}); correct one, "
-                        "or fit the runs separately"
-                    )
+            check_agreement("muscle", (first, stated.given()), (other, theirs.given()))
         return cls.stated(stated)
 
     @classmethod
