@@ -88,7 +88,7 @@ class ArmModel(AbstractModel):
         check_steps_for(self.steps_for)
         if self.solver not in SOLVERS:
             raise InputError(
-                f"there is no solver '{self.solver}'; use one of: {', '.join(SOLVERS)}"
+                f"there is no solver '{self.solver}': use one of: {', '.join(SOLVERS)}"
             )
         self.sensors.check(self.arm.count)
 
@@ -154,7 +154,9 @@ class ArmModel(AbstractModel):
     def prepare(self, run: Run) -> ArmInputs:
         """Sample times, command, wind and initial state of an arm run."""
         if run.model != self.kind or run.times is None:
-            raise InputError(f"'{run.name}' is a run of the {run.model} model, not of an arm")
+            raise InputError(
+                f"'{run.name}' is a run of the {run.model} model: give a run of an arm"
+            )
         return arm_inputs(run, run.times, self.arm, self.sensors.encoder)
 
     def trajectory(self, inputs: ArmInputs) -> Trajectory:

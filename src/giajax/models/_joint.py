@@ -81,7 +81,9 @@ class JointModel(AbstractModel):
     def prepare(self, run: Run) -> JointInputs:
         """Angles, sides and torques of a joint run."""
         if run.model != self.kind:
-            raise InputError(f"'{run.name}' is a run of the {run.model} model, not of a joint")
+            raise InputError(
+                f"'{run.name}' is a run of the {run.model} model: give a run of a joint"
+            )
         dtype = jnp.result_type(float)
         torque = run.values.get("torque")
         return JointInputs(
@@ -112,7 +114,7 @@ class JointModel(AbstractModel):
         for name in channels:
             if Channel.named(name).kind not in known:
                 raise InputError(
-                    f"'{name}' is not predicted by the joint model; use one of: {', '.join(known)}"
+                    f"'{name}' is not predicted by the joint model: use one of: {', '.join(known)}"
                 )
             # NaN makes a fit reject a step into a joint that cannot be built.
             predicted[name] = jnp.where(possible, known[name], jnp.nan)
@@ -124,7 +126,7 @@ class JointModel(AbstractModel):
             check_geometry(self.joint.geometry, np.asarray(inputs.angle))
         except InputError as error:
             return str(error)
-        return "the force of the joint is not finite; choose another geometry or torque"
+        return "the force of the joint is not finite: choose another geometry or torque"
 
     def refined(self, factor: float) -> Self:
         """The same: it is in closed form."""

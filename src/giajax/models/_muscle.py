@@ -99,7 +99,7 @@ class MuscleModel(AbstractModel):
         for name in values:
             if name not in law.__dataclass_fields__:
                 raise InputError(
-                    f"[muscle] states {name}, which the law '{law.name}' does not know; remove it, "
+                    f"[muscle] states {name}, which the law '{law.name}' does not know: remove it, "
                     "or give another law"
                 )
         if stated.pressure_limit_kPa is not None:
@@ -107,7 +107,7 @@ class MuscleModel(AbstractModel):
         rubs = stated.friction or ("coulomb" if law is Piston else "none")
         if rubs == "none" and stated.friction_pressures_kPa is not None:
             raise InputError(
-                "[muscle] states friction_pressures_kPa, but there is no friction; remove it, or "
+                "[muscle] states friction_pressures_kPa, but there is no friction: remove it, or "
                 'state friction = "coulomb"'
             )
         nodes = tuple(p * _PASCAL for p in stated.friction_pressures_kPa or [0.0])
@@ -142,7 +142,9 @@ class MuscleModel(AbstractModel):
     def prepare(self, run: Run) -> MuscleInputs:
         """Pressure, displacement and direction of a muscle run."""
         if run.model != self.kind:
-            raise InputError(f"'{run.name}' is a run of the {run.model} model, not of a muscle")
+            raise InputError(
+                f"'{run.name}' is a run of the {run.model} model: give a run of a muscle"
+            )
         dtype = jnp.result_type(float)
 
         def column(name: str) -> Array | None:
@@ -151,7 +153,7 @@ class MuscleModel(AbstractModel):
 
         pressure = column("pressure")
         if pressure is None:
-            raise InputError(f"'{run.name}' has no pressure; add a column such as pressure_kPa")
+            raise InputError(f"'{run.name}' has no pressure: add a column such as pressure_kPa")
         phase = run.values.get("phase")
         directed = self.friction is not None and phase is not None
         direction = [_DIRECTION[text] for text in phase] if directed and phase is not None else None
@@ -177,7 +179,7 @@ class MuscleModel(AbstractModel):
         """Force, N, at the samples."""
         for name in channels:
             if Channel.named(name).kind != "force":
-                raise InputError(f"'{name}' is not predicted by the muscle model; use force")
+                raise InputError(f"'{name}' is not predicted by the muscle model: use force")
         contraction, position = self._displaced(inputs)
         force = self.muscle.force(inputs.pressure, contraction, self.length)
         if self.friction is not None:
@@ -200,7 +202,7 @@ class MuscleModel(AbstractModel):
 
     def failure(self, inputs: MuscleInputs) -> str:
         """The force is not finite."""
-        return "the force of the muscle is not finite; choose other start values"
+        return "the force of the muscle is not finite: choose other start values"
 
     def refined(self, factor: float) -> Self:
         """The same: it is in closed form."""

@@ -188,7 +188,7 @@ class Sensors(eqx.Module):
             value = getattr(getattr(self, part), field)
             if value is not None and np.shape(value) not in ((), (joints,)):
                 raise InputError(
-                    f"{name} has {np.size(value)} values for an arm of {joints} links; give one "
+                    f"{name} has {np.size(value)} values for an arm of {joints} links: give one "
                     "number, or one for each"
                 )
 
