@@ -1,6 +1,7 @@
 """What predicts channels for a run."""
 
-from ._arm import ArmInputs as ArmInputs, ArmModel as ArmModel
+from ._arm import ArmModel as ArmModel
+from ._arm_inputs import ArmInputs as ArmInputs
 from ._arm_scene import arm_scene as arm_scene
 from ._build import (
     build_model as build_model,

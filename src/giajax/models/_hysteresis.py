@@ -1,4 +1,7 @@
-"""Hysteresis as a model: from the history of an input to that of an output."""
+"""Hysteresis as a model: from the history of an input to that of an output.
+
+Longer than 200 lines because all that a fit asks of a model stands in one class.
+"""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -72,7 +75,7 @@ class HysteresisModel(AbstractModel):
         for other in others:
             if other.definition.section(HysteresisSection) != stated:
                 raise InputError(
-                    f"the sidecars of '{first.name}' and '{other.name}' disagree in [hysteresis]; "
+                    f"the sidecars of '{first.name}' and '{other.name}' disagree in [hysteresis]: "
                     "correct one, or fit the runs separately"
                 )
         _check_keys(first.name, stated)
@@ -80,7 +83,7 @@ class HysteresisModel(AbstractModel):
         if not any(_turns(values) for values in inputs):
             raise InputError(
                 f"the input of '{first.name}' never turns back, and hysteresis shows only where it "
-                "does; give a run that goes up and down"
+                "does: give a run that goes up and down"
             )
         return cls._made(settings, Scale.of(inputs, outputs), Columns.of(first))
 
@@ -209,7 +212,7 @@ class HysteresisModel(AbstractModel):
             if bool(self.operator.too_coarse(values, self._response(inputs))):
                 return (
                     "the input moves too far between two samples for the narrow knee of the "
-                    "Bouc-Wen operator; record more samples, or start with a smaller beta, gamma "
+                    "Bouc-Wen operator: record more samples, or start with a smaller beta, gamma "
                     "or nu"
                 )
         return (
@@ -242,7 +245,7 @@ def _check_keys(name: str, stated: HysteresisSection) -> None:
     if ignored:
         raise InputError(
             f"[hysteresis] of '{name}' states {', '.join(ignored)}, which {operator} does not "
-            "have; remove it, or state the operator that it belongs to"
+            "have: remove it, or state the operator that it belongs to"
         )
 
 

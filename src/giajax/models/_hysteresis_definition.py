@@ -79,7 +79,7 @@ def settings_for(stated: HysteresisSection, inputs: Sequence[np.ndarray]) -> Hys
         ends = [float(np.min(together)), float(np.max(together))]
     if not ends[0] < ends[1]:
         raise InputError(
-            "the input never changes, so that nothing responds to it; give a run in which it does"
+            "the input never changes, so that nothing responds to it: give a run in which it does"
         )
 
     def chosen(name: str) -> Any:

@@ -93,7 +93,7 @@ def write_result(result: FitResult, runs: Run | Sequence[Run], folder: str | Pat
     folder = Path(folder)
     runs = [runs] if isinstance(runs, Run) else list(runs)
     if [run.sha256 for run in runs] != [record.sha256 for record in result.runs]:
-        raise InputError("the runs are not those of the result; give the same ones in their order")
+        raise InputError("the runs are not those of the result: give the same ones in their order")
     # A result that was loaded has no predictions with it.
     predictions = result.predictions or [result.predict(run) for run in runs]
     names = _unique_names(runs)
