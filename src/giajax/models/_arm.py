@@ -1,6 +1,7 @@
 """The arm as a model: from commands and wind to positions and joint angles.
 
-Longer than 200 lines because all that a fit asks of a model stands in one class.
+Longer than 200 lines because an arm has all that a model may have: sensors, a solver to choose,
+and runs with a state of their own.
 """
 
 import dataclasses
@@ -15,9 +16,9 @@ from .._errors import InputError
 from .._program import program
 from .._typing import Array, Bool, Scalar
 from ..arm import Arm
-from ..kinds import ArmSection, InitialSection, SensorsSection
+from ..kinds import InitialSection
 from ..parameters import inline
-from ..runs import Channel, Definition, Run
+from ..runs import Definition, Run
 from ..simulation import (
     SOLVERS,
     SimulationError,
@@ -27,18 +28,18 @@ from ..simulation import (
     integrate,
     is_disturbance,
 )
-from ._agreement import check_agreement
-from ._arm_conditions import arm_conditions
+from ._agreement import agreed_parts
+from ._arm_conditions import scale_conditions, sensor_conditions
 from ._arm_inputs import ArmInputs, arm_inputs
 from ._arm_scene import arm_scene
+from ._arm_sensors import recorded_channels
 from ._definition import (
     arm_from_definition,
     arm_to_definition,
     sensors_from_definition,
     sensors_to_definition,
 )
-from ._delays import Seen, seen_with_delays
-from ._protocol import AbstractModel, Channels, Integration
+from ._protocol import AbstractModel, Channels, Derived, Integration
 from ._scene import Scene
 from ._sensors import Sensors
 
@@ -54,11 +55,6 @@ _STEPS_PER_SECOND = 2_000
 def step_limit(duration: float) -> int:
     """Step limit for runs of a duration (s)."""
     return max(_MAX_STEPS, int(np.ceil(_STEPS_PER_SECOND * duration)))
-
-
-# What the camera records, and what the angle sensors do.
-_POSITIONS = frozenset({"link_position", "tip_position"})
-_ANGLES = frozenset({"joint_angle", "joint_rate", "link_angle"})
 
 
 class ArmModel(AbstractModel):
@@ -99,20 +95,7 @@ class ArmModel(AbstractModel):
         Raises:
             InputError: the sidecars disagree in [arm] or [sensors].
         """
-        first, *others = runs
-        arm = arm_from_definition(first.definition)
-        sensors = sensors_from_definition(first.definition)
-        sections = [first.definition.section(of) for of in (ArmSection, SensorsSection)]
-        for other in others:
-            if [other.definition.section(type(of)) for of in sections] == sections:
-                continue
-            their_arm = arm_from_definition(other.definition)
-            their_sensors = sensors_from_definition(other.definition)
-            for section, ours, theirs in (
-                ("arm", arm_to_definition(arm), arm_to_definition(their_arm)),
-                ("sensors", sensors_to_definition(sensors), sensors_to_definition(their_sensors)),
-            ):
-                check_agreement(section, (first, ours), (other, theirs))
+        arm, sensors = agreed_parts(runs)
         durations = [float(np.ptp(run.times)) for run in runs if run.times is not None]
         return cls(arm, max_steps=step_limit(max(durations, default=0.0)), sensors=sensors)
 
@@ -153,11 +136,7 @@ class ArmModel(AbstractModel):
 
     def prepare(self, run: Run) -> ArmInputs:
         """Sample times, command, wind and initial state of an arm run."""
-        if run.model != self.kind or run.times is None:
-            raise InputError(
-                f"'{run.name}' is a run of the {run.model} model: give a run of an arm"
-            )
-        return arm_inputs(run, run.times, self.arm, self.sensors.encoder)
+        return arm_inputs(self.arm, self.sensors.encoder, run)
 
     def trajectory(self, inputs: ArmInputs) -> Trajectory:
         """Motion of the arm at the samples of a prepared run, as it is: without sensors."""
@@ -185,46 +164,13 @@ class ArmModel(AbstractModel):
         self, inputs: ArmInputs, channels: tuple[str, ...]
     ) -> tuple[Channels, Bool[Array, ""]]:
         """Predicted channels (m, rad, rad/s) as the sensors show them, each (sample,)."""
-        known = [Channel.named(name) for name in channels]
-        kinds = {channel.kind for channel in known}
-        camera, encoder, successful = self._seen(inputs, kinds)
-        sensors = self.sensors
-        tables: dict[str, Array] = {}
-        if kinds & {"joint_angle", "link_angle"}:
-            tables["joint_angle"] = sensors.encoder.shows(encoder.angles)
-            tables["link_angle"] = jnp.cumsum(tables["joint_angle"], axis=1)
-        if "joint_rate" in kinds:
-            tables["joint_rate"] = sensors.encoder.shows_rates(encoder.rates)
-        # Positions of all links are computed only where a channel asks for one.
-        if "link_position" in kinds:
-            tables["link_position"] = sensors.link_positions(self.arm, camera.angles)
-        if "tip_position" in kinds:
-            tables["tip_position"] = sensors.tip_positions(self.arm, camera.angles)[:, None]
-        predicted = {}
-        for channel in known:
-            column = tables[channel.kind][:, (channel.index or 1) - 1]
-            predicted[channel.name] = (
-                column if channel.component is None else column[:, channel.component]
-            )
-        return predicted, successful
-
-    def _seen(self, inputs: ArmInputs, kinds: set[str]) -> tuple[Seen, Seen, Bool[Array, ""]]:
-        """What camera and angle sensors see; a clock that no channel needs costs nothing."""
-        camera = self.sensors.camera.delay if kinds & _POSITIONS else None
-        encoder = self.sensors.encoder.delay if kinds & _ANGLES else None
-        if camera is None and encoder is None:
-            motion = self.trajectory(inputs)
-            seen = Seen(motion.angles, motion.rates)
-            return seen, seen, motion.successful
-        clocks = [
-            delay
-            for delay, asked in ((camera, kinds & _POSITIONS), (encoder, kinds & _ANGLES))
-            if asked
-        ]
-        clocks_seen, successful = seen_with_delays(
-            lambda times, end: self._motion(inputs, times, end), inputs.times, clocks
+        return recorded_channels(
+            self.arm,
+            self.sensors,
+            lambda times, end: self._motion(inputs, times, end),
+            inputs.times,
+            channels,
         )
-        return clocks_seen[0], clocks_seen[-1], successful
 
     def refined(self, factor: float) -> Self:
         """The same model with the integrator's tolerances multiplied by a factor."""
@@ -252,9 +198,17 @@ class ArmModel(AbstractModel):
             return model
         return dataclasses.replace(model, tolerance=jnp.asarray(tolerance))
 
+    def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
+        """The same: derivatives lead away from every start."""
+        return self
+
+    def derived(self) -> dict[str, Derived]:
+        """Nothing beyond the parameters themselves."""
+        return {}
+
     def conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
         """The scale that motion alone cannot determine, and what C_D and sensors refer to."""
-        return arm_conditions(self, self.arm, free, runs)
+        return scale_conditions(self, self.arm, free, runs) + sensor_conditions(self, free, runs)
 
     def definition(self) -> dict[str, Any]:
         """The arm's constants, its sensors and the settings of the integrator."""

@@ -1,15 +1,14 @@
-"""On what the fitted parameters of an arm are conditional: its scale, and what sensors refer to."""
+"""On what a fit of an arm is conditional: the scale of all forces, and what sensors refer to."""
 
 from collections.abc import Sequence
 
-import equinox as eqx
 import numpy as np
 
 from ..arm import Arm
 from ..kinds import InitialSection
 from ..parameters import declared, find
 from ..runs import Run
-from ._sensors import CONDITIONS
+from ._protocol import AbstractModel
 
 # Scaling all of these together leaves every motion unchanged: only ratios are determined.
 _SCALE = (
@@ -33,22 +32,30 @@ _SCALE = (
 # C_D is referred to these (eq. 1).
 _DRAG_AREA = ("air.density", "links.length", "links.diameter")
 
+_COMMANDED = (
+    "counted from the clock of the commands, so that a lag of the drives would look the same"
+)
+_SENSORS: dict[str, str] = {
+    "camera.delay": _COMMANDED,
+    "encoder.delay": _COMMANDED,
+    "encoder.offset": "counted from the commanded angle 0, at which the joints are straight",
+}
 
-def arm_conditions(
-    model: eqx.Module, arm: Arm, free: Sequence[str], runs: Sequence[Run]
+
+def scale_conditions(
+    model: AbstractModel, arm: Arm, free: Sequence[str], runs: Sequence[Run]
 ) -> list[str]:
-    """Sentences: the scale that motion alone cannot determine, and what C_D and sensors refer to.
+    """The scale that motion alone cannot determine, and what C_D refers to.
 
     Arguments:
-        model: declares the parameters of the arm and of its sensors.
-        arm: of the model.
-        free: paths of what was fitted.
-        runs: that were fitted.
+        model: of the arm.
+        arm: its arm.
+        free: paths of the parameters that are fitted.
+        runs: what they are fitted to.
+
+    Returns:
+        A sentence for each condition.
     """
-    return _scale(model, arm, free, runs) + _sensors(model, free, runs)
-
-
-def _scale(model: eqx.Module, arm: Arm, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
     fitted = {path.partition("[")[0] for path in free}
     scaled = [path for path in free if path.partition("[")[0] in _SCALE]
     # A known force sets the scale: a drive's torque, the lift of displaced air, or the push of
@@ -71,9 +78,19 @@ def _scale(model: eqx.Module, arm: Arm, free: Sequence[str], runs: Sequence[Run]
     return sentences
 
 
-def _sensors(model: eqx.Module, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
+def sensor_conditions(model: AbstractModel, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
+    """What parameters of the sensors refer to.
+
+    Arguments:
+        model: of the arm.
+        free: paths of the parameters that are fitted.
+        runs: what they are fitted to.
+
+    Returns:
+        A sentence for each condition.
+    """
     fitted = {path.partition("[")[0] for path in free}
-    sentences = [f"{path}: {text}" for path, text in CONDITIONS.items() if path in fitted]
+    sentences = [f"{path}: {sentence}" for path, sentence in _SENSORS.items() if path in fitted]
     encoder = sorted(fitted & {"encoder.offset", "encoder.scale"})
     read = [run for run in runs if run.definition.section(InitialSection).first_row]
     if encoder and any(not run.definition.section(InitialSection).free for run in read):
@@ -89,7 +106,7 @@ def _sensors(model: eqx.Module, free: Sequence[str], runs: Sequence[Run]) -> lis
     return sentences
 
 
-def _values(model: eqx.Module, paths: Sequence[str]) -> str:
+def _values(model: AbstractModel, paths: Sequence[str]) -> str:
     """Paths with their values; of an array that is not uniform, the range."""
     shown = []
     for path in paths:

@@ -1,4 +1,4 @@
-"""What the model of an arm needs of a run, as arrays."""
+"""What the arm needs of a run: times, command, wind, drive torque and initial state."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -36,34 +36,33 @@ class ArmInputs(eqx.Module):
     initial: InitialState
 
 
-def arm_inputs(
-    run: Run, times: Float[np.ndarray, " sample"], arm: Arm, encoder: Encoder
-) -> ArmInputs:
-    """Sample times, command, wind, torque and initial state of an arm run.
+def arm_inputs(arm: Arm, encoder: Encoder, run: Run) -> ArmInputs:
+    """A run prepared for an arm.
 
     Arguments:
-        run: of an arm.
-        times: of its samples, s.
-        arm: that it drives.
-        encoder: the angle sensors, which saw a first row.
+        arm: its number of joints counts, and whether it takes a wind that changes.
+        encoder: the angle sensors, which saw the first row where the run starts from that.
+        run: of the arm.
 
     Raises:
-        InputError: the run drives a joint that the arm does not have, blows where the arm has no
-            air, or states another number of initial angles.
+        InputError: a run of another model, of another number of joints, or whose wind or initial
+            state the arm cannot have.
     """
-    wind = _wind(run, times)
+    if run.model != "arm" or run.times is None:
+        raise InputError(f"'{run.name}' is a run of the {run.model} model, not of an arm")
+    wind = _wind(run, run.times)
     check_wind(arm, wind)
     driven = any(run.channels[name].kind == "joint_torque" for name in run.commands)
     return ArmInputs(
-        times=jnp.asarray(times, dtype=jnp.result_type(float)),
-        command=_rows(run, times, arm, "joint_command"),
+        times=jnp.asarray(run.times, dtype=jnp.result_type(float)),
+        command=_rows(arm, run, run.times, "joint_command"),
         wind=wind,
-        torque=_rows(run, times, arm, "joint_torque") if driven else None,
-        initial=_initial(run, times, arm, encoder),
+        torque=_rows(arm, run, run.times, "joint_torque") if driven else None,
+        initial=_initial(arm, encoder, run, run.times),
     )
 
 
-def _initial(run: Run, times: np.ndarray, arm: Arm, encoder: Encoder) -> InitialState:
+def _initial(arm: Arm, encoder: Encoder, run: Run, times: np.ndarray) -> InitialState:
     """The state at the first sample; a first row was seen by the angle sensors."""
     angle, rate = map(jnp.asarray, initial_state(run, times, arm.count))
     if run.definition.section(InitialSection).first_row:
@@ -71,7 +70,7 @@ def _initial(run: Run, times: np.ndarray, arm: Arm, encoder: Encoder) -> Initial
     return InitialState(angle, rate)
 
 
-def _rows(run: Run, times: np.ndarray, arm: Arm, kind: str) -> Signal:
+def _rows(arm: Arm, run: Run, times: np.ndarray, kind: str) -> Signal:
     """Commands or torques of all joints; those without a column are zero."""
     values = np.zeros((len(times), arm.count))
     for name, column in run.commands.items():
@@ -79,21 +78,18 @@ def _rows(run: Run, times: np.ndarray, arm: Arm, kind: str) -> Signal:
             continue
         joint = run.channels[name].index or 0
         if joint > arm.count:
-            raise InputError(
-                f"'{run.name}' drives joint {joint} of an arm of {arm.count} joints: correct the "
-                "column, or state the number of links in [arm]"
-            )
+            raise InputError(f"'{run.name}' drives joint {joint} of an arm of {arm.count} joints")
         values[:, joint - 1] = column
     return logged(times, values, run.definition.section(CommandSection).interpolation)
 
 
 def _wind(run: Run, times: np.ndarray) -> Signal | None:
-    section = run.definition.section(WindSection)
-    if section.velocity_m_per_s is not None:
-        return constant(section.velocity_m_per_s)
+    stated = run.definition.section(WindSection)
+    if stated.velocity_m_per_s is not None:
+        return constant(stated.velocity_m_per_s)
     if not run.winds:
         return None
     velocity = np.zeros((len(times), 3))
     for name, values in run.winds.items():
         velocity[:, run.channels[name].component] = values
-    return logged(times, velocity, section.interpolation)
+    return logged(times, velocity, stated.interpolation)

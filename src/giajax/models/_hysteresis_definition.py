@@ -157,6 +157,22 @@ def operator_from_settings(settings: HysteresisSettings, scale: Scale) -> Abstra
     )
 
 
+def check_keys(name: str, stated: HysteresisSection) -> None:
+    """Refuse keys of `[hysteresis]` that the operator of a run does not have.
+
+    Raises:
+        InputError: naming the run, the keys and the operator.
+    """
+    operator = stated.operator or "prandtl_ishlinskii"
+    known = hysteresis_keys(operator)
+    ignored = [key for key in stated.model_dump(exclude_none=True) if key not in known]
+    if ignored:
+        raise InputError(
+            f"[hysteresis] of '{name}' states {', '.join(ignored)}, which {operator} does not "
+            "have: remove it, or state the operator that it belongs to"
+        )
+
+
 def _array(value: float | np.ndarray) -> Array:
     return jnp.asarray(value, dtype=jnp.result_type(float))
 

@@ -14,8 +14,9 @@ from ..kinds import JointSection
 from ..parameters import get, inline
 from ..runs import Channel, Definition, Run
 from ._agreement import check_agreement
+from ._direct import AbstractDirectModel
 from ._joint_scene import joint_scene
-from ._protocol import AbstractModel, Channels
+from ._protocol import Channels, Derived
 from ._scene import Scene
 
 _POINTS = {"anchor_m": "anchor", "wire_m": "wire", "contact_m": "contact"}
@@ -36,7 +37,7 @@ class JointInputs(eqx.Module):
     torque: Float[Array, " sample"] | None
 
 
-class JointModel(AbstractModel):
+class JointModel(AbstractDirectModel):
     """Predicts `contraction` and `force` of one muscle of a joint.
 
     Arguments:
@@ -74,10 +75,6 @@ class JointModel(AbstractModel):
         """The `[joint]` section."""
         return {"joint": joint_to_section(self.joint)}
 
-    def free_inputs(self, run: Run) -> tuple[str, ...]:
-        """None."""
-        return ()
-
     def prepare(self, run: Run) -> JointInputs:
         """Angles, sides and torques of a joint run."""
         if run.model != self.kind:
@@ -91,10 +88,6 @@ class JointModel(AbstractModel):
             inner=jnp.asarray(np.asarray(run.values["side"] == "inner", dtype=bool)),
             torque=None if torque is None else jnp.asarray(torque, dtype=dtype),
         )
-
-    def initial_section(self, inputs: JointInputs) -> dict[str, Any]:
-        """Nothing: each sample is at rest."""
-        return {}
 
     def scene(self, run: Run) -> Scene:
         """Balloons, muscle, wire and lettered points at the angles of the run."""
@@ -132,9 +125,13 @@ class JointModel(AbstractModel):
         """The same: it is in closed form."""
         return self
 
-    def for_derivatives(self, paths: Sequence[str]) -> Self:
-        """The same: it is in closed form."""
+    def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
+        """The same: derivatives lead away from every start."""
         return self
+
+    def derived(self) -> dict[str, Derived]:
+        """Nothing beyond the parameters themselves."""
+        return {}
 
     def conditions(self, free: Sequence[str], runs: Sequence[Run] = ()) -> list[str]:
         """That alpha and beta are what the geometry and the torque leave over."""

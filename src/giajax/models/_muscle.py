@@ -11,13 +11,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._errors import InputError
-from .._typing import Array, Bool, Float, Scalar
+from .._typing import Array, Bool, Scalar
 from ..joint import AbstractMuscle, BraidedMuscle, EmpiricalMuscle, Friction, Piston
 from ..kinds import MuscleSection
 from ..parameters import get, parameter
 from ..runs import Channel, Definition, Run
 from ._agreement import check_agreement
-from ._protocol import AbstractModel, Channels
+from ._direct import AbstractDirectModel
+from ._muscle_inputs import MuscleInputs, muscle_inputs
+from ._protocol import Channels, Derived
 
 LAWS: dict[str, type[AbstractMuscle]] = {
     law.name: law for law in (BraidedMuscle, EmpiricalMuscle, Piston)
@@ -25,27 +27,9 @@ LAWS: dict[str, type[AbstractMuscle]] = {
 """The laws by the name that `[muscle] law` gives them."""
 
 _PASCAL = 1e3  # in a kilopascal
-_DIRECTION = {"fill": -1.0, "exhaust": 1.0}
 
 
-class MuscleInputs(eqx.Module):
-    """What a muscle needs of a run.
-
-    Attributes:
-        pressure: Pa.
-        contraction: relative to the length at rest; None where only a position is recorded.
-        position: displacement, m; None where it is not recorded.
-        direction: +1 where the muscle is moved against its own pull (exhausting), -1 where it
-            moves by itself (filling); None where friction follows the displacement, or is none.
-    """
-
-    pressure: Float[Array, " sample"]
-    contraction: Float[Array, " sample"] | None
-    position: Float[Array, " sample"] | None
-    direction: Float[Array, " sample"] | None
-
-
-class MuscleModel(AbstractModel):
+class MuscleModel(AbstractDirectModel):
     """Predicts the `force` of a muscle or a cylinder.
 
     Arguments:
@@ -135,40 +119,9 @@ class MuscleModel(AbstractModel):
             section["friction_pressures_kPa"] = [p / _PASCAL for p in self.friction.pressures]
         return {"muscle": section}
 
-    def free_inputs(self, run: Run) -> tuple[str, ...]:
-        """None: the half-widths of friction are parameters by pressure, not by run."""
-        return ()
-
     def prepare(self, run: Run) -> MuscleInputs:
         """Pressure, displacement and direction of a muscle run."""
-        if run.model != self.kind:
-            raise InputError(
-                f"'{run.name}' is a run of the {run.model} model: give a run of a muscle"
-            )
-        dtype = jnp.result_type(float)
-
-        def column(name: str) -> Array | None:
-            values = run.values.get(name)
-            return None if values is None else jnp.asarray(values, dtype=dtype)
-
-        pressure = column("pressure")
-        if pressure is None:
-            raise InputError(f"'{run.name}' has no pressure: add a column such as pressure_kPa")
-        phase = run.values.get("phase")
-        directed = self.friction is not None and phase is not None
-        direction = [_DIRECTION[text] for text in phase] if directed and phase is not None else None
-        return MuscleInputs(
-            pressure=jnp.full_like(pressure, jnp.mean(pressure))
-            if self.mean_pressure
-            else pressure,
-            contraction=column("contraction"),
-            position=column("position"),
-            direction=None if direction is None else jnp.asarray(direction, dtype=dtype),
-        )
-
-    def initial_section(self, inputs: MuscleInputs) -> dict[str, Any]:
-        """Nothing: each sample is at rest."""
-        return {}
+        return muscle_inputs(run, mean=self.mean_pressure, directed=self.friction is not None)
 
     def scene(self, run: Run) -> None:
         """Nothing: its law knows a length and no place."""
@@ -208,9 +161,13 @@ class MuscleModel(AbstractModel):
         """The same: it is in closed form."""
         return self
 
-    def for_derivatives(self, paths: Sequence[str]) -> Self:
-        """The same: it is in closed form."""
+    def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
+        """The same: derivatives lead away from every start."""
         return self
+
+    def derived(self) -> dict[str, Derived]:
+        """Nothing beyond the parameters themselves."""
+        return {}
 
     def conditions(self, free: Sequence[str], runs: Sequence[Run] = ()) -> list[str]:
         """What is referred to values that were held."""

@@ -212,12 +212,3 @@ _EACH = (
     ("encoder.offset", "encoder", "offset"),
     ("encoder.scale", "encoder", "scale"),
 )
-
-CONDITIONS: dict[str, str] = {
-    "camera.delay": "counted from the clock of the commands, so that a lag of the drives would "
-    "look the same",
-    "encoder.delay": "counted from the clock of the commands, so that a lag of the drives would "
-    "look the same",
-    "encoder.offset": "counted from the commanded angle 0, at which the joints are straight",
-}
-"""On what a fitted parameter of the sensors is conditional, by path."""
