@@ -37,7 +37,7 @@ class Decay(AbstractDirectModel):
         return None
 
     def failure(self, inputs: Array) -> str:
-        return "the decay is too fast; choose a smaller one"
+        return "the decay is too fast: choose a smaller one"
 
     def prepare(self, run: Run) -> Any:
         return jnp.asarray(run.times)

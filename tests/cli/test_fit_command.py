@@ -285,7 +285,7 @@ def test_a_channel_is_renamed_on_the_way(data):
 
 
 def test_an_interruption_in_the_loop_writes_the_best_so_far(data, tmp_path, monkeypatch):
-    import giajax.cli._fit_output as command
+    import giajax.cli._progress as command
 
     shown = command.Progress.__call__
 
@@ -305,7 +305,7 @@ def test_an_interruption_in_the_loop_writes_the_best_so_far(data, tmp_path, monk
 
 SLOWLY = """
 import sys, time
-import giajax.cli._fit_output as command
+import giajax.cli._progress as command
 from giajax.cli import main
 shown = command.Progress.__call__
 def slowly(self, iteration):

@@ -52,6 +52,8 @@ class OwnHeights(AbstractModel):
     scene = Decay.scene
     conditions = Decay.conditions
     definition = Decay.definition
+    initial_section = Decay.initial_section
+    scene = Decay.scene
 
     def free_inputs(self, run: Run) -> tuple[str, ...]:
         return ("height", "drift") if run.definition.section(InitialSection).free else ()

@@ -1,4 +1,4 @@
-"""Added mass: what the air that the links move does to them, and to their inertia."""
+"""Added mass: the air that a link must move out of its way (Kirchhoff)."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""What the air does to the links by its flow: drag at their centres or along them, and lift."""
+"""What the air does to the links: wind, drag at their centres or along them, and lift."""
 
 from typing import NamedTuple
 

@@ -5,7 +5,13 @@ import jax.numpy as jnp
 from .._maths import dot
 from .._typing import Array, Float, Scalar
 from ._added_mass import added_mass
-from ._air import across_link, drag_in_motion, flow, lift_force, relative_velocity
+from ._air import (
+    across_link,
+    drag_in_motion,
+    flow,
+    lift_force,
+    relative_velocity,
+)
 from ._arm import Arm
 from ._bodies import bodies
 from ._inertia import mass_matrix

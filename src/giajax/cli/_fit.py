@@ -1,12 +1,20 @@
-"""`giajax fit`: parameters of an arm from recordings of it."""
+"""`giajax fit`: parameters of a model from recordings of it.
+
+This file is longer than 200 lines because every option of the command stands in it with its help.
+"""
 
 import math
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ._progress import Progress
+
 if TYPE_CHECKING:
+    from ..fitting import FitResult
+    from ..runs import Definition
     from ..tasks import FitTask
 
 STATUS = {"converged": 0, "not_converged": 1, "interrupted": 130}
@@ -141,7 +149,6 @@ def fit(
         where = f"{task.source} names no data" if task.source else "no data is given"
         raise typer.BadParameter(f"{where}: give at least one run with --data RUN.csv")
 
-    from ._fit_output import Progress, show
     from ._jax import configure
 
     configure()
@@ -159,7 +166,7 @@ def fit(
     if as_json:
         typer.echo(result.to_json(), nl=False)
     elif not quiet:
-        show(result, task.definition, files)
+        _show(result, task.definition, files)
         if hint := choice_hint(ready.runs, [str(path) for path in task.data]):
             print(f"\n{hint}")
     raise typer.Exit(STATUS[result.status])
@@ -189,3 +196,24 @@ def _values(pairs: list[str] | None, option: str) -> dict[str, float]:
             raise typer.BadParameter(f"{option} gives '{path}' twice: give it once")
         values[path] = value
     return values
+
+
+def _show(result: "FitResult", definition: "Definition", files: list[Path]) -> None:
+    import shutil
+    import sys
+
+    from ..report import parameter_table, reached, summary
+
+    # Nothing is wrapped where no person reads it: a row is a line, for grep and awk.
+    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+    print(parameter_table(result, width))
+    print()
+    print(summary(result, width))
+    figures = reached(result, definition)
+    if figures:
+        print()
+    for figure in figures:
+        print(f"{'reached' if figure.reached else 'MISSED':<9}{figure.path} {figure.sentence}")
+    print()
+    wrote = f"wrote {files[0].parent}: {', '.join(path.name for path in files)}"
+    print(wrote if width is None else textwrap.fill(wrote, width, subsequent_indent="  "))

@@ -8,23 +8,21 @@ from ._predict import (
     prediction_errors as prediction_errors,
 )
 from ._records import (
+    ChannelErrors as ChannelErrors,
+    ChannelFit as ChannelFit,
     Correlation as Correlation,
     Estimate as Estimate,
     GradientCheck as GradientCheck,
     Iteration as Iteration,
+    OwnEstimate as OwnEstimate,
+    PredictionErrors as PredictionErrors,
+    RunFit as RunFit,
     Seconds as Seconds,
     Shift as Shift,
     Start as Start,
     ToleranceEffect as ToleranceEffect,
 )
 from ._result import FitResult as FitResult, load_result as load_result
-from ._run_records import (
-    ChannelErrors as ChannelErrors,
-    ChannelFit as ChannelFit,
-    OwnEstimate as OwnEstimate,
-    PredictionErrors as PredictionErrors,
-    RunFit as RunFit,
-)
 from ._solver import Marquardt as Marquardt
 from ._table import estimate_table as estimate_table
 from ._units import in_column_units as in_column_units, units_note as units_note

@@ -13,9 +13,8 @@ from ._checks import Checks, checks
 from ._derived import derived_estimates
 from ._estimates import estimates, own_estimates
 from ._problem import predictions_by_run
-from ._records import Correlation, Seconds, finite_or_none
+from ._records import ChannelFit, Correlation, OwnEstimate, RunFit, Seconds, finite_or_none
 from ._result import FitResult
-from ._run_records import ChannelFit, OwnEstimate, RunFit
 from ._state import FitState
 from ._statistics import Statistics, statistics
 

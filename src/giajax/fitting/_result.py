@@ -18,13 +18,14 @@ from ._records import (
     Estimate,
     GradientCheck,
     Iteration,
+    PredictionErrors,
+    RunFit,
     Seconds,
     Start,
     Status,
     ToleranceEffect,
     finite_or_none,
 )
-from ._run_records import PredictionErrors, RunFit
 from ._table import estimate_html, estimate_table
 from ._units import in_column_units
 

@@ -5,8 +5,7 @@ more than once a step; on the paper's arm it needs 36 to 45 steps. Here the damp
 the norms of the Jacobian's columns (Marquardt 1963; More 1978), and one vmapped jvp gives value
 and Jacobian of the trial point together, so that an accepted step costs one evaluation.
 
-Longer than 200 lines because optimistix wants a solver in one class of four methods, whose
-signatures alone take 50.
+The file is longer than 200 lines because the methods of one algorithm are read together.
 """
 
 from collections.abc import Callable

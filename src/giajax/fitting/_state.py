@@ -1,24 +1,17 @@
-"""Where a fit stands: a frozen state, so that whoever holds one has a whole fit in hand."""
+"""Where a fit stands between two steps of its loop, as frozen data."""
 
 import dataclasses
 from typing import Self
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from .._typing import Array
-from ._bijector import Bijector
 from ._configuration import Setup
-from ._group import build_groups, own_start
 from ._jacobian import BlockJacobian
 from ._noise import Noise
-from ._problem import Prediction, Problem, residual
+from ._problem import Problem
 from ._records import Iteration, Status
 from ._solver import Marquardt, MarquardtState
-
-# In the free coordinate: a positive parameter changes by less than a factor of 4.5 in one step.
-_LARGEST_STEP = 1.5
 
 
 @dataclasses.dataclass(frozen=True)
@@ -105,64 +98,3 @@ class FitState:
     def ended(self, status: Status, message: str) -> Self:
         """The end of the fit."""
         return dataclasses.replace(self, ending=(status, message))
-
-
-def begin(setup: Setup) -> FitState:
-    """The state before anything is evaluated."""
-    setup = setup.at_start()
-    model, parameters = setup.model, setup.parameters
-    noise = Noise.of(setup.runs)
-    groups = build_groups(model, setup.runs, noise.values, len(parameters))
-    own = own_start(groups)
-    bijector = Bijector(
-        (*(p.declaration.lower for p in parameters), *(-np.inf for _ in own)),
-        (*(p.declaration.upper for p in parameters), *(np.inf for _ in own)),
-    )
-    problem = Problem(
-        model=model,
-        groups=groups,
-        bijector=bijector,
-        paths=tuple(p.path for p in parameters),
-        loss=setup.loss,
-    )
-    start = np.asarray([*(float(p.value(model)) for p in parameters), *own])
-    # A parameter whose start and default are zero has no size of its own: one unit.
-    defaults = np.asarray([*(p.declaration.default for p in parameters), *(0.0 for _ in own)])
-    sizes = np.maximum(np.abs(start), np.abs(defaults))
-    # In 32-bit the rounding of a simulation hides the last hundredth of a standard error.
-    distance = 0.1 if jnp.result_type(float) == jnp.float32 else 0.01
-    solver = Marquardt(
-        distance=distance,
-        # Residuals of this norm, in units of the noise, move no parameter by more than that.
-        floor=distance**2 / 2,
-        largest_step=_LARGEST_STEP,
-    )
-    coordinate = jnp.asarray(bijector.inverse(start), dtype=jnp.result_type(float))
-    return FitState(
-        setup=setup,
-        problem=problem,
-        noise=noise,
-        start=start,
-        sizes=np.where(sizes > 0, sizes, 1.0),
-        solver=solver,
-        coordinate=coordinate,
-        inner=blank(solver, problem, coordinate),
-        active=jnp.ones(problem.size, bool),
-    )
-
-
-def blank(solver: Marquardt, problem: Problem, coordinate: Array) -> MarquardtState:
-    """The solver's state before its first evaluation."""
-    groups, dtype = problem.groups, coordinate.dtype
-    count = sum(group.observed.size for group in groups)
-    prediction = Prediction(
-        tuple(jax.ShapeDtypeStruct(group.observed.shape, dtype) for group in groups),
-        jax.ShapeDtypeStruct((), bool),
-    )
-    shape = jax.ShapeDtypeStruct((count,), dtype)
-    shared = len(problem.paths)
-    blocks = tuple(
-        jnp.zeros((len(g.members), g.observed[0].size, shared + g.width), dtype) for g in groups
-    )
-    options = {"jacobian": blocks}
-    return solver.init(residual, coordinate, problem, options, shape, prediction, frozenset())

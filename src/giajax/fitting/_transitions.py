@@ -1,25 +1,75 @@
-"""The pure transitions from one state of a fit to the next.
+"""From one state of a fit to the next, by pure functions.
 
-None of them changes the state that it is given: the loop, after Ctrl-C, still has the one before.
-All evaluate the model by the same compiled program.
+None changes the state that it takes, so that whoever holds one (the loop, after Ctrl-C) has a
+whole fit in hand. All of them evaluate the model by the same compiled program.
 """
 
 import dataclasses
 import time
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 
 from .._program import program
 from .._typing import Array
-from ._group import build_groups
+from ._bijector import Bijector
+from ._configuration import Setup
+from ._group import build_groups, own_start
 from ._linearise import linearise
 from ._noise import Noise
-from ._problem import Problem, residual
+from ._problem import Prediction, Problem, residual
 from ._solver import Marquardt, MarquardtState
-from ._state import FitState, blank
+from ._state import FitState
+
+# In the free coordinate: a positive parameter changes by less than a factor of 4.5 in one step.
+_LARGEST_STEP = 1.5
+
+
+def begin(setup: Setup) -> FitState:
+    """The state before anything is evaluated."""
+    setup = setup.at_start()
+    model, parameters = setup.model, setup.parameters
+    noise = Noise.of(setup.runs)
+    groups = build_groups(model, setup.runs, noise.values, len(parameters))
+    own = own_start(groups)
+    bijector = Bijector(
+        (*(p.declaration.lower for p in parameters), *(-np.inf for _ in own)),
+        (*(p.declaration.upper for p in parameters), *(np.inf for _ in own)),
+    )
+    problem = Problem(
+        model=model,
+        groups=groups,
+        bijector=bijector,
+        paths=tuple(p.path for p in parameters),
+        loss=setup.loss,
+    )
+    start = np.asarray([*(float(p.value(model)) for p in parameters), *own])
+    # A parameter whose start and default are zero has no size of its own: one unit.
+    defaults = np.asarray([*(p.declaration.default for p in parameters), *(0.0 for _ in own)])
+    sizes = np.maximum(np.abs(start), np.abs(defaults))
+    # In 32-bit the rounding of a simulation hides the last hundredth of a standard error.
+    distance = 0.1 if jnp.result_type(float) == jnp.float32 else 0.01
+    solver = Marquardt(
+        distance=distance,
+        # Residuals of this norm, in units of the noise, move no parameter by more than that.
+        floor=distance**2 / 2,
+        largest_step=_LARGEST_STEP,
+    )
+    coordinate = jnp.asarray(bijector.inverse(start), dtype=jnp.result_type(float))
+    return FitState(
+        setup=setup,
+        problem=problem,
+        noise=noise,
+        start=start,
+        sizes=np.where(sizes > 0, sizes, 1.0),
+        solver=solver,
+        coordinate=coordinate,
+        inner=_blank(solver, problem, coordinate),
+        active=jnp.ones(problem.size, bool),
+    )
 
 
 def step(state: FitState) -> FitState:
@@ -49,7 +99,7 @@ def trial(state: FitState) -> FitState:
 def move(state: FitState, coordinate: Any) -> FitState:
     """Go on from another point, which is not evaluated yet."""
     coordinate = jnp.asarray(coordinate, dtype=state.coordinate.dtype)
-    inner = blank(state.solver, state.problem, coordinate)
+    inner = _blank(state.solver, state.problem, coordinate)
     return dataclasses.replace(state, coordinate=coordinate, inner=inner)
 
 
@@ -101,9 +151,26 @@ def evaluate(state: FitState, coordinate: Any, problem: Problem | None = None) -
     """Residual and Jacobian at a point, by the same compiled program as a step."""
     coordinate = jnp.asarray(coordinate, dtype=state.coordinate.dtype)
     problem = state.problem if problem is None else problem
-    fresh = blank(state.solver, problem, coordinate)
+    fresh = _blank(state.solver, problem, coordinate)
     _, inner, _, _ = _step(state.solver, coordinate, problem, fresh, state.active)
     return inner
+
+
+def _blank(solver: Marquardt, problem: Problem, coordinate: Array) -> MarquardtState:
+    """The solver's state before its first evaluation."""
+    groups, dtype = problem.groups, coordinate.dtype
+    count = sum(group.observed.size for group in groups)
+    prediction = Prediction(
+        tuple(jax.ShapeDtypeStruct(group.observed.shape, dtype) for group in groups),
+        jax.ShapeDtypeStruct((), bool),
+    )
+    shape = jax.ShapeDtypeStruct((count,), dtype)
+    shared = len(problem.paths)
+    blocks = tuple(
+        jnp.zeros((len(g.members), g.observed[0].size, shared + g.width), dtype) for g in groups
+    )
+    options = {"jacobian": blocks}
+    return solver.init(residual, coordinate, problem, options, shape, prediction, frozenset())
 
 
 # At module level: a fresh closure would be compiled again for every fit.

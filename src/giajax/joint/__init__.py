@@ -12,6 +12,7 @@ from ._correction import (
 from ._empirical import EmpiricalMuscle as EmpiricalMuscle
 from ._equilibria import equilibria as equilibria
 from ._equilibrium import Equilibria as Equilibria, Equilibrium as Equilibrium
+from ._force_and_pressure import muscle_force as muscle_force, muscle_pressure as muscle_pressure
 from ._friction import Friction as Friction
 from ._geometry import (
     LARGEST_ANGLE as LARGEST_ANGLE,
@@ -20,10 +21,6 @@ from ._geometry import (
     is_possible as is_possible,
 )
 from ._muscle import AbstractMuscle as AbstractMuscle
-from ._muscle_force import (
-    muscle_force as muscle_force,
-    muscle_pressure as muscle_pressure,
-)
 from ._pair import (
     JointPair as JointPair,
     PairCommand as PairCommand,

@@ -1,6 +1,6 @@
-"""The arm and the sensors that the sidecars of some runs state, which must agree."""
+"""Whether the sidecars of runs that are fitted together agree."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from .._errors import InputError
@@ -35,21 +35,31 @@ def agreed_parts(runs: Sequence[Run]) -> tuple[Arm, Sensors]:
             ("arm", arm_to_definition(arm), arm_to_definition(their_arm)),
             ("sensors", sensors_to_definition(sensors), sensors_to_definition(their_sensors)),
         ):
-            _check_agreement(section, (first, ours), (other, theirs))
+            check_agreement(section, (first, ours), (other, theirs))
     return arm, sensors
 
 
-def _check_agreement(
-    section: str, first: tuple[Run, dict[str, Any]], other: tuple[Run, dict[str, Any]]
+def check_agreement(
+    section: str, first: tuple[Run, Mapping[str, Any]], other: tuple[Run, Mapping[str, Any]]
 ) -> None:
+    """Refuse two runs whose sidecars state a key of a section differently.
+
+    Arguments:
+        section: its name.
+        first: a run, and what it states in the section, by key; None where it states nothing.
+        other: another one.
+
+    Raises:
+        InputError: naming the runs, the key and both values.
+    """
     (one, ours), (two, theirs) = first, other
     for key in {**ours, **theirs}:
         if ours.get(key) != theirs.get(key):
-            said = " and ".join(
+            both = " and ".join(
                 "nothing" if values.get(key) is None else str(values[key])
                 for values in (ours, theirs)
             )
             raise InputError(
                 f"the sidecars of '{one.name}' and '{two.name}' disagree in [{section}] "
-                f"{key} ({said}); correct one, or fit the runs separately"
+                f"{key} ({both}): correct one, or fit the runs separately"
             )

@@ -84,7 +84,7 @@ class ArmModel(AbstractModel):
         check_steps_for(self.steps_for)
         if self.solver not in SOLVERS:
             raise InputError(
-                f"there is no solver '{self.solver}'; use one of: {', '.join(SOLVERS)}"
+                f"there is no solver '{self.solver}': use one of: {', '.join(SOLVERS)}"
             )
         self.sensors.check(self.arm.count)
 

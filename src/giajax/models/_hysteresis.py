@@ -1,4 +1,7 @@
-"""Hysteresis as a model: from the history of an input to that of an output."""
+"""Hysteresis as a model: from the history of an input to that of an output.
+
+Longer than 200 lines because all that a fit asks of a model stands in one class.
+"""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -71,7 +74,7 @@ class HysteresisModel(AbstractDirectModel):
         for other in others:
             if other.definition.section(HysteresisSection) != stated:
                 raise InputError(
-                    f"the sidecars of '{first.name}' and '{other.name}' disagree in [hysteresis]; "
+                    f"the sidecars of '{first.name}' and '{other.name}' disagree in [hysteresis]: "
                     "correct one, or fit the runs separately"
                 )
         check_keys(first.name, stated)
@@ -79,7 +82,7 @@ class HysteresisModel(AbstractDirectModel):
         if not any(turns(values) for values in inputs):
             raise InputError(
                 f"the input of '{first.name}' never turns back, and hysteresis shows only where it "
-                "does; give a run that goes up and down"
+                "does: give a run that goes up and down"
             )
         return cls._made(settings, Scale.of(inputs, outputs), Columns.of(first))
 
@@ -176,7 +179,7 @@ class HysteresisModel(AbstractDirectModel):
         ):
             return (
                 "the input moves too far between two samples for the narrow knee of the "
-                "Bouc-Wen operator; record more samples, or start with a smaller beta, gamma "
+                "Bouc-Wen operator: record more samples, or start with a smaller beta, gamma "
                 "or nu"
             )
         return (

@@ -79,7 +79,7 @@ def settings_for(stated: HysteresisSection, inputs: Sequence[np.ndarray]) -> Hys
         ends = [float(np.min(together)), float(np.max(together))]
     if not ends[0] < ends[1]:
         raise InputError(
-            "the input never changes, so that nothing responds to it; give a run in which it does"
+            "the input never changes, so that nothing responds to it: give a run in which it does"
         )
 
     def chosen(name: str) -> Any:
@@ -169,7 +169,7 @@ def check_keys(name: str, stated: HysteresisSection) -> None:
     if ignored:
         raise InputError(
             f"[hysteresis] of '{name}' states {', '.join(ignored)}, which {operator} does not "
-            "have; remove it, or state the operator that it belongs to"
+            "have: remove it, or state the operator that it belongs to"
         )
 
 

@@ -13,6 +13,7 @@ from ..joint import Correction, Joint, JointGeometry, balanced, check_geometry, 
 from ..kinds import JointSection
 from ..parameters import get, inline
 from ..runs import Channel, Definition, Run
+from ._agreement import check_agreement
 from ._direct import AbstractDirectModel
 from ._joint_scene import joint_scene
 from ._protocol import Channels, Derived
@@ -58,13 +59,7 @@ class JointModel(AbstractDirectModel):
         section = joint_to_section(joint_from_section(first.definition))
         for other in others:
             theirs = joint_to_section(joint_from_section(other.definition))
-            for key, value in section.items():
-                if theirs[key] != value:
-                    raise InputError(
-                        f"the sidecars of '{first.name}' and '{other.name}' disagree in [joint] "
-                        f"{key} ({value} and {theirs[key]}); correct one, or fit the runs "
-                        "separately"
-                    )
+            check_agreement("joint", (first, section), (other, theirs))
         joint = joint_from_section(first.definition)
         for run in runs:
             check_geometry(joint.geometry, run.values.get("angle"))
@@ -83,7 +78,9 @@ class JointModel(AbstractDirectModel):
     def prepare(self, run: Run) -> JointInputs:
         """Angles, sides and torques of a joint run."""
         if run.model != self.kind:
-            raise InputError(f"'{run.name}' is a run of the {run.model} model, not of a joint")
+            raise InputError(
+                f"'{run.name}' is a run of the {run.model} model: give a run of a joint"
+            )
         dtype = jnp.result_type(float)
         torque = run.values.get("torque")
         return JointInputs(
@@ -110,7 +107,7 @@ class JointModel(AbstractDirectModel):
         for name in channels:
             if Channel.named(name).kind not in known:
                 raise InputError(
-                    f"'{name}' is not predicted by the joint model; use one of: {', '.join(known)}"
+                    f"'{name}' is not predicted by the joint model: use one of: {', '.join(known)}"
                 )
             # NaN makes a fit reject a step into a joint that cannot be built.
             predicted[name] = jnp.where(possible, known[name], jnp.nan)
@@ -122,7 +119,7 @@ class JointModel(AbstractDirectModel):
             check_geometry(self.joint.geometry, np.asarray(inputs.angle))
         except InputError as error:
             return str(error)
-        return "the force of the joint is not finite; choose another geometry or torque"
+        return "the force of the joint is not finite: choose another geometry or torque"
 
     def refined(self, factor: float) -> Self:
         """The same: it is in closed form."""

@@ -1,4 +1,7 @@
-"""A muscle as a model: from pressure and contraction to force."""
+"""A muscle as a model: from pressure and contraction to force.
+
+Longer than 200 lines because all that a fit asks of a model stands in one class.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Self
@@ -13,6 +16,7 @@ from ..joint import AbstractMuscle, BraidedMuscle, EmpiricalMuscle, Friction, Pi
 from ..kinds import MuscleSection
 from ..parameters import get, parameter
 from ..runs import Channel, Definition, Run
+from ._agreement import check_agreement
 from ._direct import AbstractDirectModel
 from ._muscle_inputs import MuscleInputs, muscle_inputs
 from ._protocol import Channels, Derived
@@ -54,13 +58,7 @@ class MuscleModel(AbstractDirectModel):
         stated = first.definition.section(MuscleSection)
         for other in others:
             theirs = other.definition.section(MuscleSection)
-            for key in MuscleSection.model_fields:
-                if getattr(stated, key) != getattr(theirs, key):
-                    raise InputError(
-                        f"the sidecars of '{first.name}' and '{other.name}' disagree in [muscle] "
-                        f"{key} ({getattr(stated, key)} and {getattr(theirs, key)}); correct one, "
-                        "or fit the runs separately"
-                    )
+            check_agreement("muscle", (first, stated.given()), (other, theirs.given()))
         return cls.stated(stated)
 
     @classmethod
@@ -85,7 +83,7 @@ class MuscleModel(AbstractDirectModel):
         for name in values:
             if name not in law.__dataclass_fields__:
                 raise InputError(
-                    f"[muscle] states {name}, which the law '{law.name}' does not know; remove it, "
+                    f"[muscle] states {name}, which the law '{law.name}' does not know: remove it, "
                     "or give another law"
                 )
         if stated.pressure_limit_kPa is not None:
@@ -93,7 +91,7 @@ class MuscleModel(AbstractDirectModel):
         rubs = stated.friction or ("coulomb" if law is Piston else "none")
         if rubs == "none" and stated.friction_pressures_kPa is not None:
             raise InputError(
-                "[muscle] states friction_pressures_kPa, but there is no friction; remove it, or "
+                "[muscle] states friction_pressures_kPa, but there is no friction: remove it, or "
                 'state friction = "coulomb"'
             )
         nodes = tuple(p * _PASCAL for p in stated.friction_pressures_kPa or [0.0])
@@ -134,7 +132,7 @@ class MuscleModel(AbstractDirectModel):
         """Force, N, at the samples."""
         for name in channels:
             if Channel.named(name).kind != "force":
-                raise InputError(f"'{name}' is not predicted by the muscle model; use force")
+                raise InputError(f"'{name}' is not predicted by the muscle model: use force")
         contraction, position = self._displaced(inputs)
         force = self.muscle.force(inputs.pressure, contraction, self.length)
         if self.friction is not None:
@@ -157,7 +155,7 @@ class MuscleModel(AbstractDirectModel):
 
     def failure(self, inputs: MuscleInputs) -> str:
         """The force is not finite."""
-        return "the force of the muscle is not finite; choose other start values"
+        return "the force of the muscle is not finite: choose other start values"
 
     def refined(self, factor: float) -> Self:
         """The same: it is in closed form."""

@@ -48,7 +48,7 @@ def muscle_inputs(run: Run, *, mean: bool, directed: bool) -> MuscleInputs:
 
     pressure = column("pressure")
     if pressure is None:
-        raise InputError(f"'{run.name}' has no pressure; add a column such as pressure_kPa")
+        raise InputError(f"'{run.name}' has no pressure: add a column such as pressure_kPa")
     phase = run.values.get("phase") if directed else None
     direction = None if phase is None else [_DIRECTION[text] for text in phase]
     return MuscleInputs(

@@ -141,7 +141,7 @@ def _forces(name: str, times: np.ndarray, values: np.ndarray, interpolation: str
         intervals = np.diff(times)
         if np.ptp(intervals) > _UNEVEN * np.mean(intervals):
             raise InputError(
-                f"'{name}' is not sampled evenly, which interpolation = \"band_limited\" needs; "
+                f"'{name}' is not sampled evenly, which interpolation = \"band_limited\" needs: "
                 'state "linear" in [oscillator]'
             )
         rows = _band_limited(values, count)[1 : count * (len(values) - 1) + 1].reshape(-1, count)

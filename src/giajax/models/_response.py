@@ -70,7 +70,9 @@ def input_channel(run: Run, kind: str) -> Channel:
         InputError: a run of another kind, or with none or several.
     """
     if run.model != kind:
-        raise InputError(f"'{run.name}' is a run of the {run.model} model, not of {kind}")
+        raise InputError(
+            f"'{run.name}' is a run of the {run.model} model: give one of the {kind} model"
+        )
     names = list(run.commands)
     if len(names) != 1:
         raise InputError(

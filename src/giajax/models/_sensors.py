@@ -3,7 +3,7 @@
 Every parameter is optional; what is left out costs nothing. A camera shows a point p of the base
 frame at scale * R^T (p - origin), R being the turn of the camera frame against the base frame.
 
-Longer than 200 lines because every parameter is declared at the sensor that it belongs to.
+Longer than 200 lines because each sensor declares its parameters beside what it does with them.
 """
 
 from typing import Any
@@ -188,7 +188,7 @@ class Sensors(eqx.Module):
             value = getattr(getattr(self, part), field)
             if value is not None and np.shape(value) not in ((), (joints,)):
                 raise InputError(
-                    f"{name} has {np.size(value)} values for an arm of {joints} links; give one "
+                    f"{name} has {np.size(value)} values for an arm of {joints} links: give one "
                     "number, or one for each"
                 )
 

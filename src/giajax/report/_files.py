@@ -1,23 +1,72 @@
-"""A result as a folder of files."""
+"""A result as a folder of files, and whether a folder may take it."""
 
-import hashlib
+import json
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from .._errors import InputError
 from ..fitting import FitResult, RunFit
-from ..runs import Definition, Run, check_output_folder, make_folder, run_keys, write_files
+from ..runs import Run, check_output_folder, make_folder, write_files
 from ._correlation import correlation_figure
-from ._folder import RESULT
+from ._prediction import prediction_files
 from ._recorded import recorded_figure
 from ._residuals import residuals_figure
 from ._style import SIGNATURE, to_png
 
+RESULT = "result.json"
+
 # A figure takes a second, and nobody looks at twenty of them.
 _MOST_RUNS = 6
+
+# What makes two fits the same fit; the iterations allowed and the folder do not.
+_SAME = ("definition", "runs", "free", "start", "fix", "loss")
+_WORDS = {"definition": "the model's constants", "runs": "what the sidecar states", "loss": "loss"}
+
+
+def check_folder(
+    folder: str | Path, runs: Sequence[Run], config: Mapping[str, Any], *, force: bool = False
+) -> None:
+    """Refuse a folder that cannot take a result, or holds one of something else.
+
+    To be called before the fit: nobody wants to hear this after it.
+
+    Arguments:
+        folder: where `write_result` is to write; need not exist.
+        runs: the runs to be fitted.
+        config: of the fit: `Setup.config`, which `giajax.fitting.set_up` makes.
+        force: write over any result that is there.
+
+    Raises:
+        InputError: the folder is a file, cannot be written, or (without `force`) holds the
+            result of other data, of another configuration, or of another program.
+    """
+    folder = Path(folder)
+    check_output_folder(folder)
+    path = folder / RESULT
+    if force or not path.exists():
+        return
+    remedy = "give another --out, or --force to write over it"
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+        checksums = [run["sha256"] for run in record["runs"]]
+        before = record["config"]
+        differing = [key for key in _SAME if before.get(key) != _as_json(config.get(key))]
+    except OSError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror}); {remedy}") from None
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise InputError(f"{path} is not a result of giajax; {remedy}") from None
+    if checksums != [run.sha256 for run in runs]:
+        names = ", ".join(str(run.get("name")) for run in record["runs"])
+        raise InputError(f"{folder} holds the result of other data ({names}); {remedy}")
+    if differing:
+        what = ", ".join(_WORDS.get(key, key) for key in differing)
+        raise InputError(
+            f"{folder} holds the result of another configuration (it differs in {what}); {remedy}"
+        )
 
 
 def write_result(result: FitResult, runs: Run | Sequence[Run], folder: str | Path) -> list[Path]:
@@ -44,11 +93,11 @@ def write_result(result: FitResult, runs: Run | Sequence[Run], folder: str | Pat
     folder = Path(folder)
     runs = [runs] if isinstance(runs, Run) else list(runs)
     if [run.sha256 for run in runs] != [record.sha256 for record in result.runs]:
-        raise InputError("the runs are not those of the result; give the same ones in their order")
+        raise InputError("the runs are not those of the result: give the same ones in their order")
     # A result that was loaded has no predictions with it.
     predictions = result.predictions or [result.predict(run) for run in runs]
     names = _unique_names(runs)
-    contents = _prediction_files(result, runs, names, predictions)
+    contents = prediction_files(result, runs, names, predictions)
     interrupted = None
     try:
         contents.update(_figure_files(result, runs, names, predictions))
@@ -63,6 +112,11 @@ def write_result(result: FitResult, runs: Run | Sequence[Run], folder: str | Pat
     if interrupted is not None:
         raise interrupted
     return list(paths)
+
+
+def _as_json(value: Any) -> Any:
+    """What becomes of a value that is written as JSON and read again."""
+    return json.loads(json.dumps(value))
 
 
 def _unique_names(runs: Sequence[Run]) -> list[str]:
@@ -119,71 +173,3 @@ def _remove_stale_figures(folder: Path, contents: Mapping[str, bytes]) -> None:
                     path.unlink()
             except OSError:
                 continue
-
-
-def _prediction_files(
-    result: FitResult,
-    runs: Sequence[Run],
-    names: Sequence[str],
-    predictions: Sequence[Mapping[str, np.ndarray]],
-) -> dict[str, bytes]:
-    tables = [_table(run, predicted) for run, predicted in zip(runs, predictions, strict=True)]
-    if len(runs) == 1:
-        data = _csv(tables[0])
-        checksum = hashlib.sha256(data).hexdigest()
-        return {
-            "prediction.csv": data,
-            "prediction.toml": _sidecar(result, runs[0], checksum).to_toml().encode(),
-        }
-    columns = list(dict.fromkeys(column for table in tables for column in table))
-    together: dict[str, list[str]] = {"run": []}
-    together |= {column: [] for column in columns}
-    for name, table in zip(names, tables, strict=True):
-        count = len(next(iter(table.values())))
-        together["run"] += [name] * count
-        for column in columns:
-            together[column] += table.get(column, [""] * count)
-    return {"prediction.csv": _csv(together)}
-
-
-def _table(run: Run, predicted: Mapping[str, np.ndarray]) -> dict[str, list[str]]:
-    """Cells by column: those of the recording, with predictions in place of measurements."""
-    columns = {}
-    if run.times is not None:
-        columns["time_s"] = _cells(run.times, 12)
-    for name, channel in run.channels.items():
-        values = predicted.get(name, run.values[name])
-        if channel.quantity == "text":
-            columns[channel.column] = ["" if text is None else str(text) for text in values]
-        else:
-            columns[channel.column] = _cells(channel.from_si(values), 9)
-    return columns
-
-
-def _cells(values: np.ndarray, digits: int) -> list[str]:
-    # Adding zero turns -0.0 into 0.0.
-    return [f"{v:.{digits}g}" if np.isfinite(v) else "" for v in (values + 0.0).tolist()]
-
-
-def _csv(columns: Mapping[str, list[str]]) -> bytes:
-    lines = [",".join(columns), *map(",".join, zip(*columns.values(), strict=True))]
-    return ("\n".join(lines) + "\n").encode()
-
-
-def _sidecar(result: FitResult, run: Run, checksum: str) -> Definition:
-    """What the prediction was made with, so that it can be read, checked and fitted as a run."""
-    stated = run.definition.given()
-    # The noise is that of the recording, which a prediction does not have.
-    about = [key for key in run_keys(model=False) if key != "noise"]
-    definition = result.model.definition()
-    model = {key: definition[key] for key in run.kind.sections if key in definition}
-    return Definition.parse(
-        {
-            "model": run.model,
-            "origin": f"predicted by giajax from a fit to {run.name}",
-            "sha256": checksum,
-            **model,
-            **{key: stated[key] for key in about if key in stated},
-        },
-        "prediction.toml",
-    )

@@ -1,6 +1,5 @@
 """Motion over time: inputs, integration by diffrax, and its result."""
 
-from ._commands import joint_ramps as joint_ramps, joint_steps as joint_steps
 from ._disturbances import (
     STEPS_FOR as STEPS_FOR,
     StepsFor as StepsFor,
@@ -8,6 +7,7 @@ from ._disturbances import (
     is_disturbance as is_disturbance,
 )
 from ._integrate import integrate as integrate
+from ._joint_commands import joint_ramps as joint_ramps, joint_steps as joint_steps
 from ._signal import (
     Signal as Signal,
     constant as constant,

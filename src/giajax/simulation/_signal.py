@@ -1,6 +1,6 @@
-"""Inputs over time, such as commands of the joints and the velocity of the wind.
+"""Inputs over time: commands of the joints and the velocity of the wind.
 
-They are piecewise linear, with jumps allowed at the knots, so one class serves steps, ramps and
+Both are piecewise linear, with jumps allowed at the knots, so one class serves steps, ramps and
 logged rows. The knots are the corners that the step-size controller must not step over.
 """
 

@@ -1,6 +1,6 @@
 """A fit as data: what to fit to what, before anything is read or computed. Imports no JAX.
 
-Longer than 200 lines because `on_top` names every setting of a fit and says what it means.
+The file is longer than 200 lines because `on_top` says of each setting what it means.
 """
 
 import dataclasses

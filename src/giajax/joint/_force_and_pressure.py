@@ -1,4 +1,4 @@
-"""Force and pressure of any muscle, with arguments that are converted and checked."""
+"""Force of any muscle from its pressure, and the pressure for a force, with checked arguments."""
 
 import jax.numpy as jnp
 import numpy.typing as npt

@@ -1,17 +1,14 @@
-"""What `giajax fit` says: its progress on standard error, and its tables at the end."""
+"""The progress of a fit on standard error."""
 
 import shutil
 import sys
-import textwrap
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
 if TYPE_CHECKING:
-    from ..fitting import FitResult, Iteration
-    from ..runs import Definition
+    from ..fitting import Iteration
 
 
 class Progress:
@@ -61,28 +58,3 @@ class Progress:
 
     def _say(self, line: str) -> None:
         typer.echo(line, err=True)
-
-
-def show(result: "FitResult", stated: "Definition", files: list[Path]) -> None:
-    """Print the table, the summary, the figures that were to be reached, and the files.
-
-    Arguments:
-        result: of the fit.
-        stated: its definition, whose `[figures]` are what was to be reached.
-        files: that were written.
-    """
-    from ..report import parameter_table, reached, summary
-
-    # Nothing is wrapped where no person reads it: a row is a line, for grep and awk.
-    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
-    print(parameter_table(result, width))
-    print()
-    print(summary(result, width))
-    figures = reached(result, stated)
-    if figures:
-        print()
-    for figure in figures:
-        print(f"{'reached' if figure.reached else 'MISSED':<9}{figure.path} {figure.sentence}")
-    print()
-    wrote = f"wrote {files[0].parent}: {', '.join(path.name for path in files)}"
-    print(wrote if width is None else textwrap.fill(wrote, width, subsequent_indent="  "))

@@ -1,4 +1,4 @@
-"""Commands of the joints that start from the straight arm."""
+"""Commands that move single joints of a straight arm."""
 
 from collections.abc import Mapping
 
