@@ -10,6 +10,10 @@ import numpy as np
 import polars as pl
 
 from .._errors import InputError
+from ._header import check_header
+
+# Bytes in which the lines above a header are looked for.
+_TOP = 1 << 16
 
 
 def split_csv(data: bytes, path: Path) -> tuple[list[str], list[pl.Series], int]:
@@ -28,6 +32,7 @@ def split_csv(data: bytes, path: Path) -> tuple[list[str], list[pl.Series], int]
         ) from None
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    check_header(data[:_TOP].decode("utf-8", errors="ignore"), path)
     head, _, body = data.rstrip(b"\n").partition(b"\n")
     header = [name.strip() for name in next(csv.reader([head.decode("utf-8")]), [])]
     if not any(header):
