@@ -1,6 +1,6 @@
 """`giajax sensitivity`: what a recording would tell about parameters.
 
-More than 200 lines, because a run that is not there yet is described by the options of `simulate`.
+Longer than 200 lines because a run that is not there yet is told by the options of `simulate`.
 """
 
 import math

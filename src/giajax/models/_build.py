@@ -31,7 +31,7 @@ def model_for(runs: Sequence[Run]) -> AbstractModel:
         if run.model != first.model:
             raise InputError(
                 f"'{first.name}' is a run of the {first.model} model and '{run.name}' of the "
-                f"{run.model} model; fit them separately"
+                f"{run.model} model: fit them separately"
             )
     return _model_class(first.model).for_runs(runs)
 

@@ -36,7 +36,7 @@ def initial_state(run: Run, times: np.ndarray, joints: int) -> tuple[Row, Row]:
         if column is None or not np.isfinite(column[0]):
             raise InputError(
                 f"[initial] of '{run.name}' says first_row = true, but joint{joint:02d}_angle has "
-                "no value there; record the angle of every joint, or state angle_deg"
+                "no value there: record the angle of every joint, or state angle_deg"
             )
         angles[joint - 1] = column[0]
         slopes[joint - 1] = _slope(times[:_ROWS], column[:_ROWS])
@@ -45,7 +45,7 @@ def initial_state(run: Run, times: np.ndarray, joints: int) -> tuple[Row, Row]:
     if not stated.free:
         raise InputError(
             f"[initial] of '{run.name}' says first_row = true, but the rate of a joint has no "
-            "value there; record the rates, or let the fit find them with free = true"
+            "value there: record the rates, or let the fit find them with free = true"
         )
     return angles, slopes
 
@@ -61,7 +61,7 @@ def _stated(run: Run, degrees: float | Sequence[float] | None, joints: int) -> R
     values = np.asarray(0.0 if degrees is None else degrees, dtype=float)
     if values.shape not in ((), (joints,)):
         raise InputError(
-            f"[initial] of '{run.name}' has {values.size} values for {joints} joints; "
+            f"[initial] of '{run.name}' has {values.size} values for {joints} joints: "
             "give one number or one per joint"
         )
     return np.broadcast_to(np.deg2rad(values), (joints,))

@@ -2,6 +2,8 @@
 
 Every parameter is optional; what is left out costs nothing. A camera shows a point p of the base
 frame at scale * R^T (p - origin), R being the turn of the camera frame against the base frame.
+
+Longer than 200 lines because each sensor declares its parameters beside what it does with them.
 """
 
 from typing import Any
@@ -186,7 +188,7 @@ class Sensors(eqx.Module):
             value = getattr(getattr(self, part), field)
             if value is not None and np.shape(value) not in ((), (joints,)):
                 raise InputError(
-                    f"{name} has {np.size(value)} values for an arm of {joints} links; give one "
+                    f"{name} has {np.size(value)} values for an arm of {joints} links: give one "
                     "number, or one for each"
                 )
 
@@ -210,12 +212,3 @@ _EACH = (
     ("encoder.offset", "encoder", "offset"),
     ("encoder.scale", "encoder", "scale"),
 )
-
-CONDITIONS: dict[str, str] = {
-    "camera.delay": "counted from the clock of the commands, so that a lag of the drives would "
-    "look the same",
-    "encoder.delay": "counted from the clock of the commands, so that a lag of the drives would "
-    "look the same",
-    "encoder.offset": "counted from the commanded angle 0, at which the joints are straight",
-}
-"""On what a fitted parameter of the sensors is conditional, by path."""
