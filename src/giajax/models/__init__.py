@@ -41,3 +41,4 @@ from ._response import (
     output_channel as output_channel,
 )
 from ._scene import Line as Line, Scene as Scene
+from ._sensors import Sensors as Sensors
