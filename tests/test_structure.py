@@ -32,7 +32,7 @@ ROOMS = [
     ("simulation", "joint", "arm", "hysteresis"),
     ("runs",),
     ("kinds",),
-    ("parameters", "_program", "_maths", "_text", "_typing", "_errors"),
+    ("parameters", "quantities", "_program", "_maths", "_text", "_typing", "_errors"),
 ]
 LEVEL = {room: level for level, rooms in enumerate(ROOMS) for room in rooms}
 

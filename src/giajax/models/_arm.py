@@ -14,6 +14,7 @@ from .._typing import Array, Bool, Float, Scalar
 from ..arm import Arm
 from ..kinds import ArmSection, CommandSection, InitialSection, SensorsSection, WindSection
 from ..parameters import declared, find, inline, parameter
+from ..quantities import INITIAL
 from ..runs import Channel, Definition, Run
 from ..simulation import (
     SOLVERS,
@@ -85,12 +86,8 @@ _ANGLES = frozenset({"joint_angle", "joint_rate", "link_angle"})
 class InitialState(eqx.Module):
     """Joint angles and rates at the first sample; parameters of one run, if it says so."""
 
-    angle: Float[Array, " joint"] = parameter(
-        0.0, unit="rad", doc="joint angles at the first sample"
-    )
-    rate: Float[Array, " joint"] = parameter(
-        0.0, unit="rad/s", doc="joint rates at the first sample"
-    )
+    angle: Float[Array, " joint"] = parameter(INITIAL.angle)
+    rate: Float[Array, " joint"] = parameter(INITIAL.rate)
 
 
 class ArmInputs(eqx.Module):
