@@ -2,7 +2,8 @@
 
 Field by field they are the objects of `result.json`. What is not finite is null there, and None
 here once a file was read. The classmethods `of_json` take such objects, also those of earlier
-versions, which lack what was added since.
+versions, which lack what was added since. The file is longer than 200 lines because these records
+are one format: whoever reads a result reads them together.
 """
 
 import dataclasses

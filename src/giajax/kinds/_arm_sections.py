@@ -11,6 +11,7 @@ from ..quantities import (
     BUOYANCY,
     CAMERA,
     ENCODER,
+    INITIAL,
     JOINTS,
     LINKS,
     MARKER,
@@ -130,15 +131,10 @@ class SensorsSection(Section):
     """`[sensors]`: what is known of camera, markers and angle sensors. Unless given: exact."""
 
 
+@with_keys(INITIAL)
 class InitialSection(Section):
     """`[initial]`: joint angles and rates at the first sample. Unless given: straight, at rest."""
 
-    angle_deg: Finite | list[Finite] | None = key(
-        "a number or a list of them, one a joint", "joint angles at the first sample", example=0.0
-    )
-    rate_deg_per_s: Finite | list[Finite] | None = key(
-        "a number or a list of them, one a joint", "joint rates at the first sample", example=0.0
-    )
     first_row: bool | None = key(
         "true or false",
         "true: as in the first row of the joint angle and rate columns",
@@ -152,7 +148,7 @@ class InitialSection(Section):
 
     @model_validator(mode="after")
     def _stated_once(self) -> "InitialSection":
-        if self.first_row and (self.angle_deg is not None or self.rate_deg_per_s is not None):
+        if self.first_row and self.values():
             raise ValueError(
                 "says first_row = true and angle_deg or rate_deg_per_s, but must say the state "
                 "once: remove one or the other"

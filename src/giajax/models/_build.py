@@ -32,7 +32,7 @@ def model_for(runs: Sequence[Run]) -> AbstractModel:
         if run.model != first.model:
             raise InputError(
                 f"'{first.name}' is a run of the {first.model} model and '{run.name}' of the "
-                f"{run.model} model; fit them separately"
+                f"{run.model} model: fit them separately"
             )
     return _model_class(first.model).for_runs(runs)
 
@@ -64,7 +64,7 @@ def build_model(
 
 
 def parameter_values(model: eqx.Module) -> dict[str, Any]:
-    """All declared parameters of a model, or of a part of one, by path, as numbers and lists of numbers."""
+    """All declared parameters of a model or a part of one by path, as numbers and lists of them."""
     return {
         path: np.asarray(parameter.value(model), dtype=float).tolist()
         for path, parameter in declared(model).items()

@@ -1,4 +1,7 @@
-"""A muscle as a model: from pressure and contraction to force."""
+"""A muscle as a model: from pressure and contraction to force.
+
+Longer than 200 lines because all that a fit asks of a model stands in one class.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Self
@@ -7,14 +10,17 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from .._errors import InputError
-from .._typing import Array, Bool, Float, Scalar
+from .._typing import Array, Bool, Scalar
 from ..joint import AbstractMuscle, BraidedMuscle, EmpiricalMuscle, Friction, Piston
 from ..kinds import MuscleSection
 from ..parameters import declared, get, parameter, replace
 from ..quantities import AT_REST
 from ..runs import Channel, Definition, Run
+from ._agreement import check_agreement
 from ._build import parameter_values
-from ._protocol import AbstractModel, Channels
+from ._direct import AbstractDirectModel
+from ._muscle_inputs import MuscleInputs, muscle_inputs
+from ._protocol import Channels, Derived
 
 LAWS: dict[str, type[AbstractMuscle]] = {
     law.name: law for law in (BraidedMuscle, EmpiricalMuscle, Piston)
@@ -22,27 +28,9 @@ LAWS: dict[str, type[AbstractMuscle]] = {
 """The laws by the name that `[muscle] law` gives them."""
 
 _PASCAL = 1e3  # in a kilopascal
-_DIRECTION = {"fill": -1.0, "exhaust": 1.0}
 
 
-class MuscleInputs(eqx.Module):
-    """What a muscle needs of a run.
-
-    Attributes:
-        pressure: Pa.
-        contraction: relative to the length at rest; None where only a position is recorded.
-        position: displacement, m; None where it is not recorded.
-        direction: +1 where the muscle is moved against its own pull (exhausting), -1 where it
-            moves by itself (filling); None where friction follows the displacement, or is none.
-    """
-
-    pressure: Float[Array, " sample"]
-    contraction: Float[Array, " sample"] | None
-    position: Float[Array, " sample"] | None
-    direction: Float[Array, " sample"] | None
-
-
-class MuscleModel(AbstractModel):
+class MuscleModel(AbstractDirectModel):
     """Predicts the `force` of a muscle or a cylinder.
 
     Arguments:
@@ -71,13 +59,7 @@ class MuscleModel(AbstractModel):
         stated = first.definition.section(MuscleSection)
         for other in others:
             theirs = other.definition.section(MuscleSection)
-            for key in MuscleSection.model_fields:
-                if getattr(stated, key) != getattr(theirs, key):
-                    raise InputError(
-                        f"the sidecars of '{first.name}' and '{other.name}' disagree in [muscle] "
-                        f"{key} ({getattr(stated, key)} and {getattr(theirs, key)}); correct one, "
-                        "or fit the runs separately"
-                    )
+            check_agreement("muscle", (first, stated.given()), (other, theirs.given()))
         return cls.stated(stated)
 
     @classmethod
@@ -97,7 +79,7 @@ class MuscleModel(AbstractModel):
         rubs = stated.friction or ("coulomb" if law is Piston else "none")
         if rubs == "none" and stated.friction_pressures_kPa is not None:
             raise InputError(
-                "[muscle] states friction_pressures_kPa, but there is no friction; remove it, or "
+                "[muscle] states friction_pressures_kPa, but there is no friction: remove it, or "
                 'state friction = "coulomb"'
             )
         nodes = tuple(p * _PASCAL for p in stated.friction_pressures_kPa or [0.0])
@@ -127,38 +109,9 @@ class MuscleModel(AbstractModel):
             section["friction_pressures_kPa"] = [p / _PASCAL for p in self.friction.pressures]
         return {"muscle": section}
 
-    def free_inputs(self, run: Run) -> tuple[str, ...]:
-        """None: the half-widths of friction are parameters by pressure, not by run."""
-        return ()
-
     def prepare(self, run: Run) -> MuscleInputs:
         """Pressure, displacement and direction of a muscle run."""
-        if run.model != self.kind:
-            raise InputError(f"'{run.name}' is a run of the {run.model} model, not of a muscle")
-        dtype = jnp.result_type(float)
-
-        def column(name: str) -> Array | None:
-            values = run.values.get(name)
-            return None if values is None else jnp.asarray(values, dtype=dtype)
-
-        pressure = column("pressure")
-        if pressure is None:
-            raise InputError(f"'{run.name}' has no pressure; add a column such as pressure_kPa")
-        phase = run.values.get("phase")
-        directed = self.friction is not None and phase is not None
-        direction = [_DIRECTION[text] for text in phase] if directed and phase is not None else None
-        return MuscleInputs(
-            pressure=jnp.full_like(pressure, jnp.mean(pressure))
-            if self.mean_pressure
-            else pressure,
-            contraction=column("contraction"),
-            position=column("position"),
-            direction=None if direction is None else jnp.asarray(direction, dtype=dtype),
-        )
-
-    def initial_section(self, inputs: MuscleInputs) -> dict[str, Any]:
-        """Nothing: each sample is at rest."""
-        return {}
+        return muscle_inputs(run, mean=self.mean_pressure, directed=self.friction is not None)
 
     def scene(self, run: Run) -> None:
         """Nothing: its law knows a length and no place."""
@@ -169,7 +122,7 @@ class MuscleModel(AbstractModel):
         """Force, N, at the samples."""
         for name in channels:
             if Channel.named(name).kind != "force":
-                raise InputError(f"'{name}' is not predicted by the muscle model; use force")
+                raise InputError(f"'{name}' is not predicted by the muscle model: use force")
         contraction, position = self._displaced(inputs)
         force = self.muscle.force(inputs.pressure, contraction, self.length)
         if self.friction is not None:
@@ -192,15 +145,19 @@ class MuscleModel(AbstractModel):
 
     def failure(self, inputs: MuscleInputs) -> str:
         """The force is not finite."""
-        return "the force of the muscle is not finite; choose other start values"
+        return "the force of the muscle is not finite: choose other start values"
 
     def refined(self, factor: float) -> Self:
         """The same: it is in closed form."""
         return self
 
-    def for_derivatives(self, paths: Sequence[str]) -> Self:
-        """The same: it is in closed form."""
+    def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
+        """The same: derivatives lead away from every start."""
         return self
+
+    def derived(self) -> dict[str, Derived]:
+        """Nothing beyond the parameters themselves."""
+        return {}
 
     def conditions(self, free: Sequence[str], runs: Sequence[Run] = ()) -> list[str]:
         """What is referred to values that were held."""

@@ -6,7 +6,6 @@ from typing import Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
 
-from .._errors import InputError
 from .._typing import Array, Bool, Float, Scalar
 from ..runs import Run
 from ._scene import Scene
@@ -31,10 +30,13 @@ class Integration(NamedTuple):
 class AbstractModel(eqx.Module):
     """A model whose declared parameters can be fitted to runs.
 
-    Everything a fit does goes through these methods; it never asks which model it has.
+    Everything a fit does goes through these methods; it never asks which model it has. A model
+    without a solver to choose, whose runs have no state of their own, derives from
+    `AbstractDirectModel`, which has five of them.
     """
 
     kind: ClassVar[str]
+    """Its name in `giajax.kinds.KINDS`."""
 
     @classmethod
     @abc.abstractmethod
@@ -84,10 +86,11 @@ class AbstractModel(eqx.Module):
     def refined(self, factor: float) -> Self:
         """The same model with its numerical tolerances multiplied by a factor."""
 
+    @abc.abstractmethod
     def integration(self) -> Integration | None:
         """How the model is integrated; None where it is in closed form or has steps of its own."""
-        return None
 
+    @abc.abstractmethod
     def with_integration(self, *, solver: str | None, tolerance: float | None) -> Self:
         """The same model with another solver or tolerance; None leaves the one it has.
 
@@ -95,9 +98,6 @@ class AbstractModel(eqx.Module):
             InputError: the model has none, the solver does not exist, or the tolerance is not a
                 positive number.
         """
-        raise InputError(
-            f"the {self.kind} model has neither a solver nor a tolerance: leave both out"
-        )
 
     @abc.abstractmethod
     def for_derivatives(self, paths: Sequence[str]) -> Self:
@@ -134,6 +134,7 @@ class AbstractModel(eqx.Module):
             SimulationError: the model cannot be evaluated.
         """
 
+    @abc.abstractmethod
     def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
         """The model where a fit of some parameters to some runs may start.
 
@@ -144,12 +145,11 @@ class AbstractModel(eqx.Module):
             runs: what is fitted to.
             free: paths of the elements to fit that were given no start.
         """
-        return self
 
+    @abc.abstractmethod
     def derived(self) -> dict[str, Derived]:
         """Quantities that follow from the parameters and may be determined where those are not.
 
         Such as the products of parameters that show only together. Differentiable; a fit gives
         each a standard error. By name, which is no path of a parameter.
         """
-        return {}

@@ -2,6 +2,8 @@
 
 Every parameter is optional; what is left out costs nothing. A camera shows a point p of the base
 frame at scale * R^T (p - origin), R being the turn of the camera frame against the base frame.
+
+Longer than 200 lines because each sensor declares its parameters beside what it does with them.
 """
 
 import equinox as eqx
@@ -119,7 +121,7 @@ class Sensors(eqx.Module):
             shape = known.value(self).shape
             if known.declaration.per and shape not in ((), (joints,)):
                 raise InputError(
-                    f"{name} has {np.prod(shape)} values for an arm of {joints} links; give one "
+                    f"{name} has {np.prod(shape)} values for an arm of {joints} links: give one "
                     "number, or one for each"
                 )
 
@@ -134,13 +136,3 @@ class Sensors(eqx.Module):
     ) -> Float[Array, "sample 3"]:
         """Recorded positions of the tip's marker, m."""
         return self.camera.sees(jax.vmap(lambda row: self.marker.at_tip(arm, row))(angles))
-
-
-CONDITIONS: dict[str, str] = {
-    "camera.delay": "counted from the clock of the commands, so that a lag of the drives would "
-    "look the same",
-    "encoder.delay": "counted from the clock of the commands, so that a lag of the drives would "
-    "look the same",
-    "encoder.offset": "counted from the commanded angle 0, at which the joints are straight",
-}
-"""On what a fitted parameter of the sensors is conditional, by path."""

@@ -66,6 +66,7 @@ class _Initial(Group):
         0.0,
         unit="rad",
         per="joint",
+        each=True,
         doc="joint angles at the first sample",
         key=Key("angle_deg"),
     )
@@ -73,6 +74,7 @@ class _Initial(Group):
         0.0,
         unit="rad/s",
         per="joint",
+        each=True,
         doc="joint rates at the first sample",
         key=Key("rate_deg_per_s"),
     )

@@ -17,12 +17,16 @@ import polars as pl
 from .._errors import InputError
 from .._text import shown
 from ._channels import Channel, nearest, parse_column, parse_columns
+from ._header import check_header
 
 _MISSING = ("", "nan", "na")
 _NUMBER = re.compile(
     r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?|[+-]?inf(inity)?", re.IGNORECASE
 )
 _SUFFIXES = (".csv", ".parquet")
+
+# Bytes in which the lines above a header are looked for.
+_TOP = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -101,6 +105,7 @@ def _split_csv(data: bytes, path: Path) -> tuple[list[str], list[pl.Series], int
         ) from None
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    check_header(data[:_TOP].decode("utf-8", errors="ignore"), path)
     head, _, body = data.rstrip(b"\n").partition(b"\n")
     header = [name.strip() for name in next(csv.reader([head.decode("utf-8")]), [])]
     if not any(header):
