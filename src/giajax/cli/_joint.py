@@ -110,7 +110,7 @@ def _refuse_unused(sections: "Definition") -> None:
 
     muscle = sections.section(MuscleSection)
     unused = {
-        "length_m": muscle.length_m is not None,
+        "length_m": "length" in muscle.values(),
         "friction": muscle.friction not in (None, "none"),
         "friction_pressures_kPa": muscle.friction_pressures_kPa is not None,
     }
