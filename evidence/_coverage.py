@@ -47,12 +47,12 @@ def short_arm(truth: Mapping[str, float]) -> "tuple[AbstractModel, Recorder]":
     commands = {"joint01_command": 0.6 * ramp, "joint02_command": -0.5 * ramp}
     channels = ["link02_y", "link04_y", "link04_z"]
 
-    def recorded(seed: int) -> "Run":
+    def record(seed: int) -> "Run":
         return giajax.synthesise(
             model, times, commands, channels, noise={"position": 0.01}, seed=seed
         )
 
-    return giajax.ArmModel(giajax.chain(4)), recorded
+    return giajax.ArmModel(giajax.chain(4)), record
 
 
 def play_operator(truth: Mapping[str, float]) -> "tuple[AbstractModel, Recorder]":
@@ -66,7 +66,7 @@ def play_operator(truth: Mapping[str, float]) -> "tuple[AbstractModel, Recorder]
     command = np.concatenate([[0.0], *ways])
     model = giajax.build_model("hysteresis", definition, truth)
 
-    def recorded(seed: int) -> "Run":
+    def record(seed: int) -> "Run":
         return giajax.synthesise(
             model,
             np.arange(len(command), dtype=float),
@@ -76,7 +76,7 @@ def play_operator(truth: Mapping[str, float]) -> "tuple[AbstractModel, Recorder]
             seed=seed,
         )
 
-    return giajax.build_model("hysteresis", definition, {}), recorded
+    return giajax.build_model("hysteresis", definition, {}), record
 
 
 CASES = {
@@ -95,13 +95,13 @@ def run(size: int, seed: int) -> Figures:
         truth = {path: true for path, (true, _) in values.items()}
         start = {path: first for path, (_, first) in values.items()}
         seeds = np.random.SeedSequence([seed, index]).generate_state(size, np.uint64)
-        figures[name] = _refitted(*case(truth), truth, start, [int(each) for each in seeds])
+        figures[name] = _refit(*case(truth), truth, start, [int(each) for each in seeds])
     return figures
 
 
-def _refitted(
+def _refit(
     model: "AbstractModel",
-    recorded: Recorder,
+    record: Recorder,
     truth: Mapping[str, float],
     start: Mapping[str, float],
     seeds: list[int],
@@ -111,7 +111,7 @@ def _refitted(
     converged = 0
     pulls: dict[str, list[float]] = {path: [] for path in truth}
     for seed in seeds:
-        result = giajax.fit(model, recorded(seed), free=list(truth), start=start, check=False)
+        result = giajax.fit(model, record(seed), free=list(truth), start=start, check=False)
         converged += result.status == "converged"
         for path, true in truth.items():
             estimate = result.parameters[path]
@@ -138,26 +138,28 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
     """What would happen by chance less often than `PROBABILITY`, by classical tests."""
     if list(stored) != list(new):
         return [f"the cases are {list(new)}, and {list(stored)} are stored: run the study again"]
-    found = []
+    sentences = []
     for case, before in stored.items():
         after = new[case]
         n, m = before["fits"], after["fits"]
         if _unlike(before["converged"], n, after["converged"], m):
-            found.append(
+            sentences.append(
                 f"{case}: {after['converged']} of {m} fits converged, "
                 f"and {before['converged']} of {n} did"
             )
         for path, old in before["parameters"].items():
             where, now = f"{case}, {path}", after["parameters"][path]
             if old["truth"] != now["truth"]:
-                found.append(f"{where}: the truth is {now['truth']}, and {old['truth']} is stored")
+                sentences.append(
+                    f"{where}: the truth is {now['truth']}, and {old['truth']} is stored"
+                )
             if _unlike(old["within"], n, now["within"], m):
-                found.append(
+                sentences.append(
                     f"{where}: {now['within']} of {m} intervals hold the truth, "
                     f"and {old['within']} of {n} did"
                 )
-            found += [f"{where}: {sentence}" for sentence in _unlike_pulls(old, now)]
-    return found
+            sentences += [f"{where}: {sentence}" for sentence in _unlike_pulls(old, now)]
+    return sentences
 
 
 def _unlike(a: int, n: int, b: int, m: int) -> bool:
@@ -171,16 +173,16 @@ def _unlike_pulls(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
     """Whether two samples of pulls differ in mean (Welch) or in deviation (an F test)."""
     from scipy import stats
 
-    found = []
+    sentences = []
     (a, s, n), (b, t, m) = (
         (each["mean_pull"], each["deviation_of_pulls"], each["intervals"]) for each in (old, new)
     )
     if stats.ttest_ind_from_stats(a, s, n, b, t, m, equal_var=False).pvalue < PROBABILITY:
-        found.append(f"the mean pull is {b:.2f}, and was {a:.2f}")
+        sentences.append(f"the mean pull is {b:.2f}, and was {a:.2f}")
     ratio = stats.f(m - 1, n - 1)
     if min(ratio.cdf((t / s) ** 2), ratio.sf((t / s) ** 2)) < PROBABILITY / 2:
-        found.append(f"the pulls deviate by {t:.2f}, and did by {s:.2f}")
-    return found
+        sentences.append(f"the pulls deviate by {t:.2f}, and did by {s:.2f}")
+    return sentences
 
 
 def table(figures: Figures) -> list[str]:

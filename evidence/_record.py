@@ -30,15 +30,18 @@ def record(study: Study, size: int, seed: int) -> dict[str, Any]:
     Returns:
         The content of its file: figures, size, seed, commit, versions, machine and time, s.
     """
+    # Before the run: what is committed meanwhile is not what runs.
+    commit = _git("rev-parse", "HEAD")
+    # Figures of a working tree that no commit holds cannot be had again.
+    changed = bool(_git("status", "--porcelain", "--", *SOURCES))
     began = time.perf_counter()
     figures = study.run(size, seed)
     return {
         "study": study.name,
         "size": size,
         "seed": seed,
-        "commit": _git("rev-parse", "HEAD"),
-        # Figures of a working tree that no commit holds cannot be had again.
-        "uncommitted_changes": bool(_git("status", "--porcelain", "--", *SOURCES)),
+        "commit": commit,
+        "uncommitted_changes": changed,
         "versions": {
             "python": platform.python_version(),
             **{library: version(library) for library in LIBRARIES},

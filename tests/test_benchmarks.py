@@ -1,6 +1,7 @@
 """The benchmark runs, compares what it says it compares, and writes what it shows."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -81,3 +82,11 @@ def test_the_cost_of_every_option_is_measured(tmp_path):
     assert all(each["min"] > 0 for each in found.values())
     # Tiny arms in few turns: the limits themselves are for `make bench`.
     assert {each["allowed"] for each in found.values()} == {1.0, 1.5, 2.0, None}
+
+
+@pytest.mark.slow
+def test_the_benchmark_of_the_start_runs():
+    command = [sys.executable, "-m", "benchmarks.startup", "--quick"]
+    ended = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+    assert ended.stderr == ""
+    assert re.search(r"ratio +[0-9.]+, at most 1.5", ended.stdout)

@@ -75,5 +75,5 @@ def test_what_disagrees_is_said(change, sentence):
     )
     one = {"truth": 2.0, "intervals": 10, "within": 10, "mean_pull": -0.2}
     new = figures(10, **{**one, "deviation_of_pulls": 0.9, **change})
-    found = STUDIES["coverage"].disagreements(stored, new)
-    assert found == ([] if sentence is None else [f"case, k: {sentence}"])
+    sentences = STUDIES["coverage"].disagreements(stored, new)
+    assert sentences == ([] if sentence is None else [f"case, k: {sentence}"])

@@ -68,7 +68,7 @@ def test_it_reaches_its_figures(path):
     definition, runs = task.definition, task.prepare().runs
     result = task.run(check=False)
     assert result.status == "converged", result.message
-    assert result.iterations <= (40 if result.model.kind == "hysteresis" else 12)
+    assert result.iterations <= (12 if result.model.kind == "arm" else 40)
     found = reached(result, definition)
     assert len(found) == len(definition.figures)
     missed = [f"{figure.path} {figure.sentence}" for figure in found if not figure.reached]

@@ -89,7 +89,7 @@ def test_a_wheel_in_a_clean_environment_runs_the_demonstration(tmp_path):
     run(scripts / "python", *pip[1:], "install", wheel, "-c", constraints, cwd=tmp_path)
     giajax = scripts / "giajax"
     run(giajax, "examples", "--copy", tmp_path / "examples", cwd=tmp_path)
-    (data,) = (tmp_path / "examples").rglob("base_step.csv")
+    data = tmp_path / "examples" / "data" / "synthetic" / "base_step.csv"
     printed = run(giajax, "fit", "--data", data, "--out", tmp_path / "out", cwd=tmp_path)
     assert "air.drag_coefficient" in printed
     drag = load_result(tmp_path / "out").parameters["air.drag_coefficient"]

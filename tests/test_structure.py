@@ -32,7 +32,16 @@ ROOMS = [
     ("simulation", "joint", "arm", "hysteresis"),
     ("runs",),
     ("kinds",),
-    ("parameters", "_program", "_maths", "_text", "_typing", "_errors"),
+    (
+        "parameters",
+        "quantities",
+        "_program",
+        "_maths",
+        "_text",
+        "_typing",
+        "_errors",
+        "_version",
+    ),
 ]
 LEVEL = {room: level for level, rooms in enumerate(ROOMS) for room in rooms}
 
@@ -214,8 +223,8 @@ def later():
 def test_the_reading_sees_what_it_must():
     """Imports of every form, and every form of asking for a class."""
     tree = ast.parse(SAMPLE)
-    found = set(imported(SOURCE / "study" / "_sample.py", tree))
-    assert found == {
+    reading = set(imported(SOURCE / "study" / "_sample.py", tree))
+    assert reading == {
         "giajax", "giajax.models", "giajax.fitting", "giajax.fitting.fit", "giajax.cli._fit",
     }  # fmt: skip
     asked = {name for _, name in kinds_asked_for(tree)}

@@ -7,14 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from giajax._typing import Array, Scalar
-from giajax.models import AbstractModel, Channels
+from giajax.models import AbstractDirectModel, Channels, Derived
 from giajax.parameters import parameter
 from giajax.runs import Run
 
 TRUTH = {"amplitude": 2.0, "decay": 0.7, "offset": 0.3}
 
 
-class Decay(AbstractModel):
+class Decay(AbstractDirectModel):
     """tip_z = amplitude exp(-decay t) + offset; `idle` and `twin` are traps for a fit."""
 
     kind: ClassVar[str] = "decay"
@@ -33,17 +33,11 @@ class Decay(AbstractModel):
     def from_definition(cls, definition: Mapping[str, Any]) -> Self:
         return cls()
 
-    def free_inputs(self, run: Run) -> tuple[str, ...]:
-        return ()
-
-    def initial_section(self, inputs: Array) -> dict[str, Any]:
-        return {}
-
     def scene(self, run: Run) -> None:
         return None
 
     def failure(self, inputs: Array) -> str:
-        return "the decay is too fast; choose a smaller one"
+        return "the decay is too fast: choose a smaller one"
 
     def prepare(self, run: Run) -> Any:
         return jnp.asarray(run.times)
@@ -58,8 +52,11 @@ class Decay(AbstractModel):
     def refined(self, factor: float) -> Self:
         return self
 
-    def for_derivatives(self, paths: Sequence[str]) -> Self:
+    def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
         return self
+
+    def derived(self) -> dict[str, Derived]:
+        return {}
 
     def conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
         return [f"about {path}" for path in free]

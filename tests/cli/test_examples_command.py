@@ -58,7 +58,7 @@ def test_nothing_is_written_over_without_force(tmp_path, capsys):
 def test_a_folder_that_is_a_file(tmp_path, capsys):
     (tmp_path / "file").write_text("")
     assert main(["examples", "--copy", str(tmp_path / "file")]) == 2
-    assert "cannot be made" in capsys.readouterr().err
+    assert "is a file, but a folder is written: give another one" in capsys.readouterr().err
 
 
 def test_an_installed_package_has_them_inside(tmp_path, monkeypatch):

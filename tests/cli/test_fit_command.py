@@ -285,16 +285,16 @@ def test_a_channel_is_renamed_on_the_way(data):
 
 
 def test_an_interruption_in_the_loop_writes_the_best_so_far(data, tmp_path, monkeypatch):
-    import giajax.cli._fit as command
+    import giajax.cli._progress as command
 
-    shown = command._Progress.__call__
+    shown = command.Progress.__call__
 
     def interrupt(self, iteration):
         shown(self, iteration)
         if iteration.number == 2:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(command._Progress, "__call__", interrupt)
+    monkeypatch.setattr(command.Progress, "__call__", interrupt)
     status, out, err = giajax("fit", "--data", data, *STARTS, "--out", "out")
     assert status == 130
     assert "interrupted after 2 iterations" in out
@@ -305,13 +305,13 @@ def test_an_interruption_in_the_loop_writes_the_best_so_far(data, tmp_path, monk
 
 SLOWLY = """
 import sys, time
-import giajax.cli._fit as command
+import giajax.cli._progress as command
 from giajax.cli import main
-shown = command._Progress.__call__
+shown = command.Progress.__call__
 def slowly(self, iteration):
     shown(self, iteration)
     time.sleep(1.0)
-command._Progress.__call__ = slowly
+command.Progress.__call__ = slowly
 sys.exit(main())
 """
 

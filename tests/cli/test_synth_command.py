@@ -55,7 +55,7 @@ def test_a_file_that_states_a_model_is_true(run, tmp_path):
         (["--noise", "position_m"], "KEY=VALUE"),
         (["--noise", "height=1"], "height"),
         (["--noise", "angle_deg=1"], "none of the recorded channels"),
-        (["--set", "camera.origin=1,2"], "2 values for 3 elements"),
+        (["--set", "camera.origin=1,2"], "2 values and has 3 elements"),
         (["--set", "camera.delay=50"], "outside its bounds"),
         (["--outliers", "5"], "fraction and a size"),
         (["--missing", "100"], "fraction missing is 1"),

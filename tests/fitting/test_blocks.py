@@ -18,6 +18,7 @@ from giajax.fitting._group import build_groups, own_start
 from giajax.fitting._jacobian import BlockJacobian
 from giajax.fitting._linearise import linearise
 from giajax.fitting._problem import Problem, residual
+from giajax.kinds import InitialSection
 from giajax.models import AbstractModel, ArmModel
 from giajax.parameters import parameter
 from toy_model import Decay
@@ -43,11 +44,19 @@ class OwnHeights(AbstractModel):
     failure = Decay.failure
     refined = Decay.refined
     for_derivatives = Decay.for_derivatives
+    initial_section = Decay.initial_section
+    integration = Decay.integration
+    with_integration = Decay.with_integration
+    at_start = Decay.at_start
+    derived = Decay.derived
+    scene = Decay.scene
     conditions = Decay.conditions
     definition = Decay.definition
+    initial_section = Decay.initial_section
+    scene = Decay.scene
 
     def free_inputs(self, run: Run) -> tuple[str, ...]:
-        return ("height", "drift") if run.definition.initial.free else ()
+        return ("height", "drift") if run.definition.section(InitialSection).free else ()
 
     def prepare(self, run: Run) -> Inputs:
         return Inputs(jnp.asarray(run.times), 1.0, jnp.zeros(2))

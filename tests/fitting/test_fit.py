@@ -12,7 +12,7 @@ import pytest
 import giajax
 from giajax import InputError, Run
 from giajax.fitting import fit, set_up
-from giajax.fitting._state import begin, step, trial
+from giajax.fitting._transitions import begin, step, trial
 from giajax.report import summary
 from toy_model import TRUTH, Decay, height, run
 

@@ -261,7 +261,7 @@ def test_products_are_determined_where_their_factors_are_not():
 def test_what_is_no_run_of_it_is_refused():
     model = truth_of("plays")
     arm = Run.from_arrays([0.0, 1.0], {"tip_z": [0.0, 0.1]}, definition={"free_motion": True})
-    with pytest.raises(InputError, match="arm model, not of hysteresis"):
+    with pytest.raises(InputError, match="arm model: give one of the hysteresis model"):
         model.prepare(arm)
     lone = Run.from_arrays([0.0, 1.0], {"angle": [0.0, 0.1]}, definition={"model": "hysteresis"})
     with pytest.raises(InputError, match="one column of input or command, and has none"):

@@ -5,7 +5,8 @@ import pytest
 
 from giajax import Definition, InputError, Run, fit, model_for, read_run, replace
 from giajax.fitting import predict
-from giajax.models import OscillatorModel, build_model, parameter_values, synthesise
+from giajax.models import OscillatorModel, build_model, parameter_values
+from giajax.synthetic import synthesise
 
 STILL = {"input": [0.0, 1.0, 0.0], "output": [0.0, 0.0, 0.0]}
 
@@ -17,7 +18,7 @@ def test_times_and_even_samples_are_needed():
     uneven = Run.from_arrays([0.0, 1.0, 1.5], STILL, definition={"model": "oscillator"})
     with pytest.raises(InputError, match=r"not sampled evenly.*state \"linear\" in \[oscillator\]"):
         model.prepare(uneven)
-    with pytest.raises(InputError, match="run of the hysteresis model, not of oscillator"):
+    with pytest.raises(InputError, match="hysteresis model: give one of the oscillator model"):
         model.prepare(Run.from_arrays([0.0, 1.0, 2.0], STILL))
     other = Run.from_arrays(
         [0.0, 1.0, 2.0],

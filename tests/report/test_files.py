@@ -9,6 +9,7 @@ import pytest
 
 from giajax._errors import InputError
 from giajax.fitting import fit, load_result, set_up
+from giajax.kinds import InitialSection
 from giajax.models import model_for
 from giajax.report import check_folder, write_result
 from giajax.runs import Run, read_run
@@ -60,7 +61,7 @@ def test_a_free_motion_and_its_initial_state_are_in_the_prediction(result, tmp_p
     free = fit(model_for([swing]), swing, free=["joints.damping"], max_iterations=1, check=False)
     write_result(free, swing, tmp_path)
     predicted = read_run(tmp_path / "prediction.csv")
-    assert predicted.definition.initial.angle_deg == [10.0, 0, 0, 0]
+    assert predicted.definition.section(InitialSection).angle_deg == [10.0, 0, 0, 0]
     again = load_result(tmp_path).predict(predicted)["link04_z"]
     assert np.allclose(again, predicted.observations["link04_z"], rtol=1e-8, atol=1e-12)
 

@@ -26,7 +26,8 @@ times = np.linspace(0.0, 5.0, 26)
 @jax.jit
 def move(vector):
     by_name = dict(zip(["air.drag_coefficient", "joints.damping"], vector[:2]))
-    motion = simulate(replace(arm, by_name), command, times, wind=vector[2:], throw=False)
+    options = {"wind": vector[2:], "steps_for": "derivatives", "throw": False}
+    motion = simulate(replace(arm, by_name), command, times, **options)
     return motion.tip, motion.successful
 
 tip, successful = move(jnp.array([1.2, 0.05, 0.0, 0.0, 0.0]))

@@ -178,6 +178,7 @@ def angles(vector, solver, tolerance=1e-8, derivatives="forward"):
         rtol=tolerance,
         atol=tolerance,
         derivatives=derivatives,
+        steps_for="derivatives",
         throw=False,
     ).angles
 

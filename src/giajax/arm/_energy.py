@@ -4,9 +4,9 @@ import jax.numpy as jnp
 
 from .._maths import dot
 from .._typing import Array, Float, Scalar
+from ._added_mass import added_mass
 from ._air import (
     across_link,
-    added_mass,
     drag_in_motion,
     flow,
     lift_force,

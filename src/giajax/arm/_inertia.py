@@ -12,7 +12,7 @@ import numpy as np
 
 from .._maths import cross, dot, scaled
 from .._typing import Array, Float
-from ._air import added_mass
+from ._added_mass import added_mass
 from ._arm import Arm
 from ._bodies import Bodies, bodies
 from ._kinematics import Pose, Rows, pose, sum_from_tip

@@ -4,7 +4,8 @@ import jax.numpy as jnp
 
 from .._maths import cross, dot, scaled
 from .._typing import Array, Float
-from ._air import Flow, added_mass, added_mass_load, drag, flow, lift_force, relative_velocity
+from ._added_mass import added_mass, added_mass_load
+from ._air import Flow, drag, flow, lift_force, relative_velocity
 from ._arm import Arm
 from ._bodies import bodies
 from ._inertia import inertia_times

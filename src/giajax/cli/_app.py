@@ -5,7 +5,7 @@ and `giajax check` start without JAX.
 """
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Annotated
 
 import typer
@@ -27,11 +27,7 @@ from . import (
 )
 from ._errors import Commands, run
 
-app = typer.Typer(
-    name="giajax",
-    cls=Commands,
-    help="Simulate very long, very light robot arms, and fit their parameters to recordings.",
-    epilog="""\b
+_EXAMPLES = """\b
 Examples:
   giajax check run.csv      what a recording holds
   giajax init run.csv       write a sidecar for it, to fill in
@@ -52,26 +48,24 @@ Examples:
                             the paper's 1-link experiment, simulated
 
 A run is a CSV file with one column a channel (time_s, joint01_command_deg,
-link06_z_m, ...) and, beside it, an optional sidecar of the same name ending .toml.""",
-    context_settings={"help_option_names": ["-h", "--help"]},
-    rich_markup_mode=None,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-)
+link06_z_m, ...) and, beside it, an optional sidecar of the same name ending .toml."""
 
-app.command("check", epilog=_check.EXAMPLES)(_check.check)
-app.command("fit", epilog=_fit.EXAMPLES)(_fit.fit)
-app.command("choose", epilog=_choose.EXAMPLES)(_choose.choose)
-app.command("compensate", epilog=_compensate.EXAMPLES)(_compensate.compensate)
-app.command("hysteresis", epilog=_hysteresis.EXAMPLES)(_hysteresis.hysteresis)
-app.command("init", epilog=_init.EXAMPLES)(_init.init)
-app.command("joint", epilog=_joint.EXAMPLES)(_joint.joint)
-app.command("parameters", epilog=_parameters.EXAMPLES)(_parameters.parameters)
-app.command("predict", epilog=_predict.EXAMPLES)(_predict.predict)
-app.command("sensitivity", epilog=_sensitivity.EXAMPLES)(_sensitivity.sensitivity)
-app.command("simulate", epilog=_simulate.EXAMPLES)(_simulate.simulate)
-app.command("synth", epilog=_synth.EXAMPLES)(_synth.synth)
-app.command("examples", epilog=_examples.EXAMPLES)(_examples.examples)
+# In the order of the help. A function's first sentence is its line there.
+_COMMANDS: tuple[tuple[Callable[..., None], str], ...] = (
+    (_check.check, _check.EXAMPLES),
+    (_fit.fit, _fit.EXAMPLES),
+    (_choose.choose, _choose.EXAMPLES),
+    (_compensate.compensate, _compensate.EXAMPLES),
+    (_hysteresis.hysteresis, _hysteresis.EXAMPLES),
+    (_init.init, _init.EXAMPLES),
+    (_joint.joint, _joint.EXAMPLES),
+    (_parameters.parameters, _parameters.EXAMPLES),
+    (_predict.predict, _predict.EXAMPLES),
+    (_sensitivity.sensitivity, _sensitivity.EXAMPLES),
+    (_simulate.simulate, _simulate.EXAMPLES),
+    (_synth.synth, _synth.EXAMPLES),
+    (_examples.examples, _examples.EXAMPLES),
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -80,8 +74,42 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns the exit status: 0, 2 for bad input or usage, 130 when interrupted, else what the
     command says.
     """
-    given = sys.argv[1:] if arguments is None else list(arguments)
-    return run(typer.main.get_command(app), given)
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    return run(typer.main.get_command(_app_for(words)), words)
+
+
+def _app_for(words: Sequence[str]) -> typer.Typer:
+    """The app, whose commands have their options if they are among the words.
+
+    Typer reads the signatures of all commands before it looks for the one that is asked for: half
+    of the time of `giajax --help`, which shows none of their options.
+    """
+    app = typer.Typer(
+        name="giajax",
+        cls=Commands,
+        help="Simulate very long, very light robot arms, and fit their parameters to recordings.",
+        epilog=_EXAMPLES,
+        context_settings={"help_option_names": ["-h", "--help"]},
+        rich_markup_mode=None,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+    )
+    app.callback(invoke_without_command=True)(_giajax)
+    for function, examples in _COMMANDS:
+        name = function.__name__
+        full = function if name in words else _without_options(function)
+        app.command(name, epilog=examples)(full)
+    return app
+
+
+def _without_options(function: Callable[..., None]) -> Callable[..., None]:
+    """What the list of commands shows of one."""
+
+    def listed() -> None:
+        raise AssertionError(f"{function.__name__} is called, and was only to be listed")
+
+    listed.__doc__ = function.__doc__
+    return listed
 
 
 def _show_version(wanted: bool) -> None:
@@ -92,7 +120,6 @@ def _show_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback(invoke_without_command=True)
 def _giajax(
     context: typer.Context,
     version: Annotated[

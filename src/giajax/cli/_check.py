@@ -5,8 +5,6 @@ from typing import Annotated, Any
 
 import typer
 
-from ..kinds import KINDS
-
 EXAMPLES = """\b
 Examples:
   giajax check run.csv
@@ -52,6 +50,8 @@ def _show(facts: dict[str, Any]) -> None:
 
 
 def _summary(facts: dict[str, Any]) -> list[tuple[str, str]]:
+    from ..kinds import KINDS
+
     rows = [("run", facts["path"]), ("model", facts["model"]), ("rows", str(facts["rows"]))]
     if facts["time"] is not None:
         rows.append(("time", _time(facts["time"])))

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .._errors import InputError
-from ..kinds import ArmSection, CommandSection, InitialSection, WindSection
 from ._values import NUMBER, number, settings, with_settings
 
 if TYPE_CHECKING:
@@ -53,6 +52,7 @@ def stated_definition(arm: Path | None, links: int | None, wind: str | None) -> 
 
 def replayed_run(command: Path, definition: "Definition") -> "Run":
     """The run whose commands are used, with the arm file's word on what is between its rows."""
+    from ..kinds import ArmSection
     from ..runs import Definition, read_run, read_sidecar
 
     # Which joints there are is told by the arm that recorded it, where the sidecar states one.
@@ -64,6 +64,7 @@ def replayed_run(command: Path, definition: "Definition") -> "Run":
 
 def drives_of(run: "Run", rate: float) -> tuple[float, float, list["Drive"]]:
     """Start of a recorded run, its length in whole samples, its commands and wind."""
+    from ..kinds import CommandSection, WindSection
     from ..synthetic import Drive
 
     if run.model != "arm" or run.times is None:
@@ -162,6 +163,8 @@ def facts_of(
     definition: "Definition", replayed: "Run | None", drives: Sequence["Drive"], model: "ArmModel"
 ) -> dict[str, Any]:
     """The sections of the sidecar that say what moves the arm."""
+    from ..kinds import InitialSection, WindSection
+
     source = definition if replayed is None else replayed.definition
     driven = {name: drive for drive in drives for name in drive.values}
     facts: dict[str, Any] = {"schema_version": 1}

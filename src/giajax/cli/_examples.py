@@ -1,14 +1,12 @@
 """`giajax examples`: the runs and fit definitions that ship with giajax."""
 
 from collections.abc import Iterator
-from importlib import resources
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from .._errors import InputError
-from ..kinds import KINDS
 
 EXAMPLES = """\b
 Examples:
@@ -47,6 +45,8 @@ def examples_root() -> Path:
     Raises:
         InputError: neither is there.
     """
+    from importlib import resources
+
     package = Path(str(resources.files("giajax")))
     checkout = package.parents[1]
     for root in (package / "_examples", checkout):
@@ -82,6 +82,7 @@ def _fit(path: Path, root: Path) -> list[str | None]:
 
 
 def _run(path: Path, root: Path) -> list[str | int | float | None]:
+    from ..kinds import KINDS
     from ..runs import describe, read_run
 
     facts = describe(read_run(path))

@@ -1,15 +1,19 @@
-"""`giajax fit`: parameters of an arm from recordings of it."""
+"""`giajax fit`: parameters of a model from recordings of it.
+
+This file is longer than 200 lines because every option of the command stands in it with its help.
+"""
 
 import math
 import textwrap
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ._progress import Progress
+
 if TYPE_CHECKING:
-    from ..fitting import FitResult, Iteration
+    from ..fitting import FitResult
     from ..runs import Definition
     from ..tasks import FitTask
 
@@ -154,7 +158,7 @@ def fit(
     ready = task.prepare()
     check_figures(ready.setup.model, task.definition)
     check_folder(task.out, ready.runs, ready.setup.config, force=force)
-    progress = None if quiet else _Progress()
+    progress = None if quiet else Progress()
     result = ready.run(progress, None if progress is None else progress.announce)
     if progress is not None:
         progress.end()
@@ -194,59 +198,7 @@ def _values(pairs: list[str] | None, option: str) -> dict[str, float]:
     return values
 
 
-class _Progress:
-    """One line an iteration on standard error, as it happens."""
-
-    def __init__(self) -> None:
-        self._say("compiling ...")
-        self._headed = False
-
-    def __call__(self, iteration: "Iteration") -> None:
-        values = [f"{value:.5g}" for value in iteration.parameters.values()]
-        cells = [str(iteration.number), f"{iteration.cost:.6g}", f"{iteration.step:.1e}"]
-        if not self._headed:
-            self._head(list(iteration.parameters))
-            self._headed = True
-        taken = "yes" if iteration.accepted else "no"
-        first = iteration.number == 0
-        self._row([cells[0], cells[1], "" if first else cells[2], "" if first else taken, *values])
-
-    def announce(self, number: int, start: Mapping[str, float]) -> None:
-        """Say which of several starts is next."""
-        self._say(f"start {number}")
-
-    def end(self) -> None:
-        """Keep a line between the iterations and the table, where both are on one screen."""
-        self._say("")
-
-    def _head(self, paths: list[str]) -> None:
-        # joints.pitch_stiffness in two short lines, so that four parameters go into 80 columns.
-        upper, lower = [], []
-        for path in paths:
-            before, _, name = path.rpartition(".")
-            front, _, back = name.rpartition("_")
-            upper.append(front or before)
-            lower.append(back)
-        self._widths = [4, 11, 8, 5] + [
-            max(9, len(a), len(b)) for a, b in zip(upper, lower, strict=True)
-        ]
-        self._row(["", "", "", "", *upper])
-        self._row(["", "cost", "step", "taken", *lower])
-
-    def _row(self, cells: list[str]) -> None:
-        import shutil
-        import sys
-
-        line = "  ".join(c.rjust(w) for c, w in zip(cells, self._widths, strict=True)).rstrip()
-        if sys.stderr.isatty():
-            line = line[: shutil.get_terminal_size().columns]
-        self._say(line)
-
-    def _say(self, line: str) -> None:
-        typer.echo(line, err=True)
-
-
-def _show(result: "FitResult", stated: "Definition", files: list[Path]) -> None:
+def _show(result: "FitResult", definition: "Definition", files: list[Path]) -> None:
     import shutil
     import sys
 
@@ -257,7 +209,7 @@ def _show(result: "FitResult", stated: "Definition", files: list[Path]) -> None:
     print(parameter_table(result, width))
     print()
     print(summary(result, width))
-    figures = reached(result, stated)
+    figures = reached(result, definition)
     if figures:
         print()
     for figure in figures:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from .._errors import InputError
-from ..kinds import MuscleSection
 from ._values import Values, settings, with_settings
 
 if TYPE_CHECKING:
@@ -88,6 +87,7 @@ def joint(
 def _pair(sections: "Definition", typed: Values, torque: float | None) -> Any:
     """The joint and muscle that are stated, with the parameters that were set."""
     from ..joint import JointPair, check_geometry
+    from ..kinds import MuscleSection
     from ..models import MuscleModel, joint_from_section
 
     _refuse_unused(sections)
@@ -106,9 +106,11 @@ def _pair(sections: "Definition", typed: Values, torque: float | None) -> Any:
 
 def _refuse_unused(sections: "Definition") -> None:
     """Refuse what a [muscle] section says and a joint does not use."""
+    from ..kinds import MuscleSection
+
     muscle = sections.section(MuscleSection)
     unused = {
-        "length_m": muscle.length_m is not None,
+        "length_m": "length" in muscle.values(),
         "friction": muscle.friction not in (None, "none"),
         "friction_pressures_kPa": muscle.friction_pressures_kPa is not None,
     }

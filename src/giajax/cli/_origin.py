@@ -1,13 +1,14 @@
 """The command line that made a file, to be written into it and run again."""
 
 import shlex
-from importlib.metadata import version
 
 import typer
 
 
 def origin(context: typer.Context) -> str:
     """The command line without what only says where to write."""
+    from importlib.metadata import version
+
     words = [f"giajax {version('giajax')} simulate"]
     for parameter in context.command.params:
         value = context.params.get(parameter.name or "")

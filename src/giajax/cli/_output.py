@@ -3,10 +3,6 @@
 from collections.abc import Sequence
 from typing import Any
 
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
-
 
 def print_table(headings: Sequence[str], rows: Sequence[Sequence[Any]], *, left: int = 1) -> None:
     """Print a table without rules; all but the first `left` columns are aligned to the right.
@@ -14,6 +10,10 @@ def print_table(headings: Sequence[str], rows: Sequence[Sequence[Any]], *, left:
     Floats are shown with 5 significant digits, None as `-`. Empty headings are left out. Where
     standard output is not a terminal nothing is wrapped: a row is a line, for grep and awk.
     """
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
     shown = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), show_header=any(headings))
     for position, heading in enumerate(headings):
         shown.add_column(Text(heading), justify="left" if position < left else "right")

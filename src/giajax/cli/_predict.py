@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ._model import definition_of, model_of
-from ._output import print_table
 
 if TYPE_CHECKING:
     from ..runs import Run
@@ -86,6 +85,7 @@ def predict(
 
     configure()
     from ..study import compare
+    from ._output import print_table
 
     renamed = parse_rename(rename or [])
 

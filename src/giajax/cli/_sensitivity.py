@@ -1,6 +1,6 @@
 """`giajax sensitivity`: what a recording would tell about parameters.
 
-More than 200 lines, because a run that is not there yet is described by the options of `simulate`.
+Longer than 200 lines because a run that is not there yet is told by the options of `simulate`.
 """
 
 import math
@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .._errors import InputError
-from ..kinds import ArmSection, InitialSection, SensorsSection
 from ._drive import (
     DURATION,
     channel_names,
@@ -124,6 +123,7 @@ def sensitivity(
 
     configure()
 
+    from ..kinds import ArmSection, InitialSection, SensorsSection
     from ..models import model_for, parameter_values
     from ..parameters import replace
     from ..report import information_shares, sensitivity_figure, sensitivity_files, to_png

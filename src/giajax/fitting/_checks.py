@@ -6,8 +6,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ._records import GradientCheck, Shift, ToleranceEffect, finite_or_none
-from ._state import FitState, evaluate
+from ._state import FitState
 from ._statistics import Statistics
+from ._transitions import evaluate
 
 # Central differences in the free coordinate, at a tolerance where the steps of the integrator
 # do not show: truncation and noise are then both near 1e-8.

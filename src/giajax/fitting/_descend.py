@@ -11,7 +11,8 @@ from ._identifiability import responds
 from ._noise import Noise
 from ._problem import predictions_by_run
 from ._records import Iteration
-from ._state import FitState, release, reweight, step, trial
+from ._state import FitState
+from ._transitions import release, reweight, step, trial
 
 # How often the noise is estimated anew, unless it settles before.
 _NOISE_ROUNDS = 4

@@ -13,7 +13,7 @@ from ._configuration import Setup, set_up
 from ._descend import descend
 from ._records import Iteration
 from ._result import FitResult
-from ._state import begin
+from ._transitions import begin
 
 MAX_ITERATIONS = 50
 

@@ -2,7 +2,8 @@
 
 Field by field they are the objects of `result.json`. What is not finite is null there, and None
 here once a file was read. The classmethods `of_json` take such objects, also those of earlier
-versions, which lack what was added since.
+versions, which lack what was added since. The file is longer than 200 lines because these records
+are one format: whoever reads a result reads them together.
 """
 
 import dataclasses
@@ -219,6 +220,14 @@ class ToleranceEffect:
         """The record that an object of `result.json` holds."""
         shifts = {path: Shift(**item) for path, item in record["by_parameter"].items()}
         return cls(record["factor"], record["largest_in_standard_errors"], shifts)
+
+
+@dataclasses.dataclass(frozen=True)
+class Seconds:
+    """Wall time of a fit, s: what its programs took to compile or load, and all else."""
+
+    compile: float
+    run: float
 
 
 @dataclasses.dataclass(frozen=True)

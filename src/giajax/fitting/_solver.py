@@ -4,6 +4,8 @@ optimistix's Levenberg-Marquardt damps with a multiple of the identity and pays 
 more than once a step; on the paper's arm it needs 36 to 45 steps. Here the damping is scaled by
 the norms of the Jacobian's columns (Marquardt 1963; More 1978), and one vmapped jvp gives value
 and Jacobian of the trial point together, so that an accepted step costs one evaluation.
+
+The file is longer than 200 lines because the methods of one algorithm are read together.
 """
 
 from collections.abc import Callable

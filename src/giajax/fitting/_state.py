@@ -1,32 +1,17 @@
-"""Where a fit stands: a frozen state, and the pure transitions from one to the next.
-
-No transition changes the state that it is given, so that whoever holds one (the loop, after
-Ctrl-C) has a whole fit in hand. All of them evaluate the model by the same compiled program.
-"""
+"""Where a fit stands between two steps of its loop, as frozen data."""
 
 import dataclasses
-import time
-from typing import Any, Self
+from typing import Self
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 
-from .._program import program
 from .._typing import Array
-from ._bijector import Bijector
 from ._configuration import Setup
-from ._group import build_groups, own_start
 from ._jacobian import BlockJacobian
-from ._linearise import linearise
 from ._noise import Noise
-from ._problem import Prediction, Problem, residual
+from ._problem import Problem
 from ._records import Iteration, Status
 from ._solver import Marquardt, MarquardtState
-
-# In the free coordinate: a positive parameter changes by less than a factor of 4.5 in one step.
-_LARGEST_STEP = 1.5
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,159 +98,3 @@ class FitState:
     def ended(self, status: Status, message: str) -> Self:
         """The end of the fit."""
         return dataclasses.replace(self, ending=(status, message))
-
-
-def begin(setup: Setup) -> FitState:
-    """The state before anything is evaluated."""
-    setup = setup.at_start()
-    model, parameters = setup.model, setup.parameters
-    noise = Noise.of(setup.runs)
-    groups = build_groups(model, setup.runs, noise.values, len(parameters))
-    own = own_start(groups)
-    bijector = Bijector(
-        (*(p.declaration.lower for p in parameters), *(-np.inf for _ in own)),
-        (*(p.declaration.upper for p in parameters), *(np.inf for _ in own)),
-    )
-    problem = Problem(
-        model=model,
-        groups=groups,
-        bijector=bijector,
-        paths=tuple(p.path for p in parameters),
-        loss=setup.loss,
-    )
-    start = np.asarray([*(float(p.value(model)) for p in parameters), *own])
-    # A parameter whose start and default are zero has no size of its own: one unit.
-    defaults = np.asarray([*(p.declaration.default for p in parameters), *(0.0 for _ in own)])
-    sizes = np.maximum(np.abs(start), np.abs(defaults))
-    # In 32-bit the rounding of a simulation hides the last hundredth of a standard error.
-    distance = 0.1 if jnp.result_type(float) == jnp.float32 else 0.01
-    solver = Marquardt(
-        distance=distance,
-        # Residuals of this norm, in units of the noise, move no parameter by more than that.
-        floor=distance**2 / 2,
-        largest_step=_LARGEST_STEP,
-    )
-    coordinate = jnp.asarray(bijector.inverse(start), dtype=jnp.result_type(float))
-    return FitState(
-        setup=setup,
-        problem=problem,
-        noise=noise,
-        start=start,
-        sizes=np.where(sizes > 0, sizes, 1.0),
-        solver=solver,
-        coordinate=coordinate,
-        inner=_blank(solver, problem, coordinate),
-        active=jnp.ones(problem.size, bool),
-    )
-
-
-def step(state: FitState) -> FitState:
-    """One trial step; at a point that was not evaluated yet, its evaluation."""
-    began = time.perf_counter()
-    coordinate, inner, done, converged = _step(
-        state.solver, state.coordinate, state.problem, state.inner, state.active
-    )
-    # Waits for the result, so that the time below is that of the step.
-    finished, optimum = bool(done), bool(converged)
-    return dataclasses.replace(
-        state,
-        coordinate=coordinate,
-        inner=inner,
-        done=finished,
-        converged=optimum,
-        step_seconds=(*state.step_seconds, time.perf_counter() - began),
-    )
-
-
-def trial(state: FitState) -> FitState:
-    """One trial step that counts, and is told."""
-    tried = dataclasses.replace(step(state), trials=state.trials + 1)
-    return tried.recorded(accepted=bool(tried.inner.accepted))
-
-
-def move(state: FitState, coordinate: Any) -> FitState:
-    """Go on from another point, which is not evaluated yet."""
-    coordinate = jnp.asarray(coordinate, dtype=state.coordinate.dtype)
-    inner = _blank(state.solver, state.problem, coordinate)
-    return dataclasses.replace(state, coordinate=coordinate, inner=inner)
-
-
-def reweight(state: FitState, noise: Noise) -> FitState:
-    """Go on from the same point with another noise; not evaluated yet."""
-    groups = build_groups(
-        state.problem.model, state.setup.runs, noise.values, len(state.problem.paths)
-    )
-    problem = dataclasses.replace(state.problem, groups=groups)
-    return move(dataclasses.replace(state, problem=problem, noise=noise), state.coordinate)
-
-
-def release(state: FitState) -> FitState | None:
-    """Move parameters off a bound at which only their coordinate has become flat.
-
-    Near a bound the slope of the bijector vanishes, and with it the gradient, whether the
-    optimum is there or not. The Gauss-Newton step of the parameter itself tells: where it
-    leads inwards, further than the bound is away, and promises a lower cost, the parameter
-    moves there.
-
-    Returns:
-        The new point, not evaluated yet; None where no parameter moves.
-    """
-    bijector = state.problem.bijector
-    coordinate = np.array(state.coordinate)
-    values = np.array(bijector.forward(state.coordinate))
-    residuals = np.asarray(state.inner.residual)
-    slopes = bijector.slope(coordinate)
-    noise = 2 * state.cost / max(len(residuals) - len(values), 1)
-    released = False
-    jacobian = state.jacobian()
-    responses, along = jacobian.norms() ** 2, jacobian.transposed_times(residuals)
-    for index in np.flatnonzero(np.asarray(state.active)):
-        response, downhill = float(responses[index]), -float(along[index])
-        if response == 0 or slopes[index] == 0:
-            continue
-        change = downhill / response * slopes[index]
-        gain = downhill**2 / response / 2
-        lower, upper = bijector.lower[index], bijector.upper[index]
-        to_bound = min(values[index] - lower, upper - values[index])
-        target = values[index] + change
-        if lower < target < upper and abs(change) > to_bound and gain > noise:
-            values[index] = target
-            released = True
-    return move(state, bijector.inverse(values)) if released else None
-
-
-def evaluate(state: FitState, coordinate: Any, problem: Problem | None = None) -> MarquardtState:
-    """Residual and Jacobian at a point, by the same compiled program as a step."""
-    coordinate = jnp.asarray(coordinate, dtype=state.coordinate.dtype)
-    problem = state.problem if problem is None else problem
-    fresh = _blank(state.solver, problem, coordinate)
-    _, inner, _, _ = _step(state.solver, coordinate, problem, fresh, state.active)
-    return inner
-
-
-def _blank(solver: Marquardt, problem: Problem, coordinate: Array) -> MarquardtState:
-    """The solver's state before its first evaluation."""
-    groups, dtype = problem.groups, coordinate.dtype
-    count = sum(group.observed.size for group in groups)
-    prediction = Prediction(
-        tuple(jax.ShapeDtypeStruct(group.observed.shape, dtype) for group in groups),
-        jax.ShapeDtypeStruct((), bool),
-    )
-    shape = jax.ShapeDtypeStruct((count,), dtype)
-    shared = len(problem.paths)
-    blocks = tuple(
-        jnp.zeros((len(g.members), g.observed[0].size, shared + g.width), dtype) for g in groups
-    )
-    options = {"jacobian": blocks}
-    return solver.init(residual, coordinate, problem, options, shape, prediction, frozenset())
-
-
-# At module level: a fresh closure would be compiled again for every fit.
-@program
-def _step(
-    solver: Marquardt, coordinate: Array, problem: Problem, state: MarquardtState, active: Array
-) -> tuple[Array, MarquardtState, Array, Array]:
-    options = {"active": active, "linearise": linearise}
-    coordinate, state, _ = solver.step(residual, coordinate, problem, options, state, frozenset())
-    done, result = solver.terminate(residual, coordinate, problem, options, state, frozenset())
-    return coordinate, state, done, done & (result == optx.RESULTS.successful)

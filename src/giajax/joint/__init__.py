@@ -12,6 +12,7 @@ from ._correction import (
 from ._empirical import EmpiricalMuscle as EmpiricalMuscle
 from ._equilibria import equilibria as equilibria
 from ._equilibrium import Equilibria as Equilibria, Equilibrium as Equilibrium
+from ._force_and_pressure import muscle_force as muscle_force, muscle_pressure as muscle_pressure
 from ._friction import Friction as Friction
 from ._geometry import (
     LARGEST_ANGLE as LARGEST_ANGLE,
@@ -19,11 +20,7 @@ from ._geometry import (
     check_geometry as check_geometry,
     is_possible as is_possible,
 )
-from ._muscle import (
-    AbstractMuscle as AbstractMuscle,
-    muscle_force as muscle_force,
-    muscle_pressure as muscle_pressure,
-)
+from ._muscle import AbstractMuscle as AbstractMuscle
 from ._pair import (
     JointPair as JointPair,
     PairCommand as PairCommand,

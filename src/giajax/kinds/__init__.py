@@ -1,19 +1,21 @@
 """The kinds of models: what their runs hold and what their files say. Imports no JAX.
 
-A kind is a file here, which declares it, one in `giajax.models`, which computes, and its line in
-`KINDS`. Readers, commands, fits and reports ask the kind, and know none by name.
+A kind is a file here, which declares it, one in `giajax.models`, which computes, and the line that
+imports it below. Readers, commands, fits and reports ask the kind, and know none by name.
 """
 
-from ._arm import ARM, DEFAULT_PRESET as DEFAULT_PRESET
+from ._arm import ARM as ARM, DEFAULT_PRESET as DEFAULT_PRESET
 from ._arm_sections import (
     ArmSection as ArmSection,
     CommandSection as CommandSection,
     InitialSection as InitialSection,
+    PointMass as PointMass,
     SensorsSection as SensorsSection,
     WindSection as WindSection,
 )
-from ._hysteresis import HYSTERESIS, HysteresisSection as HysteresisSection
-from ._joint import JOINT, JointSection as JointSection
+from ._hysteresis import HYSTERESIS as HYSTERESIS, HysteresisSection as HysteresisSection
+from ._joint import JOINT as JOINT, JointSection as JointSection
+from ._keys import with_keys as with_keys
 from ._kind import (
     ChannelKind as ChannelKind,
     Content as Content,
@@ -23,8 +25,8 @@ from ._kind import (
     Sections as Sections,
     Wording as Wording,
 )
-from ._muscle import MUSCLE, MuscleSection as MuscleSection
-from ._oscillator import OSCILLATOR, OscillatorSection as OscillatorSection
+from ._muscle import MUSCLE as MUSCLE, MuscleSection as MuscleSection
+from ._oscillator import OSCILLATOR as OSCILLATOR, OscillatorSection as OscillatorSection
 from ._section import (
     Finite as Finite,
     Name as Name,
@@ -34,14 +36,5 @@ from ._section import (
     key as key,
 )
 
-KINDS: dict[str, Kind] = {
-    kind.name: kind
-    for kind in (
-        ARM,
-        HYSTERESIS,
-        JOINT,
-        MUSCLE,
-        OSCILLATOR,
-    )
-}
+KINDS: dict[str, Kind] = {kind.name: kind for kind in vars().values() if isinstance(kind, Kind)}
 """The kinds by name; nothing else in the toolkit knows which there are."""

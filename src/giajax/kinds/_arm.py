@@ -68,7 +68,7 @@ def _check_motion(
 ) -> None:
     """What moves the arm: a command, an initial state, or nothing on purpose."""
     initial = content.definition.section(InitialSection)
-    for key in ("angle_deg", "rate_deg_per_s"):
+    for key in initial.quantities:
         value = getattr(initial, key)
         if isinstance(value, list) and links is not None and len(value) != links:
             raise InputError(
@@ -83,7 +83,7 @@ def _check_motion(
             "remove one or the other"
         )
     has_initial = bool(initial.first_row) or bool(initial.free)
-    has_initial |= initial.angle_deg is not None or initial.rate_deg_per_s is not None
+    has_initial |= bool(initial.values())
     if not commanded and not free and not has_initial:
         raise InputError(
             f"{wording.source} has no command column: an arm run must have one such as "
@@ -123,7 +123,7 @@ def _template(channels: Sequence[RecordedChannel]) -> list[Offer]:
     ]
     angles = {channel.index for channel in channels if channel.kind == "joint_angle"}
     recorded = largest > 0 and angles == set(range(1, largest + 1))
-    state = ["first_row"] if recorded else ["angle_deg", "rate_deg_per_s"]
+    state = ["first_row"] if recorded else list(InitialSection.quantities)
     wind = "interpolation" if "wind" in rows else "velocity_m_per_s"
     return [
         *([] if commanded else [Offer("", {"free_motion": True})]),

@@ -1,6 +1,7 @@
 """What predicts channels for a run."""
 
-from ._arm import ArmInputs as ArmInputs, ArmModel as ArmModel
+from ._arm import ArmModel as ArmModel
+from ._arm_inputs import ArmInputs as ArmInputs
 from ._arm_scene import arm_scene as arm_scene
 from ._build import (
     build_model as build_model,
@@ -12,6 +13,7 @@ from ._definition import (
     arm_to_definition as arm_to_definition,
     sensors_from_definition as sensors_from_definition,
 )
+from ._direct import AbstractDirectModel as AbstractDirectModel
 from ._hysteresis import (
     HysteresisInputs as HysteresisInputs,
     HysteresisModel as HysteresisModel,
@@ -23,7 +25,8 @@ from ._joint import (
     joint_from_section as joint_from_section,
 )
 from ._joint_scene import joint_scene as joint_scene
-from ._muscle import MuscleInputs as MuscleInputs, MuscleModel as MuscleModel
+from ._muscle import MuscleModel as MuscleModel
+from ._muscle_inputs import MuscleInputs as MuscleInputs
 from ._oscillator import OscillatorInputs as OscillatorInputs, OscillatorModel as OscillatorModel
 from ._protocol import (
     AbstractModel as AbstractModel,
@@ -38,3 +41,4 @@ from ._response import (
     output_channel as output_channel,
 )
 from ._scene import Line as Line, Scene as Scene
+from ._sensors import Sensors as Sensors

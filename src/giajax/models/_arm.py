@@ -1,4 +1,8 @@
-"""The arm as a model: from commands and wind to positions and joint angles."""
+"""The arm as a model: from commands and wind to positions and joint angles.
+
+Longer than 200 lines because an arm has all that a model may have: sensors, a solver to choose,
+and runs with a state of their own.
+"""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -10,36 +14,35 @@ import numpy as np
 
 from .._errors import InputError
 from .._program import program
-from .._typing import Array, Bool, Float, Scalar
+from .._typing import Array, Bool, Scalar
 from ..arm import Arm
-from ..kinds import ArmSection, CommandSection, InitialSection, SensorsSection, WindSection
-from ..parameters import declared, find, inline, parameter
-from ..runs import Channel, Definition, Run
+from ..kinds import InitialSection
+from ..parameters import inline
+from ..quantities import INITIAL
+from ..runs import Definition, Run
 from ..simulation import (
     SOLVERS,
-    Signal,
     SimulationError,
     StepsFor,
     Trajectory,
     check_steps_for,
-    check_wind,
-    constant,
     integrate,
     is_disturbance,
-    logged,
 )
+from ._agreement import agreed_parts
+from ._arm_conditions import scale_conditions, sensor_conditions
+from ._arm_inputs import ArmInputs, arm_inputs
 from ._arm_scene import arm_scene
+from ._arm_sensors import recorded_channels
 from ._definition import (
     arm_from_definition,
     arm_to_definition,
     sensors_from_definition,
     sensors_to_definition,
 )
-from ._delays import Seen, seen_with_delays
-from ._initial import initial_state
-from ._protocol import AbstractModel, Channels, Integration
+from ._protocol import AbstractModel, Channels, Derived, Integration
 from ._scene import Scene
-from ._sensors import CONDITIONS, Sensors
+from ._sensors import Sensors
 
 # Positions of the 20 m arm are then right to about 1e-6 m, far below the noise of a camera.
 _TOLERANCE = 1e-7
@@ -53,55 +56,6 @@ _STEPS_PER_SECOND = 2_000
 def step_limit(duration: float) -> int:
     """Step limit for runs of a duration (s)."""
     return max(_MAX_STEPS, int(np.ceil(_STEPS_PER_SECOND * duration)))
-
-
-# Scaling all of these together leaves every motion unchanged: only ratios are determined.
-_SCALE = (
-    "links.mass",
-    "links.inertia_transverse",
-    "links.inertia_axial",
-    "joints.pitch_stiffness",
-    "joints.yaw_stiffness",
-    "joints.damping",
-    "joints.friction",
-    "joints.armature",
-    "air.drag_coefficient",
-    "air.axial_coefficient",
-    "air.added_mass_coefficient",
-    "buoyancy.helium_density",
-    "buoyancy.trim_mass",
-    "buoyancy.imbalance",
-    "point_masses.mass",
-    "point_masses.drag_area",
-)
-
-# C_D is referred to these (eq. 1).
-_DRAG_AREA = ("air.density", "links.length", "links.diameter")
-
-# What the camera records, and what the angle sensors do.
-_POSITIONS = frozenset({"link_position", "tip_position"})
-_ANGLES = frozenset({"joint_angle", "joint_rate", "link_angle"})
-
-
-class InitialState(eqx.Module):
-    """Joint angles and rates at the first sample; parameters of one run, if it says so."""
-
-    angle: Float[Array, " joint"] = parameter(
-        0.0, unit="rad", doc="joint angles at the first sample"
-    )
-    rate: Float[Array, " joint"] = parameter(
-        0.0, unit="rad/s", doc="joint rates at the first sample"
-    )
-
-
-class ArmInputs(eqx.Module):
-    """What the arm needs of a run: sample times, command, wind, drive torque, initial state."""
-
-    times: Float[Array, " sample"]
-    command: Signal
-    wind: Signal | None
-    torque: Signal | None
-    initial: InitialState
 
 
 class ArmModel(AbstractModel):
@@ -131,7 +85,7 @@ class ArmModel(AbstractModel):
         check_steps_for(self.steps_for)
         if self.solver not in SOLVERS:
             raise InputError(
-                f"there is no solver '{self.solver}'; use one of: {', '.join(SOLVERS)}"
+                f"there is no solver '{self.solver}': use one of: {', '.join(SOLVERS)}"
             )
         self.sensors.check(self.arm.count)
 
@@ -142,20 +96,7 @@ class ArmModel(AbstractModel):
         Raises:
             InputError: the sidecars disagree in [arm] or [sensors].
         """
-        first, *others = runs
-        arm = arm_from_definition(first.definition)
-        sensors = sensors_from_definition(first.definition)
-        sections = [first.definition.section(of) for of in (ArmSection, SensorsSection)]
-        for other in others:
-            if [other.definition.section(type(of)) for of in sections] == sections:
-                continue
-            their_arm = arm_from_definition(other.definition)
-            their_sensors = sensors_from_definition(other.definition)
-            for section, ours, theirs in (
-                ("arm", arm_to_definition(arm), arm_to_definition(their_arm)),
-                ("sensors", sensors_to_definition(sensors), sensors_to_definition(their_sensors)),
-            ):
-                _check_agreement(section, (first, ours), (other, theirs))
+        arm, sensors = agreed_parts(runs)
         durations = [float(np.ptp(run.times)) for run in runs if run.times is not None]
         return cls(arm, max_steps=step_limit(max(durations, default=0.0)), sensors=sensors)
 
@@ -179,8 +120,9 @@ class ArmModel(AbstractModel):
         """Angles and rates at the first sample, as the arm has them: without the sensors."""
         first = inputs.initial
         return {
-            "angle_deg": np.rad2deg(np.asarray(first.angle)).tolist(),
-            "rate_deg_per_s": np.rad2deg(np.asarray(first.rate)).tolist(),
+            **InitialSection.keys_of(
+                {INITIAL.angle.path: first.angle, INITIAL.rate.path: first.rate}
+            ),
         }
 
     def scene(self, run: Run) -> Scene:
@@ -196,40 +138,7 @@ class ArmModel(AbstractModel):
 
     def prepare(self, run: Run) -> ArmInputs:
         """Sample times, command, wind and initial state of an arm run."""
-        if run.model != self.kind or run.times is None:
-            raise InputError(f"'{run.name}' is a run of the {run.model} model, not of an arm")
-        wind = _wind(run, run.times)
-        check_wind(self.arm, wind)
-        driven = any(run.channels[name].kind == "joint_torque" for name in run.commands)
-        return ArmInputs(
-            times=jnp.asarray(run.times, dtype=jnp.result_type(float)),
-            command=self._rows(run, run.times, "joint_command"),
-            wind=wind,
-            torque=self._rows(run, run.times, "joint_torque") if driven else None,
-            initial=self._initial(run, run.times),
-        )
-
-    def _initial(self, run: Run, times: np.ndarray) -> InitialState:
-        """The state at the first sample; a first row was seen by the angle sensors."""
-        angle, rate = map(jnp.asarray, initial_state(run, times, self.arm.count))
-        if run.definition.section(InitialSection).first_row:
-            encoder = self.sensors.encoder
-            angle, rate = encoder.true_angles(angle), encoder.true_rates(rate)
-        return InitialState(angle, rate)
-
-    def _rows(self, run: Run, times: np.ndarray, kind: str) -> Signal:
-        """Commands or torques of all joints; those without a column are zero."""
-        values = np.zeros((len(times), self.arm.count))
-        for name, column in run.commands.items():
-            if run.channels[name].kind != kind:
-                continue
-            joint = run.channels[name].index or 0
-            if joint > self.arm.count:
-                raise InputError(
-                    f"'{run.name}' drives joint {joint} of an arm of {self.arm.count} joints"
-                )
-            values[:, joint - 1] = column
-        return logged(times, values, run.definition.section(CommandSection).interpolation)
+        return arm_inputs(self.arm, self.sensors.encoder, run)
 
     def trajectory(self, inputs: ArmInputs) -> Trajectory:
         """Motion of the arm at the samples of a prepared run, as it is: without sensors."""
@@ -257,46 +166,13 @@ class ArmModel(AbstractModel):
         self, inputs: ArmInputs, channels: tuple[str, ...]
     ) -> tuple[Channels, Bool[Array, ""]]:
         """Predicted channels (m, rad, rad/s) as the sensors show them, each (sample,)."""
-        known = [Channel.named(name) for name in channels]
-        kinds = {channel.kind for channel in known}
-        camera, encoder, successful = self._seen(inputs, kinds)
-        sensors = self.sensors
-        tables: dict[str, Array] = {}
-        if kinds & {"joint_angle", "link_angle"}:
-            tables["joint_angle"] = sensors.encoder.shows(encoder.angles)
-            tables["link_angle"] = jnp.cumsum(tables["joint_angle"], axis=1)
-        if "joint_rate" in kinds:
-            tables["joint_rate"] = sensors.encoder.shows_rates(encoder.rates)
-        # Positions of all links are computed only where a channel asks for one.
-        if "link_position" in kinds:
-            tables["link_position"] = sensors.link_positions(self.arm, camera.angles)
-        if "tip_position" in kinds:
-            tables["tip_position"] = sensors.tip_positions(self.arm, camera.angles)[:, None]
-        predicted = {}
-        for channel in known:
-            column = tables[channel.kind][:, (channel.index or 1) - 1]
-            predicted[channel.name] = (
-                column if channel.component is None else column[:, channel.component]
-            )
-        return predicted, successful
-
-    def _seen(self, inputs: ArmInputs, kinds: set[str]) -> tuple[Seen, Seen, Bool[Array, ""]]:
-        """What camera and angle sensors see; a clock that no channel needs costs nothing."""
-        camera = self.sensors.camera.delay if kinds & _POSITIONS else None
-        encoder = self.sensors.encoder.delay if kinds & _ANGLES else None
-        if camera is None and encoder is None:
-            motion = self.trajectory(inputs)
-            seen = Seen(motion.angles, motion.rates)
-            return seen, seen, motion.successful
-        clocks = [
-            delay
-            for delay, asked in ((camera, kinds & _POSITIONS), (encoder, kinds & _ANGLES))
-            if asked
-        ]
-        clocks_seen, successful = seen_with_delays(
-            lambda times, end: self._motion(inputs, times, end), inputs.times, clocks
+        return recorded_channels(
+            self.arm,
+            self.sensors,
+            lambda times, end: self._motion(inputs, times, end),
+            inputs.times,
+            channels,
         )
-        return clocks_seen[0], clocks_seen[-1], successful
 
     def refined(self, factor: float) -> Self:
         """The same model with the integrator's tolerances multiplied by a factor."""
@@ -324,61 +200,17 @@ class ArmModel(AbstractModel):
             return model
         return dataclasses.replace(model, tolerance=jnp.asarray(tolerance))
 
+    def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
+        """The same: derivatives lead away from every start."""
+        return self
+
+    def derived(self) -> dict[str, Derived]:
+        """Nothing beyond the parameters themselves."""
+        return {}
+
     def conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
         """The scale that motion alone cannot determine, and what C_D and sensors refer to."""
-        return self._scale(free, runs) + self._sensor_conditions(free, runs)
-
-    def _scale(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
-        fitted = {path.partition("[")[0] for path in free}
-        scaled = [path for path in free if path.partition("[")[0] in _SCALE]
-        # A known force sets the scale: a drive's torque, the lift of displaced air, or the push of
-        # a changing wind on it.
-        driven = any(c.kind == "joint_torque" for run in runs for c in run.channels.values())
-        lifted = self.arm.buoyancy is not None and float(self.arm.gravity) != 0
-        blown = self.arm.air.added_mass_coefficient is not None and any(run.winds for run in runs)
-        sentences = []
-        if scaled and not (driven or lifted or blown):
-            present = declared(self)
-            held = [path for path in _SCALE if path in present and path not in fitted]
-            sentences.append(
-                f"{', '.join(scaled)}: determined only per unit of mass, because scaling masses, "
-                "inertias, drag, stiffness and damping together leaves the motion unchanged; "
-                + (f"held at {self._values(held)}" if held else "nothing of these is held")
-            )
-        area = [path for path in _DRAG_AREA if path not in fitted]
-        if "air.drag_coefficient" in fitted and area:
-            sentences.append(f"air.drag_coefficient: holds for {self._values(area)}")
-        if "point_masses.drag_area" in fitted and "air.density" not in fitted:
-            sentences.append(f"point_masses.drag_area: holds for {self._values(['air.density'])}")
-        return sentences
-
-    def _sensor_conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
-        fitted = {path.partition("[")[0] for path in free}
-        sentences = [f"{path}: {said}" for path, said in CONDITIONS.items() if path in fitted]
-        encoder = sorted(fitted & {"encoder.offset", "encoder.scale"})
-        read = [run for run in runs if run.definition.section(InitialSection).first_row]
-        if encoder and any(not run.definition.section(InitialSection).free for run in read):
-            sentences.append(
-                f"{', '.join(encoder)}: the state in the first row was read with the start value; "
-                "say free = true in [initial] to fit that state too"
-            )
-        if "camera.scale" in fitted and "links.length" not in fitted:
-            sentences.append(
-                f"camera.scale: holds for {self._values(['links.length'])}, because a camera "
-                "that shows everything larger looks like a longer arm"
-            )
-        return sentences
-
-    def _values(self, paths: Sequence[str]) -> str:
-        """Paths with their values; of an array that is not uniform, the range."""
-        shown = []
-        for path in paths:
-            parameter = find(self, path)
-            values, unit = np.atleast_1d(parameter.value(self)), parameter.declaration.unit
-            low, high = float(values.min()), float(values.max())
-            text = f"{low:.4g}" if low == high else f"{low:.4g} .. {high:.4g}"
-            shown.append(f"{path} = {text}{f' {unit}' if unit else ''}")
-        return ", ".join(shown)
+        return scale_conditions(self, self.arm, free, runs) + sensor_conditions(self, free, runs)
 
     def definition(self) -> dict[str, Any]:
         """The arm's constants, its sensors and the settings of the integrator."""
@@ -397,31 +229,3 @@ class ArmModel(AbstractModel):
 @program
 def _trajectory(model: ArmModel, inputs: ArmInputs) -> Trajectory:
     return model.trajectory(inputs)
-
-
-def _wind(run: Run, times: np.ndarray) -> Signal | None:
-    stated = run.definition.section(WindSection)
-    if stated.velocity_m_per_s is not None:
-        return constant(stated.velocity_m_per_s)
-    if not run.winds:
-        return None
-    velocity = np.zeros((len(times), 3))
-    for name, values in run.winds.items():
-        velocity[:, run.channels[name].component] = values
-    return logged(times, velocity, stated.interpolation)
-
-
-def _check_agreement(
-    section: str, first: tuple[Run, dict[str, Any]], other: tuple[Run, dict[str, Any]]
-) -> None:
-    (one, ours), (two, theirs) = first, other
-    for key in {**ours, **theirs}:
-        if ours.get(key) != theirs.get(key):
-            said = " and ".join(
-                "nothing" if values.get(key) is None else str(values[key])
-                for values in (ours, theirs)
-            )
-            raise InputError(
-                f"the sidecars of '{one.name}' and '{two.name}' disagree in [{section}] "
-                f"{key} ({said}); correct one, or fit the runs separately"
-            )

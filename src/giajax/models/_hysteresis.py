@@ -1,4 +1,7 @@
-"""Hysteresis as a model: from the history of an input to that of an output."""
+"""Hysteresis as a model: from the history of an input to that of an output.
+
+Longer than 200 lines because all that a fit asks of a model stands in one class.
+"""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -14,18 +17,17 @@ from ..hysteresis import AbstractOperator, BoucWen
 from ..kinds import HysteresisSection
 from ..parameters import inline, parameter
 from ..runs import Definition, Run
+from ._direct import AbstractDirectModel
+from ._extremes import first_extremes, turns, unexplained
 from ._hysteresis_definition import (
     HysteresisSettings,
     Scale,
-    hysteresis_keys,
+    check_keys,
     operator_from_settings,
     settings_for,
 )
-from ._protocol import AbstractModel, Channels, Derived
-from ._response import Columns, check_outputs, input_channel, products, products_condition
-
-# Where turning points before the run are looked for first, as a part of the reach of the input.
-_FIRST_EXTREME = 0.75
+from ._protocol import Channels, Derived
+from ._response import Columns, check_outputs, input_values, products, products_condition
 
 
 class HysteresisInputs(eqx.Module):
@@ -34,7 +36,7 @@ class HysteresisInputs(eqx.Module):
     values: Float[Array, " sample"]
 
 
-class HysteresisModel(AbstractModel):
+class HysteresisModel(AbstractDirectModel):
     """Predicts `output` from `input`, or the `angle` of a joint from its `command`.
 
     Units of parameters in terms of "input" and "output" are the SI units of those channels.
@@ -65,22 +67,22 @@ class HysteresisModel(AbstractModel):
         Raises:
             InputError: the sidecars disagree in [hysteresis], or no input ever turns.
         """
-        inputs = [_input_of(run) for run in runs]
+        inputs = [input_values(run, cls.kind) for run in runs]
         outputs = [values for run in runs for values in run.observations.values()]
         first, *others = runs
         stated = first.definition.section(HysteresisSection)
         for other in others:
             if other.definition.section(HysteresisSection) != stated:
                 raise InputError(
-                    f"the sidecars of '{first.name}' and '{other.name}' disagree in [hysteresis]; "
+                    f"the sidecars of '{first.name}' and '{other.name}' disagree in [hysteresis]: "
                     "correct one, or fit the runs separately"
                 )
-        _check_keys(first.name, stated)
+        check_keys(first.name, stated)
         settings = settings_for(stated, inputs)
-        if not any(_turns(values) for values in inputs):
+        if not any(turns(values) for values in inputs):
             raise InputError(
                 f"the input of '{first.name}' never turns back, and hysteresis shows only where it "
-                "does; give a run that goes up and down"
+                "does: give a run that goes up and down"
             )
         return cls._made(settings, Scale.of(inputs, outputs), Columns.of(first))
 
@@ -96,16 +98,7 @@ class HysteresisModel(AbstractModel):
         extremes = settings.previous_extremes
         values = np.zeros(extremes) if isinstance(extremes, int) else np.asarray(extremes)
         operator = operator_from_settings(settings, scale)
-        return cls(
-            settings,
-            operator,
-            previous_extremes=jnp.asarray(values),
-            columns=columns,
-        )
-
-    def initial_section(self, inputs: HysteresisInputs) -> dict[str, Any]:
-        """Nothing: its memory is a parameter."""
-        return {}
+        return cls(settings, operator, previous_extremes=jnp.asarray(values), columns=columns)
 
     def scene(self, run: Run) -> None:
         """Nothing: an operator has no shape."""
@@ -116,37 +109,17 @@ class HysteresisModel(AbstractModel):
         Those of the two directions from which the latest one may have come are tried, and that
         is taken whose prediction, scaled and shifted, is the closer one.
         """
-        if isinstance(self.settings.previous_extremes, tuple):
-            return self
         now = np.asarray(self.previous_extremes)
-        count = len(now)
-        paths = [f"previous_extremes[{index}]" for index in range(count)]
-        moved = np.asarray([path in free for path in paths]) & (now == 0)
-        if not np.any(moved):
-            return self
-        low, high = self.settings.input_range
-        # Within each other, so that a later one does not wipe out an earlier one.
-        sizes = _FIRST_EXTREME * self.settings.reach * np.arange(count, 0, -1) / count
-        signs = (-1.0) ** np.arange(count)
-        tried = []
-        for sign in (1.0, -1.0):
-            extremes = np.where(moved, (low + high) / 2 + sign * signs * sizes, now)
-            tried.append(dataclasses.replace(self, previous_extremes=jnp.asarray(extremes)))
-        return min(tried, key=lambda model: model._distance(runs))
+        tried = [
+            dataclasses.replace(self, previous_extremes=jnp.asarray(extremes))
+            for extremes in first_extremes(self.settings, now, free)
+        ]
 
-    def _distance(self, runs: Sequence[Run]) -> float:
-        """Sum of the squares that the best scale and offset of the response leave, SI."""
-        total = 0.0
-        for run in runs:
-            response = np.asarray(self._response(self.prepare(run)))
-            if not np.all(np.isfinite(response)):
-                return np.inf
-            for values in run.observations.values():
-                there = ~np.isnan(values)
-                columns = np.stack([response[there], np.ones(there.sum())], axis=-1)
-                scale = np.linalg.lstsq(columns, values[there])[0]
-                total += float(np.sum((values[there] - columns @ scale) ** 2))
-        return total
+        def distance(model: Self) -> float:
+            responses = (np.asarray(model._response(model.prepare(run))) for run in runs)
+            return sum(map(unexplained, responses, runs))
+
+        return min(tried, key=distance, default=self)
 
     def definition(self) -> dict[str, Any]:
         """The `[hysteresis]` section, and the columns of input and output where known."""
@@ -166,13 +139,9 @@ class HysteresisModel(AbstractModel):
         _, highest = operator.step(state, high)
         return float(self.offset + lowest), float(self.offset + highest)
 
-    def free_inputs(self, run: Run) -> tuple[str, ...]:
-        """None: offset and memory are parameters of the model."""
-        return ()
-
     def prepare(self, run: Run) -> HysteresisInputs:
         """The input of a hysteresis run."""
-        values = _input_of(run)
+        values = input_values(run, self.kind)
         self.columns.check(run)
         return HysteresisInputs(jnp.asarray(values, jnp.result_type(float)))
 
@@ -204,14 +173,15 @@ class HysteresisModel(AbstractModel):
 
     def failure(self, inputs: HysteresisInputs) -> str:
         """The response is not finite, or the input moves too far between two samples."""
-        if isinstance(self.operator, BoucWen):
-            values = inputs.values
-            if bool(self.operator.too_coarse(values, self._response(inputs))):
-                return (
-                    "the input moves too far between two samples for the narrow knee of the "
-                    "Bouc-Wen operator; record more samples, or start with a smaller beta, gamma "
-                    "or nu"
-                )
+        operator = self.operator
+        if isinstance(operator, BoucWen) and bool(
+            operator.too_coarse(inputs.values, self._response(inputs))
+        ):
+            return (
+                "the input moves too far between two samples for the narrow knee of the "
+                "Bouc-Wen operator: record more samples, or start with a smaller beta, gamma "
+                "or nu"
+            )
         return (
             "the response of the hysteresis model is not finite: choose start values with a "
             "smaller beta, gamma or delta"
@@ -221,10 +191,6 @@ class HysteresisModel(AbstractModel):
         """The same model with a finer integration, where it has one."""
         return eqx.tree_at(lambda model: model.operator, self, self.operator.refined(factor))
 
-    def for_derivatives(self, paths: Sequence[str]) -> Self:
-        """The same: its steps are those of the samples."""
-        return self
-
     def conditions(self, free: Sequence[str], runs: Sequence[Run] = ()) -> list[str]:
         """That beta, gamma and delta count only as products."""
         return products_condition(free) if isinstance(self.operator, BoucWen) else []
@@ -233,24 +199,3 @@ class HysteresisModel(AbstractModel):
         """The products of the Bouc-Wen parameters that a history determines."""
         operator = self.operator
         return products(operator, "1/input") if isinstance(operator, BoucWen) else {}
-
-
-def _check_keys(name: str, stated: HysteresisSection) -> None:
-    operator = stated.operator or "prandtl_ishlinskii"
-    known = hysteresis_keys(operator)
-    ignored = [key for key in stated.model_dump(exclude_none=True) if key not in known]
-    if ignored:
-        raise InputError(
-            f"[hysteresis] of '{name}' states {', '.join(ignored)}, which {operator} does not "
-            "have; remove it, or state the operator that it belongs to"
-        )
-
-
-def _input_of(run: Run) -> np.ndarray:
-    return np.asarray(run.values[input_channel(run, HysteresisModel.kind).name], dtype=float)
-
-
-def _turns(values: np.ndarray) -> bool:
-    steps = np.diff(values)
-    steps = steps[steps != 0]
-    return bool(np.any(steps[1:] * steps[:-1] < 0))

@@ -79,7 +79,7 @@ def settings_for(stated: HysteresisSection, inputs: Sequence[np.ndarray]) -> Hys
         ends = [float(np.min(together)), float(np.max(together))]
     if not ends[0] < ends[1]:
         raise InputError(
-            "the input never changes, so that nothing responds to it; give a run in which it does"
+            "the input never changes, so that nothing responds to it: give a run in which it does"
         )
 
     def chosen(name: str) -> Any:
@@ -155,6 +155,22 @@ def operator_from_settings(settings: HysteresisSettings, scale: Scale) -> Abstra
         delta=_array(0.1),
         nu=_array(1.0),
     )
+
+
+def check_keys(name: str, stated: HysteresisSection) -> None:
+    """Refuse keys of `[hysteresis]` that the operator of a run does not have.
+
+    Raises:
+        InputError: naming the run, the keys and the operator.
+    """
+    operator = stated.operator or "prandtl_ishlinskii"
+    known = hysteresis_keys(operator)
+    ignored = [key for key in stated.model_dump(exclude_none=True) if key not in known]
+    if ignored:
+        raise InputError(
+            f"[hysteresis] of '{name}' states {', '.join(ignored)}, which {operator} does not "
+            "have: remove it, or state the operator that it belongs to"
+        )
 
 
 def _array(value: float | np.ndarray) -> Array:

@@ -9,16 +9,16 @@ import numpy as np
 
 from .._errors import InputError
 from .._typing import Array, Bool, Float
-from ..joint import Correction, Joint, JointGeometry, balanced, check_geometry, is_possible
+from ..joint import Correction, Joint, balanced, check_geometry, is_possible
 from ..kinds import JointSection
-from ..parameters import get, inline
+from ..parameters import get, inline, replace
 from ..runs import Channel, Definition, Run
+from ._agreement import check_agreement
+from ._build import parameter_values
+from ._direct import AbstractDirectModel
 from ._joint_scene import joint_scene
-from ._protocol import AbstractModel, Channels
+from ._protocol import Channels, Derived
 from ._scene import Scene
-
-_POINTS = {"anchor_m": "anchor", "wire_m": "wire", "contact_m": "contact"}
-_LENGTHS = {"wire_length_m": "wire_length", "muscle_length_m": "muscle_length"}
 
 
 class JointInputs(eqx.Module):
@@ -35,7 +35,7 @@ class JointInputs(eqx.Module):
     torque: Float[Array, " sample"] | None
 
 
-class JointModel(AbstractModel):
+class JointModel(AbstractDirectModel):
     """Predicts `contraction` and `force` of one muscle of a joint.
 
     Arguments:
@@ -57,13 +57,7 @@ class JointModel(AbstractModel):
         section = joint_to_section(joint_from_section(first.definition))
         for other in others:
             theirs = joint_to_section(joint_from_section(other.definition))
-            for key, value in section.items():
-                if theirs[key] != value:
-                    raise InputError(
-                        f"the sidecars of '{first.name}' and '{other.name}' disagree in [joint] "
-                        f"{key} ({value} and {theirs[key]}); correct one, or fit the runs "
-                        "separately"
-                    )
+            check_agreement("joint", (first, section), (other, theirs))
         joint = joint_from_section(first.definition)
         for run in runs:
             check_geometry(joint.geometry, run.values.get("angle"))
@@ -79,14 +73,12 @@ class JointModel(AbstractModel):
         """The `[joint]` section."""
         return {"joint": joint_to_section(self.joint)}
 
-    def free_inputs(self, run: Run) -> tuple[str, ...]:
-        """None."""
-        return ()
-
     def prepare(self, run: Run) -> JointInputs:
         """Angles, sides and torques of a joint run."""
         if run.model != self.kind:
-            raise InputError(f"'{run.name}' is a run of the {run.model} model, not of a joint")
+            raise InputError(
+                f"'{run.name}' is a run of the {run.model} model: give a run of a joint"
+            )
         dtype = jnp.result_type(float)
         torque = run.values.get("torque")
         return JointInputs(
@@ -94,10 +86,6 @@ class JointModel(AbstractModel):
             inner=jnp.asarray(np.asarray(run.values["side"] == "inner", dtype=bool)),
             torque=None if torque is None else jnp.asarray(torque, dtype=dtype),
         )
-
-    def initial_section(self, inputs: JointInputs) -> dict[str, Any]:
-        """Nothing: each sample is at rest."""
-        return {}
 
     def scene(self, run: Run) -> Scene:
         """Balloons, muscle, wire and lettered points at the angles of the run."""
@@ -117,7 +105,7 @@ class JointModel(AbstractModel):
         for name in channels:
             if Channel.named(name).kind not in known:
                 raise InputError(
-                    f"'{name}' is not predicted by the joint model; use one of: {', '.join(known)}"
+                    f"'{name}' is not predicted by the joint model: use one of: {', '.join(known)}"
                 )
             # NaN makes a fit reject a step into a joint that cannot be built.
             predicted[name] = jnp.where(possible, known[name], jnp.nan)
@@ -129,15 +117,19 @@ class JointModel(AbstractModel):
             check_geometry(self.joint.geometry, np.asarray(inputs.angle))
         except InputError as error:
             return str(error)
-        return "the force of the joint is not finite; choose another geometry or torque"
+        return "the force of the joint is not finite: choose another geometry or torque"
 
     def refined(self, factor: float) -> Self:
         """The same: it is in closed form."""
         return self
 
-    def for_derivatives(self, paths: Sequence[str]) -> Self:
-        """The same: it is in closed form."""
+    def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
+        """The same: derivatives lead away from every start."""
         return self
+
+    def derived(self) -> dict[str, Derived]:
+        """Nothing beyond the parameters themselves."""
+        return {}
 
     def conditions(self, free: Sequence[str], runs: Sequence[Run] = ()) -> list[str]:
         """That alpha and beta are what the geometry and the torque leave over."""
@@ -171,33 +163,17 @@ class JointModel(AbstractModel):
 
 def joint_from_section(definition: Definition) -> Joint:
     """The joint that the `[joint]` section states; what it does not state is the preset's."""
-    given = definition.section(JointSection).given()
-    geometry: dict[str, Any] = {}
-    for key, name in _POINTS.items():
-        if given.get(key) is not None:
-            geometry[f"{name}_x"], geometry[f"{name}_y"] = given[key]
-    for key, name in _LENGTHS.items():
-        if given.get(key) is not None:
-            geometry[name] = given[key]
+    section = definition.section(JointSection)
     correction = Correction(
-        reading=given.get("correction") or "continuous",
-        blend=np.deg2rad(given.get("blend_deg") or 0.0),
+        reading=section.correction or "continuous", blend=np.deg2rad(section.blend_deg or 0.0)
     )
-    more = {} if given.get("torque_N_m") is None else {"torque": given["torque_N_m"]}
-    return Joint(JointGeometry(**geometry), correction, **more)
+    return replace(Joint(correction=correction), section.values())
 
 
 def joint_to_section(joint: Joint) -> dict[str, Any]:
     """The `[joint]` section of a joint, whole."""
-    geometry = joint.geometry
-    points = {
-        key: [float(getattr(geometry, f"{name}_{axis}")) for axis in "xy"]
-        for key, name in _POINTS.items()
-    }
     return {
         "correction": joint.correction.reading,
         "blend_deg": float(np.rad2deg(joint.correction.blend)),
-        "torque_N_m": float(joint.torque),
-        **points,
-        **{key: float(getattr(geometry, name)) for key, name in _LENGTHS.items()},
+        **JointSection.keys_of(parameter_values(joint)),
     }

@@ -1,19 +1,26 @@
-"""A muscle as a model: from pressure and contraction to force."""
+"""A muscle as a model: from pressure and contraction to force.
+
+Longer than 200 lines because all that a fit asks of a model stands in one class.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Self
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 
 from .._errors import InputError
-from .._typing import Array, Bool, Float, Scalar
+from .._typing import Array, Bool, Scalar
 from ..joint import AbstractMuscle, BraidedMuscle, EmpiricalMuscle, Friction, Piston
 from ..kinds import MuscleSection
-from ..parameters import get, parameter
+from ..parameters import declared, get, parameter, replace
+from ..quantities import AT_REST
 from ..runs import Channel, Definition, Run
-from ._protocol import AbstractModel, Channels
+from ._agreement import check_agreement
+from ._build import parameter_values
+from ._direct import AbstractDirectModel
+from ._muscle_inputs import MuscleInputs, muscle_inputs
+from ._protocol import Channels, Derived
 
 LAWS: dict[str, type[AbstractMuscle]] = {
     law.name: law for law in (BraidedMuscle, EmpiricalMuscle, Piston)
@@ -21,27 +28,9 @@ LAWS: dict[str, type[AbstractMuscle]] = {
 """The laws by the name that `[muscle] law` gives them."""
 
 _PASCAL = 1e3  # in a kilopascal
-_DIRECTION = {"fill": -1.0, "exhaust": 1.0}
 
 
-class MuscleInputs(eqx.Module):
-    """What a muscle needs of a run.
-
-    Attributes:
-        pressure: Pa.
-        contraction: relative to the length at rest; None where only a position is recorded.
-        position: displacement, m; None where it is not recorded.
-        direction: +1 where the muscle is moved against its own pull (exhausting), -1 where it
-            moves by itself (filling); None where friction follows the displacement, or is none.
-    """
-
-    pressure: Float[Array, " sample"]
-    contraction: Float[Array, " sample"] | None
-    position: Float[Array, " sample"] | None
-    direction: Float[Array, " sample"] | None
-
-
-class MuscleModel(AbstractModel):
+class MuscleModel(AbstractDirectModel):
     """Predicts the `force` of a muscle or a cylinder.
 
     Arguments:
@@ -56,7 +45,7 @@ class MuscleModel(AbstractModel):
 
     muscle: AbstractMuscle = eqx.field(default_factory=BraidedMuscle)
     friction: Friction | None = None
-    length: Scalar = parameter(1.96, unit="m", lower=0, doc="length at rest", assumed=True)
+    length: Scalar = parameter(AT_REST.length)
     mean_pressure: bool = eqx.field(default=False, static=True)
 
     @classmethod
@@ -70,13 +59,7 @@ class MuscleModel(AbstractModel):
         stated = first.definition.section(MuscleSection)
         for other in others:
             theirs = other.definition.section(MuscleSection)
-            for key in MuscleSection.model_fields:
-                if getattr(stated, key) != getattr(theirs, key):
-                    raise InputError(
-                        f"the sidecars of '{first.name}' and '{other.name}' disagree in [muscle] "
-                        f"{key} ({getattr(stated, key)} and {getattr(theirs, key)}); correct one, "
-                        "or fit the runs separately"
-                    )
+            check_agreement("muscle", (first, stated.given()), (other, theirs.given()))
         return cls.stated(stated)
 
     @classmethod
@@ -93,82 +76,42 @@ class MuscleModel(AbstractModel):
             InputError: it states what its law does not know, or contradicts itself.
         """
         law = LAWS[stated.law or BraidedMuscle.name]
-        values: dict[str, Any] = {}
-        if stated.diameter_m is not None:
-            values["diameter"] = stated.diameter_m
-        if stated.braid_angle_deg is not None:
-            values["braid_angle"] = np.deg2rad(stated.braid_angle_deg)
-        for name in values:
-            if name not in law.__dataclass_fields__:
-                raise InputError(
-                    f"[muscle] states {name}, which the law '{law.name}' does not know; remove it, "
-                    "or give another law"
-                )
-        if stated.pressure_limit_kPa is not None:
-            values["pressure_limit"] = stated.pressure_limit_kPa * _PASCAL
         rubs = stated.friction or ("coulomb" if law is Piston else "none")
         if rubs == "none" and stated.friction_pressures_kPa is not None:
             raise InputError(
-                "[muscle] states friction_pressures_kPa, but there is no friction; remove it, or "
+                "[muscle] states friction_pressures_kPa, but there is no friction: remove it, or "
                 'state friction = "coulomb"'
             )
         nodes = tuple(p * _PASCAL for p in stated.friction_pressures_kPa or [0.0])
-        more: dict[str, Any] = {} if stated.length_m is None else {"length": stated.length_m}
-        return cls(
-            muscle=law(**values),
+        model = cls(
+            muscle=law(),
             friction=None if rubs == "none" else Friction.at_pressures(nodes),
             mean_pressure=stated.pressure == "mean",
-            **more,
         )
+        values, known = stated.values(), declared(model)
+        for path in values:
+            if path not in known:
+                raise InputError(
+                    f"[muscle] states {path.removeprefix('muscle.')}, which the law '{law.name}' "
+                    "does not know; remove it, or give another law"
+                )
+        return replace(model, values)
 
     def definition(self) -> dict[str, Any]:
         """The `[muscle]` section."""
         section: dict[str, Any] = {
             "law": self.muscle.name,
-            "length_m": float(self.length),
             "pressure": "mean" if self.mean_pressure else "measured",
-            "pressure_limit_kPa": float(self.muscle.limit) / _PASCAL,
             "friction": "none" if self.friction is None else "coulomb",
+            **MuscleSection.keys_of(parameter_values(self)),
         }
-        if isinstance(self.muscle, BraidedMuscle):
-            section["diameter_m"] = float(self.muscle.diameter)
-            section["braid_angle_deg"] = float(np.rad2deg(self.muscle.braid_angle))
         if self.friction is not None:
             section["friction_pressures_kPa"] = [p / _PASCAL for p in self.friction.pressures]
         return {"muscle": section}
 
-    def free_inputs(self, run: Run) -> tuple[str, ...]:
-        """None: the half-widths of friction are parameters by pressure, not by run."""
-        return ()
-
     def prepare(self, run: Run) -> MuscleInputs:
         """Pressure, displacement and direction of a muscle run."""
-        if run.model != self.kind:
-            raise InputError(f"'{run.name}' is a run of the {run.model} model, not of a muscle")
-        dtype = jnp.result_type(float)
-
-        def column(name: str) -> Array | None:
-            values = run.values.get(name)
-            return None if values is None else jnp.asarray(values, dtype=dtype)
-
-        pressure = column("pressure")
-        if pressure is None:
-            raise InputError(f"'{run.name}' has no pressure; add a column such as pressure_kPa")
-        phase = run.values.get("phase")
-        directed = self.friction is not None and phase is not None
-        direction = [_DIRECTION[text] for text in phase] if directed and phase is not None else None
-        return MuscleInputs(
-            pressure=jnp.full_like(pressure, jnp.mean(pressure))
-            if self.mean_pressure
-            else pressure,
-            contraction=column("contraction"),
-            position=column("position"),
-            direction=None if direction is None else jnp.asarray(direction, dtype=dtype),
-        )
-
-    def initial_section(self, inputs: MuscleInputs) -> dict[str, Any]:
-        """Nothing: each sample is at rest."""
-        return {}
+        return muscle_inputs(run, mean=self.mean_pressure, directed=self.friction is not None)
 
     def scene(self, run: Run) -> None:
         """Nothing: its law knows a length and no place."""
@@ -179,7 +122,7 @@ class MuscleModel(AbstractModel):
         """Force, N, at the samples."""
         for name in channels:
             if Channel.named(name).kind != "force":
-                raise InputError(f"'{name}' is not predicted by the muscle model; use force")
+                raise InputError(f"'{name}' is not predicted by the muscle model: use force")
         contraction, position = self._displaced(inputs)
         force = self.muscle.force(inputs.pressure, contraction, self.length)
         if self.friction is not None:
@@ -202,15 +145,19 @@ class MuscleModel(AbstractModel):
 
     def failure(self, inputs: MuscleInputs) -> str:
         """The force is not finite."""
-        return "the force of the muscle is not finite; choose other start values"
+        return "the force of the muscle is not finite: choose other start values"
 
     def refined(self, factor: float) -> Self:
         """The same: it is in closed form."""
         return self
 
-    def for_derivatives(self, paths: Sequence[str]) -> Self:
-        """The same: it is in closed form."""
+    def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
+        """The same: derivatives lead away from every start."""
         return self
+
+    def derived(self) -> dict[str, Derived]:
+        """Nothing beyond the parameters themselves."""
+        return {}
 
     def conditions(self, free: Sequence[str], runs: Sequence[Run] = ()) -> list[str]:
         """What is referred to values that were held."""

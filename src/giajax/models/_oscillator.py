@@ -13,8 +13,9 @@ from ..hysteresis import MOST_STEPS, BoucWenOscillator
 from ..kinds import OscillatorSection
 from ..parameters import inline, parameter
 from ..runs import Definition, Run
-from ._protocol import AbstractModel, Channels, Derived
-from ._response import Columns, check_outputs, input_channel, products, products_condition
+from ._direct import AbstractDirectModel
+from ._protocol import Channels, Derived
+from ._response import Columns, check_outputs, input_values, products, products_condition
 
 # Neighbouring intervals that differ by more than this part are not rounding of a file.
 _UNEVEN = 1e-5
@@ -32,7 +33,7 @@ class OscillatorInputs(eqx.Module):
     intervals: Float[Array, " sample"]
 
 
-class OscillatorModel(AbstractModel):
+class OscillatorModel(AbstractDirectModel):
     """Predicts `output`, the displacement of a mass, from `input`, the force on it.
 
     Arguments:
@@ -80,28 +81,19 @@ class OscillatorModel(AbstractModel):
         """The `[oscillator]` section, and the columns of input and output where known."""
         return {"oscillator": {"interpolation": self.interpolation}, **self.columns.to_dict()}
 
-    def free_inputs(self, run: Run) -> tuple[str, ...]:
-        """None: it starts at rest."""
-        return ()
-
     def prepare(self, run: Run) -> OscillatorInputs:
         """The force of a run, between its rows, too."""
-        channel = input_channel(run, self.kind)
+        values = input_values(run, self.kind)
         self.columns.check(run)
         if run.times is None:
             raise InputError(
                 f"'{run.name}' has no times, which an oscillator needs: add the column time_s"
             )
-        values = np.asarray(run.values[channel.name], dtype=float)
         dtype = jnp.result_type(float)
         return OscillatorInputs(
             jnp.asarray(_forces(run.name, run.times, values, self.interpolation), dtype),
             jnp.asarray(np.diff(run.times, prepend=run.times[0]), dtype),
         )
-
-    def initial_section(self, inputs: OscillatorInputs) -> dict[str, Any]:
-        """Nothing: it starts at rest."""
-        return {}
 
     def scene(self, run: Run) -> None:
         """Nothing: of its mass only the displacement is known."""
@@ -125,8 +117,8 @@ class OscillatorModel(AbstractModel):
         """The same model with more steps from sample to sample."""
         return eqx.tree_at(lambda model: model.oscillator, self, self.oscillator.refined(factor))
 
-    def for_derivatives(self, paths: Sequence[str]) -> Self:
-        """The same: its steps are those of the samples."""
+    def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
+        """The same: derivatives lead away from every start."""
         return self
 
     def conditions(self, free: Sequence[str], runs: Sequence[Run] = ()) -> list[str]:
@@ -149,7 +141,7 @@ def _forces(name: str, times: np.ndarray, values: np.ndarray, interpolation: str
         intervals = np.diff(times)
         if np.ptp(intervals) > _UNEVEN * np.mean(intervals):
             raise InputError(
-                f"'{name}' is not sampled evenly, which interpolation = \"band_limited\" needs; "
+                f"'{name}' is not sampled evenly, which interpolation = \"band_limited\" needs: "
                 'state "linear" in [oscillator]'
             )
         rows = _band_limited(values, count)[1 : count * (len(values) - 1) + 1].reshape(-1, count)

@@ -4,6 +4,8 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol, Self
 
+import numpy as np
+
 from .._errors import InputError
 from .._typing import Scalar
 from ..kinds import KINDS
@@ -68,7 +70,9 @@ def input_channel(run: Run, kind: str) -> Channel:
         InputError: a run of another kind, or with none or several.
     """
     if run.model != kind:
-        raise InputError(f"'{run.name}' is a run of the {run.model} model, not of {kind}")
+        raise InputError(
+            f"'{run.name}' is a run of the {run.model} model: give one of the {kind} model"
+        )
     names = list(run.commands)
     if len(names) != 1:
         raise InputError(
@@ -78,6 +82,15 @@ def input_channel(run: Run, kind: str) -> Channel:
     if len(_outputs(run)) > 1:
         raise InputError(f"'{run.name}' has both output and angle: remove one of the columns")
     return run.channels[names[0]]
+
+
+def input_values(run: Run, kind: str) -> np.ndarray:
+    """What drives a run of a kind of model that has one input, SI, shape (sample,).
+
+    Raises:
+        InputError: as `input_channel`.
+    """
+    return np.asarray(run.values[input_channel(run, kind).name], dtype=float)
 
 
 def output_channel(run: Run) -> Channel | None:

@@ -1,6 +1,5 @@
 """A result as a folder of files, and whether a folder may take it."""
 
-import hashlib
 import json
 import re
 from collections.abc import Mapping, Sequence
@@ -11,8 +10,9 @@ import numpy as np
 
 from .._errors import InputError
 from ..fitting import FitResult, RunFit
-from ..runs import Definition, Run, check_output_folder, make_folder, run_keys, write_files
+from ..runs import Run, check_output_folder, make_folder, write_files
 from ._correlation import correlation_figure
+from ._prediction import prediction_files
 from ._recorded import recorded_figure
 from ._residuals import residuals_figure
 from ._style import SIGNATURE, to_png
@@ -93,11 +93,11 @@ def write_result(result: FitResult, runs: Run | Sequence[Run], folder: str | Pat
     folder = Path(folder)
     runs = [runs] if isinstance(runs, Run) else list(runs)
     if [run.sha256 for run in runs] != [record.sha256 for record in result.runs]:
-        raise InputError("the runs are not those of the result; give the same ones in their order")
+        raise InputError("the runs are not those of the result: give the same ones in their order")
     # A result that was loaded has no predictions with it.
     predictions = result.predictions or [result.predict(run) for run in runs]
     names = _unique_names(runs)
-    contents = _prediction_files(result, runs, names, predictions)
+    contents = prediction_files(result, runs, names, predictions)
     interrupted = None
     try:
         contents.update(_figure_files(result, runs, names, predictions))
@@ -173,71 +173,3 @@ def _remove_stale_figures(folder: Path, contents: Mapping[str, bytes]) -> None:
                     path.unlink()
             except OSError:
                 continue
-
-
-def _prediction_files(
-    result: FitResult,
-    runs: Sequence[Run],
-    names: Sequence[str],
-    predictions: Sequence[Mapping[str, np.ndarray]],
-) -> dict[str, bytes]:
-    tables = [_table(run, predicted) for run, predicted in zip(runs, predictions, strict=True)]
-    if len(runs) == 1:
-        data = _csv(tables[0])
-        checksum = hashlib.sha256(data).hexdigest()
-        return {
-            "prediction.csv": data,
-            "prediction.toml": _sidecar(result, runs[0], checksum).to_toml().encode(),
-        }
-    columns = list(dict.fromkeys(column for table in tables for column in table))
-    together: dict[str, list[str]] = {"run": []}
-    together |= {column: [] for column in columns}
-    for name, table in zip(names, tables, strict=True):
-        count = len(next(iter(table.values())))
-        together["run"] += [name] * count
-        for column in columns:
-            together[column] += table.get(column, [""] * count)
-    return {"prediction.csv": _csv(together)}
-
-
-def _table(run: Run, predicted: Mapping[str, np.ndarray]) -> dict[str, list[str]]:
-    """Cells by column: those of the recording, with predictions in place of measurements."""
-    columns = {}
-    if run.times is not None:
-        columns["time_s"] = _cells(run.times, 12)
-    for name, channel in run.channels.items():
-        values = predicted.get(name, run.values[name])
-        if channel.quantity == "text":
-            columns[channel.column] = ["" if text is None else str(text) for text in values]
-        else:
-            columns[channel.column] = _cells(channel.from_si(values), 9)
-    return columns
-
-
-def _cells(values: np.ndarray, digits: int) -> list[str]:
-    # Adding zero turns -0.0 into 0.0.
-    return [f"{v:.{digits}g}" if np.isfinite(v) else "" for v in (values + 0.0).tolist()]
-
-
-def _csv(columns: Mapping[str, list[str]]) -> bytes:
-    lines = [",".join(columns), *map(",".join, zip(*columns.values(), strict=True))]
-    return ("\n".join(lines) + "\n").encode()
-
-
-def _sidecar(result: FitResult, run: Run, checksum: str) -> Definition:
-    """What the prediction was made with, so that it can be read, checked and fitted as a run."""
-    stated = run.definition.given()
-    # The noise is that of the recording, which a prediction does not have.
-    about = [key for key in run_keys(model=False) if key != "noise"]
-    definition = result.model.definition()
-    model = {key: definition[key] for key in run.kind.sections if key in definition}
-    return Definition.parse(
-        {
-            "model": run.model,
-            "origin": f"predicted by giajax from a fit to {run.name}",
-            "sha256": checksum,
-            **model,
-            **{key: stated[key] for key in about if key in stated},
-        },
-        "prediction.toml",
-    )

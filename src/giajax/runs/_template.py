@@ -8,7 +8,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from ..kinds import KINDS, Kind
-from ._channels import NOISE_KEYS
+from ._column_table import NOISE_KEYS
 from ._definition import Definition
 from ._fit_sections import Noise
 from ._model import infer_model

@@ -7,11 +7,10 @@ from ._disturbances import (
     is_disturbance as is_disturbance,
 )
 from ._integrate import integrate as integrate
+from ._joint_commands import joint_ramps as joint_ramps, joint_steps as joint_steps
 from ._signal import (
     Signal as Signal,
     constant as constant,
-    joint_ramps as joint_ramps,
-    joint_steps as joint_steps,
     logged as logged,
     ramps as ramps,
     steps as steps,

@@ -92,6 +92,7 @@ def simulate(
     solver_named(solver)  # refuse a wrong name before anything is compiled
     adjoint(derivatives)
     check_steps_for(steps_for)
+    rtol, atol = (jnp.asarray(tolerance, dtype=dtype) for tolerance in (rtol, atol))
     # Behind the guard below everything seems to be differentiated.
     rtol = rtol + refuse_disturbances(steps_for, arm, (command, wind, torque, state))
     arm, command, wind, torque, state = guard_inputs(
@@ -104,7 +105,7 @@ def simulate(
         wind,
         torque,
         state,
-        (jnp.asarray(rtol, dtype=dtype), jnp.asarray(atol, dtype=dtype)),
+        (rtol, atol),
         solver=solver,
         max_steps=max_steps,
         derivatives=derivatives,

@@ -1,4 +1,7 @@
-"""A fit as data: what to fit to what, before anything is read or computed. Imports no JAX."""
+"""A fit as data: what to fit to what, before anything is read or computed. Imports no JAX.
+
+The file is longer than 200 lines because `on_top` says of each setting what it means.
+"""
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence

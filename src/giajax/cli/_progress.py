@@ -1,0 +1,60 @@
+"""The progress of a fit on standard error."""
+
+import shutil
+import sys
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import typer
+
+if TYPE_CHECKING:
+    from ..fitting import Iteration
+
+
+class Progress:
+    """One line an iteration on standard error, as it happens."""
+
+    def __init__(self) -> None:
+        self._say("compiling ...")
+        self._headed = False
+
+    def __call__(self, iteration: "Iteration") -> None:
+        values = [f"{value:.5g}" for value in iteration.parameters.values()]
+        cells = [str(iteration.number), f"{iteration.cost:.6g}", f"{iteration.step:.1e}"]
+        if not self._headed:
+            self._head(list(iteration.parameters))
+            self._headed = True
+        taken = "yes" if iteration.accepted else "no"
+        first = iteration.number == 0
+        self._row([cells[0], cells[1], "" if first else cells[2], "" if first else taken, *values])
+
+    def announce(self, number: int, start: Mapping[str, float]) -> None:
+        """Say which of several starts is next."""
+        self._say(f"start {number}")
+
+    def end(self) -> None:
+        """Keep a line between the iterations and the table, where both are on one screen."""
+        self._say("")
+
+    def _head(self, paths: list[str]) -> None:
+        # joints.pitch_stiffness in two short lines, so that four parameters go into 80 columns.
+        upper, lower = [], []
+        for path in paths:
+            before, _, name = path.rpartition(".")
+            front, _, back = name.rpartition("_")
+            upper.append(front or before)
+            lower.append(back)
+        self._widths = [4, 11, 8, 5] + [
+            max(9, len(a), len(b)) for a, b in zip(upper, lower, strict=True)
+        ]
+        self._row(["", "", "", "", *upper])
+        self._row(["", "cost", "step", "taken", *lower])
+
+    def _row(self, cells: list[str]) -> None:
+        line = "  ".join(c.rjust(w) for c, w in zip(cells, self._widths, strict=True)).rstrip()
+        if sys.stderr.isatty():
+            line = line[: shutil.get_terminal_size().columns]
+        self._say(line)
+
+    def _say(self, line: str) -> None:
+        typer.echo(line, err=True)

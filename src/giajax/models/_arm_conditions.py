@@ -1,0 +1,121 @@
+"""On what a fit of an arm is conditional: the scale of all forces, and what sensors refer to."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..arm import Arm
+from ..kinds import InitialSection
+from ..parameters import declared, find
+from ..runs import Run
+from ._protocol import AbstractModel
+
+# Scaling all of these together leaves every motion unchanged: only ratios are determined.
+_SCALE = (
+    "links.mass",
+    "links.inertia_transverse",
+    "links.inertia_axial",
+    "joints.pitch_stiffness",
+    "joints.yaw_stiffness",
+    "joints.damping",
+    "joints.friction",
+    "joints.armature",
+    "air.drag_coefficient",
+    "air.axial_coefficient",
+    "air.added_mass_coefficient",
+    "buoyancy.helium_density",
+    "buoyancy.trim_mass",
+    "buoyancy.imbalance",
+    "point_masses.mass",
+    "point_masses.drag_area",
+)
+
+# C_D is referred to these (eq. 1).
+_DRAG_AREA = ("air.density", "links.length", "links.diameter")
+
+_COMMANDED = (
+    "counted from the clock of the commands, so that a lag of the drives would look the same"
+)
+_SENSORS: dict[str, str] = {
+    "camera.delay": _COMMANDED,
+    "encoder.delay": _COMMANDED,
+    "encoder.offset": "counted from the commanded angle 0, at which the joints are straight",
+}
+
+
+def scale_conditions(
+    model: AbstractModel, arm: Arm, free: Sequence[str], runs: Sequence[Run]
+) -> list[str]:
+    """The scale that motion alone cannot determine, and what C_D refers to.
+
+    Arguments:
+        model: of the arm.
+        arm: its arm.
+        free: paths of the parameters that are fitted.
+        runs: what they are fitted to.
+
+    Returns:
+        A sentence for each condition.
+    """
+    fitted = {path.partition("[")[0] for path in free}
+    scaled = [path for path in free if path.partition("[")[0] in _SCALE]
+    # A known force sets the scale: a drive's torque, the lift of displaced air, or the push of
+    # a changing wind on it.
+    driven = any(c.kind == "joint_torque" for run in runs for c in run.channels.values())
+    lifted = arm.buoyancy is not None and float(arm.gravity) != 0
+    blown = arm.air.added_mass_coefficient is not None and any(run.winds for run in runs)
+    sentences = []
+    if scaled and not (driven or lifted or blown):
+        present = declared(model)
+        held = [path for path in _SCALE if path in present and path not in fitted]
+        sentences.append(
+            f"{', '.join(scaled)}: determined only per unit of mass, because scaling masses, "
+            "inertias, drag, stiffness and damping together leaves the motion unchanged; "
+            + (f"held at {_values(model, held)}" if held else "nothing of these is held")
+        )
+    area = [path for path in _DRAG_AREA if path not in fitted]
+    if "air.drag_coefficient" in fitted and area:
+        sentences.append(f"air.drag_coefficient: holds for {_values(model, area)}")
+    if "point_masses.drag_area" in fitted and "air.density" not in fitted:
+        sentences.append(f"point_masses.drag_area: holds for {_values(model, ['air.density'])}")
+    return sentences
+
+
+def sensor_conditions(model: AbstractModel, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
+    """What parameters of the sensors refer to.
+
+    Arguments:
+        model: of the arm.
+        free: paths of the parameters that are fitted.
+        runs: what they are fitted to.
+
+    Returns:
+        A sentence for each condition.
+    """
+    fitted = {path.partition("[")[0] for path in free}
+    sentences = [f"{path}: {sentence}" for path, sentence in _SENSORS.items() if path in fitted]
+    encoder = sorted(fitted & {"encoder.offset", "encoder.scale"})
+    read = [run for run in runs if run.definition.section(InitialSection).first_row]
+    if encoder and any(not run.definition.section(InitialSection).free for run in read):
+        sentences.append(
+            f"{', '.join(encoder)}: the state in the first row was read with the start value; "
+            "say free = true in [initial] to fit that state too"
+        )
+    if "camera.scale" in fitted and "links.length" not in fitted:
+        sentences.append(
+            f"camera.scale: holds for {_values(model, ['links.length'])}, because a camera "
+            "that shows everything larger looks like a longer arm"
+        )
+    return sentences
+
+
+def _values(model: AbstractModel, paths: Sequence[str]) -> str:
+    """Paths with their values; of an array that is not uniform, the range."""
+    shown = []
+    for path in paths:
+        parameter = find(model, path)
+        values, unit = np.atleast_1d(parameter.value(model)), parameter.declaration.unit
+        low, high = float(values.min()), float(values.max())
+        text = f"{low:.4g}" if low == high else f"{low:.4g} .. {high:.4g}"
+        shown.append(f"{path} = {text}{f' {unit}' if unit else ''}")
+    return ", ".join(shown)

@@ -1,0 +1,92 @@
+"""What the arm needs of a run: times, command, wind, drive torque and initial state."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from .._errors import InputError
+from .._typing import Array, Float
+from ..arm import Arm
+from ..kinds import CommandSection, InitialSection, WindSection
+from ..parameters import parameter
+from ..quantities import INITIAL
+from ..runs import Run
+from ..simulation import Signal, check_wind, constant, logged
+from ._initial import initial_state
+from ._sensors import Encoder
+
+
+class InitialState(eqx.Module):
+    """Joint angles and rates at the first sample; parameters of one run, if it says so."""
+
+    angle: Float[Array, " joint"] = parameter(INITIAL.angle)
+    rate: Float[Array, " joint"] = parameter(INITIAL.rate)
+
+
+class ArmInputs(eqx.Module):
+    """What the arm needs of a run: sample times, command, wind, drive torque, initial state."""
+
+    times: Float[Array, " sample"]
+    command: Signal
+    wind: Signal | None
+    torque: Signal | None
+    initial: InitialState
+
+
+def arm_inputs(arm: Arm, encoder: Encoder, run: Run) -> ArmInputs:
+    """A run prepared for an arm.
+
+    Arguments:
+        arm: its number of joints counts, and whether it takes a wind that changes.
+        encoder: the angle sensors, which saw the first row where the run starts from that.
+        run: of the arm.
+
+    Raises:
+        InputError: a run of another model, of another number of joints, or whose wind or initial
+            state the arm cannot have.
+    """
+    if run.model != "arm" or run.times is None:
+        raise InputError(f"'{run.name}' is a run of the {run.model} model, not of an arm")
+    wind = _wind(run, run.times)
+    check_wind(arm, wind)
+    driven = any(run.channels[name].kind == "joint_torque" for name in run.commands)
+    return ArmInputs(
+        times=jnp.asarray(run.times, dtype=jnp.result_type(float)),
+        command=_rows(arm, run, run.times, "joint_command"),
+        wind=wind,
+        torque=_rows(arm, run, run.times, "joint_torque") if driven else None,
+        initial=_initial(arm, encoder, run, run.times),
+    )
+
+
+def _initial(arm: Arm, encoder: Encoder, run: Run, times: np.ndarray) -> InitialState:
+    """The state at the first sample; a first row was seen by the angle sensors."""
+    angle, rate = map(jnp.asarray, initial_state(run, times, arm.count))
+    if run.definition.section(InitialSection).first_row:
+        angle, rate = encoder.true_angles(angle), encoder.true_rates(rate)
+    return InitialState(angle, rate)
+
+
+def _rows(arm: Arm, run: Run, times: np.ndarray, kind: str) -> Signal:
+    """Commands or torques of all joints; those without a column are zero."""
+    values = np.zeros((len(times), arm.count))
+    for name, column in run.commands.items():
+        if run.channels[name].kind != kind:
+            continue
+        joint = run.channels[name].index or 0
+        if joint > arm.count:
+            raise InputError(f"'{run.name}' drives joint {joint} of an arm of {arm.count} joints")
+        values[:, joint - 1] = column
+    return logged(times, values, run.definition.section(CommandSection).interpolation)
+
+
+def _wind(run: Run, times: np.ndarray) -> Signal | None:
+    stated = run.definition.section(WindSection)
+    if stated.velocity_m_per_s is not None:
+        return constant(stated.velocity_m_per_s)
+    if not run.winds:
+        return None
+    velocity = np.zeros((len(times), 3))
+    for name, values in run.winds.items():
+        velocity[:, run.channels[name].component] = values
+    return logged(times, velocity, stated.interpolation)

@@ -1,0 +1,41 @@
+"""Models without a solver to choose, whose runs have no state of their own."""
+
+from collections.abc import Sequence
+from typing import Any, Self
+
+from .._errors import InputError
+from ..runs import Run
+from ._protocol import AbstractModel, Integration
+
+
+class AbstractDirectModel(AbstractModel):
+    """A model without a solver to choose, whose runs have no state of their own.
+
+    Says for all such models what they would say alike; the arm is the one that has both.
+    """
+
+    def free_inputs(self, run: Run) -> tuple[str, ...]:
+        """None: a run has no state of its own."""
+        return ()
+
+    def initial_section(self, inputs: Any) -> dict[str, Any]:
+        """Nothing: a run has no state of its own."""
+        return {}
+
+    def integration(self) -> Integration | None:
+        """None: there is no solver to choose."""
+        return None
+
+    def with_integration(self, *, solver: str | None, tolerance: float | None) -> Self:
+        """Refused: there is no solver to choose.
+
+        Raises:
+            InputError: always.
+        """
+        raise InputError(
+            f"the {self.kind} model has neither a solver nor a tolerance: leave both out"
+        )
+
+    def for_derivatives(self, paths: Sequence[str]) -> Self:
+        """The same: no step of it depends on what is differentiated."""
+        return self

@@ -1,0 +1,106 @@
+"""The public names: listed once, all of them there, typed, and enough for what the pages show."""
+
+import ast
+import importlib
+import json
+import os
+import re
+import subprocess
+import sys
+from collections import defaultdict
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+import giajax
+
+ROOT = Path(__file__).resolve().parents[1]
+STUB = ROOT / "src" / "giajax" / "__init__.pyi"
+
+
+def listed():
+    """Names of the stub, as often as they stand in it."""
+    tree = ast.parse(STUB.read_text(encoding="utf-8"))
+    imports = [node for node in tree.body if isinstance(node, ast.ImportFrom)]
+    return [alias.asname for node in imports for alias in node.names]
+
+
+ROOMS = [name for name in listed() if (STUB.parent / name).is_dir()]
+
+
+@pytest.mark.quick
+def test_every_name_is_there_and_listed_once():
+    names = listed()
+    assert len(names) == len(set(names)) > 100
+    assert sorted(names) == sorted(giajax.__all__) == sorted(dir(giajax))
+    for name in names:
+        assert getattr(giajax, name) is not None
+
+
+@pytest.mark.quick
+def test_every_model_and_what_users_reach_for_is_there():
+    models = {kind.model.partition(":")[2] for kind in giajax.KINDS.values()}
+    records = {"Sensors", "Estimate", "FitResult", "FitTask", "RunFit", "RecordingErrors"}
+    functions = {"sensitivity", "write_result", "synthesise", "recorded_again"}
+    assert models | records | functions <= set(listed())
+
+
+@pytest.mark.quick
+def test_the_version_is_that_of_the_installation():
+    assert re.fullmatch(r"\d+\.\d+\.\d+\S*", giajax.__version__)
+
+
+@pytest.mark.quick
+def test_no_two_public_things_share_a_name():
+    """A name means the same in every room that has it, and in `giajax` itself."""
+    things = defaultdict(dict)
+    for room in ["", *ROOMS]:
+        module = importlib.import_module(f"giajax.{room}".rstrip("."))
+        for name in listed() if module is giajax else vars(module):
+            thing = getattr(module, name)
+            if not name.startswith("_") and not isinstance(thing, ModuleType):
+                things[name][id(thing)] = room
+    assert len(things) > 200
+    assert {name: list(rooms.values()) for name, rooms in things.items() if len(rooms) > 1} == {}
+
+
+def shown():
+    """Python that README, documentation and notebooks show, with the name of its page."""
+    for page in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]:
+        text = page.read_text(encoding="utf-8")
+        for block in re.findall(r"```python\n(.*?)```", text, re.DOTALL):
+            yield page.name, block
+    for page in (ROOT / "notebooks").glob("*.ipynb"):
+        for cell in json.loads(page.read_text(encoding="utf-8"))["cells"]:
+            if cell["cell_type"] == "code":
+                lines = [line for line in cell["source"] if not line.startswith("%")]
+                yield page.name, "".join(lines)
+
+
+@pytest.mark.quick
+def test_what_pages_use_of_giajax_is_public():
+    used = set()
+    for page, code in shown():
+        for node in ast.walk(ast.parse(code)):
+            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+                if node.value.id == "giajax":
+                    used.add((page, node.attr))
+            elif isinstance(node, ast.ImportFrom) and node.module == "giajax":
+                used |= {(page, alias.name) for alias in node.names}
+    assert len(used) > 20
+    assert {(page, name) for page, name in used if name not in listed()} == set()
+
+
+def test_names_load_when_they_are_used():
+    """And none before: neither JAX nor a room."""
+    code = (
+        "import giajax, sys\n"
+        "assert not {'jax', 'numpy', 'giajax.arm'} & set(sys.modules)\n"
+        "giajax.InputError\n"
+        "assert 'jax' not in sys.modules\n"
+        "giajax.arm.chain\n"
+        "assert 'jax' in sys.modules"
+    )
+    environment = {key: value for key, value in os.environ.items() if key != "EAGER_IMPORT"}
+    subprocess.run([sys.executable, "-c", code], check=True, env=environment)
