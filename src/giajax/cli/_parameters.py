@@ -108,7 +108,9 @@ def _facts(parameter: "Parameter", model: Any) -> dict[str, Any]:
         "free": on and not declaration.frozen,
         "assumed": declaration.assumed,
         "elements": shape[0] if shape else None,
-        "meaning": declaration.doc,
+        "meaning": declaration.meaning,
+        "source": declaration.source or None,
+        "key": None if declaration.key is None else declaration.key.name,
     }
 
 
