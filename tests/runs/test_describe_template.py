@@ -158,13 +158,13 @@ def test_every_line_of_the_template_is_legal(tmp_path, text, stated, keys):
     template = sidecar_template(path)
     sidecar = tmp_path / "run.toml"
     sidecar.write_text(template)
-    given = Definition.load(sidecar).given()
+    given = Definition.load(sidecar).contents()
     # Of the file's own facts nothing is left to fill in; of the rest nothing is claimed.
     assert len(given.pop("sha256")) == 64
     assert given.pop("schema_version") == 1
     assert {name: value for name, value in given.items() if value != {}} == stated
     sidecar.write_text(offered(template))
-    everything = Definition.load(sidecar).given()
+    everything = Definition.load(sidecar).contents()
     common = {"schema_version", "model", "origin", "licence", "sha256"}
     assert set(everything) == common | keys
     for section in {"hysteresis", "joint", "muscle"} & keys:

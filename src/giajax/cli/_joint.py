@@ -85,7 +85,7 @@ def joint(
 
 
 def _pair(sections: "Definition", typed: Values, torque: float | None) -> Any:
-    """The joint and muscle that are stated, with the parameters that were set."""
+    """The joint and muscle of the sections, with the parameters that were set."""
     from ..joint import JointPair, check_geometry
     from ..kinds import MuscleSection
     from ..models import MuscleModel, joint_from_section

@@ -55,12 +55,12 @@ def parameters(
     from ..runs import Definition, read_run
 
     if run is not None and (arm or preset or links is not None):
-        raise InputError("a run states its arm; leave out --arm, --preset and --links")
+        raise InputError("a run states its arm: leave out --arm, --preset and --links")
     recorded = None if run is None else read_run(run)
-    stated = Definition() if arm is None else Definition.load(arm)
-    said = {"preset": preset, "links": links}
-    given = {key: value for key, value in said.items() if value is not None}
-    stated = stated.merged_with(Definition.parse({"arm": given}, "the command line"))
+    definition = Definition() if arm is None else Definition.load(arm)
+    options = {"preset": preset, "links": links}
+    section = {key: value for key, value in options.items() if value is not None}
+    definition = definition.merged_with(Definition.parse({"arm": section}, "the command line"))
 
     from ._jax import configure
 
@@ -79,7 +79,9 @@ def parameters(
     if recorded is not None:
         model = model_for([recorded])
     else:
-        model = ArmModel(arm_from_definition(stated), sensors=sensors_from_definition(stated))
+        model = ArmModel(
+            arm_from_definition(definition), sensors=sensors_from_definition(definition)
+        )
     known = [*declared(model).values(), *left_out(model).values()]
     facts = [_facts(parameter, model) for parameter in known]
     if as_json:
@@ -106,7 +108,9 @@ def _facts(parameter: "Parameter", model: Any) -> dict[str, Any]:
         "free": on and not declaration.frozen,
         "assumed": declaration.assumed,
         "elements": shape[0] if shape else None,
-        "meaning": declaration.doc,
+        "meaning": declaration.meaning,
+        "source": declaration.source or None,
+        "key": None if declaration.key is None else declaration.key.name,
     }
 
 

@@ -16,7 +16,7 @@ Status = Literal["converged", "not_converged", "interrupted"]
 
 @dataclasses.dataclass(frozen=True)
 class Iteration:
-    """What `progress` is told after each trial step.
+    """What `progress` hears of after each trial step.
 
     Attributes:
         number: 0 for the evaluation of the start.

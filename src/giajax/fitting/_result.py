@@ -152,11 +152,11 @@ def load_result(path: str | Path) -> FitResult:
         model = build_model(kind, record["config"]["definition"], values)
         return FitResult(model=model, **{**record, **records})
     except FileNotFoundError:
-        raise InputError(f"{path} does not exist; give the folder of a finished fit") from None
+        raise InputError(f"{path} does not exist: give the folder of a finished fit") from None
     except InputError:
         raise
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        raise InputError(f"{path} is not a result of giajax; give the folder of a fit") from None
+        raise InputError(f"{path} is not a result of giajax: give the folder of a fit") from None
 
 
 def _records(record: Mapping[str, Any]) -> dict[str, Any]:

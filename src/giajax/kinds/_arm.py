@@ -94,12 +94,15 @@ def _check_motion(
 def _notes(content: Content, sidecar: bool) -> list[str]:
     definition, notes = content.definition, []
     rows = {channel.kind for channel in content.channels.values()}
-    if not definition.section(ArmSection).given():
+    if not definition.section(ArmSection).contents():
         where = "no [arm] in the sidecar" if sidecar else "no sidecar"
         notes.append(f"{where}: the constants of the preset {DEFAULT_PRESET} are assumed")
-    if not definition.section(InitialSection).given():
+    if not definition.section(InitialSection).contents():
         notes.append("initial state not stated: the arm starts straight and at rest")
-    if rows & set(_COMMANDS) and "interpolation" not in definition.section(CommandSection).given():
+    if (
+        rows & set(_COMMANDS)
+        and "interpolation" not in definition.section(CommandSection).contents()
+    ):
         notes.append("command interpolation not stated: linear between two rows")
     if "wind" not in rows:
         if definition.section(WindSection).velocity_m_per_s is None:

@@ -63,7 +63,7 @@ def _check(content: Content, wording: Wording) -> None:
 
 def _notes(content: Content, sidecar: bool) -> list[str]:
     section, notes = content.definition.section(JointSection), []
-    if not section.given():
+    if not section.contents():
         notes.append("no [joint] in the sidecar: the geometry that giajax assumes is taken")
     if "torque" not in content.channels:
         torque = float(section.values().get(LOAD.torque.path, LOAD.torque.default))

@@ -42,14 +42,14 @@ class Section(BaseModel):
     # Strict: "0.3" and true are not numbers here. An int where a float is meant is one.
     model_config: ClassVar[ConfigDict] = ConfigDict(extra="forbid", strict=True, frozen=True)
 
-    def given(self) -> dict[str, Any]:
-        """The keys that were given, with their values."""
+    def contents(self) -> dict[str, Any]:
+        """The keys that the file has, with their values."""
         return self.model_dump(exclude_unset=True)
 
     def values(self) -> dict[str, npt.NDArray[np.float64]]:
         """The quantities that were given, by path, in SI."""
         values = {}
-        for name, stated in self.given().items():
+        for name, stated in self.contents().items():
             for part in self.quantities.get(name, ()) if stated is not None else ():
                 place = None if part.key is None else part.key.place
                 number = stated if place is None else stated[place]
@@ -84,10 +84,10 @@ def _in_file(declaration: Declaration, value: npt.ArrayLike) -> Any:
 
 def flat(table: Mapping[str, Any], before: str = "") -> dict[str, Any]:
     """Nested tables as one, its keys joined by points."""
-    found: dict[str, Any] = {}
+    pairs: dict[str, Any] = {}
     for name, value in table.items():
         if isinstance(value, Mapping):
-            found.update(flat(value, f"{before}{name}."))
+            pairs.update(flat(value, f"{before}{name}."))
         else:
-            found[f"{before}{name}"] = value
-    return found
+            pairs[f"{before}{name}"] = value
+    return pairs

@@ -29,7 +29,7 @@ def arm_from_definition(definition: Definition) -> Arm:
             link.
     """
     section = definition.section(ArmSection)
-    given, values = section.given(), section.values()
+    given, values = section.contents(), section.values()
     changes: dict[str, Any] = {name: given[name] for name in _CHOICES if name in given}
     others = dict(given.get("parameters") or {})
     for path, value in values.items():

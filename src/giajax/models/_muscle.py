@@ -59,7 +59,7 @@ class MuscleModel(AbstractDirectModel):
         stated = first.definition.section(MuscleSection)
         for other in others:
             theirs = other.definition.section(MuscleSection)
-            check_agreement("muscle", (first, stated.given()), (other, theirs.given()))
+            check_agreement("muscle", (first, stated.contents()), (other, theirs.contents()))
         return cls.stated(stated)
 
     @classmethod
@@ -93,7 +93,7 @@ class MuscleModel(AbstractDirectModel):
             if path not in known:
                 raise InputError(
                     f"[muscle] states {path.removeprefix('muscle.')}, which the law '{law.name}' "
-                    "does not know; remove it, or give another law"
+                    "does not know: remove it, or give another law"
                 )
         return replace(model, values)
 

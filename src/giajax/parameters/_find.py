@@ -30,20 +30,20 @@ def find(model: eqx.Module, path: str) -> Parameter:
         off = left_out(model)
         if name in off:
             raise InputError(
-                f"'{name}' is left out of this model; give it a value to switch it on "
+                f"'{name}' is left out of this model: give it a value to switch it on "
                 f"(such as {off[name].declaration.default:g})"
             )
-        raise InputError(f"there is no parameter '{path}'; {_suggestion(name, [*known, *off])}")
+        raise InputError(f"there is no parameter '{path}': {_suggestion(name, [*known, *off])}")
     parameter = known[name]
     if match["index"] is None:
         return parameter
     index = int(match["index"])
     shape = parameter.value(model).shape
     if len(shape) != 1:
-        raise InputError(f"'{name}' is a single number; leave out the index in '{path}'")
+        raise InputError(f"'{name}' is a single number: leave out the index in '{path}'")
     if index >= shape[0]:
         raise InputError(
-            f"'{path}' is beyond the {shape[0]} elements of '{name}'; "
+            f"'{path}' is beyond the {shape[0]} elements of '{name}': "
             f"indices run from 0 to {shape[0] - 1}"
         )
     return dataclasses.replace(parameter, path=path, index=index)

@@ -51,7 +51,7 @@ def check_within_bounds(parameter: Parameter, value: float, *, free: bool) -> No
     unit = f" {declaration.unit}" if declaration.unit else ""
     between = "strictly between" if free else "between"
     raise InputError(
-        f"{parameter.path} = {value:g}{unit} is outside its bounds; "
+        f"{parameter.path} = {value:g}{unit} is outside its bounds: "
         f"choose a value {between} {lower:g} and {upper:g}{unit}"
     )
 

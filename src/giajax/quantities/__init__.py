@@ -8,6 +8,18 @@ computes with it.
 
 from ._air import AIR as AIR, BUOYANCY as BUOYANCY
 from ._declaration import Declaration as Declaration, Group as Group, Key as Key
+from ._hysteresis import (
+    BOUC_WEN as BOUC_WEN,
+    BOUC_WEN_OSCILLATOR as BOUC_WEN_OSCILLATOR,
+    BRANCHES as BRANCHES,
+    DEAD_ZONES as DEAD_ZONES,
+    LOOP as LOOP,
+    MODIFIED_PRANDTL_ISHLINSKII as MODIFIED_PRANDTL_ISHLINSKII,
+    PLAY as PLAY,
+    PRANDTL_ISHLINSKII as PRANDTL_ISHLINSKII,
+    PREISACH as PREISACH,
+    STOP as STOP,
+)
 from ._joints import INITIAL as INITIAL, JOINTS as JOINTS
 from ._links import BASE as BASE, LINKS as LINKS, POINT_MASSES as POINT_MASSES
 from ._muscle import (

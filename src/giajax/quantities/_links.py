@@ -131,7 +131,7 @@ class _PointMasses(Group):
         per="body",
         each=True,
         optional=True,
-        doc="drag area of a point mass: its C_D times its frontal area",
+        doc="C_D A of a point mass: its drag coefficient times its frontal area",
         key=Key("drag_area_m2", closed=True),
     )
 

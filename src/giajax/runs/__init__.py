@@ -8,7 +8,7 @@ from ._definition import (
 )
 from ._describe import describe as describe
 from ._fit_sections import Figure as Figure
-from ._noise import stated_noise as stated_noise
+from ._noise import deviation_of as deviation_of
 from ._output import (
     check_output_files as check_output_files,
     check_output_folder as check_output_folder,

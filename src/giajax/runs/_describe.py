@@ -124,7 +124,7 @@ def _sidecar(run: Run) -> dict[str, Any] | None:
     if run.path is None or not sidecar_path(run.path).is_file():
         return None
     keys = []
-    for name, value in run.definition.given().items():
+    for name, value in run.definition.contents().items():
         if isinstance(value, dict) and name != "truth":
             keys += [f"{name}.{key}" for key in value]
         else:

@@ -9,19 +9,19 @@ from ._column_table import NOISE_KEYS
 from ._fit_sections import Noise
 from ._units import QUANTITY_OF_SUFFIX, from_si, to_si
 
-# Noise of arrays is given by quantity, without the unit that ends the key in a file.
+# Noise of arrays goes by quantity, without the unit that ends the key in a file.
 _NOISE_QUANTITIES = {key.partition("_")[0]: key for key in Noise.model_fields}
 
 
-def stated_noise(stated: Noise, channel: Channel) -> float | None:
+def deviation_of(noise: Noise, channel: Channel) -> float | None:
     """The standard deviation (SI) that `[noise]` states for a channel, or None."""
-    for column, deviation in stated.columns.items():
+    for column, deviation in noise.columns.items():
         if column.startswith(channel.name):
             recorded = parse_column(column)
             if recorded.name == channel.name:
                 return float(recorded.to_si(deviation))
     key = NOISE_KEYS.get(channel.kind)
-    of_quantity = None if key is None else getattr(stated, key)
+    of_quantity = None if key is None else getattr(noise, key)
     if key is None or of_quantity is None:
         return None
     return float(to_si(*_unit_of(key), of_quantity))
@@ -47,7 +47,7 @@ def noise_section(noise: Mapping[str, float], channels: Mapping[str, Channel]) -
             section[channels[name].column] = float(channels[name].from_si(deviation))
         else:
             raise InputError(
-                f"noise of {name!r} is given, but it must be of {', '.join(_NOISE_QUANTITIES)} "
-                "or of a channel of the run: correct the name"
+                f"{name!r} has no noise: give that of {', '.join(_NOISE_QUANTITIES)} "
+                "or of a channel of the run"
             )
     return section

@@ -1,4 +1,4 @@
-"""A run: the recorded, commanded and stated facts of one experiment, in SI units."""
+"""A run: what was recorded and commanded in one experiment, and its sidecar, in SI units."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -15,14 +15,14 @@ from ._checks import Wording, check_content
 from ._column_table import TEXTS
 from ._definition import Definition
 from ._model import decide_model
-from ._noise import noise_section, stated_noise
+from ._noise import deviation_of, noise_section
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
     """One experiment, in SI units.
 
-    - `name`: the file's stem, or as given.
+    - `name`: the file's stem, or a name of the caller's.
     - `model`: name of its kind, one of `giajax.kinds.KINDS`.
     - `times`: float64, shape (T,), s, strictly increasing; None for a static run.
     - `values`: channel name -> float64, shape (T,), SI; NaN = not measured. A text channel
@@ -79,8 +79,8 @@ class Run:
         if "time" in channels:
             raise InputError(f"{name}: 'time' is among the values: give it as the first argument")
         if noise:
-            stated = {"noise": noise_section(noise, channels)}
-            definition = definition.merged_with(Definition.parse(stated, f"{name}: noise"))
+            section = {"noise": noise_section(noise, channels)}
+            definition = definition.merged_with(Definition.parse(section, f"{name}: noise"))
         arrays = {
             channel: _text(item, f"{name}: {channel}")
             if channel in TEXTS
@@ -108,7 +108,7 @@ class Run:
 
     @property
     def commands(self) -> dict[str, npt.NDArray[Any]]:
-        """The channels that the model is given, wind apart: name -> (T,), SI."""
+        """The channels that drive the model, wind apart: name -> (T,), SI."""
         return self._of_rows(self.kind.inputs)
 
     @property
@@ -125,11 +125,11 @@ class Run:
         return {name: measured[name] for name in self.observed if name in measured}
 
     def noise(self, name: str) -> float | None:
-        """Stated standard deviation of channel `name`, SI; None if nothing was stated.
+        """Standard deviation of channel `name` in `[noise]`, SI; None if it is not there.
 
-        What is stated for the column wins over what is stated for its quantity.
+        The key of the column wins over that of its quantity.
         """
-        return stated_noise(self.definition.noise, self.channels[name])
+        return deviation_of(self.definition.noise, self.channels[name])
 
     def require_observations(self) -> None:
         """Raise `InputError` if the run holds nothing that a fit could compare."""

@@ -22,7 +22,7 @@ class CandidateModel:
 
     def stated_by(self, run: Run) -> Run:
         """The run with the `[hysteresis]` of this model; what else is stated there stays."""
-        sections, known = run.definition.given(), hysteresis_keys(self.section["operator"])
+        sections, known = run.definition.contents(), hysteresis_keys(self.section["operator"])
         kept = {
             key: value
             for key, value in sections.get("hysteresis", {}).items()
