@@ -77,12 +77,8 @@ def scale_conditions(
     if "air.drag_coefficient" in fitted and area:
         sentences.append(f"air.drag_coefficient: holds for {_values(model, area)}")
     if "point_masses.drag_area" in fitted and "air.density" not in fitted:
-<<<<<<< HEAD
-        sentences.append(f"point_masses.drag_area: holds for {_values(model, ['air.density'])}")
-=======
         density = _values(model, ["air.density"])
         sentences.append(f"point_masses.drag_area: holds for {density}")
->>>>>>> main
     return sentences
 
 
