@@ -173,7 +173,7 @@ def test_a_diff_that_does_not_fit_is_seen():
 
 @pytest.mark.quick
 def test_the_files_that_pages_name_are_there():
-    for page in [ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]:
+    for page in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]:
         text = page.read_text(encoding="utf-8")
         named = set(re.findall(r"`((?:src|tests|docs|fits|data|benchmarks)/[\w./]+)`", text))
         linked = re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", text)
