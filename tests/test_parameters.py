@@ -163,12 +163,12 @@ def test_elements_are_the_numbers_that_a_path_stands_for(arm):
         ("joints.dampening", "did you mean 'joints.damping'?"),
         ("xyzzy", "'giajax parameters' lists them all"),
         ("", "'giajax parameters' lists them all"),
-        ("links.mass[-1]", "there is no parameter 'links.mass[-1]'; did you mean 'links.mass'?"),
+        ("links.mass[-1]", "there is no parameter 'links.mass[-1]': did you mean 'links.mass'?"),
         ("links.mass[x]", "there is no parameter 'links.mass[x]'"),
         ("links", "there is no parameter 'links'"),
         ("joints.stiffness", "there is no parameter 'joints.stiffness'"),
-        ("links.mass[3]", "is beyond the 3 elements of 'links.mass'; indices run from 0 to 2"),
-        ("gravity[0]", "'gravity' is a single number; leave out the index in 'gravity[0]'"),
+        ("links.mass[3]", "is beyond the 3 elements of 'links.mass': indices run from 0 to 2"),
+        ("gravity[0]", "'gravity' is a single number: leave out the index in 'gravity[0]'"),
     ],
 )
 def test_a_wrong_path_is_refused_with_a_way_on(arm, path, sentence):
@@ -199,7 +199,7 @@ def test_bounds_are_open_for_a_free_parameter_and_closed_for_a_fixed_one(
     if fits:
         check_within_bounds(found, value, free=free)
         return
-    with pytest.raises(InputError, match="is outside its bounds; choose a value"):
+    with pytest.raises(InputError, match="is outside its bounds: choose a value"):
         check_within_bounds(found, value, free=free)
 
 

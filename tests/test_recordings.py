@@ -20,7 +20,9 @@ def prepared(name):
 def published(name, definition, runs):
     """The published model, for the same runs."""
     stated = Definition.load(ROOT / "data" / "recorded" / name / "published.toml")
-    given = {key: value for key, value in definition.given().items() if key in ("initial", "fit")}
+    given = {
+        key: value for key, value in definition.contents().items() if key in ("initial", "fit")
+    }
     paths = list(dict.fromkeys(run.path for run in runs))
     return model_for(read_runs(paths, stated.merged_with(Definition.parse(given))))
 

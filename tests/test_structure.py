@@ -32,7 +32,16 @@ ROOMS = [
     ("simulation", "joint", "arm", "hysteresis"),
     ("runs",),
     ("kinds",),
-    ("parameters", "_program", "_maths", "_text", "_typing", "_errors", "_version"),
+    (
+        "parameters",
+        "quantities",
+        "_program",
+        "_maths",
+        "_text",
+        "_typing",
+        "_errors",
+        "_version",
+    ),
 ]
 LEVEL = {room: level for level, rooms in enumerate(ROOMS) for room in rooms}
 

@@ -101,7 +101,7 @@ def joint_run(name: str, truth: dict[str, float], torques: list[float], noise: f
     if not any(path.startswith("geometry.") for path in truth):
         return run
     # A fit of the geometry is not to be told it.
-    stated = {key: said for key, said in run.definition.given().items() if key != "joint"}
+    stated = {key: said for key, said in run.definition.contents().items() if key != "joint"}
     return Run.from_arrays(None, run.values, name=name, definition=stated)
 
 
@@ -155,7 +155,7 @@ def bouc_wen_multisine(name: str) -> Run:
     from giajax.experiments import bouc_wen_benchmark
 
     run = bouc_wen_benchmark(seed=6).multisine
-    stated = run.definition.given()
+    stated = run.definition.contents()
     stated["noise"] = {"output_mm": 0.008}
     return dataclasses.replace(run, definition=Definition.parse(stated, name))
 

@@ -93,6 +93,7 @@ from .joint import (
 )
 from .kinds import KINDS as KINDS
 from .models import (
+    AbstractDirectModel as AbstractDirectModel,
     AbstractModel as AbstractModel,
     ArmModel as ArmModel,
     HysteresisModel as HysteresisModel,

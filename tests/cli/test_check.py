@@ -120,7 +120,7 @@ sys.exit(f"imported {loaded}" if loaded else status)
 """
 JAX = "jax equinox diffrax matplotlib"
 # The help reads no run and prints no table. What it takes is measured by benchmarks.startup.
-SLOW_TO_IMPORT = f"{JAX} numpy pydantic polars pint rich.console rich.table"
+SLOW_TO_IMPORT = f"{JAX} numpy pydantic polars rich.console rich.table"
 
 
 @pytest.mark.parametrize("command", ["--help", "--version", "check", "init"])

@@ -20,7 +20,7 @@ def listed(capsys, *options):
 def test_the_table_has_a_row_for_every_declaration(capsys):
     assert main(["parameters"]) == 0
     heading, *rows = capsys.readouterr().out.splitlines()
-    assert heading.split()[:4] == ["parameter", "unit", "default", "bounds"]
+    assert heading.split()[:4] == ["parameter", "unit", "value", "bounds"]
     known = {**declared(MODEL), **left_out(MODEL)}
     assert [row.split()[0] for row in rows] == list(known)
     for row, (path, parameter) in zip(rows, known.items(), strict=True):
@@ -85,3 +85,58 @@ def test_what_an_arm_file_or_preset_switches_on_is_on(capsys, tmp_path):
     assert mine["links.mass"]["elements"] == 3
     assert main(["parameters", "--preset", "none"]) == 2
     assert "no arm preset 'none'" in capsys.readouterr().err
+
+
+RUN = """\
+time_s,joint01_command_deg,link03_z_m
+0,0,0.1
+0.1,30,
+0.2,30,-0.3
+"""
+SIDECAR = """
+[arm]
+links = 4
+link_mass_kg = [0.06, 0.05, 0.04, 0.03]
+link_length_m = 0.8
+gravity_m_per_s2 = 9.81
+[arm.parameters]
+"joints.damping" = 0.125
+"air.added_mass_coefficient" = 0.9
+[sensors]
+camera_origin_m = [0.0, 0.25, 0.0]
+"""
+
+
+def test_a_run_shows_the_values_of_its_sidecar(capsys, tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text(RUN)
+    path.with_suffix(".toml").write_text(SIDECAR)
+    facts = listed(capsys, str(path))
+    expected = {
+        "links.mass": [0.06, 0.05, 0.04, 0.03],
+        "links.length": [0.8] * 4,
+        "gravity": 9.81,
+        "joints.damping": 0.125,
+        "air.added_mass_coefficient": 0.9,
+        "camera.origin": [0.0, 0.25, 0.0],
+        "air.drag_coefficient": 1.2,
+        "camera.scale": None,
+    }
+    assert {name: facts[name]["value"] for name in expected} == expected
+    assert facts["joints.damping"]["default"] == 0.05
+    assert main(["parameters", str(path)]) == 0
+    rows = {row.split()[0]: row for row in capsys.readouterr().out.splitlines()}
+    for name, value in {
+        "links.mass": "0.03 to 0.06", "links.length": "0.8", "gravity": "9.81",
+        "joints.damping": "0.125", "camera.origin": "0, 0.25, 0", "camera.scale": "1",
+    }.items():  # fmt: skip
+        assert f"  {value}  " in rows[name]
+
+
+def test_a_run_of_another_kind_shows_the_values_of_its_sidecar(capsys, tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("angle_deg,side,force_N\n1,inner,1\n")
+    path.with_suffix(".toml").write_text("[joint]\nwire_length_m = 0.36\n")
+    facts = listed(capsys, str(path))
+    assert facts["geometry.wire_length"]["value"] == 0.36
+    assert facts["geometry.wire_length"]["default"] == 0.34

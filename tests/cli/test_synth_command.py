@@ -26,7 +26,7 @@ def test_a_run_is_recorded_again(run, tmp_path):
     assert main(["synth", str(run), "--out", str(out), *options]) == 0
     new = read_run(out)
     assert new.definition.arm.links == 2
-    assert new.definition.sensors.given() == {}
+    assert new.definition.sensors.contents() == {}
     assert new.definition.truth["camera.origin"] == [0.0, 0.0, 1.0]
     assert new.noise("link02_z") == pytest.approx(0.01)
     heights = new.values["link02_z"]

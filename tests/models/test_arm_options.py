@@ -25,6 +25,16 @@ def through_toml(definition):
     return Definition.parse({"arm": definition})
 
 
+def test_axes_are_named_where_they_have_a_name():
+    axes = [[0.0, -1.0, 0.0], [0.0, -1.0, 0.0]]
+    assert (
+        arm_to_definition(arm_from_definition(through_toml({"joint_axes": axes})))["joint_axes"]
+        == axes
+    )
+    named = arm_from_definition(through_toml({"links": 2}))
+    assert arm_to_definition(named)["joint_axes"] == "pitch_yaw"
+
+
 @pytest.mark.parametrize("links", [1, 3])
 def test_a_full_arm_goes_through_its_definition(links):
     model = ArmModel(full_arm(links))

@@ -205,13 +205,13 @@ def recorded(channels=CHANNELS, command=COMMAND, sigma=0.005, **changes):
         noise={"position": sigma},
         seed=5,
         definition={"arm": {"links": LINKS}},
-        stated=model(),
+        constants=model(),
     )
 
 
 def test_a_camera_frame_is_found_together_with_the_drag_coefficient():
     run = recorded(**TRUE_FRAME)
-    assert run.definition.sensors.given() == {}
+    assert run.definition.sensors.contents() == {}
     result = giajax.fit(
         model_for([run]),
         run,

@@ -101,6 +101,32 @@ def test_what_a_joint_or_a_muscle_assumes_is_told():
     assert all("noise" in note for note in describe(stated)["notes"])
 
 
+def leap_notes(run):
+    return [note for note in describe(run)["notes"] if "time step" in note]
+
+
+def test_a_leap_of_the_time_step_is_noted_with_its_row(tmp_path):
+    """Milliseconds among seconds: from line 5 on the stamps are a thousand times as large."""
+    path = tmp_path / "run.csv"
+    rows = ["0,0", "0.01,1", "0.02,2", "0.03,3", "40,3", "50,3", "60,3"]
+    path.write_text("time_s,input_m,output_m\n" + "".join(f"{row},1\n" for row in rows))
+    (note,) = leap_notes(read_run(path))
+    assert note.startswith("the time step changes from 0.01 s to 40 s in row 6: check the unit")
+    (note,) = leap_notes(read_run(path, rename={"time_s": "time_ms"}))
+    assert "from 1e-05 s to 0.04 s in row 6" in note
+
+
+def test_a_gap_is_two_leaps_and_another_rate_none():
+    def run(steps):
+        times = np.concatenate([[0.0], np.cumsum(steps)])
+        return Run.from_arrays(times, {"joint01_command": np.zeros_like(times)})
+
+    (note,) = leap_notes(run([0.01] * 5 + [10.0] + [0.01] * 5))
+    assert "from 0.01 s to 10 s in sample 6, and again 1 time after it" in note
+    assert leap_notes(run([0.01] * 5 + [9.0] + [0.02] * 5)) == []
+    assert leap_notes(run([0.01])) == []
+
+
 def offered(text):
     """The template with every key that it offers stated."""
     return re.sub(r"^# (\w+ = )", r"\1", text, flags=re.MULTILINE)
@@ -132,13 +158,13 @@ def test_every_line_of_the_template_is_legal(tmp_path, text, stated, keys):
     template = sidecar_template(path)
     sidecar = tmp_path / "run.toml"
     sidecar.write_text(template)
-    given = Definition.load(sidecar).given()
+    given = Definition.load(sidecar).contents()
     # Of the file's own facts nothing is left to fill in; of the rest nothing is claimed.
     assert len(given.pop("sha256")) == 64
     assert given.pop("schema_version") == 1
     assert {name: value for name, value in given.items() if value != {}} == stated
     sidecar.write_text(offered(template))
-    everything = Definition.load(sidecar).given()
+    everything = Definition.load(sidecar).contents()
     common = {"schema_version", "model", "origin", "licence", "sha256"}
     assert set(everything) == common | keys
     for section in {"hysteresis", "joint", "muscle"} & keys:

@@ -41,7 +41,7 @@ def test_a_file_is_read_in_si_units(tmp_path):
     np.testing.assert_allclose(run.values["joint01_command"], np.array([0, 1, 1]) * math.pi / 6)
     np.testing.assert_array_equal(run.values["link06_z"], [0.1, np.nan, -0.3])
     assert run.channels["joint01_command"].unit == "deg"
-    assert run.definition.given() == {}
+    assert run.definition.contents() == {}
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -219,7 +219,7 @@ def test_the_sidecar_is_read_and_the_definition_wins(tmp_path):
     run = read_run(path, definition=definition)
     assert (run.definition.arm.links, run.definition.arm.link_mass_kg) == (8, 0.2)
     assert run.noise("link06_z") == 0.5
-    assert "fit" not in run.definition.given()
+    assert "fit" not in run.definition.contents()
     with pytest.raises(InputError, match="link 6, but the arm has 3 links"):
         read_run(path, definition=Definition.parse({"arm": {"links": 3}}))
 

@@ -30,7 +30,7 @@ def test_absolute_angles_are_sums_of_joint_angles():
 
 @pytest.mark.parametrize("name", ["link03_angle", "tip_z", "joint01_command"])
 def test_a_channel_that_is_not_there_is_one_sentence(name):
-    with pytest.raises(InputError, match=r"which does not have it; choose among .*joint01_angle"):
+    with pytest.raises(InputError, match=r"has no channel .*: choose among .*joint01_angle"):
         observing(swing(), [name])
 
 

@@ -110,16 +110,18 @@ def test_every_key_is_read(tmp_path):
 def test_to_toml_and_load_return_what_was_given(tmp_path):
     first = loaded(tmp_path, FULL)
     second = loaded(tmp_path, first.to_toml(), "again.toml")
-    assert second.given() == first.given()
+    assert second.contents() == first.contents()
     assert second.to_toml() == first.to_toml()
     assert first.truth["when"] == datetime.date(2024, 5, 1)
     # Integers where a float is meant come back as floats, and nothing that was not given does.
-    assert Definition.parse({"noise": {"position_m": 1}}).given() == {"noise": {"position_m": 1.0}}
+    assert Definition.parse({"noise": {"position_m": 1}}).contents() == {
+        "noise": {"position_m": 1.0}
+    }
 
 
 def test_nothing_given_is_an_empty_definition():
     d = Definition()
-    assert d.given() == {}
+    assert d.contents() == {}
     assert d.arm.links is None
     assert d.command.interpolation == "linear"
     assert d.to_toml() == "schema_version = 1\n"

@@ -25,7 +25,7 @@ def errors_of(seed=3, **errors):
 def test_no_errors_change_nothing():
     run, errors = errors_of()
     assert all(np.all(error == 0) for error in errors.values())
-    assert run.definition.given() == EXACT.definition.given()
+    assert run.definition.contents() == EXACT.definition.contents()
 
 
 def test_white_noise_is_white_and_stated():
@@ -135,7 +135,7 @@ def test_a_run_is_recorded_again_as_a_model_predicts_it():
         truth, first, RecordingErrors(white={"position": 0.01}), truth=["camera.rotation"]
     )
     assert again.definition.arm == first.definition.arm
-    assert again.definition.sensors.given() == {}
+    assert again.definition.sensors.contents() == {}
     assert again.definition.origin is None
     assert again.definition.truth["camera.rotation"] == [0.0, 0.1, 0.0]
     assert again.definition.truth["air.drag_coefficient"] == 0.8

@@ -9,6 +9,7 @@ import equinox as eqx
 from .._errors import InputError
 from .._typing import Array, Float, Scalar
 from ..parameters import parameter
+from ..quantities import BASE
 from ._atmosphere import Air
 from ._joints import Joints
 from ._links import Links
@@ -37,17 +38,8 @@ class Arm(eqx.Module):
     air: Air
     buoyancy: Buoyancy | None = None
     point_masses: PointMasses | None = None
-    base_rotation: Float[Array, "3"] = parameter(
-        0.0,
-        unit="rad",
-        shape=(3,),
-        doc="turn of the straight arm against the base frame, as a rotation vector",
-    )
-    gravity: Scalar = parameter(
-        0.0,
-        unit="m/s^2",
-        doc="acceleration of gravity along -z; 0 where buoyancy balances weight",
-    )
+    base_rotation: Float[Array, "3"] = parameter(BASE.base_rotation)
+    gravity: Scalar = parameter(BASE.gravity)
 
     def __check_init__(self) -> None:
         if len(self.joints.axes) != self.links.count:

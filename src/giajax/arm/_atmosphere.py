@@ -7,6 +7,7 @@ import equinox as eqx
 from .._errors import InputError
 from .._typing import Array, Float, Scalar
 from ..parameters import parameter
+from ..quantities import AIR
 
 DRAGS = ("centre", "strip")
 """Where drag acts: at each link's centre (eq. 1), or along the link."""
@@ -28,45 +29,12 @@ class Air(eqx.Module):
     - `wind`: a constant wind, beside that of the run.
     """
 
-    density: Scalar = parameter(
-        1.204, unit="kg/m^3", lower=0, doc="density of the air (20 C, 1 atm)"
-    )
-    drag_coefficient: Scalar = parameter(
-        1.2,
-        unit="",
-        lower=0,
-        upper=50,
-        frozen=False,
-        assumed=True,
-        doc="drag coefficient C_D of eq. (1), referred to length times diameter",
-    )
-    axial_coefficient: Scalar | None = parameter(
-        0.02,
-        unit="",
-        lower=0,
-        upper=50,
-        optional=True,
-        assumed=True,
-        doc="coefficient of the drag along a link, referred to length times diameter (strip drag)",
-    )
-    added_mass_coefficient: Scalar | None = parameter(
-        1.0,
-        unit="",
-        lower=0,
-        upper=10,
-        optional=True,
-        doc="added mass across a link over the air that it displaces (1 for a long cylinder)",
-    )
-    wind: Float[Array, "3"] | None = parameter(
-        0.0,
-        unit="m/s",
-        shape=(3,),
-        optional=True,
-        doc="constant velocity of the air in the base frame, beside the wind of the run",
-    )
-    viscosity: Scalar = parameter(
-        1.516e-5, unit="m^2/s", lower=0, doc="kinematic viscosity of the air (20 C, 1 atm)"
-    )
+    density: Scalar = parameter(AIR.density)
+    drag_coefficient: Scalar = parameter(AIR.drag_coefficient)
+    axial_coefficient: Scalar | None = parameter(AIR.axial_coefficient)
+    added_mass_coefficient: Scalar | None = parameter(AIR.added_mass_coefficient)
+    wind: Float[Array, "3"] | None = parameter(AIR.wind)
+    viscosity: Scalar = parameter(AIR.viscosity)
     drag: str = eqx.field(static=True, default="centre")
     strip_points: int = eqx.field(static=True, default=3)
     drag_curve: str = eqx.field(static=True, default="constant")

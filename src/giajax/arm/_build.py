@@ -1,6 +1,7 @@
 """The general constructor of an arm."""
 
 from collections.abc import Mapping, Sequence
+from inspect import signature
 from typing import Any
 
 import jax.numpy as jnp
@@ -110,7 +111,7 @@ def chain(
                 "inertia_transverse", inertia_transverse, axial / 2 + mass * length**2 / 12
             ),
             inertia_axial=per_link("inertia_axial", inertia_axial, axial),
-            fullness=per_link("fullness", None),
+            **{name: per_link(name, None) for name in _OTHERS},
         ),
         joints=Joints(axes=named_axes(joint_axes, links)),
         air=Air(drag=drag, strip_points=strip_points, drag_curve=drag_curve, **air),
@@ -126,6 +127,10 @@ def chain(
         )
     arm = _with_parameters(arm, values)
     return trimmed(arm, level="buoyancy.trim_position" not in values) if trim else arm
+
+
+# What of a link has no argument of its own.
+_OTHERS = [name for name in Links.__dataclass_fields__ if name not in signature(chain).parameters]
 
 
 def _with_parameters(arm: Arm, values: Mapping[str, Any]) -> Arm:

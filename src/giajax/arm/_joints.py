@@ -7,6 +7,7 @@ import numpy as np
 from .._errors import InputError
 from .._typing import Array, Bool, Float, Scalar
 from ..parameters import parameter
+from ..quantities import JOINTS
 from ._axes import Axis
 
 
@@ -18,58 +19,12 @@ class Joints(eqx.Module):
     """
 
     axes: tuple[Axis, ...] = eqx.field(static=True)
-    pitch_stiffness: Scalar = parameter(
-        3.0,
-        unit="N m/rad",
-        lower=0,
-        upper=1e3,
-        frozen=False,
-        assumed=True,
-        doc="stiffness of a pitch joint about its commanded angle",
-    )
-    yaw_stiffness: Scalar = parameter(
-        30.0,
-        unit="N m/rad",
-        lower=0,
-        upper=1e4,
-        frozen=False,
-        assumed=True,
-        doc="stiffness of a yaw joint about its commanded angle",
-    )
-    damping: Float[Array, ""] | Float[Array, " joint"] = parameter(
-        0.05,
-        unit="N m s/rad",
-        each=True,
-        lower=0,
-        upper=1e2,
-        frozen=False,
-        assumed=True,
-        doc="viscous damping of a joint's own rate (one number, or one per joint)",
-    )
-    friction: Float[Array, ""] | Float[Array, " joint"] | None = parameter(
-        0.1,
-        unit="N m",
-        each=True,
-        lower=0,
-        upper=1e3,
-        optional=True,
-        doc="Coulomb friction of a joint (one number, or one per joint)",
-    )
-    friction_rate: Scalar = parameter(
-        0.05,
-        unit="rad/s",
-        lower=0,
-        assumed=True,
-        doc="rate at which Coulomb friction has reached tanh(1) = 76 % of its value",
-    )
-    armature: Float[Array, ""] | Float[Array, " joint"] | None = parameter(
-        1e-3,
-        unit="kg m^2",
-        each=True,
-        lower=0,
-        optional=True,
-        doc="inertia of a joint's drive, reflected to the joint (one number, or one per joint)",
-    )
+    pitch_stiffness: Scalar = parameter(JOINTS.pitch_stiffness)
+    yaw_stiffness: Scalar = parameter(JOINTS.yaw_stiffness)
+    damping: Float[Array, ""] | Float[Array, " joint"] = parameter(JOINTS.damping)
+    friction: Float[Array, ""] | Float[Array, " joint"] | None = parameter(JOINTS.friction)
+    friction_rate: Scalar = parameter(JOINTS.friction_rate)
+    armature: Float[Array, ""] | Float[Array, " joint"] | None = parameter(JOINTS.armature)
 
     def __check_init__(self) -> None:
         norms = np.linalg.norm(np.asarray(self.axes, dtype=float), axis=-1)

@@ -5,6 +5,7 @@ import equinox as eqx
 from .._errors import InputError
 from .._typing import Array, Float, Scalar
 from ..parameters import parameter
+from ..quantities import BUOYANCY, POINT_MASSES
 
 PerLink = Float[Array, ""] | Float[Array, " link"]
 PerBody = Float[Array, ""] | Float[Array, " body"]
@@ -18,76 +19,35 @@ class Buoyancy(eqx.Module):
     with the link, but does not spin with it about the link's own axis.
     """
 
-    helium_density: Scalar = parameter(
-        0.1664, unit="kg/m^3", lower=0, doc="density of the helium (20 C, 1 atm)"
-    )
-    trim_mass: PerLink = parameter(
-        0.0,
-        unit="kg",
-        lower=0,
-        each=True,
-        doc="trim weight of a link (one number, or one per link)",
-    )
-    trim_position: PerLink = parameter(
-        0.495,
-        unit="m",
-        each=True,
-        assumed=True,
-        doc="distance of the trim weight from the link's joint, along the link",
-    )
-    trim_depth: PerLink | None = parameter(
-        0.15,
-        unit="m",
-        each=True,
-        optional=True,
-        doc="distance of the trim weight below the link's axis, in the straight arm",
-    )
-    imbalance: PerLink | None = parameter(
-        0.0,
-        unit="N",
-        each=True,
-        optional=True,
-        doc="lift that is left over on a link (one number, or one per link); negative: weight",
-    )
+    helium_density: Scalar = parameter(BUOYANCY.helium_density)
+    trim_mass: PerLink = parameter(BUOYANCY.trim_mass)
+    trim_position: PerLink = parameter(BUOYANCY.trim_position)
+    trim_depth: PerLink | None = parameter(BUOYANCY.trim_depth)
+    imbalance: PerLink | None = parameter(BUOYANCY.imbalance)
 
 
 class PointMasses(eqx.Module):
-    """Small bodies fixed to links: a camera at the tip, cables, tubes.
+    """Small bodies fixed to links: a camera at the tip, cables, tubes, the ball of a pendulum.
 
     Arguments:
         links: the link that carries each of them, counted from 1.
         mass: of each, kg.
         position: of each from its link's joint along the link, m.
         left, up: of each from the link's axis, in the straight arm, m; None: on the axis.
+        drag_area: C_D A of each, m^2; None: no body has a drag of its own.
     """
 
     links: tuple[int, ...] = eqx.field(static=True)
-    mass: PerBody = parameter(0.003, unit="kg", each=True, lower=0, doc="mass of a point mass")
-    position: PerBody = parameter(
-        0.99,
-        unit="m",
-        each=True,
-        doc="distance of a point mass from its link's joint, along the link",
-    )
-    left: PerBody | None = parameter(
-        0.0,
-        unit="m",
-        each=True,
-        optional=True,
-        doc="distance of a point mass to the left of its link's axis",
-    )
-    up: PerBody | None = parameter(
-        0.0,
-        unit="m",
-        each=True,
-        optional=True,
-        doc="distance of a point mass above its link's axis",
-    )
+    mass: PerBody = parameter(POINT_MASSES.mass)
+    position: PerBody = parameter(POINT_MASSES.position)
+    left: PerBody | None = parameter(POINT_MASSES.left)
+    up: PerBody | None = parameter(POINT_MASSES.up)
+    drag_area: PerBody | None = parameter(POINT_MASSES.drag_area)
 
     def __check_init__(self) -> None:
         if not self.links or min(self.links) < 1:
             raise InputError("a point mass has no link, or one below 1: number its link from 1")
-        for name in ("mass", "position", "left", "up"):
+        for name in ("mass", "position", "left", "up", "drag_area"):
             value = getattr(self, name)
             if value is not None and value.shape not in ((), (len(self.links),)):
                 raise InputError(

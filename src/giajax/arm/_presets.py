@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._errors import InputError
+from ..quantities import AIR, BUOYANCY, LINKS, POINT_MASSES
 from ._arm import Arm
 from ._build import chain
 from ._masses import PointMasses
@@ -50,14 +51,16 @@ def takeichi_20m_full(links: int = 20, **changes: Any) -> Arm:
     Returns:
         The arm.
     """
-    extras = {"air.added_mass_coefficient": 1.0}
+    extras = {AIR.added_mass_coefficient.path: AIR.added_mass_coefficient.default}
     if changes.get("drag", "strip") == "strip":
-        extras["air.axial_coefficient"] = 0.02
+        extras[AIR.axial_coefficient.path] = AIR.axial_coefficient.default
     floats = changes.get("buoyancy", True)
     if floats:
-        extras["buoyancy.trim_depth"] = 0.15
-    length = 0.99 if changes.get("length") is None else np.ravel(changes["length"])[-1]
-    camera = PointMasses((links,), mass=jnp.full(1, 0.003), position=jnp.full(1, float(length)))
+        extras[BUOYANCY.trim_depth.path] = BUOYANCY.trim_depth.default
+    length = changes.get("length")
+    tip = LINKS.length.default if length is None else float(np.ravel(length)[-1])
+    mass = POINT_MASSES.mass.default
+    camera = PointMasses((links,), mass=jnp.full(1, mass), position=jnp.full(1, tip))
     defaults = {
         "gravity": STANDARD_GRAVITY,
         "drag": "strip",

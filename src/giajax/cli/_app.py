@@ -112,8 +112,8 @@ def _without_options(function: Callable[..., None]) -> Callable[..., None]:
     return listed
 
 
-def _show_version(wanted: bool) -> None:
-    if wanted:
+def _show_version(asked: bool) -> None:
+    if asked:
         from importlib.metadata import version
 
         typer.echo(f"giajax {version('giajax')}")

@@ -1,4 +1,4 @@
-"""What an arm is told to do: the options of commands that simulate one, as definitions and drives.
+"""Options of commands that simulate an arm, as definitions and drives.
 
 Shared by `giajax simulate` and `giajax sensitivity`; JAX is imported where it is needed only.
 """
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from ..synthetic import Drive
 
 DURATION = 25.0
-"""Length of a run, s, when nothing is said."""
+"""Length of a run, s, by default."""
 
 _START = 0.5
 _RAMP_DURATION = 1.0
@@ -56,10 +56,10 @@ def replayed_run(command: Path, definition: "Definition") -> "Run":
     from ..runs import Definition, read_run, read_sidecar
 
     # Which joints there are is told by the arm that recorded it, where the sidecar states one.
-    recorded = bool(read_sidecar(command).section(ArmSection).given())
+    recorded = bool(read_sidecar(command).section(ArmSection).contents())
     keys = ("command", "wind") if recorded else ("arm", "command", "wind")
-    given = {key: item for key, item in definition.given().items() if key in keys}
-    return read_run(command, definition=Definition.parse(given))
+    section = {key: item for key, item in definition.contents().items() if key in keys}
+    return read_run(command, definition=Definition.parse(section))
 
 
 def drives_of(run: "Run", rate: float) -> tuple[float, float, list["Drive"]]:
@@ -168,7 +168,7 @@ def facts_of(
     source = definition if replayed is None else replayed.definition
     driven = {name: drive for drive in drives for name in drive.values}
     facts: dict[str, Any] = {"schema_version": 1}
-    initial = definition.section(InitialSection).given()
+    initial = definition.section(InitialSection).contents()
     commanded = [drive for name, drive in driven.items() if name.startswith("joint")]
     winds = [drive for name, drive in driven.items() if name.startswith("wind")]
     velocity = source.section(WindSection).velocity_m_per_s

@@ -53,7 +53,7 @@ def examples_root() -> Path:
         if all((root / folder).is_dir() for folder in _FOLDERS):
             return root
     raise InputError(
-        f"the examples are not part of this installation ({package}); install giajax again"
+        f"the examples are not part of this installation ({package}): install giajax again"
     )
 
 

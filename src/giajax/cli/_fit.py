@@ -47,7 +47,7 @@ def fit(
     ] = None,
     config: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.toml", help="The fit definition, if not given as argument."),
+        typer.Option(metavar="FILE.toml", help="The fit definition, if it is no argument."),
     ] = None,
     free: Annotated[
         list[str] | None,
@@ -146,7 +146,7 @@ def fit(
         origin="the command line",
     )
     if not task.data:
-        where = f"{task.source} names no data" if task.source else "no data is given"
+        where = f"{task.source} names no data" if task.source else "there is no data"
         raise typer.BadParameter(f"{where}: give at least one run with --data RUN.csv")
 
     from ._jax import configure

@@ -85,7 +85,7 @@ def joint(
 
 
 def _pair(sections: "Definition", typed: Values, torque: float | None) -> Any:
-    """The joint and muscle that are stated, with the parameters that were set."""
+    """The joint and muscle of the sections, with the parameters that were set."""
     from ..joint import JointPair, check_geometry
     from ..kinds import MuscleSection
     from ..models import MuscleModel, joint_from_section
@@ -110,7 +110,7 @@ def _refuse_unused(sections: "Definition") -> None:
 
     muscle = sections.section(MuscleSection)
     unused = {
-        "length_m": muscle.length_m is not None,
+        "length_m": "length" in muscle.values(),
         "friction": muscle.friction not in (None, "none"),
         "friction_pressures_kPa": muscle.friction_pressures_kPa is not None,
     }

@@ -11,6 +11,9 @@ from .._errors import InputError
 if TYPE_CHECKING:
     from ..parameters import Parameter
 
+# An array of more elements is shown by its range.
+_FEW = 3
+
 EXAMPLES = """\b
 Examples:
   giajax parameters
@@ -21,8 +24,9 @@ Examples:
   giajax fit --data run.csv --free air.drag_coefficient --free "links.mass[19]"
 
 \b
+value: what the preset, the file or the sidecar of the run says, or else the default.
 'off': left out of the model, at no cost; --start or --free of a fit switches it on,
-with the default listed.
+with the value listed.
 An array has one element for each link or joint; links.mass[0] is its first one.
 'assumed': the paper gives no figure, and a fit should find one."""
 
@@ -46,17 +50,17 @@ def parameters(
 ) -> None:
     """List every parameter of the arm, or of a run's model.
 
-    Path, unit, default, bounds and meaning of each.
+    Path, unit, value, bounds and meaning of each.
     """
     from ..runs import Definition, read_run
 
     if run is not None and (arm or preset or links is not None):
-        raise InputError("a run states its arm; leave out --arm, --preset and --links")
+        raise InputError("a run states its arm: leave out --arm, --preset and --links")
     recorded = None if run is None else read_run(run)
-    stated = Definition() if arm is None else Definition.load(arm)
-    said = {"preset": preset, "links": links}
-    given = {key: value for key, value in said.items() if value is not None}
-    stated = stated.merged_with(Definition.parse({"arm": given}, "the command line"))
+    definition = Definition() if arm is None else Definition.load(arm)
+    options = {"preset": preset, "links": links}
+    section = {key: value for key, value in options.items() if value is not None}
+    definition = definition.merged_with(Definition.parse({"arm": section}, "the command line"))
 
     from ._jax import configure
 
@@ -75,7 +79,9 @@ def parameters(
     if recorded is not None:
         model = model_for([recorded])
     else:
-        model = ArmModel(arm_from_definition(stated), sensors=sensors_from_definition(stated))
+        model = ArmModel(
+            arm_from_definition(definition), sensors=sensors_from_definition(definition)
+        )
     known = [*declared(model).values(), *left_out(model).values()]
     facts = [_facts(parameter, model) for parameter in known]
     if as_json:
@@ -89,10 +95,12 @@ def parameters(
 def _facts(parameter: "Parameter", model: Any) -> dict[str, Any]:
     declaration = parameter.declaration
     on = parameter.is_on(model)
-    shape = parameter.value(model).shape if on else declaration.shape
+    value = parameter.value(model) if on else None
+    shape = declaration.shape if value is None else value.shape
     return {
         "path": parameter.path,
         "unit": declaration.unit,
+        "value": None if value is None else value.tolist(),
         "default": declaration.default,
         "lower": _finite(declaration.lower),
         "upper": _finite(declaration.upper),
@@ -100,7 +108,9 @@ def _facts(parameter: "Parameter", model: Any) -> dict[str, Any]:
         "free": on and not declaration.frozen,
         "assumed": declaration.assumed,
         "elements": shape[0] if shape else None,
-        "meaning": declaration.doc,
+        "meaning": declaration.meaning,
+        "source": declaration.source or None,
+        "key": None if declaration.key is None else declaration.key.name,
     }
 
 
@@ -111,7 +121,7 @@ def _finite(bound: float) -> float | None:
 def _show(facts: list[dict[str, Any]]) -> None:
     from ._output import print_table
 
-    headings = ["parameter", "unit", "default", "bounds", "in a fit", "elements", "", "meaning"]
+    headings = ["parameter", "unit", "value", "bounds", "in a fit", "elements", "", "meaning"]
     print_table(headings, [_row(fact) for fact in facts], left=len(headings))
 
 
@@ -119,13 +129,26 @@ def _row(fact: dict[str, Any]) -> list[Any]:
     return [
         fact["path"],
         fact["unit"] or None,
-        f"{fact['default']:.10g}",
+        _value(fact),
         _bounds(fact["lower"], fact["upper"]),
         ("free" if fact["free"] else "held") if fact["on"] else "off",
         fact["elements"],
         "assumed" if fact["assumed"] else "",
         fact["meaning"],
     ]
+
+
+def _value(fact: dict[str, Any]) -> str:
+    """Of an array the one number that all elements share, or a few, or else their range."""
+    value, default = fact["value"], fact["default"]
+    elements = value if isinstance(value, list) else [default if value is None else value]
+    # A value is converted and computed, and shows it in its last digits; a default does not.
+    shown = {number: f"{number:.{10 if number == default else 7}g}" for number in elements}
+    if len(shown) == 1:
+        return shown[elements[0]]
+    if len(elements) <= _FEW:
+        return ", ".join(shown[number] for number in elements)
+    return f"{shown[min(elements)]} to {shown[max(elements)]}"
 
 
 def _bounds(lower: float | None, upper: float | None) -> str:

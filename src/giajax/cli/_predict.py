@@ -73,7 +73,7 @@ def predict(
 
     if out is not None:
         check_output_files([out], force=force)
-    sections = {} if config is None else Definition.load(config).given()
+    sections = {} if config is None else Definition.load(config).contents()
     # What it says of the model is that of the fit, which `model` states already.
     about = ("model", *run_keys(model=False), "fit")
     sections = {key: value for key, value in sections.items() if key in about}

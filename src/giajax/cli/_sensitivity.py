@@ -144,7 +144,7 @@ def sensitivity(
         if replayed is not None:
             start, length, drives = drives_of(replayed, rate or _RATE)
         else:
-            still = bool(wind or sections.section(InitialSection).given())
+            still = bool(wind or sections.section(InitialSection).contents())
             moves = ramp or ([] if step or still else [_DEFAULT_RAMP])
             if moves or step:
                 drives = [moves_of(step or [], moves, count, duration or length)]
@@ -153,11 +153,11 @@ def sensitivity(
             drives, start=start, duration=duration or length, rate=rate or _RATE
         )
         names = channel_names(channels or ["all"], count)
-        facts["arm"] = sections.section(ArmSection).given()
-        facts["sensors"] = sections.section(SensorsSection).given()
+        facts["arm"] = sections.section(ArmSection).contents()
+        facts["sensors"] = sections.section(SensorsSection).contents()
         definition = Definition.parse({k: v for k, v in facts.items() if v}, "sensitivity")
         recorded = planned(
-            times, inputs, links=count, channels=names, definition=definition.given()
+            times, inputs, links=count, channels=names, definition=definition.contents()
         )
         model = replace(model_for([recorded]), parameter_values(arm_model))
     try:

@@ -106,11 +106,11 @@ def deviations(
     Raises:
         InputError: an unknown key, or one that is about none of the channels.
     """
-    from ..runs import Channel, Definition, stated_noise
+    from ..runs import Channel, Definition, deviation_of
 
     def by_channel(part: Mapping[str, float]) -> dict[str, float]:
         noise = Definition.parse({"noise": dict(part)}, option).noise
-        values = {name: stated_noise(noise, Channel.named(name)) for name in channels}
+        values = {name: deviation_of(noise, Channel.named(name)) for name in channels}
         return {name: value for name, value in values.items() if value is not None}
 
     for key in section:

@@ -1,5 +1,7 @@
 """Fig. 12 of the paper: measured against target angles, without and with compensation."""
 
+from typing import NamedTuple
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -7,10 +9,18 @@ from matplotlib.figure import Figure
 from ..report import BLUE, GREEN, GREY, INK, VERMILLION, new_figure, plain
 from ._one_link import OneLink, Trial
 
-_NAMES = {
-    "none": ("without compensation", VERMILLION),
-    "branches": ("eq. (12)", BLUE),
-    "inverse": ("inverse of the modified Prandtl-Ishlinskii form", GREEN),
+
+class _Column(NamedTuple):
+    """How the trials of a compensation are drawn."""
+
+    title: str
+    colour: str
+
+
+_COLUMNS = {
+    "none": _Column("without compensation", VERMILLION),
+    "branches": _Column("eq. (12)", BLUE),
+    "inverse": _Column("inverse of the modified Prandtl-Ishlinskii form", GREEN),
 }
 _HISTORIES = {"paper": "the paper's history", "other": "other amplitudes and minor loops"}
 
@@ -31,7 +41,7 @@ def figure_12(study: OneLink) -> Figure:
             if row == len(histories) - 1:
                 axes.set_xlabel("target angle (deg)")
             if row == 0:
-                axes.set_title(_NAMES[compensation][0], fontsize=9, loc="left", color=INK)
+                axes.set_title(_COLUMNS[compensation].title, fontsize=9, loc="left", color=INK)
     return figure
 
 
@@ -42,7 +52,7 @@ def _draw(axes: Axes, trial: Trial) -> None:
     axes.plot(
         trial.history.target[measured],
         trial.angles[measured],
-        color=_NAMES[trial.compensation][1],
+        color=_COLUMNS[trial.compensation].colour,
         linewidth=0.9,
         marker="o",
         markersize=1.8,

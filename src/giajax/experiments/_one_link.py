@@ -127,7 +127,8 @@ def one_link(
 
 def record_joint(joint: SimulatedJoint | None = None) -> Run:
     """What the compensations are identified from: the paper's history, then loops within it."""
-    return _record(SimulatedJoint() if joint is None else joint)[0]
+    recording, _ = _record(SimulatedJoint() if joint is None else joint)
+    return recording
 
 
 def _record(joint: SimulatedJoint) -> tuple[Run, float]:

@@ -17,6 +17,7 @@ from ._records import (
     OwnEstimate as OwnEstimate,
     PredictionErrors as PredictionErrors,
     RunFit as RunFit,
+    Seconds as Seconds,
     Shift as Shift,
     Start as Start,
     ToleranceEffect as ToleranceEffect,

@@ -13,7 +13,7 @@ from ._checks import Checks, checks
 from ._derived import derived_estimates
 from ._estimates import estimates, own_estimates
 from ._problem import predictions_by_run
-from ._records import ChannelFit, Correlation, OwnEstimate, RunFit, finite_or_none
+from ._records import ChannelFit, Correlation, OwnEstimate, RunFit, Seconds, finite_or_none
 from ._result import FitResult
 from ._state import FitState
 from ._statistics import Statistics, statistics
@@ -72,7 +72,7 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
         gradient_check=done.gradient,
         tolerance_effect=done.tolerance,
         conditions=tuple(model.conditions(moved, setup.runs)),
-        seconds={"compile": compiling, "run": elapsed - compiling},
+        seconds=Seconds(compile=compiling, run=elapsed - compiling),
         versions=_versions(),
         config={**setup.config, "max_iterations": max_iterations},
         history=state.history,

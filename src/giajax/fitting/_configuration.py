@@ -79,7 +79,7 @@ def set_up(
     start, fix = dict(start or {}), dict(fix or {})
     check_loss(loss)
     if not runs:
-        raise InputError("no run was given; a fit needs at least one")
+        raise InputError("there is no run: give at least one")
     for run in runs:
         run.require_observations()
     _check_doubles(runs)
@@ -116,7 +116,7 @@ def _integration(model: AbstractModel) -> dict[str, Any]:
 
 def _about(run: Run) -> dict[str, Any]:
     """What of a run a fit depends on, beside its data and the constants of the model."""
-    sidecar = run.definition.given()
+    sidecar = run.definition.contents()
     about: dict[str, Any] = {key: sidecar[key] for key in run_keys(model=False) if key in sidecar}
     if run.observed is not None:
         about["channels"] = list(run.observed)
@@ -135,16 +135,16 @@ def _check_determined(
         count += sum(get(inputs, path).size for path in model.free_inputs(run))
     measured = sum(int(np.sum(~np.isnan(v))) for run in runs for v in run.observations.values())
     if not count:
-        raise InputError("no parameter is free; free at least one")
+        raise InputError("no parameter is free: free at least one")
     if measured <= count:
         raise InputError(
-            f"{measured} measured values cannot determine {count} parameters and their errors; "
+            f"{measured} measured values cannot determine {count} parameters and their errors: "
             "free fewer parameters or give a longer run"
         )
 
 
 def _check_doubles(runs: Sequence[Run]) -> None:
-    """Refuse a recording that is given twice: its errors would shrink for nothing."""
+    """Refuse a recording that is there twice: its errors would shrink for nothing."""
     seen: dict[tuple[str, float], str] = {}
     for run in runs:
         if run.sha256 is None:
@@ -153,7 +153,7 @@ def _check_doubles(runs: Sequence[Run]) -> None:
         part = (run.sha256, 0.0 if run.times is None else float(run.times[0]))
         if part in seen:
             raise InputError(
-                f"'{seen[part]}' and '{run.path}' are the same recording; give it once"
+                f"'{seen[part]}' and '{run.path}' are the same recording: give it once"
             )
         seen[part] = str(run.path)
 
@@ -169,7 +169,7 @@ def _resolved(
     for path in (*start, *fix):
         find(model, path)
     for path in set(start) & set(fix):
-        raise InputError(f"'{path}' is given a start and a fixed value; give one of them")
+        raise InputError(f"'{path}' has a start and a fixed value: give one of them")
     chosen = default_free(model, start) if free is None else free
     model = replace(model, {**start, **fix})
     fixed = {element.path for path in fix for element in elements(model, path)}
@@ -179,7 +179,7 @@ def _resolved(
             if element.path not in fixed:
                 parameters[element.path] = element
             elif free is not None:
-                raise InputError(f"'{element.path}' is both free and fixed; give one of them")
+                raise InputError(f"'{element.path}' is both free and fixed: give one of them")
     for path in fix:
         for element in elements(model, path):
             check_within_bounds(element, float(element.value(model)), free=False)

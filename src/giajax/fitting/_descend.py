@@ -29,7 +29,7 @@ def descend(
     Arguments:
         state: where to begin.
         max_iterations: trial steps before the fit gives up.
-        progress: told after each trial step.
+        progress: called after each trial step.
 
     Returns:
         The last state; its `ending` says how it ended. After Ctrl-C the best one so far.
@@ -41,8 +41,8 @@ def descend(
     reached = state
     try:
         for after in _states(state, max_iterations):
-            told, reached = len(reached.history), after
-            if progress is not None and len(reached.history) > told:
+            shown, reached = len(reached.history), after
+            if progress is not None and len(reached.history) > shown:
                 progress(reached.history[-1])
     except KeyboardInterrupt:
         if not reached.evaluated:
@@ -59,7 +59,7 @@ def _states(state: FitState, max_iterations: int) -> Iterator[FitState]:
     state = step(state)
     if not state.evaluated:
         raise InputError(
-            "the model cannot be evaluated at the start values (the simulation fails); "
+            "the model cannot be evaluated at the start values (the simulation fails): "
             "choose others, for an arm softer or less damped joints, or a shorter run"
         )
     moves = responds(state.natural_jacobian().norms(), state.sizes)
@@ -94,7 +94,7 @@ def _to_optimum(state: FitState, max_iterations: int) -> Iterator[FitState]:
             if state.trials >= max_iterations:
                 yield state.ended(
                     "not_converged",
-                    f"no optimum after {state.trials} iterations; start nearer, free fewer "
+                    f"no optimum after {state.trials} iterations: start nearer, free fewer "
                     "parameters or allow more iterations",
                 )
                 return
@@ -117,7 +117,7 @@ def _to_optimum(state: FitState, max_iterations: int) -> Iterator[FitState]:
     if not state.converged:
         yield state.ended(
             "not_converged",
-            "no step lowers the cost any further, and the optimum is not reached; "
+            "no step lowers the cost any further, and the optimum is not reached: "
             "start elsewhere or free fewer parameters",
         )
 

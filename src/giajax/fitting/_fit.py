@@ -114,7 +114,7 @@ def _warn_once_in_32_bit() -> None:
         return
     _warned = True
     warnings.warn(
-        "giajax is fitting in 32-bit, where a long chain keeps about three digits; call "
+        "giajax is fitting in 32-bit, where a long chain keeps about three digits: call "
         'jax.config.update("jax_enable_x64", True) before anything else',
         stacklevel=4,
     )

@@ -41,10 +41,10 @@ def undetermined_groups(jacobian: np.ndarray) -> list[list[int]]:
 
 def largest_correlations(correlation: np.ndarray, limit: float) -> dict[int, tuple[int, float]]:
     """For each parameter, the partner it is most correlated with, where that exceeds a limit."""
-    found = {}
+    partners = {}
     off = np.abs(correlation - np.diag(np.diag(correlation)))
     for i in range(len(correlation)):
         j = int(np.argmax(off[i]))
         if off[i, j] > limit:
-            found[i] = (j, float(correlation[i, j]))
-    return found
+            partners[i] = (j, float(correlation[i, j]))
+    return partners

@@ -20,7 +20,7 @@ def check_loss(loss: str) -> None:
         InputError: naming the known ones.
     """
     if loss not in LOSSES:
-        raise InputError(f"there is no loss '{loss}'; use one of: {', '.join(LOSSES)}")
+        raise InputError(f"there is no loss '{loss}': use one of: {', '.join(LOSSES)}")
 
 
 def transform(loss: str, r: Float[Array, "*n"]) -> Float[Array, "*n"]:

@@ -16,7 +16,7 @@ Status = Literal["converged", "not_converged", "interrupted"]
 
 @dataclasses.dataclass(frozen=True)
 class Iteration:
-    """What `progress` is told after each trial step.
+    """What `progress` hears of after each trial step.
 
     Attributes:
         number: 0 for the evaluation of the start.
@@ -220,6 +220,14 @@ class ToleranceEffect:
         """The record that an object of `result.json` holds."""
         shifts = {path: Shift(**item) for path, item in record["by_parameter"].items()}
         return cls(record["factor"], record["largest_in_standard_errors"], shifts)
+
+
+@dataclasses.dataclass(frozen=True)
+class Seconds:
+    """Wall time of a fit, s: what its programs took to compile or load, and all else."""
+
+    compile: float
+    run: float
 
 
 @dataclasses.dataclass(frozen=True)

@@ -20,6 +20,7 @@ from ._records import (
     Iteration,
     PredictionErrors,
     RunFit,
+    Seconds,
     Start,
     Status,
     ToleranceEffect,
@@ -50,7 +51,7 @@ class FitResult:
         gradient_check: derivatives by autodiff against central differences at the optimum.
         tolerance_effect: shift of the parameters when the solver tolerance is halved.
         conditions: sentences: what the values are conditional on.
-        seconds: {"compile", "run"}.
+        seconds: wall time, compiling apart.
         versions: of giajax and of the libraries that computed it.
         config: what was asked for, resolved; with the parameters it rebuilds the model.
         history: the start and each iteration.
@@ -73,7 +74,7 @@ class FitResult:
     gradient_check: GradientCheck | None
     tolerance_effect: ToleranceEffect | None
     conditions: tuple[str, ...]
-    seconds: dict[str, float]
+    seconds: Seconds
     versions: dict[str, str]
     config: dict[str, Any]
     history: tuple[Iteration, ...]
@@ -151,11 +152,11 @@ def load_result(path: str | Path) -> FitResult:
         model = build_model(kind, record["config"]["definition"], values)
         return FitResult(model=model, **{**record, **records})
     except FileNotFoundError:
-        raise InputError(f"{path} does not exist; give the folder of a finished fit") from None
+        raise InputError(f"{path} does not exist: give the folder of a finished fit") from None
     except InputError:
         raise
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        raise InputError(f"{path} is not a result of giajax; give the folder of a fit") from None
+        raise InputError(f"{path} is not a result of giajax: give the folder of a fit") from None
 
 
 def _records(record: Mapping[str, Any]) -> dict[str, Any]:
@@ -168,6 +169,7 @@ def _records(record: Mapping[str, Any]) -> dict[str, Any]:
         "runs": tuple(RunFit.of_json(item) for item in record["runs"]),
         "gradient_check": None if check is None else GradientCheck.of_json(check),
         "tolerance_effect": None if effect is None else ToleranceEffect.of_json(effect),
+        "seconds": Seconds(**record["seconds"]),
         "conditions": tuple(record["conditions"]),
         "history": tuple(Iteration(**item) for item in record["history"]),
         "starts": tuple(Start(**item) for item in record.get("starts", ())),

@@ -180,12 +180,12 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         scale = jnp.where(state.scale > 0, state.scale, 1)
         damping = jnp.diag(jnp.sqrt(state.damping) * scale)
 
-        def solve(given: Array, held: Array) -> Array:
+        def solve(direct: Array, held: Array) -> Array:
             matrix = jnp.concatenate([jnp.where(held[None], 0, state.factor), damping])
-            load = state.projected + state.factor @ given
+            load = state.projected + state.factor @ direct
             vector = jnp.concatenate([-load, jnp.zeros_like(load)])
             operator = lx.MatrixLinearOperator(matrix)
-            return lx.linear_solve(operator, vector, solver=lx.QR(), throw=False).value + given
+            return lx.linear_solve(operator, vector, solver=lx.QR(), throw=False).value + direct
 
         free = solve(jnp.zeros_like(scale), ~active)
         far = jnp.abs(free) > self.largest_step

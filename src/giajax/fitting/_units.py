@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,7 +27,7 @@ def in_column_units(estimates: Mapping[str, Estimate], model: AbstractModel) -> 
 def units_note(estimates: Mapping[str, Estimate], model: AbstractModel) -> str:
     """A sentence on the units, where `in_column_units` changes numbers; else empty."""
     columns = _columns(model)
-    factors = {_unit(estimate.unit, columns)[0] for estimate in estimates.values()}
+    factors = {_unit(estimate.unit, columns).factor for estimate in estimates.values()}
     if factors <= {1.0}:
         return ""
     names = " and ".join(channel.column for channel in columns.values())
@@ -58,21 +58,28 @@ def _converted(estimate: Estimate, columns: Mapping[str, Channel]) -> Estimate:
     )
 
 
-def _unit(unit: str, columns: Mapping[str, Channel]) -> tuple[float, str]:
+class _Unit(NamedTuple):
     """What a value in SI is multiplied by, and its unit then."""
+
+    factor: float
+    name: str
+
+
+def _unit(unit: str, columns: Mapping[str, Channel]) -> _Unit:
+    """A unit in terms of "input" and "output", in the units of the columns."""
     above, _, below = unit.partition("/")
     if not {above, below} & set(_WORDS) or not {above, below} & set(_WORDS) <= set(columns):
-        return 1.0, unit
+        return _Unit(1.0, unit)
     (up, numerator), (down, denominator) = _part(above, columns), _part(below, columns)
     if numerator == denominator:
-        return up / down, ""
+        return _Unit(up / down, "")
     shown = f"{numerator or 1}/{denominator}" if denominator else numerator
-    return up / down, shown
+    return _Unit(up / down, shown)
 
 
-def _part(name: str, columns: Mapping[str, Channel]) -> tuple[float, str]:
+def _part(name: str, columns: Mapping[str, Channel]) -> _Unit:
     if name not in columns:
-        return 1.0, "" if name == "1" else name
+        return _Unit(1.0, "" if name == "1" else name)
     channel = columns[name]
     unit = channel.unit.replace("_per_", "/")
-    return float(channel.from_si(1.0)), f"({unit})" if "/" in unit else unit
+    return _Unit(float(channel.from_si(1.0)), f"({unit})" if "/" in unit else unit)

@@ -16,6 +16,7 @@ import numpy as np
 from .._errors import InputError
 from .._typing import Array, Bool, Float, Scalar
 from ..parameters import parameter
+from ..quantities import BOUC_WEN
 from ._operator import AbstractOperator, history_by_steps
 
 
@@ -75,18 +76,12 @@ class BoucWen(AbstractOperator):
         InputError: fewer than 1 substep.
     """
 
-    elastic: Scalar = parameter(
-        0.5, unit="output/input", lower=0, frozen=False, doc="weight of the input itself"
-    )
-    alpha: Scalar = parameter(
-        0.5, unit="output/input", lower=0, frozen=False, doc="slope of the hysteretic part at 0"
-    )
-    beta: Scalar = parameter(
-        1.0, unit="1/input", lower=0, doc="scale of gamma and delta; only their products count"
-    )
-    gamma: Scalar = parameter(1.0, unit="", lower=0, frozen=False, doc="width of the loop")
-    delta: Scalar = parameter(0.1, unit="", frozen=False, doc="shape of the loop")
-    nu: Scalar = parameter(1.0, unit="", lower=0.5, upper=20, doc="sharpness of the knee")
+    elastic: Scalar = parameter(BOUC_WEN.elastic)
+    alpha: Scalar = parameter(BOUC_WEN.alpha)
+    beta: Scalar = parameter(BOUC_WEN.beta)
+    gamma: Scalar = parameter(BOUC_WEN.gamma)
+    delta: Scalar = parameter(BOUC_WEN.delta)
+    nu: Scalar = parameter(BOUC_WEN.nu)
     substeps: int = eqx.field(default=4, static=True)
 
     def __check_init__(self) -> None:

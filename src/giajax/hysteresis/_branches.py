@@ -8,6 +8,7 @@ import numpy.typing as npt
 from .._errors import InputError
 from .._typing import Array, Float, Scalar
 from ..parameters import is_concrete, parameter
+from ..quantities import BRANCHES
 from ._operator import AbstractExactOperator
 from ._play import clip, play
 
@@ -50,9 +51,7 @@ class BranchCompensator(AbstractExactOperator):
 
     rising: MonotoneCurve
     falling: MonotoneCurve
-    travel: Scalar = parameter(
-        1.0, unit="output", lower=0, doc="travel from one branch to the other"
-    )
+    travel: Scalar = parameter(BRANCHES.travel)
 
     def __check_init__(self) -> None:
         if is_concrete(self.travel) and not 0 < float(self.travel) < np.inf:

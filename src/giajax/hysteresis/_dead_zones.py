@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from .._errors import InputError
 from .._typing import Array, Float, Scalar
 from ..parameters import is_concrete, parameter
+from ..quantities import DEAD_ZONES
 
 
 class DeadZones(eqx.Module):
@@ -29,21 +30,11 @@ class DeadZones(eqx.Module):
             is not positive.
     """
 
-    slope: Scalar = parameter(
-        1.0, unit="output/input", lower=0, frozen=False, doc="slope between the dead zones"
-    )
-    upper_thresholds: Float[Array, " upper"] = parameter(
-        1.0, unit="input", lower=0, doc="dead zones above 0"
-    )
-    upper_slopes: Float[Array, " upper"] = parameter(
-        1.0, unit="output/input", lower=0, frozen=False, doc="slope beyond each dead zone above 0"
-    )
-    lower_thresholds: Float[Array, " lower"] = parameter(
-        1.0, unit="input", lower=0, doc="dead zones below 0, as distances from it"
-    )
-    lower_slopes: Float[Array, " lower"] = parameter(
-        1.0, unit="output/input", lower=0, frozen=False, doc="slope beyond each dead zone below 0"
-    )
+    slope: Scalar = parameter(DEAD_ZONES.slope)
+    upper_thresholds: Float[Array, " upper"] = parameter(DEAD_ZONES.upper_thresholds)
+    upper_slopes: Float[Array, " upper"] = parameter(DEAD_ZONES.upper_slopes)
+    lower_thresholds: Float[Array, " lower"] = parameter(DEAD_ZONES.lower_thresholds)
+    lower_slopes: Float[Array, " lower"] = parameter(DEAD_ZONES.lower_slopes)
 
     def __check_init__(self) -> None:
         for name in ("upper", "lower"):

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from .._errors import InputError
 from .._typing import Array, Float, Scalar
 from ..parameters import is_concrete, parameter
+from ..quantities import MODIFIED_PRANDTL_ISHLINSKII
 from ._dead_zones import DeadZones
 from ._operator import AbstractExactOperator
 from ._play import check_thresholds
@@ -35,12 +36,8 @@ class ModifiedPrandtlIshlinskii(AbstractExactOperator):
     """
 
     dead_zones: DeadZones
-    weights: Float[Array, " threshold"] = parameter(
-        0.1, unit="", lower=0, frozen=False, doc="weights of the plays, relative to the input"
-    )
-    thresholds: Float[Array, " threshold"] = parameter(
-        1.0, unit="input", lower=0, doc="thresholds of the plays"
-    )
+    weights: Float[Array, " threshold"] = parameter(MODIFIED_PRANDTL_ISHLINSKII.weights)
+    thresholds: Float[Array, " threshold"] = parameter(MODIFIED_PRANDTL_ISHLINSKII.thresholds)
 
     def __check_init__(self) -> None:
         check_thresholds(self.thresholds)

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from .._errors import InputError
 from .._typing import Array, Float, Scalar
 from ..parameters import parameter
+from ..quantities import BOUC_WEN_OSCILLATOR
 from ._bouc_wen import bouc_wen_rate
 
 # Forces are kept for so many steps a sample, so that a finer solution needs no others.
@@ -37,20 +38,14 @@ class BoucWenOscillator(eqx.Module):
         InputError: another number of steps.
     """
 
-    mass: Scalar = parameter(2.0, unit="kg", lower=0, frozen=False, doc="moving mass")
-    damping: Scalar = parameter(10.0, unit="N s/m", lower=0, frozen=False, doc="viscous damping")
-    stiffness: Scalar = parameter(
-        5e4, unit="N/m", lower=0, frozen=False, doc="stiffness beside the hysteretic element"
-    )
-    alpha: Scalar = parameter(
-        5e4, unit="N/m", lower=0, frozen=False, doc="stiffness of the hysteretic element at rest"
-    )
-    beta: Scalar = parameter(
-        1e3, unit="1/m", lower=0, doc="scale of gamma and delta; only their products count"
-    )
-    gamma: Scalar = parameter(0.8, unit="", lower=0, frozen=False, doc="width of the loop")
-    delta: Scalar = parameter(-1.1, unit="", frozen=False, doc="shape of the loop")
-    nu: Scalar = parameter(1.0, unit="", lower=0.5, upper=20, doc="sharpness of the knee")
+    mass: Scalar = parameter(BOUC_WEN_OSCILLATOR.mass)
+    damping: Scalar = parameter(BOUC_WEN_OSCILLATOR.damping)
+    stiffness: Scalar = parameter(BOUC_WEN_OSCILLATOR.stiffness)
+    alpha: Scalar = parameter(BOUC_WEN_OSCILLATOR.alpha)
+    beta: Scalar = parameter(BOUC_WEN_OSCILLATOR.beta)
+    gamma: Scalar = parameter(BOUC_WEN_OSCILLATOR.gamma)
+    delta: Scalar = parameter(BOUC_WEN_OSCILLATOR.delta)
+    nu: Scalar = parameter(BOUC_WEN_OSCILLATOR.nu)
     steps: int = eqx.field(default=4, static=True)
 
     def __check_init__(self) -> None:

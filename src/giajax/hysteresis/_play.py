@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from .._errors import InputError
 from .._typing import Array, Float, Scalar
 from ..parameters import is_concrete, parameter
+from ..quantities import PLAY, STOP
 from ._operator import AbstractExactOperator
 
 Method = Literal["scan", "associative"]
@@ -113,9 +114,7 @@ class Play(AbstractExactOperator):
         thresholds: half-widths, not negative, in the unit of the input, shape (threshold,).
     """
 
-    thresholds: Float[Array, " threshold"] = parameter(
-        0.0, unit="input", lower=0, doc="half-width of the backlash"
-    )
+    thresholds: Float[Array, " threshold"] = parameter(PLAY.thresholds)
 
     def __check_init__(self) -> None:
         check_thresholds(self.thresholds)
@@ -146,9 +145,7 @@ class Stop(AbstractExactOperator):
         thresholds: not negative, in the unit of the input, shape (threshold,).
     """
 
-    thresholds: Float[Array, " threshold"] = parameter(
-        1.0, unit="input", lower=0, doc="input at which the element begins to slide"
-    )
+    thresholds: Float[Array, " threshold"] = parameter(STOP.thresholds)
 
     def __check_init__(self) -> None:
         check_thresholds(self.thresholds)

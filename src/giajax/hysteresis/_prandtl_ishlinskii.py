@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from .._errors import InputError
 from .._typing import Array, Float, Scalar
 from ..parameters import is_concrete, parameter
+from ..quantities import PRANDTL_ISHLINSKII
 from ._dead_zones import per_row
 from ._operator import AbstractExactOperator
 from ._play import check_thresholds, clip, play
@@ -35,15 +36,9 @@ class PrandtlIshlinskii(AbstractExactOperator):
         InputError: lists of different lengths, or a negative threshold.
     """
 
-    elastic: Scalar = parameter(
-        1.0, unit="output/input", lower=0, frozen=False, doc="weight of the input itself"
-    )
-    weights: Float[Array, " threshold"] = parameter(
-        0.1, unit="output/input", lower=0, frozen=False, doc="weights of the plays or stops"
-    )
-    thresholds: Float[Array, " threshold"] = parameter(
-        1.0, unit="input", lower=0, doc="thresholds of the plays or stops"
-    )
+    elastic: Scalar = parameter(PRANDTL_ISHLINSKII.elastic)
+    weights: Float[Array, " threshold"] = parameter(PRANDTL_ISHLINSKII.weights)
+    thresholds: Float[Array, " threshold"] = parameter(PRANDTL_ISHLINSKII.thresholds)
     elements: Elements = eqx.field(default="play", static=True)
 
     def __check_init__(self) -> None:

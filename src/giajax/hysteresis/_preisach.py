@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from .._errors import InputError
 from .._typing import Array, Float, Scalar
 from ..parameters import parameter
+from ..quantities import PREISACH
 from ._operator import AbstractExactOperator
 from ._play import clip, play
 
@@ -40,22 +41,12 @@ class Preisach(AbstractExactOperator):
         InputError: an extent that is not positive, or fewer than 2 rows.
     """
 
-    slope: Scalar = parameter(
-        0.5, unit="output/input", frozen=False, doc="reversible part of the output"
-    )
-    saturation: Scalar = parameter(
-        0.5, unit="output", lower=0, frozen=False, doc="output of all relays up"
-    )
-    coercivity: Scalar = parameter(
-        0.2, unit="input", lower=0, frozen=False, doc="median half-width of the relays"
-    )
-    coercivity_spread: Scalar = parameter(
-        0.7, unit="", lower=0.05, upper=5, frozen=False, doc="spread of the logarithm of it"
-    )
-    bias: Scalar = parameter(0.0, unit="input", doc="mean centre of the relays")
-    interaction: Scalar = parameter(
-        0.3, unit="input", lower=0, frozen=False, doc="standard deviation of the centres"
-    )
+    slope: Scalar = parameter(PREISACH.slope)
+    saturation: Scalar = parameter(PREISACH.saturation)
+    coercivity: Scalar = parameter(PREISACH.coercivity)
+    coercivity_spread: Scalar = parameter(PREISACH.coercivity_spread)
+    bias: Scalar = parameter(PREISACH.bias)
+    interaction: Scalar = parameter(PREISACH.interaction)
     extent: float = eqx.field(default=1.0, static=True)
     rows: int = eqx.field(default=40, static=True)
 

@@ -3,10 +3,10 @@
 from typing import ClassVar
 
 import jax.numpy as jnp
-import numpy as np
 
 from .._typing import Array, Float, Scalar
 from ..parameters import parameter
+from ..quantities import BRAIDED
 from ._muscle import AbstractMuscle
 
 
@@ -28,44 +28,12 @@ class BraidedMuscle(AbstractMuscle):
     own_motion: ClassVar[int] = 1
     pushes: ClassVar[bool] = False
 
-    diameter: Scalar = parameter(
-        3.5e-3, unit="m", lower=0, doc="diameter of the muscle at rest", assumed=True
-    )
-    braid_angle: Scalar = parameter(
-        float(np.deg2rad(18)),
-        unit="rad",
-        lower=0,
-        upper=float(np.arctan(np.sqrt(2))),
-        doc="angle of the braid from the axis at rest (18 deg: thin muscles)",
-        assumed=True,
-    )
-    end_correction: Scalar = parameter(
-        1.6,
-        unit="",
-        lower=0,
-        doc="k: how many times the ideal law contracts further than the muscle",
-        frozen=False,
-        assumed=True,
-    )
-    effectiveness: Scalar = parameter(
-        1.0,
-        unit="",
-        lower=0,
-        doc="eta: force relative to the ideal law's",
-        frozen=False,
-        assumed=True,
-    )
-    dead_band: Scalar = parameter(
-        10e3,
-        unit="Pa",
-        lower=0,
-        doc="p_0: pressure below which the muscle does not pull",
-        frozen=False,
-        assumed=True,
-    )
-    pressure_limit: Scalar = parameter(
-        300e3, unit="Pa", lower=0, doc="highest pressure (thin muscles: 0.3 MPa)", assumed=True
-    )
+    diameter: Scalar = parameter(BRAIDED.diameter)
+    braid_angle: Scalar = parameter(BRAIDED.braid_angle)
+    end_correction: Scalar = parameter(BRAIDED.end_correction)
+    effectiveness: Scalar = parameter(BRAIDED.effectiveness)
+    dead_band: Scalar = parameter(BRAIDED.dead_band)
+    pressure_limit: Scalar = parameter(BRAIDED.pressure_limit)
 
     @property
     def limit(self) -> Float[Array, ""]:

@@ -22,12 +22,10 @@ import numpy as np
 from .._errors import InputError
 from .._typing import Array, Bool, Float, Scalar
 from ..parameters import parameter
+from ..quantities import ALPHA, BETA
 
 Reading = Literal["continuous", "printed", "none"]
 READINGS: tuple[str, ...] = get_args(Reading)
-
-# N m/deg^2 in N m/rad^2.
-_PER_SQUARE_DEGREE = float(np.rad2deg(1.0) ** 2)
 
 
 class Alpha(eqx.Module):
@@ -36,21 +34,9 @@ class Alpha(eqx.Module):
     alpha = offset + curvature max(angle - threshold, 0)^2.
     """
 
-    offset: Scalar = parameter(0.03, unit="N m", doc="alpha up to its threshold", frozen=False)
-    threshold: Scalar = parameter(
-        float(np.deg2rad(40)),
-        unit="rad",
-        lower=0,
-        upper=float(np.pi / 2),
-        doc="bending angle above which alpha grows (40 deg)",
-        frozen=False,
-    )
-    curvature: Scalar = parameter(
-        _PER_SQUARE_DEGREE / 1600,
-        unit="N m/rad^2",
-        doc="growth of alpha with the square of the angle beyond its threshold (1/1600 per deg^2)",
-        frozen=False,
-    )
+    offset: Scalar = parameter(ALPHA.offset)
+    threshold: Scalar = parameter(ALPHA.threshold)
+    curvature: Scalar = parameter(ALPHA.curvature)
 
     def __call__(self, angle: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
         """Alpha at bending angles (rad), N m."""
@@ -64,29 +50,10 @@ class Beta(eqx.Module):
     beta = offset max(1 - |angle| / width, 0) - curvature max(|angle| - threshold, 0)^2.
     """
 
-    offset: Scalar = parameter(0.01, unit="N m", doc="beta in the straight joint", frozen=False)
-    width: Scalar = parameter(
-        float(np.deg2rad(2)),
-        unit="rad",
-        lower=0,
-        upper=float(np.pi / 2),
-        doc="angle at which beta's wedge has gone (2 deg)",
-        frozen=False,
-    )
-    threshold: Scalar = parameter(
-        float(np.deg2rad(20)),
-        unit="rad",
-        lower=0,
-        upper=float(np.pi / 2),
-        doc="bending angle beyond which beta falls (20 deg)",
-        frozen=False,
-    )
-    curvature: Scalar = parameter(
-        0.3 * _PER_SQUARE_DEGREE / 1600,
-        unit="N m/rad^2",
-        doc="fall of beta with the square of the angle beyond its threshold (0.3/1600 per deg^2)",
-        frozen=False,
-    )
+    offset: Scalar = parameter(BETA.offset)
+    width: Scalar = parameter(BETA.width)
+    threshold: Scalar = parameter(BETA.threshold)
+    curvature: Scalar = parameter(BETA.curvature)
 
     def __call__(self, angle: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
         """Beta at bending angles (rad, of either sign), N m, in the continuous reading."""

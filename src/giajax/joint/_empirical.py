@@ -6,6 +6,7 @@ import jax.numpy as jnp
 
 from .._typing import Array, Float, Scalar
 from ..parameters import parameter
+from ..quantities import EMPIRICAL
 from ._muscle import AbstractMuscle
 
 
@@ -29,43 +30,13 @@ class EmpiricalMuscle(AbstractMuscle):
     own_motion: ClassVar[int] = 1
     pushes: ClassVar[bool] = False
 
-    force_limit: Scalar = parameter(
-        20.0,
-        unit="N",
-        lower=0,
-        doc="F_max of a very long muscle at the pressure limit",
-        frozen=False,
-        assumed=True,
-    )
-    contraction_limit: Scalar = parameter(
-        0.25,
-        unit="",
-        lower=0,
-        upper=1,
-        doc="contraction without a load at the pressure limit",
-        frozen=False,
-        assumed=True,
-    )
-    bell: Scalar = parameter(
-        1.0, unit="", lower=0, doc="fall of the active part with strain", frozen=False, assumed=True
-    )
-    decay: Scalar = parameter(
-        4.0,
-        unit="",
-        lower=0,
-        doc="rise of the passive part with strain",
-        frozen=False,
-        assumed=True,
-    )
-    end_length: Scalar = parameter(
-        0.0075, unit="m", doc="length that the ends take from F_max", assumed=True
-    )
-    length_scale: Scalar = parameter(
-        0.05, unit="m", lower=0, doc="length over which F_max saturates", assumed=True
-    )
-    pressure_limit: Scalar = parameter(
-        300e3, unit="Pa", lower=0, doc="highest pressure, at which q = 1", assumed=True
-    )
+    force_limit: Scalar = parameter(EMPIRICAL.force_limit)
+    contraction_limit: Scalar = parameter(EMPIRICAL.contraction_limit)
+    bell: Scalar = parameter(EMPIRICAL.bell)
+    decay: Scalar = parameter(EMPIRICAL.decay)
+    end_length: Scalar = parameter(EMPIRICAL.end_length)
+    length_scale: Scalar = parameter(EMPIRICAL.length_scale)
+    pressure_limit: Scalar = parameter(EMPIRICAL.pressure_limit)
 
     @property
     def limit(self) -> Float[Array, ""]:

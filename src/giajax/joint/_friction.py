@@ -8,6 +8,7 @@ from .._errors import InputError
 from .._typing import Array, Float, Scalar
 from ..hysteresis import stop
 from ..parameters import parameter
+from ..quantities import FRICTION
 
 
 class Friction(eqx.Module):
@@ -25,22 +26,8 @@ class Friction(eqx.Module):
         presliding: displacement from rest to full friction, m.
     """
 
-    half_width: Float[Array, " node"] = parameter(
-        1.0,
-        unit="N",
-        lower=0,
-        doc="half of the force between filling and exhausting (one number a pressure)",
-        frozen=False,
-        assumed=True,
-    )
-    presliding: Scalar = parameter(
-        2e-4,
-        unit="m",
-        lower=0,
-        doc="displacement over which friction builds up",
-        frozen=False,
-        assumed=True,
-    )
+    half_width: Float[Array, " node"] = parameter(FRICTION.half_width)
+    presliding: Scalar = parameter(FRICTION.presliding)
     pressures: tuple[float, ...] = eqx.field(default=(0.0,), static=True)
 
     def __check_init__(self) -> None:

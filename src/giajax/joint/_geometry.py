@@ -7,6 +7,7 @@ import numpy as np
 from .._errors import InputError
 from .._typing import Array, Bool, Float, Scalar
 from ..parameters import is_concrete, parameter
+from ..quantities import GEOMETRY
 
 # How far the joint bends (table 2), rad.
 LARGEST_ANGLE = float(np.deg2rad(60.0))
@@ -29,28 +30,14 @@ class JointGeometry(eqx.Module):
     stretch; the wire is slack near the straight joint and on the whole outer side.
     """
 
-    anchor_x: Scalar = parameter(
-        0.90, unit="m", lower=0, doc="muscle's ends A, C, M, N: along the link", assumed=True
-    )
-    anchor_y: Scalar = parameter(
-        0.18, unit="m", lower=0, doc="muscle's ends A, C, M, N: off the link's axis", assumed=True
-    )
-    wire_x: Scalar = parameter(0.03, unit="m", doc="wire's ends B, D: along the link", assumed=True)
-    wire_y: Scalar = parameter(
-        0.04, unit="m", doc="wire's ends B, D: off the link's axis", assumed=True
-    )
-    contact_x: Scalar = parameter(
-        0.055, unit="m", lower=0, doc="balloon's shoulder P, Q: along the link", assumed=True
-    )
-    contact_y: Scalar = parameter(
-        0.15, unit="m", lower=0, doc="balloon's shoulder P, Q: off the link's axis", assumed=True
-    )
-    wire_length: Scalar = parameter(
-        0.34, unit="m", lower=0, doc="length L_wire of the wire through the bush", assumed=True
-    )
-    muscle_length: Scalar = parameter(
-        1.96, unit="m", lower=0, doc="length L_pam of the muscle at rest", assumed=True
-    )
+    anchor_x: Scalar = parameter(GEOMETRY.anchor_x)
+    anchor_y: Scalar = parameter(GEOMETRY.anchor_y)
+    wire_x: Scalar = parameter(GEOMETRY.wire_x)
+    wire_y: Scalar = parameter(GEOMETRY.wire_y)
+    contact_x: Scalar = parameter(GEOMETRY.contact_x)
+    contact_y: Scalar = parameter(GEOMETRY.contact_y)
+    wire_length: Scalar = parameter(GEOMETRY.wire_length)
+    muscle_length: Scalar = parameter(GEOMETRY.muscle_length)
 
     def anchor(self, angle: Float[Array, "*shape"]) -> Point:
         """C = N: the muscle's end on the right link, in the frame of the bisector, m."""

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 
 from .._typing import Array, Float, Scalar
 from ..parameters import parameter
+from ..quantities import PISTON
 from ._muscle import AbstractMuscle
 
 
@@ -20,15 +21,9 @@ class Piston(AbstractMuscle):
     own_motion: ClassVar[int] = -1
     pushes: ClassVar[bool] = True
 
-    bore: Scalar = parameter(
-        0.025, unit="m", lower=0, doc="diameter of the bore", frozen=False, assumed=True
-    )
-    offset: Scalar = parameter(
-        0.0, unit="N", doc="force without pressure: the zero of the load cell", frozen=False
-    )
-    pressure_limit: Scalar = parameter(
-        1e6, unit="Pa", lower=0, doc="highest pressure", assumed=True
-    )
+    bore: Scalar = parameter(PISTON.bore)
+    offset: Scalar = parameter(PISTON.offset)
+    pressure_limit: Scalar = parameter(PISTON.pressure_limit)
 
     @property
     def limit(self) -> Float[Array, ""]:

@@ -9,6 +9,7 @@ from .._errors import InputError
 from .._program import program
 from .._typing import Array, Scalar
 from ..parameters import inline, is_concrete, parameter
+from ..quantities import LOAD
 from ._balance import MuscleState, muscle_balance
 from ._correction import Correction
 from ._geometry import JointGeometry, check_geometry
@@ -25,7 +26,7 @@ class Joint(eqx.Module):
 
     geometry: JointGeometry = eqx.field(default_factory=JointGeometry)
     correction: Correction = eqx.field(default_factory=Correction, metadata=dict(inline().metadata))
-    torque: Scalar = parameter(0.3, unit="N m", doc="torque on the joint at all times")
+    torque: Scalar = parameter(LOAD.torque)
 
 
 def muscle_state(

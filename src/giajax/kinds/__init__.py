@@ -9,11 +9,13 @@ from ._arm_sections import (
     ArmSection as ArmSection,
     CommandSection as CommandSection,
     InitialSection as InitialSection,
+    PointMass as PointMass,
     SensorsSection as SensorsSection,
     WindSection as WindSection,
 )
 from ._hysteresis import HYSTERESIS as HYSTERESIS, HysteresisSection as HysteresisSection
 from ._joint import JOINT as JOINT, JointSection as JointSection
+from ._keys import with_keys as with_keys
 from ._kind import (
     ChannelKind as ChannelKind,
     Content as Content,

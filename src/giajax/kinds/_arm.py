@@ -68,7 +68,7 @@ def _check_motion(
 ) -> None:
     """What moves the arm: a command, an initial state, or nothing on purpose."""
     initial = content.definition.section(InitialSection)
-    for key in ("angle_deg", "rate_deg_per_s"):
+    for key in initial.quantities:
         value = getattr(initial, key)
         if isinstance(value, list) and links is not None and len(value) != links:
             raise InputError(
@@ -83,7 +83,7 @@ def _check_motion(
             "remove one or the other"
         )
     has_initial = bool(initial.first_row) or bool(initial.free)
-    has_initial |= initial.angle_deg is not None or initial.rate_deg_per_s is not None
+    has_initial |= bool(initial.values())
     if not commanded and not free and not has_initial:
         raise InputError(
             f"{wording.source} has no command column: an arm run must have one such as "
@@ -94,12 +94,15 @@ def _check_motion(
 def _notes(content: Content, sidecar: bool) -> list[str]:
     definition, notes = content.definition, []
     rows = {channel.kind for channel in content.channels.values()}
-    if not definition.section(ArmSection).given():
+    if not definition.section(ArmSection).contents():
         where = "no [arm] in the sidecar" if sidecar else "no sidecar"
         notes.append(f"{where}: the constants of the preset {DEFAULT_PRESET} are assumed")
-    if not definition.section(InitialSection).given():
+    if not definition.section(InitialSection).contents():
         notes.append("initial state not stated: the arm starts straight and at rest")
-    if rows & set(_COMMANDS) and "interpolation" not in definition.section(CommandSection).given():
+    if (
+        rows & set(_COMMANDS)
+        and "interpolation" not in definition.section(CommandSection).contents()
+    ):
         notes.append("command interpolation not stated: linear between two rows")
     if "wind" not in rows:
         if definition.section(WindSection).velocity_m_per_s is None:
@@ -123,7 +126,7 @@ def _template(channels: Sequence[RecordedChannel]) -> list[Offer]:
     ]
     angles = {channel.index for channel in channels if channel.kind == "joint_angle"}
     recorded = largest > 0 and angles == set(range(1, largest + 1))
-    state = ["first_row"] if recorded else ["angle_deg", "rate_deg_per_s"]
+    state = ["first_row"] if recorded else list(InitialSection.quantities)
     wind = "interpolation" if "wind" in rows else "velocity_m_per_s"
     return [
         *([] if commanded else [Offer("", {"free_motion": True})]),

@@ -5,27 +5,34 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from ._section import Finite, Name, NotNegative, Positive, Section, Vector, flat, key
+from ..quantities import (
+    AIR,
+    BASE,
+    BUOYANCY,
+    CAMERA,
+    ENCODER,
+    INITIAL,
+    JOINTS,
+    LINKS,
+    MARKER,
+    POINT_MASSES,
+)
+from ._keys import with_keys
+from ._section import Finite, Name, Section, Vector, flat, key
 
-_PER_LINK = "or a list of them, one a link"
 
-
+@with_keys(POINT_MASSES, required=True)
 class PointMass(Section):
     """An entry of `[[arm.point_masses]]`: a small body fixed to a link."""
 
     link: Annotated[int, Field(ge=1)] = key(
         "a whole number of at least 1", "link that carries it", default=...
     )
-    mass_kg: Positive = key("a positive number", "its mass", default=...)
-    position_m: Finite = key(
-        "a number", "its distance from the link's joint, along the link", default=...
-    )
-    left_m: Finite = key("a number", "its distance to the left of the link's axis", default=0.0)
-    up_m: Finite = key("a number", "its distance above the link's axis", default=0.0)
 
 
-class ArmSection(Section):
-    """`[arm]`: the known constants of the arm. A number holds for all links."""
+@with_keys(LINKS)
+class _Links(Section):
+    """Which arm it is, and its links."""
 
     preset: Name | None = key(
         "the name of a preset", "arm that the other keys change", preset="takeichi_20m"
@@ -33,42 +40,22 @@ class ArmSection(Section):
     links: Annotated[int, Field(ge=1)] | None = key(
         "a whole number of at least 1", "number of links; joint i precedes link i", preset=20
     )
-    link_length_m: Positive | list[Positive] | None = key(
-        f"a positive number {_PER_LINK}", "length of a link", preset=0.99
-    )
-    link_diameter_m: NotNegative | list[NotNegative] | None = key(
-        f"zero or a positive number {_PER_LINK}", "diameter that meets the air", preset=0.3
-    )
-    link_mass_kg: Positive | list[Positive] | None = key(
-        f"a positive number {_PER_LINK}", "mass that moves with a link", preset=0.047
-    )
-    link_inertia_transverse_kg_m2: NotNegative | list[NotNegative] | None = key(
-        f"zero or a positive number {_PER_LINK}",
-        "about the centre of mass, across the link",
-        preset=0.004367475,
-    )
-    link_inertia_axial_kg_m2: NotNegative | list[NotNegative] | None = key(
-        f"zero or a positive number {_PER_LINK}", "about the link's own axis", preset=0.0010575
-    )
-    link_centre_of_mass_m: Finite | list[Finite] | None = key(
-        f"a number {_PER_LINK}", "distance of the centre of mass from the joint", preset=0.495
-    )
+
+
+@with_keys(JOINTS, BASE, AIR, BUOYANCY)
+class _Surroundings(_Links):
+    """Its joints, how it stands, and the air."""
+
     joint_axes: Literal["pitch_yaw"] | list[Literal["pitch", "yaw"] | Vector] | None = key(
         '"pitch_yaw" or a list of "pitch", "yaw" or [x, y, z], one a joint',
         "axes of the joints in the straight arm; pitch_yaw alternates, pitch first",
         preset="pitch_yaw",
     )
-    base_rotation_deg: Vector | None = key(
-        "a list of three numbers", "rotation vector of the base", preset=[0.0, 0.0, 0.0]
-    )
-    air_density_kg_per_m3: NotNegative | None = key(
-        "zero or a positive number", "density of the air", preset=1.204
-    )
-    gravity_m_per_s2: NotNegative | None = key(
-        "zero or a positive number (it acts along -z)",
-        "acceleration of gravity; 0 when buoyancy balances weight",
-        preset=0.0,
-    )
+
+
+class ArmSection(_Surroundings):
+    """`[arm]`: the known constants of the arm. A number holds for all links."""
+
     drag: Literal["centre", "strip"] | None = key(
         '"centre" or "strip"',
         "drag at each link's centre (eq. 1), or across the flow along the link",
@@ -117,13 +104,19 @@ class ArmSection(Section):
         self.check_lists(self.links)
         return self
 
+    def lists(self) -> dict[str, list[Any]]:
+        """The lists that have one value for each link or joint, by key."""
+        return {
+            name: value
+            for name, value in self
+            if isinstance(value, list)
+            and (name == "joint_axes" or any(part.per for part in self.quantities.get(name, ())))
+        }
+
     def check_lists(self, links: int | None) -> None:
         """Raise `ValueError` if a list has another length than `links` (None: than another)."""
         said = f"links is {links}" if links is not None else ""
-        for name in type(self).model_fields:
-            value = getattr(self, name)
-            if not isinstance(value, list) or name in ("base_rotation_deg", "point_masses"):
-                continue
+        for name, value in self.lists().items():
             if links is None:
                 links, said = len(value), f"{name} has {len(value)}"
             elif len(value) != links:
@@ -133,71 +126,15 @@ class ArmSection(Section):
                 )
 
 
-Delay = Annotated[float, Field(ge=-5, le=5, allow_inf_nan=False)]
-_DELAY = "a number from -5 to 5"
-
-
+@with_keys(CAMERA, MARKER, ENCODER)
 class SensorsSection(Section):
     """`[sensors]`: what is known of camera, markers and angle sensors. Unless given: exact."""
 
-    camera_rotation_deg: Vector | None = key(
-        "a list of three numbers",
-        "rotation vector of the camera frame in the base frame",
-        example=[0.0, 5.0, 0.0],
-    )
-    camera_origin_m: Vector | None = key(
-        "a list of three numbers",
-        "origin of the camera frame in the base frame",
-        example=[0.0, 0.1, 0.0],
-    )
-    camera_scale: Positive | None = key(
-        "a positive number", "recorded over true distances", example=1.0
-    )
-    camera_delay_s: Delay | None = key(
-        _DELAY, "how long before its time stamp a position was true", example=0.05
-    )
-    marker_along_m: Finite | list[Finite] | None = key(
-        f"a number {_PER_LINK}",
-        "distance of a link's marker from its centre, along the link",
-        example=0.0,
-    )
-    marker_left_m: Finite | list[Finite] | None = key(
-        f"a number {_PER_LINK}",
-        "distance of a link's marker to the left of its centre",
-        example=0.0,
-    )
-    marker_up_m: Finite | list[Finite] | None = key(
-        f"a number {_PER_LINK}", "distance of a link's marker above its centre", example=0.15
-    )
-    marker_tip_m: Vector | None = key(
-        "a list of three numbers",
-        "offset of the tip's marker from the tip: along, left, up",
-        example=[0.0, 0.0, 0.0],
-    )
-    encoder_offset_deg: Finite | list[Finite] | None = key(
-        "a number or a list of them, one a joint",
-        "what an angle sensor shows at the angle 0",
-        example=0.0,
-    )
-    encoder_scale: Positive | list[Positive] | None = key(
-        "a positive number or a list of them, one a joint",
-        "shown over true changes of an angle",
-        example=1.0,
-    )
-    encoder_delay_s: Delay | None = key(
-        _DELAY, "how long before its time stamp a joint's angle was true", example=0.05
-    )
 
-
+@with_keys(INITIAL)
 class InitialSection(Section):
     """`[initial]`: joint angles and rates at the first sample. Unless given: straight, at rest."""
 
-    angle_deg: Finite | list[Finite] | None = key(
-        "a number or a list of them, one a joint", "joint angles at the first sample", example=0.0
-    )
-    rate_deg_per_s: Finite | list[Finite] | None = key(
-        "a number or a list of them, one a joint", "joint rates at the first sample", example=0.0
-    )
     first_row: bool | None = key(
         "true or false",
         "true: as in the first row of the joint angle and rate columns",
@@ -211,7 +148,7 @@ class InitialSection(Section):
 
     @model_validator(mode="after")
     def _stated_once(self) -> "InitialSection":
-        if self.first_row and (self.angle_deg is not None or self.rate_deg_per_s is not None):
+        if self.first_row and self.values():
             raise ValueError(
                 "says first_row = true and angle_deg or rate_deg_per_s, but must say the state "
                 "once: remove one or the other"

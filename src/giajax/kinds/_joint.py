@@ -6,14 +6,13 @@ import numpy as np
 from pydantic import Field
 
 from .._errors import InputError
+from ..quantities import ALPHA, BETA, GEOMETRY, LOAD
+from ._keys import with_keys
 from ._kind import ChannelKind, Content, Kind, Wording
-from ._section import Finite, Positive, Section, key
-
-Point = Annotated[list[Finite], Field(min_length=2, max_length=2)]
-_POINT = "a list of two numbers: along the link, and off its axis towards the muscle"
-_TORQUE = 0.3
+from ._section import Section, key
 
 
+@with_keys(LOAD, GEOMETRY, ALPHA, BETA)
 class JointSection(Section):
     """`[joint]`: one joint with its muscle. Points are in the frame of their link."""
 
@@ -24,16 +23,6 @@ class JointSection(Section):
     )
     blend_deg: Annotated[float, Field(ge=0, le=30, allow_inf_nan=False)] | None = key(
         "a number from 0 to 30", "half-width about 0 in which alpha and beta join", preset=0.0
-    )
-    torque_N_m: Positive | None = key(  # noqa: N815
-        "a positive number", "torque on the joint where no column gives it", preset=_TORQUE
-    )
-    anchor_m: Point | None = key(_POINT, "ends A, C, M, N of the muscle", preset=[0.9, 0.18])
-    wire_m: Point | None = key(_POINT, "ends B, D of the wire", preset=[0.03, 0.04])
-    contact_m: Point | None = key(_POINT, "shoulders P, Q of the balloon", preset=[0.055, 0.15])
-    wire_length_m: Positive | None = key("a positive number", "length of the wire", preset=0.34)
-    muscle_length_m: Positive | None = key(
-        "a positive number", "length of the muscle at rest", preset=1.96
     )
 
 
@@ -74,10 +63,11 @@ def _check(content: Content, wording: Wording) -> None:
 
 def _notes(content: Content, sidecar: bool) -> list[str]:
     section, notes = content.definition.section(JointSection), []
-    if not section.given():
+    if not section.contents():
         notes.append("no [joint] in the sidecar: the geometry that giajax assumes is taken")
     if "torque" not in content.channels:
-        notes.append(f"torque not recorded: {section.torque_N_m or _TORQUE:g} N m is taken")
+        torque = float(section.values().get(LOAD.torque.path, LOAD.torque.default))
+        notes.append(f"torque not recorded: {torque:g} N m is taken")
     return notes
 
 

@@ -7,28 +7,27 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from .._errors import InputError
+from ..quantities import AT_REST, BRAIDED, EMPIRICAL, FRICTION, PISTON
+from ._keys import with_keys
 from ._kind import ChannelKind, Content, Kind, Wording
-from ._section import NotNegative, Positive, Section, key
+from ._section import NotNegative, Section, key
 
 
-class MuscleSection(Section):
-    """`[muscle]`: which law, what is known of the muscle, and whether it has friction."""
+@with_keys(AT_REST, BRAIDED, EMPIRICAL, PISTON)
+class _Law(Section):
+    """Which law, and what it knows."""
 
     law: Literal["braided", "empirical", "piston"] | None = key(
         '"braided", "empirical" or "piston"',
         "statics of a braid, a normalised shape for any length, or a cylinder",
         preset="braided",
     )
-    length_m: Positive | None = key("a positive number", "length at rest", preset=1.96)
-    diameter_m: Positive | None = key(
-        "a positive number", "diameter of a braided muscle at rest", preset=0.0035
-    )
-    braid_angle_deg: Annotated[float, Field(gt=0, lt=54.7)] | None = key(
-        "a number between 0 and 54.7", "angle of the braid from the axis at rest", preset=18.0
-    )
-    pressure_limit_kPa: Positive | None = key(  # noqa: N815
-        "a positive number", "highest pressure", preset=300.0
-    )
+
+
+@with_keys(FRICTION)
+class MuscleSection(_Law):
+    """`[muscle]`: which law, what is known of the muscle, and whether it has friction."""
+
     pressure: Literal["measured", "mean"] | None = key(
         '"measured" or "mean"',
         "the pressure at each row, or its mean: what was set, where friction moves the gauge",

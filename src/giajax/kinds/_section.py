@@ -3,7 +3,11 @@
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar
 
+import numpy as np
+import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
+
+from ..quantities import Declaration
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -26,22 +30,64 @@ def key(
 
 
 class Section(BaseModel):
-    """A section whose keys are declared by `key`, and that takes no others."""
+    """A section whose keys are declared by `key` or `with_keys`, and that takes no others.
+
+    Attributes:
+        quantities: the keys that are made from declarations, by name. Several declarations share
+            a key where they are a list in it, or where the model has one or the other.
+    """
+
+    quantities: ClassVar[Mapping[str, tuple[Declaration, ...]]] = {}
 
     # Strict: "0.3" and true are not numbers here. An int where a float is meant is one.
     model_config: ClassVar[ConfigDict] = ConfigDict(extra="forbid", strict=True, frozen=True)
 
-    def given(self) -> dict[str, Any]:
-        """The keys that were given, with their values."""
+    def contents(self) -> dict[str, Any]:
+        """The keys that the file has, with their values."""
         return self.model_dump(exclude_unset=True)
+
+    def values(self) -> dict[str, npt.NDArray[np.float64]]:
+        """The quantities that were given, by path, in SI."""
+        values = {}
+        for name, stated in self.contents().items():
+            for part in self.quantities.get(name, ()) if stated is not None else ():
+                place = None if part.key is None else part.key.place
+                number = stated if place is None else stated[place]
+                values[part.path] = np.asarray(np.multiply(number, part.factor), dtype=float)
+        return values
+
+    @classmethod
+    def keys_of(cls, values: Mapping[str, npt.ArrayLike]) -> dict[str, Any]:
+        """The keys of quantities as a file has them: the inverse of `values`.
+
+        Arguments:
+            values: by path, SI; those without a key are left out.
+        """
+        keys: dict[str, Any] = {}
+        for name, parts in cls.quantities.items():
+            numbers = [_in_file(part, values[part.path]) for part in parts if part.path in values]
+            if numbers:
+                shared = parts[0].key is not None and parts[0].key.place is not None
+                keys[name] = numbers if shared else numbers[0]
+        return keys
+
+
+def _in_file(declaration: Declaration, value: npt.ArrayLike) -> Any:
+    """A value (SI) in the unit of its key."""
+    numbers = np.asarray(value, dtype=float)
+    # What is an array always is one number in a file, where all of it is the same.
+    always = declaration.per and not declaration.each and numbers.ndim
+    if always and np.all(numbers == numbers[0]):
+        numbers = numbers[0]
+    return (numbers / declaration.factor).tolist()
 
 
 def flat(table: Mapping[str, Any], before: str = "") -> dict[str, Any]:
     """Nested tables as one, its keys joined by points."""
-    found: dict[str, Any] = {}
+    pairs: dict[str, Any] = {}
     for name, value in table.items():
         if isinstance(value, Mapping):
-            found.update(flat(value, f"{before}{name}."))
+            pairs.update(flat(value, f"{before}{name}."))
         else:
-            found[f"{before}{name}"] = value
-    return found
+            pairs[f"{before}{name}"] = value
+    return pairs

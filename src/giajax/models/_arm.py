@@ -18,6 +18,7 @@ from .._typing import Array, Bool, Scalar
 from ..arm import Arm
 from ..kinds import InitialSection
 from ..parameters import inline
+from ..quantities import INITIAL
 from ..runs import Definition, Run
 from ..simulation import (
     SOLVERS,
@@ -119,8 +120,9 @@ class ArmModel(AbstractModel):
         """Angles and rates at the first sample, as the arm has them: without the sensors."""
         first = inputs.initial
         return {
-            "angle_deg": np.rad2deg(np.asarray(first.angle)).tolist(),
-            "rate_deg_per_s": np.rad2deg(np.asarray(first.rate)).tolist(),
+            **InitialSection.keys_of(
+                {INITIAL.angle.path: first.angle, INITIAL.rate.path: first.rate}
+            ),
         }
 
     def scene(self, run: Run) -> Scene:

@@ -9,6 +9,7 @@ from .._typing import Array, Float
 from ..arm import Arm
 from ..kinds import CommandSection, InitialSection, WindSection
 from ..parameters import parameter
+from ..quantities import INITIAL
 from ..runs import Run
 from ..simulation import Signal, check_wind, constant, logged
 from ._initial import initial_state
@@ -18,12 +19,8 @@ from ._sensors import Encoder
 class InitialState(eqx.Module):
     """Joint angles and rates at the first sample; parameters of one run, if it says so."""
 
-    angle: Float[Array, " joint"] = parameter(
-        0.0, unit="rad", doc="joint angles at the first sample"
-    )
-    rate: Float[Array, " joint"] = parameter(
-        0.0, unit="rad/s", doc="joint rates at the first sample"
-    )
+    angle: Float[Array, " joint"] = parameter(INITIAL.angle)
+    rate: Float[Array, " joint"] = parameter(INITIAL.rate)
 
 
 class ArmInputs(eqx.Module):

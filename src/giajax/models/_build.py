@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from importlib import import_module
 from typing import Any
 
+import equinox as eqx
 import numpy as np
 
 from .._errors import InputError
@@ -62,8 +63,8 @@ def build_model(
     return replace(replace(_model_class(kind).from_definition(older), whole), values)
 
 
-def parameter_values(model: AbstractModel) -> dict[str, Any]:
-    """All declared parameters of a model by path, as numbers and lists of numbers."""
+def parameter_values(model: eqx.Module) -> dict[str, Any]:
+    """All declared parameters of a model or a part of one by path, as numbers and lists of them."""
     return {
         path: np.asarray(parameter.value(model), dtype=float).tolist()
         for path, parameter in declared(model).items()

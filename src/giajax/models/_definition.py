@@ -1,63 +1,22 @@
 """From the TOML vocabulary to an arm and its sensors, and back."""
 
+from inspect import signature
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
-from .._errors import InputError
-from ..arm import Arm, PointMasses, named_axes, preset
-from ..kinds import DEFAULT_PRESET, ArmSection, SensorsSection
+from ..arm import Arm, PointMasses, chain, named_axes, preset
+from ..kinds import DEFAULT_PRESET, ArmSection, PointMass, SensorsSection
 from ..parameters import declared, default_free, replace
+from ..quantities import BUOYANCY, POINT_MASSES, Declaration
 from ..runs import Definition
+from ._build import parameter_values
 from ._sensors import Sensors
 
-# Key of [arm] -> argument of `chain` and path of the parameter.
-_ARRAYS = {
-    "link_length_m": "length",
-    "link_diameter_m": "diameter",
-    "link_mass_kg": "mass",
-    "link_centre_of_mass_m": "centre_of_mass",
-    "link_inertia_transverse_kg_m2": "inertia_transverse",
-    "link_inertia_axial_kg_m2": "inertia_axial",
-}
-_PLAIN = {
-    "joint_axes": "joint_axes",
-    "air_density_kg_per_m3": "air_density",
-    "gravity_m_per_s2": "gravity",
-    "drag": "drag",
-    "strip_points": "strip_points",
-    "drag_curve": "drag_curve",
-    "buoyancy": "buoyancy",
-    "trim": "trim",
-    "parameters": "parameters",
-}
-# Parameters that have a key of their own.
-_KEYED = (
-    *(f"links.{name}" for name in _ARRAYS.values()),
-    "air.density",
-    "base_rotation",
-    "gravity",
-    "point_masses.mass",
-    "point_masses.position",
-    "point_masses.left",
-    "point_masses.up",
-)
-
-# Key of [sensors] -> path of the parameter and what one of the key's unit is in SI.
-_SENSORS = {
-    "camera_rotation_deg": ("camera.rotation", np.pi / 180),
-    "camera_origin_m": ("camera.origin", 1.0),
-    "camera_scale": ("camera.scale", 1.0),
-    "camera_delay_s": ("camera.delay", 1.0),
-    "marker_along_m": ("marker.along", 1.0),
-    "marker_left_m": ("marker.left", 1.0),
-    "marker_up_m": ("marker.up", 1.0),
-    "marker_tip_m": ("marker.tip", 1.0),
-    "encoder_offset_deg": ("encoder.offset", np.pi / 180),
-    "encoder_scale": ("encoder.scale", 1.0),
-    "encoder_delay_s": ("encoder.delay", 1.0),
-}
+# Keys of [arm] that are arguments of `chain`.
+_CHOICES = ("joint_axes", "drag", "strip_points", "drag_curve", "buoyancy", "trim")
+_ARGUMENTS = frozenset(signature(chain).parameters)
 
 
 def arm_from_definition(definition: Definition) -> Arm:
@@ -69,47 +28,47 @@ def arm_from_definition(definition: Definition) -> Arm:
         InputError: an unknown preset or parameter, or lists that do not have one element per
             link.
     """
-    given = dict(definition.section(ArmSection).given())
-    name = given.pop("preset", DEFAULT_PRESET)
-    links = given.pop("links", None) or _listed(given)
-    changes: dict[str, Any] = {
-        argument: given.pop(key) for key, argument in (_ARRAYS | _PLAIN).items() if key in given
-    }
-    if "base_rotation_deg" in given:
-        changes["base_rotation"] = np.deg2rad(given.pop("base_rotation_deg"))
+    section = definition.section(ArmSection)
+    given, values = section.contents(), section.values()
+    changes: dict[str, Any] = {name: given[name] for name in _CHOICES if name in given}
+    others = dict(given.get("parameters") or {})
+    for path, value in values.items():
+        if (argument := _argument(path)) in _ARGUMENTS:
+            changes[argument] = value
+        else:
+            others.setdefault(path, value)
+    if others:
+        changes["parameters"] = others
     if "point_masses" in given:
-        changes["point_masses"] = _point_masses(given.pop("point_masses"))
-    if given:
-        raise InputError(f"the key {next(iter(given))} of [arm] is not known to the arm model")
-    return preset(name, links, **changes)
+        changes["point_masses"] = _point_masses(section.point_masses or [])
+    name = given.get("preset", DEFAULT_PRESET)
+    return preset(name, given.get("links") or _listed(section), **changes)
 
 
-def _listed(given: dict[str, Any]) -> int | None:
-    lengths = [
-        len(value)
-        for key, value in given.items()
-        if isinstance(value, list) and key not in ("base_rotation_deg", "point_masses")
-    ]
-    return lengths[0] if lengths else None
+def _argument(path: str) -> str:
+    """The argument of `chain` for a parameter, if it has one: `mass`, `air_density`."""
+    return path.removeprefix("links.").replace(".", "_")
 
 
-def _point_masses(entries: list[dict[str, Any]]) -> PointMasses | None:
+def _listed(section: ArmSection) -> int | None:
+    """The number of links of a section that does not state it: the length of its lists."""
+    return next((len(value) for value in section.lists().values()), None)
+
+
+def _point_masses(entries: list[PointMass]) -> PointMasses | None:
     if not entries:
         return None
+    stated = [entry.values() for entry in entries]
+    columns = {}
+    for declaration in POINT_MASSES:
+        row = [values.get(declaration.path, 0.0) for values in stated]
+        if not declaration.optional or any(row):
+            columns[_name(declaration)] = jnp.asarray(row, dtype=float)
+    return PointMasses(links=tuple(entry.link for entry in entries), **columns)
 
-    def row(key: str) -> Any:
-        return jnp.asarray([float(entry.get(key, 0.0)) for entry in entries])
 
-    def off_axis(key: str) -> Any:
-        return row(key) if any(entry.get(key) for entry in entries) else None
-
-    return PointMasses(
-        links=tuple(entry["link"] for entry in entries),
-        mass=row("mass_kg"),
-        position=row("position_m"),
-        left=off_axis("left_m"),
-        up=off_axis("up_m"),
-    )
+def _name(declaration: Declaration) -> str:
+    return declaration.path.rpartition(".")[2]
 
 
 def arm_to_definition(arm: Arm) -> dict[str, Any]:
@@ -117,13 +76,12 @@ def arm_to_definition(arm: Arm) -> dict[str, Any]:
 
     What a fit frees by default (stiffness, damping, C_D) is not a constant.
     """
+    fitted = default_free(arm)
+    constants = {path: v for path, v in parameter_values(arm).items() if path not in fitted}
     stated: dict[str, Any] = {
         "links": arm.count,
-        **{key: _plain(getattr(arm.links, name)) for key, name in _ARRAYS.items()},
+        **ArmSection.keys_of(constants),
         "joint_axes": _axes(arm),
-        "base_rotation_deg": np.rad2deg(np.asarray(arm.base_rotation, dtype=float)).tolist(),
-        "air_density_kg_per_m3": float(arm.air.density),
-        "gravity_m_per_s2": float(arm.gravity),
         "drag": arm.air.drag,
         "strip_points": arm.air.strip_points,
         "drag_curve": arm.air.drag_curve,
@@ -131,14 +89,16 @@ def arm_to_definition(arm: Arm) -> dict[str, Any]:
     }
     if arm.point_masses is not None:
         stated["point_masses"] = _entries(arm.point_masses)
-    fitted = default_free(arm)
+    keyed = {part.path for parts in ArmSection.quantities.values() for part in parts}
+    keyed |= {part.path for part in POINT_MASSES}
     others = {}
     for path, parameter in declared(arm).items():
-        said, value = parameter.declaration, np.asarray(parameter.value(arm), dtype=float)
+        if path in keyed or path not in constants:
+            continue
+        said, value = parameter.declaration, np.asarray(constants[path])
         # `chain` hangs trim weights at half a link's length, whatever the declared default.
         usual = said.frozen and not said.optional and bool(np.all(value == said.default))
-        usual = usual and path != "buoyancy.trim_position"
-        if path not in _KEYED and path not in fitted and not usual:
+        if not usual or path == BUOYANCY.trim_position.path:
             others[path] = _plain(value)
     if others:
         stated["parameters"] = others
@@ -154,15 +114,14 @@ def _plain(values: Any) -> Any:
 
 
 def _entries(fixed: PointMasses) -> list[dict[str, Any]]:
-    count = len(fixed.links)
+    def row(declaration: Declaration) -> Any:
+        value = getattr(fixed, _name(declaration))
+        return np.broadcast_to(0.0 if value is None else np.asarray(value), len(fixed.links))
 
-    def row(value: Any) -> list[float]:
-        return np.broadcast_to(0.0 if value is None else np.asarray(value), count).tolist()
-
-    values = (fixed.mass, fixed.position, fixed.left, fixed.up)
+    rows = {declaration.path: row(declaration) for declaration in POINT_MASSES}
     return [
-        {"link": link, "mass_kg": mass, "position_m": x, "left_m": left, "up_m": up}
-        for link, mass, x, left, up in zip(fixed.links, *map(row, values), strict=True)
+        {"link": link, **PointMass.keys_of({path: row[body] for path, row in rows.items()})}
+        for body, link in enumerate(fixed.links)
     ]
 
 
@@ -174,16 +133,9 @@ def _axes(arm: Arm) -> str | list[list[float]]:
 
 def sensors_from_definition(definition: Definition) -> Sensors:
     """What the `[sensors]` section states; what it does not state is left out."""
-    given = definition.section(SensorsSection).given()
-    known = {_SENSORS[key]: value for key, value in given.items() if value is not None}
-    return replace(Sensors(), {path: np.multiply(v, si) for (path, si), v in known.items()})
+    return replace(Sensors(), definition.section(SensorsSection).values())
 
 
 def sensors_to_definition(sensors: Sensors) -> dict[str, Any]:
     """The `[sensors]` section: what the sensors do not leave out, in the TOML vocabulary."""
-    on = declared(sensors)
-    return {
-        key: (np.asarray(on[path].value(sensors), dtype=float) / si).tolist()
-        for key, (path, si) in _SENSORS.items()
-        if path in on
-    }
+    return SensorsSection.keys_of(parameter_values(sensors))

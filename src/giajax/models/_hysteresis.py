@@ -16,6 +16,7 @@ from .._typing import Array, Bool, Float, Scalar
 from ..hysteresis import AbstractOperator, BoucWen
 from ..kinds import HysteresisSection
 from ..parameters import inline, parameter
+from ..quantities import LOOP
 from ..runs import Definition, Run
 from ._direct import AbstractDirectModel
 from ._extremes import first_extremes, turns, unexplained
@@ -54,10 +55,8 @@ class HysteresisModel(AbstractDirectModel):
 
     settings: HysteresisSettings = eqx.field(static=True)
     operator: AbstractOperator = inline()
-    offset: Scalar = parameter(0.0, unit="output", frozen=False, doc="added to the output")
-    previous_extremes: Float[Array, " extreme"] = parameter(
-        0.0, unit="input", doc="turning points of the input before the run, the latest last"
-    )
+    offset: Scalar = parameter(LOOP.offset)
+    previous_extremes: Float[Array, " extreme"] = parameter(LOOP.previous_extremes)
     columns: Columns = eqx.field(default_factory=Columns, static=True)
 
     @classmethod

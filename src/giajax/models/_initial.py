@@ -1,12 +1,12 @@
 """The state of an arm at the first sample of a run."""
 
-from collections.abc import Sequence
-
 import numpy as np
+import numpy.typing as npt
 
 from .._errors import InputError
 from .._typing import Float
 from ..kinds import InitialSection
+from ..quantities import INITIAL
 from ..runs import Run
 
 Row = Float[np.ndarray, " joint"]
@@ -24,9 +24,10 @@ def initial_state(run: Run, times: np.ndarray, joints: int) -> tuple[Row, Row]:
     """
     stated = run.definition.section(InitialSection)
     if not stated.first_row:
+        values = stated.values()
         return (
-            _stated(run, stated.angle_deg, joints),
-            _stated(run, stated.rate_deg_per_s, joints),
+            _each(run, values.get(INITIAL.angle.path, INITIAL.angle.default), joints),
+            _each(run, values.get(INITIAL.rate.path, INITIAL.rate.default), joints),
         )
     rates = [run.values.get(f"joint{joint:02d}_rate") for joint in range(1, joints + 1)]
     recorded = all(rate is not None and np.isfinite(rate[0]) for rate in rates)
@@ -57,11 +58,11 @@ def _slope(times: np.ndarray, values: np.ndarray) -> float:
     return float(np.polyfit(times[measured] - times[0], values[measured], 1)[0])
 
 
-def _stated(run: Run, degrees: float | Sequence[float] | None, joints: int) -> Row:
-    values = np.asarray(0.0 if degrees is None else degrees, dtype=float)
+def _each(run: Run, values: npt.ArrayLike, joints: int) -> Row:
+    values = np.asarray(values, dtype=float)
     if values.shape not in ((), (joints,)):
         raise InputError(
             f"[initial] of '{run.name}' has {values.size} values for {joints} joints: "
             "give one number or one per joint"
         )
-    return np.broadcast_to(np.deg2rad(values), (joints,))
+    return np.broadcast_to(values, (joints,))

@@ -9,18 +9,16 @@ import numpy as np
 
 from .._errors import InputError
 from .._typing import Array, Bool, Float
-from ..joint import Correction, Joint, JointGeometry, balanced, check_geometry, is_possible
+from ..joint import Correction, Joint, balanced, check_geometry, is_possible
 from ..kinds import JointSection
-from ..parameters import get, inline
+from ..parameters import get, inline, replace
 from ..runs import Channel, Definition, Run
 from ._agreement import check_agreement
+from ._build import parameter_values
 from ._direct import AbstractDirectModel
 from ._joint_scene import joint_scene
 from ._protocol import Channels, Derived
 from ._scene import Scene
-
-_POINTS = {"anchor_m": "anchor", "wire_m": "wire", "contact_m": "contact"}
-_LENGTHS = {"wire_length_m": "wire_length", "muscle_length_m": "muscle_length"}
 
 
 class JointInputs(eqx.Module):
@@ -165,33 +163,17 @@ class JointModel(AbstractDirectModel):
 
 def joint_from_section(definition: Definition) -> Joint:
     """The joint that the `[joint]` section states; what it does not state is the preset's."""
-    given = definition.section(JointSection).given()
-    geometry: dict[str, Any] = {}
-    for key, name in _POINTS.items():
-        if given.get(key) is not None:
-            geometry[f"{name}_x"], geometry[f"{name}_y"] = given[key]
-    for key, name in _LENGTHS.items():
-        if given.get(key) is not None:
-            geometry[name] = given[key]
+    section = definition.section(JointSection)
     correction = Correction(
-        reading=given.get("correction") or "continuous",
-        blend=np.deg2rad(given.get("blend_deg") or 0.0),
+        reading=section.correction or "continuous", blend=np.deg2rad(section.blend_deg or 0.0)
     )
-    more = {} if given.get("torque_N_m") is None else {"torque": given["torque_N_m"]}
-    return Joint(JointGeometry(**geometry), correction, **more)
+    return replace(Joint(correction=correction), section.values())
 
 
 def joint_to_section(joint: Joint) -> dict[str, Any]:
     """The `[joint]` section of a joint, whole."""
-    geometry = joint.geometry
-    points = {
-        key: [float(getattr(geometry, f"{name}_{axis}")) for axis in "xy"]
-        for key, name in _POINTS.items()
-    }
     return {
         "correction": joint.correction.reading,
         "blend_deg": float(np.rad2deg(joint.correction.blend)),
-        "torque_N_m": float(joint.torque),
-        **points,
-        **{key: float(getattr(geometry, name)) for key, name in _LENGTHS.items()},
+        **JointSection.keys_of(parameter_values(joint)),
     }

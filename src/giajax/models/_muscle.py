@@ -8,15 +8,16 @@ from typing import Any, ClassVar, Self
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 
 from .._errors import InputError
 from .._typing import Array, Bool, Scalar
 from ..joint import AbstractMuscle, BraidedMuscle, EmpiricalMuscle, Friction, Piston
 from ..kinds import MuscleSection
-from ..parameters import get, parameter
+from ..parameters import declared, get, parameter, replace
+from ..quantities import AT_REST
 from ..runs import Channel, Definition, Run
 from ._agreement import check_agreement
+from ._build import parameter_values
 from ._direct import AbstractDirectModel
 from ._muscle_inputs import MuscleInputs, muscle_inputs
 from ._protocol import Channels, Derived
@@ -44,7 +45,7 @@ class MuscleModel(AbstractDirectModel):
 
     muscle: AbstractMuscle = eqx.field(default_factory=BraidedMuscle)
     friction: Friction | None = None
-    length: Scalar = parameter(1.96, unit="m", lower=0, doc="length at rest", assumed=True)
+    length: Scalar = parameter(AT_REST.length)
     mean_pressure: bool = eqx.field(default=False, static=True)
 
     @classmethod
@@ -58,7 +59,7 @@ class MuscleModel(AbstractDirectModel):
         stated = first.definition.section(MuscleSection)
         for other in others:
             theirs = other.definition.section(MuscleSection)
-            check_agreement("muscle", (first, stated.given()), (other, theirs.given()))
+            check_agreement("muscle", (first, stated.contents()), (other, theirs.contents()))
         return cls.stated(stated)
 
     @classmethod
@@ -75,19 +76,6 @@ class MuscleModel(AbstractDirectModel):
             InputError: it states what its law does not know, or contradicts itself.
         """
         law = LAWS[stated.law or BraidedMuscle.name]
-        values: dict[str, Any] = {}
-        if stated.diameter_m is not None:
-            values["diameter"] = stated.diameter_m
-        if stated.braid_angle_deg is not None:
-            values["braid_angle"] = np.deg2rad(stated.braid_angle_deg)
-        for name in values:
-            if name not in law.__dataclass_fields__:
-                raise InputError(
-                    f"[muscle] states {name}, which the law '{law.name}' does not know: remove it, "
-                    "or give another law"
-                )
-        if stated.pressure_limit_kPa is not None:
-            values["pressure_limit"] = stated.pressure_limit_kPa * _PASCAL
         rubs = stated.friction or ("coulomb" if law is Piston else "none")
         if rubs == "none" and stated.friction_pressures_kPa is not None:
             raise InputError(
@@ -95,26 +83,28 @@ class MuscleModel(AbstractDirectModel):
                 'state friction = "coulomb"'
             )
         nodes = tuple(p * _PASCAL for p in stated.friction_pressures_kPa or [0.0])
-        more: dict[str, Any] = {} if stated.length_m is None else {"length": stated.length_m}
-        return cls(
-            muscle=law(**values),
+        model = cls(
+            muscle=law(),
             friction=None if rubs == "none" else Friction.at_pressures(nodes),
             mean_pressure=stated.pressure == "mean",
-            **more,
         )
+        values, known = stated.values(), declared(model)
+        for path in values:
+            if path not in known:
+                raise InputError(
+                    f"[muscle] states {path.removeprefix('muscle.')}, which the law '{law.name}' "
+                    "does not know: remove it, or give another law"
+                )
+        return replace(model, values)
 
     def definition(self) -> dict[str, Any]:
         """The `[muscle]` section."""
         section: dict[str, Any] = {
             "law": self.muscle.name,
-            "length_m": float(self.length),
             "pressure": "mean" if self.mean_pressure else "measured",
-            "pressure_limit_kPa": float(self.muscle.limit) / _PASCAL,
             "friction": "none" if self.friction is None else "coulomb",
+            **MuscleSection.keys_of(parameter_values(self)),
         }
-        if isinstance(self.muscle, BraidedMuscle):
-            section["diameter_m"] = float(self.muscle.diameter)
-            section["braid_angle_deg"] = float(np.rad2deg(self.muscle.braid_angle))
         if self.friction is not None:
             section["friction_pressures_kPa"] = [p / _PASCAL for p in self.friction.pressures]
         return {"muscle": section}

@@ -12,6 +12,7 @@ from .._typing import Array, Bool, Float, Scalar
 from ..hysteresis import MOST_STEPS, BoucWenOscillator
 from ..kinds import OscillatorSection
 from ..parameters import inline, parameter
+from ..quantities import LOOP
 from ..runs import Definition, Run
 from ._direct import AbstractDirectModel
 from ._protocol import Channels, Derived
@@ -46,7 +47,7 @@ class OscillatorModel(AbstractDirectModel):
     kind: ClassVar[str] = "oscillator"
 
     oscillator: BoucWenOscillator = inline(default_factory=BoucWenOscillator)
-    offset: Scalar = parameter(0.0, unit="output", frozen=False, doc="added to the output")
+    offset: Scalar = parameter(LOOP.offset)
     interpolation: str = eqx.field(default="linear", static=True)
     columns: Columns = eqx.field(default_factory=Columns, static=True)
 

@@ -32,7 +32,7 @@ class AbstractModel(eqx.Module):
 
     Everything a fit does goes through these methods; it never asks which model it has. A model
     without a solver to choose, whose runs have no state of their own, derives from
-    `AbstractDirectModel`, which has five of them.
+    `AbstractDirectModel`, which has the last five of them.
     """
 
     kind: ClassVar[str]
@@ -53,6 +53,10 @@ class AbstractModel(eqx.Module):
         """The model that `definition()` described, its parameters apart."""
 
     @abc.abstractmethod
+    def definition(self) -> dict[str, Any]:
+        """Plain data from which `build_model` makes this model again, its parameters apart."""
+
+    @abc.abstractmethod
     def prepare(self, run: Run) -> Any:
         """What the model needs of a run, as a pytree of arrays.
 
@@ -62,13 +66,6 @@ class AbstractModel(eqx.Module):
 
         Raises:
             InputError: the run is not one of this model.
-        """
-
-    @abc.abstractmethod
-    def free_inputs(self, run: Run) -> tuple[str, ...]:
-        """Declared parameters of the prepared inputs that are free in this run, by path.
-
-        They belong to the run alone, such as its initial state; most models have none.
         """
 
     @abc.abstractmethod
@@ -83,8 +80,57 @@ class AbstractModel(eqx.Module):
         """Why the prediction of a prepared run did not succeed, and what to do: one sentence."""
 
     @abc.abstractmethod
+    def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
+        """The model where a fit of some parameters to some runs may start.
+
+        Another one where the value that a parameter has unless it is stated is a point that no
+        derivative leads away from; most models have none.
+
+        Arguments:
+            runs: what is fitted to.
+            free: paths of the elements to fit that were given no start.
+        """
+
+    @abc.abstractmethod
+    def derived(self) -> dict[str, Derived]:
+        """Quantities that follow from the parameters and may be determined where those are not.
+
+        Such as the products of parameters that show only together. Differentiable; a fit gives
+        each a standard error. By name, which is no path of a parameter.
+        """
+
+    @abc.abstractmethod
+    def conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
+        """Sentences: on what the given parameters, fitted to these runs, are conditional."""
+
+    @abc.abstractmethod
     def refined(self, factor: float) -> Self:
         """The same model with its numerical tolerances multiplied by a factor."""
+
+    @abc.abstractmethod
+    def scene(self, run: Run) -> Scene | None:
+        """What is seen of the model as it follows a run; None where nothing is.
+
+        Raises:
+            InputError: the run is not one of this model.
+            SimulationError: the model cannot be evaluated.
+        """
+
+    # `AbstractDirectModel` says what follows for its models.
+
+    @abc.abstractmethod
+    def free_inputs(self, run: Run) -> tuple[str, ...]:
+        """Declared parameters of the prepared inputs that are free in this run, by path.
+
+        They belong to the run alone, such as its initial state; most models have none.
+        """
+
+    @abc.abstractmethod
+    def initial_section(self, inputs: Any) -> dict[str, Any]:
+        """Keys of `[initial]` that state how a prepared run begins; none where no state does.
+
+        A run that says `first_row = true` can then be recorded again with another first row.
+        """
 
     @abc.abstractmethod
     def integration(self) -> Integration | None:
@@ -108,48 +154,4 @@ class AbstractModel(eqx.Module):
 
         Arguments:
             paths: of parameters of the model, or of the prepared inputs (`free_inputs`).
-        """
-
-    @abc.abstractmethod
-    def conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
-        """Sentences: on what the given parameters, fitted to these runs, are conditional."""
-
-    @abc.abstractmethod
-    def definition(self) -> dict[str, Any]:
-        """Plain data from which `build_model` makes this model again, its parameters apart."""
-
-    @abc.abstractmethod
-    def initial_section(self, inputs: Any) -> dict[str, Any]:
-        """Keys of `[initial]` that state how a prepared run begins; none where no state does.
-
-        A run that says `first_row = true` can then be recorded again with another first row.
-        """
-
-    @abc.abstractmethod
-    def scene(self, run: Run) -> Scene | None:
-        """What is seen of the model as it follows a run; None where nothing is.
-
-        Raises:
-            InputError: the run is not one of this model.
-            SimulationError: the model cannot be evaluated.
-        """
-
-    @abc.abstractmethod
-    def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
-        """The model where a fit of some parameters to some runs may start.
-
-        Another one where the value that a parameter has unless it is stated is a point that no
-        derivative leads away from; most models have none.
-
-        Arguments:
-            runs: what is fitted to.
-            free: paths of the elements to fit that were given no start.
-        """
-
-    @abc.abstractmethod
-    def derived(self) -> dict[str, Derived]:
-        """Quantities that follow from the parameters and may be determined where those are not.
-
-        Such as the products of parameters that show only together. Differentiable; a fit gives
-        each a standard error. By name, which is no path of a parameter.
         """

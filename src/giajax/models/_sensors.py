@@ -6,8 +6,6 @@ frame at scale * R^T (p - origin), R being the turn of the camera frame against 
 Longer than 200 lines because each sensor declares its parameters beside what it does with them.
 """
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -17,43 +15,17 @@ from .._errors import InputError
 from .._maths import rotate, rotation_vector_to_quaternion, scaled
 from .._typing import Array, Float, Scalar
 from ..arm import Arm, pose
-from ..parameters import parameter
-
-LONGEST_DELAY = 5.0
-"""A clock that is off by more than this (s) is a wrong file."""
-
-_DELAY: dict[str, Any] = {
-    "unit": "s",
-    "lower": -LONGEST_DELAY,
-    "upper": LONGEST_DELAY,
-    "optional": True,
-}
-_ALL = "(one number, or one per link)"
+from ..parameters import declared, parameter
+from ..quantities import CAMERA, ENCODER, MARKER
 
 
 class Camera(eqx.Module):
     """Frame, scale and clock of recorded positions."""
 
-    rotation: Float[Array, "3"] | None = parameter(
-        0.0,
-        unit="rad",
-        shape=(3,),
-        optional=True,
-        doc="turn of the camera frame against the base frame, as a rotation vector",
-    )
-    origin: Float[Array, "3"] | None = parameter(
-        0.0,
-        unit="m",
-        shape=(3,),
-        optional=True,
-        doc="origin of the camera frame in the base frame",
-    )
-    scale: Scalar | None = parameter(
-        1.0, unit="", lower=0, optional=True, doc="recorded over true distances"
-    )
-    delay: Scalar | None = parameter(
-        0.0, doc="how long before its time stamp a position was true", **_DELAY
-    )
+    rotation: Float[Array, "3"] | None = parameter(CAMERA.rotation)
+    origin: Float[Array, "3"] | None = parameter(CAMERA.origin)
+    scale: Scalar | None = parameter(CAMERA.scale)
+    delay: Scalar | None = parameter(CAMERA.delay)
 
     def sees(self, positions: Float[Array, "*point 3"]) -> Float[Array, "*point 3"]:
         """Positions (m) of the base frame as they are recorded; the clock apart."""
@@ -70,34 +42,10 @@ class Camera(eqx.Module):
 class Marker(eqx.Module):
     """Where the tracked points lie, in the frame of their link."""
 
-    along: Float[Array, ""] | Float[Array, " link"] | None = parameter(
-        0.0,
-        unit="m",
-        each=True,
-        optional=True,
-        doc=f"distance of a link's marker from its centre, along the link {_ALL}",
-    )
-    left: Float[Array, ""] | Float[Array, " link"] | None = parameter(
-        0.0,
-        unit="m",
-        each=True,
-        optional=True,
-        doc=f"distance of a link's marker to the left of its centre {_ALL}",
-    )
-    up: Float[Array, ""] | Float[Array, " link"] | None = parameter(
-        0.0,
-        unit="m",
-        each=True,
-        optional=True,
-        doc=f"distance of a link's marker above its centre {_ALL}",
-    )
-    tip: Float[Array, "3"] | None = parameter(
-        0.0,
-        unit="m",
-        shape=(3,),
-        optional=True,
-        doc="offset of the tip's marker from the end of the last link: along, left, up",
-    )
+    along: Float[Array, ""] | Float[Array, " link"] | None = parameter(MARKER.along)
+    left: Float[Array, ""] | Float[Array, " link"] | None = parameter(MARKER.left)
+    up: Float[Array, ""] | Float[Array, " link"] | None = parameter(MARKER.up)
+    tip: Float[Array, "3"] | None = parameter(MARKER.tip)
 
     def on_links(self, arm: Arm, angles: Float[Array, " joint"]) -> Float[Array, "link 3"]:
         """Positions of the links' markers in the base frame, m."""
@@ -130,24 +78,9 @@ class Marker(eqx.Module):
 class Encoder(eqx.Module):
     """Zero, scale and clock of the joints' angle sensors; angles of links are their sums."""
 
-    offset: Float[Array, ""] | Float[Array, " joint"] | None = parameter(
-        0.0,
-        unit="rad",
-        each=True,
-        optional=True,
-        doc="what a joint's angle sensor shows at the angle 0 (one number, or one per joint)",
-    )
-    scale: Float[Array, ""] | Float[Array, " joint"] | None = parameter(
-        1.0,
-        unit="",
-        lower=0,
-        each=True,
-        optional=True,
-        doc="shown over true changes of a joint's angle (one number, or one per joint)",
-    )
-    delay: Scalar | None = parameter(
-        0.0, doc="how long before its time stamp a joint's angle was true", **_DELAY
-    )
+    offset: Float[Array, ""] | Float[Array, " joint"] | None = parameter(ENCODER.offset)
+    scale: Float[Array, ""] | Float[Array, " joint"] | None = parameter(ENCODER.scale)
+    delay: Scalar | None = parameter(ENCODER.delay)
 
     def shows(self, angles: Float[Array, "sample joint"]) -> Float[Array, "sample joint"]:
         """Recorded joint angles, rad; the clock apart."""
@@ -184,11 +117,11 @@ class Sensors(eqx.Module):
         Raises:
             InputError: naming the parameter and both numbers.
         """
-        for name, part, field in _EACH:
-            value = getattr(getattr(self, part), field)
-            if value is not None and np.shape(value) not in ((), (joints,)):
+        for name, known in declared(self).items():
+            shape = known.value(self).shape
+            if known.declaration.per and shape not in ((), (joints,)):
                 raise InputError(
-                    f"{name} has {np.size(value)} values for an arm of {joints} links: give one "
+                    f"{name} has {np.prod(shape)} values for an arm of {joints} links: give one "
                     "number, or one for each"
                 )
 
@@ -203,12 +136,3 @@ class Sensors(eqx.Module):
     ) -> Float[Array, "sample 3"]:
         """Recorded positions of the tip's marker, m."""
         return self.camera.sees(jax.vmap(lambda row: self.marker.at_tip(arm, row))(angles))
-
-
-_EACH = (
-    ("marker.along", "marker", "along"),
-    ("marker.left", "marker", "left"),
-    ("marker.up", "marker", "up"),
-    ("encoder.offset", "encoder", "offset"),
-    ("encoder.scale", "encoder", "scale"),
-)

@@ -68,7 +68,7 @@ def _csv(columns: Mapping[str, list[str]]) -> bytes:
 
 def _sidecar(result: FitResult, run: Run, checksum: str) -> Definition:
     """What the prediction was made with, so that it can be read, checked and fitted as a run."""
-    stated = run.definition.given()
+    sidecar = run.definition.contents()
     # The noise is that of the recording, which a prediction does not have.
     about = [key for key in run_keys(model=False) if key != "noise"]
     definition = result.model.definition()
@@ -79,7 +79,7 @@ def _sidecar(result: FitResult, run: Run, checksum: str) -> Definition:
             "origin": f"predicted by giajax from a fit to {run.name}",
             "sha256": checksum,
             **model,
-            **{key: stated[key] for key in about if key in stated},
+            **{key: sidecar[key] for key in about if key in sidecar},
         },
         "prediction.toml",
     )

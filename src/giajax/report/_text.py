@@ -69,9 +69,7 @@ def summary_rows(result: FitResult) -> list[tuple[str, str]]:
     for index, condition in enumerate(result.conditions):
         rows.append(("conditions" if index == 0 else "", condition))
     seconds = result.seconds
-    rows.append(
-        ("time", f"{seconds['run']:.2g} s, and {seconds['compile']:.2g} s to compile or load")
-    )
+    rows.append(("time", f"{seconds.run:.2g} s, and {seconds.compile:.2g} s to compile or load"))
     return rows
 
 

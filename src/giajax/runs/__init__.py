@@ -8,6 +8,7 @@ from ._definition import (
 )
 from ._describe import describe as describe
 from ._fit_sections import Figure as Figure
+from ._noise import deviation_of as deviation_of
 from ._output import (
     check_output_files as check_output_files,
     check_output_folder as check_output_folder,
@@ -21,7 +22,7 @@ from ._read import (
     read_sidecar as read_sidecar,
     sidecar_path as sidecar_path,
 )
-from ._run import Run as Run, stated_noise as stated_noise
+from ._run import Run as Run
 from ._select import observing as observing, windows as windows
 from ._template import sidecar_template as sidecar_template
 from ._write import write_files as write_files, write_run as write_run

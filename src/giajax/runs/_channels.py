@@ -1,8 +1,5 @@
-"""The closed table of columns: which channels exist, and what a column name means."""
+"""A channel: one measured or commanded quantity of a run, and what a column name means."""
 
-import difflib
-import re
-import shlex
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -10,34 +7,9 @@ import numpy as np
 import numpy.typing as npt
 
 from .._errors import InputError
-from .._text import one_of, shown
-from ..kinds import KINDS, ChannelKind
+from ._column_complaints import bad_suffix, unknown_name
+from ._column_table import ROWS, TABLE, NameMatch, match_name, units_of
 from ._units import QUANTITIES, QUANTITY_OF_SUFFIX, from_si, to_si
-
-
-def _gathered() -> dict[str, ChannelKind]:
-    """The rows that the kinds of models declare, each once, after time."""
-    table = {"time": ChannelKind("time", "time", "time", "input")}
-    for row in (row for kind in KINDS.values() for row in kind.channels):
-        first = table.setdefault(row.name, row)
-        if (first.column, first.quantity, first.texts) != (row.column, row.quantity, row.texts):
-            raise TypeError(f"two kinds of models declare the row {row.name!r} in different ways")
-    return table
-
-
-_TABLE = _gathered()
-_PATTERNS = {
-    kind: re.compile(rf"(?P<name>{row.pattern})(?:_(?P<suffix>.+))?", re.DOTALL)
-    for kind, row in _TABLE.items()
-}
-# Columns are written in this order: the order of the table.
-ROWS: tuple[str, ...] = tuple(_TABLE)
-
-_ARTICLE = {"angle": "an", "angular_velocity": "an"}
-
-TEXTS: dict[str, tuple[str, ...]] = {row.name: row.texts for row in _TABLE.values() if row.texts}
-NOISE_KEYS: dict[str, str] = {row.name: row.noise for row in _TABLE.values() if row.noise}
-"""Key of `[noise]` that holds for a row, beside its own column."""
 
 
 @dataclass(frozen=True)
@@ -68,23 +40,23 @@ class Channel:
         `input` and `output` are ratios. Raises `InputError` if there is no such channel, or
         no such unit for it.
         """
-        found = _match(name)
-        if found is None or found[2] is not None:
-            if found is not None and found[2] in _units_of(found[0]):
+        row = match_name(name)
+        if row is None or row.suffix is not None:
+            if row is not None and row.suffix in units_of(row.kind):
                 raise InputError(
                     f"channel {name!r} ends in a unit, but values are in SI units here: "
-                    f"call it {found[1]['name']!r}"
+                    f"call it {row.match['name']!r}"
                 )
-            raise InputError(_unknown(name, "channel"))
-        kind, match, _ = found
+            raise InputError(unknown_name(name, "channel"))
+        kind = row.kind
         if unit is None:
-            units = _units_of(kind)
-            quantity = _TABLE[kind].quantity or "ratio"
-            plain = [u for u in units if QUANTITIES[quantity].suffixes.get(u) == _si(quantity)]
+            units = units_of(kind)
+            quantity = QUANTITIES[TABLE[kind].quantity or "ratio"]
+            plain = [u for u in units if quantity.suffixes.get(u) == quantity.si_unit]
             unit = plain[0] if plain else units[0]
-        if unit not in _units_of(kind):
-            raise InputError(_bad_suffix(name, kind, unit, "channel"))
-        return _channel(kind, match, unit)
+        if unit not in units_of(kind):
+            raise InputError(bad_suffix(name, kind, unit, "channel"))
+        return _channel(row, unit)
 
     @property
     def column(self) -> str:
@@ -94,7 +66,7 @@ class Channel:
     @property
     def si_unit(self) -> str:
         """The SI unit that values are held in: `m`, `rad`, `rad/s`, `N m`, ...; `` for none."""
-        return _si(self.quantity)
+        return QUANTITIES[self.quantity].si_unit
 
     def to_si(self, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
         """`values` as recorded (in `unit`, any shape), in SI."""
@@ -112,13 +84,13 @@ def parse_column(name: str) -> Channel:
     unit. Raises `InputError`, with the nearest known name or the units to choose from, if the
     name is not in the table.
     """
-    found = _match(name)
-    if found is None:
-        raise InputError(_unknown(name, "column"))
-    kind, match, suffix = found
-    if (suffix or "") not in _units_of(kind):
-        raise InputError(_bad_suffix(name, kind, suffix, "column"))
-    return _channel(kind, match, suffix or "")
+    row = match_name(name)
+    if row is None:
+        raise InputError(unknown_name(name, "column"))
+    unit = row.suffix or ""
+    if unit not in units_of(row.kind):
+        raise InputError(bad_suffix(name, row.kind, row.suffix, "column"))
+    return _channel(row, unit)
 
 
 def parse_columns(names: Iterable[str]) -> dict[str, Channel]:
@@ -149,84 +121,14 @@ def order(channel: Channel) -> tuple[int, int, int]:
     return (ROWS.index(channel.kind), channel.index or 0, channel.component or 0)
 
 
-def _si(quantity: str) -> str:
-    return QUANTITIES[quantity].si_unit
-
-
-def _match(name: str) -> tuple[str, re.Match[str], str | None] | None:
-    matches = []
-    for kind, pattern in _PATTERNS.items():
-        match = pattern.fullmatch(name)
-        if match is None:
-            continue
-        number = match.groupdict().get("index")
-        # link6 and link006 would be two more names of link06.
-        if number is not None and (int(number) == 0 or f"{int(number):02d}" != number):
-            continue
-        matches.append((kind, match, match["suffix"]))
-    return max(matches, key=lambda found: len(found[1]["name"]), default=None)
-
-
-def _channel(kind: str, match: re.Match[str], unit: str) -> Channel:
-    groups = match.groupdict()
+def _channel(row: NameMatch, unit: str) -> Channel:
+    groups = row.match.groupdict()
     number, component = groups.get("index"), groups.get("component")
     return Channel(
-        name=match["name"],
-        kind=kind,
+        name=row.match["name"],
+        kind=row.kind,
         index=None if number is None else int(number),
         component=None if component is None else "xyz".index(component),
-        quantity=_TABLE[kind].quantity or QUANTITY_OF_SUFFIX[unit],
+        quantity=TABLE[row.kind].quantity or QUANTITY_OF_SUFFIX[unit],
         unit=unit,
     )
-
-
-def _units_of(kind: str) -> list[str]:
-    quantity = _TABLE[kind].quantity
-    return list(QUANTITY_OF_SUFFIX if quantity is None else QUANTITIES[quantity].suffixes)
-
-
-def _bad_suffix(name: str, kind: str, suffix: str | None, what: str) -> str:
-    quantity = _TABLE[kind].quantity
-    units = _units_of(kind)
-    if units == [""]:
-        return (
-            f"{what} {shown(name)} ends in {suffix!r}, but {_TABLE[kind].column} has no unit: "
-            f"rename it with --rename {name}={_TABLE[kind].column}"
-        )
-    of = "it" if quantity is None else f"{_ARTICLE.get(quantity, 'a')} {quantity.replace('_', ' ')}"
-    units = [unit for unit in units if unit]
-    if suffix is None:
-        given = f"{what} {shown(name)} does not say its unit"
-        remedy = f"rename it, for example with --rename {name}={name}_{units[0]}"
-    else:
-        given = f"{what} {shown(name)} has the unknown unit {suffix!r}"
-        remedy = "convert the values and rename the column"
-    return f"{given}: {of} must be in {one_of(units)}, so {remedy}"
-
-
-def _unknown(name: str, what: str) -> str:
-    near = nearest(name, suffixes=what == "column")
-    old = "OLD" if not 0 < len(name) <= 40 or not name.isprintable() else name
-    pair = shlex.quote(f"{old}={near or 'NEW'}")
-    rename = f"--rename {pair}"
-    if near is not None:
-        given = f"{what} {shown(name)} is not in the column table: did you mean {near!r}"
-        return f"{given} ({rename})?" if what == "column" else f"{given}?"
-    known = ", ".join(row.column for row in _TABLE.values())
-    remedy = f"rename it with {rename}, or remove it" if what == "column" else "correct the name"
-    return f"{what} {shown(name)} is not in the column table ({known}): {remedy}"
-
-
-def nearest(name: str, *, suffixes: bool = True) -> str | None:
-    """The column (without `suffixes`: the channel) whose name is most like `name`, or None."""
-    numbers = re.findall(r"[0-9]+", name)
-    number = f"{int(numbers[0]) or 1:02d}" if numbers and len(numbers[0]) < 5 else "01"
-    candidates = []
-    for kind, row in _TABLE.items():
-        plain = row.column.replace("NN", number)
-        for channel in [plain[:-1] + c for c in "xyz"] if "_x" in plain else [plain]:
-            candidates += [
-                f"{channel}_{unit}" if unit and suffixes else channel for unit in _units_of(kind)
-            ]
-    near = difflib.get_close_matches(name.lower(), candidates, n=1, cutoff=0.7)
-    return near[0] if near else None

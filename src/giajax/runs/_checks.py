@@ -9,7 +9,8 @@ import numpy.typing as npt
 
 from .._errors import InputError
 from ..kinds import KINDS, Kind, RecordedChannel
-from ._channels import TEXTS, Channel, parse_column
+from ._channels import Channel, parse_column
+from ._column_table import TEXTS
 from ._definition import Definition
 
 

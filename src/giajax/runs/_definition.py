@@ -65,7 +65,7 @@ class Definition(_Sections):
     """A sidecar, a fit definition or a user's own arm. Every section and key is optional.
 
     A section that is not in the file is there with its defaults, so
-    `definition.section(ArmSection).links` is always legal; `definition.given()` has only what
+    `definition.section(ArmSection).links` is always legal; `definition.contents()` has only what
     the file has. Each kind of model brings its sections.
     """
 
@@ -125,16 +125,16 @@ class Definition(_Sections):
 
         Raises `InputError` if the two together contradict themselves.
         """
-        merged = self.given()
-        for name, value in other.given().items():
+        merged = self.contents()
+        for name, value in other.contents().items():
             # An entry of [figures] says one thing, and is replaced as a whole.
             depth = 1 if name == "figures" else 2
             merged[name] = _merge(merged.get(name), value, depth)
         return Definition.parse(merged, "definitions taken together")
 
     def to_toml(self) -> str:
-        """TOML text with what was given, the version first; `load` reads it back."""
-        return to_toml({"schema_version": self.schema_version, **self.given()})
+        """TOML text of the contents, the version first; `load` reads it back."""
+        return to_toml({"schema_version": self.schema_version, **self.contents()})
 
 
 def upgraded(data: dict[str, Any]) -> dict[str, Any]:

@@ -9,6 +9,10 @@ from ..kinds import KINDS, CommandSection, WindSection
 from ._read import sidecar_path
 from ._run import Run
 
+# Steps of time that follow each other and differ by a larger factor are noted; with room for
+# rounding, because a change from ms to s is one by 1000.
+_LEAP = 990.0
+
 
 def describe(run: Run) -> dict[str, Any]:
     """What a run holds: plain data (dicts, lists, str, int, float, bool, None).
@@ -120,7 +124,7 @@ def _sidecar(run: Run) -> dict[str, Any] | None:
     if run.path is None or not sidecar_path(run.path).is_file():
         return None
     keys = []
-    for name, value in run.definition.given().items():
+    for name, value in run.definition.contents().items():
         if isinstance(value, dict) and name != "truth":
             keys += [f"{name}.{key}" for key in value]
         else:
@@ -132,8 +136,33 @@ def _sidecar(run: Run) -> dict[str, Any] | None:
     }
 
 
+def _first_row(run: Run) -> int | None:
+    """What the first sample is called in a person's file; None for a run made in memory."""
+    if run.path is None:
+        return None
+    return 2 if run.path.suffix.lower() == ".csv" else 1
+
+
+def _leaps(times: npt.NDArray[np.float64], first_row: int | None) -> list[str]:
+    """A note where the time step changes thousandfold: milliseconds among seconds, or a gap."""
+    steps = np.diff(times)
+    changes = np.abs(np.diff(np.log10(steps))) > np.log10(_LEAP)
+    if not changes.any():
+        return []
+    at = int(np.flatnonzero(changes)[0])
+    # The second of the two steps ends at the sample after the next.
+    row = f"sample {at + 2}" if first_row is None else f"row {at + 2 + first_row}"
+    again = int(changes.sum()) - 1
+    more = f", and again {again} time{'s' * (again > 1)} after it" if again else ""
+    return [
+        f"the time step changes from {steps[at]:.3g} s to {steps[at + 1]:.3g} s in {row}{more}: "
+        "check the unit of the time stamps, and whether rows are missing"
+    ]
+
+
 def _notes(run: Run) -> list[str]:
     notes = KINDS[run.model].notes(run, _sidecar(run) is not None)
+    notes += [] if run.times is None else _leaps(run.times, _first_row(run))
     if not run.observations:
         notes.append("no measured channel: the run can be simulated, but not fitted")
     silent = [name for name in run.observations if run.noise(name) is None]

@@ -26,7 +26,7 @@ class Noise(Section):
 
     @property
     def columns(self) -> dict[str, float]:
-        """The standard deviations given by column name, in the column's unit."""
+        """The standard deviations by column name, in the column's unit."""
         return dict(self.__pydantic_extra__ or {})
 
     @model_validator(mode="after")
@@ -106,14 +106,14 @@ class Figure(Section):
     @model_validator(mode="after")
     def _says_one_thing(self) -> "Figure":
         distances = [self.standard_errors, self.within]
-        stated = [self.value, *distances, self.relative_error]
+        goals = [self.value, *distances, self.relative_error]
         if self.determined is False:
-            if any(item is not None for item in stated):
+            if any(item is not None for item in goals):
                 raise ValueError(
                     "says determined = false and a figure to reach, but must say one of them: "
                     "remove the other"
                 )
-        elif (self.value is None) != (distances == [None, None]) or stated == [None] * 4:
+        elif (self.value is None) != (distances == [None, None]) or goals == [None] * 4:
             raise ValueError(
                 "must have value and standard_errors (or within), or relative_error, or all: "
                 "add what is missing"

@@ -19,7 +19,7 @@ def infer_model(channels: Iterable[Channel]) -> str | None:
     return next((kind.name for kind in KINDS.values() if kind.told_by(rows)), None)
 
 
-def decide_model(channels: Iterable[Channel], stated: str | None, source: str) -> str:
+def decide_model(channels: Iterable[Channel], sidecar: str | None, source: str) -> str:
     """The kind of model of a run: as its sidecar states, else as its channels tell.
 
     Raises:
@@ -27,7 +27,7 @@ def decide_model(channels: Iterable[Channel], stated: str | None, source: str) -
     """
     channels = list(channels)
     inferred = infer_model(channels)
-    model = stated or inferred
+    model = sidecar or inferred
     if model is None:
         names = ", ".join(channel.name for channel in channels)
         raise InputError(
@@ -37,9 +37,9 @@ def decide_model(channels: Iterable[Channel], stated: str | None, source: str) -
     for channel in channels:
         if belongs(channel, KINDS[model]):
             continue
-        if stated is not None and inferred not in (None, stated):
+        if sidecar is not None and inferred not in (None, sidecar):
             raise InputError(
-                f"{source}: the sidecar says model = {stated!r}, but column {channel.column!r} "
+                f"{source}: the sidecar says model = {sidecar!r}, but column {channel.column!r} "
                 f"belongs to {inferred!r}: correct the sidecar or remove the column"
             )
         raise InputError(

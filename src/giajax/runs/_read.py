@@ -30,17 +30,17 @@ def read_run(
     """
     path = Path(path)
     table = read_table(path, rename)
-    stated = read_sidecar(path)
-    if stated.sha256 is not None and stated.sha256 != table.sha256:
+    sidecar = read_sidecar(path)
+    if sidecar.sha256 is not None and sidecar.sha256 != table.sha256:
         raise InputError(
             f"{path} has the SHA-256 {table.sha256[:12]}..., but {sidecar_path(path)} says "
-            f"{stated.sha256[:12]}...: get the file again, or correct sha256 there"
+            f"{sidecar.sha256[:12]}...: get the file again, or correct sha256 there"
         )
     if definition is not None:
         about = run_keys(model=True)
-        given = {key: item for key, item in definition.given().items() if key in about}
-        stated = stated.merged_with(Definition.parse(given))
-    return run_of(table, path, stated)
+        about_run = {key: item for key, item in definition.contents().items() if key in about}
+        sidecar = sidecar.merged_with(Definition.parse(about_run))
+    return run_of(table, path, sidecar)
 
 
 def read_runs(

@@ -1,4 +1,4 @@
-"""A run: the recorded, commanded and stated facts of one experiment, in SI units."""
+"""A run: what was recorded and commanded in one experiment, and its sidecar, in SI units."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -10,22 +10,19 @@ import numpy.typing as npt
 
 from .._errors import InputError
 from ..kinds import KINDS, Kind
-from ._channels import NOISE_KEYS, TEXTS, Channel, parse_column
+from ._channels import Channel
 from ._checks import Wording, check_content
+from ._column_table import TEXTS
 from ._definition import Definition
-from ._fit_sections import Noise
 from ._model import decide_model
-from ._units import QUANTITY_OF_SUFFIX, from_si, to_si
-
-# Noise of arrays is given by quantity, without the unit that ends the key in a file.
-_NOISE_QUANTITIES = {key.partition("_")[0]: key for key in Noise.model_fields}
+from ._noise import deviation_of, noise_section
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
     """One experiment, in SI units.
 
-    - `name`: the file's stem, or as given.
+    - `name`: the file's stem, or a name of the caller's.
     - `model`: name of its kind, one of `giajax.kinds.KINDS`.
     - `times`: float64, shape (T,), s, strictly increasing; None for a static run.
     - `values`: channel name -> float64, shape (T,), SI; NaN = not measured. A text channel
@@ -82,8 +79,8 @@ class Run:
         if "time" in channels:
             raise InputError(f"{name}: 'time' is among the values: give it as the first argument")
         if noise:
-            stated = {"noise": _noise_section(noise, channels)}
-            definition = definition.merged_with(Definition.parse(stated, f"{name}: noise"))
+            section = {"noise": noise_section(noise, channels)}
+            definition = definition.merged_with(Definition.parse(section, f"{name}: noise"))
         arrays = {
             channel: _text(item, f"{name}: {channel}")
             if channel in TEXTS
@@ -111,7 +108,7 @@ class Run:
 
     @property
     def commands(self) -> dict[str, npt.NDArray[Any]]:
-        """The channels that the model is given, wind apart: name -> (T,), SI."""
+        """The channels that drive the model, wind apart: name -> (T,), SI."""
         return self._of_rows(self.kind.inputs)
 
     @property
@@ -128,11 +125,11 @@ class Run:
         return {name: measured[name] for name in self.observed if name in measured}
 
     def noise(self, name: str) -> float | None:
-        """Stated standard deviation of channel `name`, SI; None if nothing was stated.
+        """Standard deviation of channel `name` in `[noise]`, SI; None if it is not there.
 
-        What is stated for the column wins over what is stated for its quantity.
+        The key of the column wins over that of its quantity.
         """
-        return stated_noise(self.definition.noise, self.channels[name])
+        return deviation_of(self.definition.noise, self.channels[name])
 
     def require_observations(self) -> None:
         """Raise `InputError` if the run holds nothing that a fit could compare."""
@@ -172,42 +169,6 @@ def build_run(
     for array in (*values.values(), *(() if times is None else (times,))):
         array.setflags(write=False)
     return Run(name, model, times, values, channels, definition, path, sha256)
-
-
-def stated_noise(stated: Noise, channel: Channel) -> float | None:
-    """The standard deviation (SI) that `[noise]` states for a channel, or None."""
-    for column, deviation in stated.columns.items():
-        if column.startswith(channel.name):
-            recorded = parse_column(column)
-            if recorded.name == channel.name:
-                return float(recorded.to_si(deviation))
-    key = NOISE_KEYS.get(channel.kind)
-    of_quantity = None if key is None else getattr(stated, key)
-    if key is None or of_quantity is None:
-        return None
-    return float(to_si(*_unit_of(key), of_quantity))
-
-
-def _unit_of(key: str) -> tuple[str, str]:
-    """Quantity and unit of a key of `[noise]`, which ends in its unit."""
-    unit = key.partition("_")[2]
-    return QUANTITY_OF_SUFFIX[unit], unit
-
-
-def _noise_section(noise: Mapping[str, float], channels: Mapping[str, Channel]) -> dict[str, Any]:
-    section: dict[str, Any] = {}
-    for name, deviation in noise.items():
-        if name in _NOISE_QUANTITIES:
-            key = _NOISE_QUANTITIES[name]
-            section[key] = float(from_si(*_unit_of(key), deviation))
-        elif name in channels:
-            section[channels[name].column] = float(channels[name].from_si(deviation))
-        else:
-            raise InputError(
-                f"noise of {name!r} is given, but it must be of {', '.join(_NOISE_QUANTITIES)} "
-                "or of a channel of the run: correct the name"
-            )
-    return section
 
 
 def _numbers(values: npt.ArrayLike, what: str) -> npt.NDArray[np.float64]:

@@ -32,7 +32,7 @@ def observing(run: Run, channels: Sequence[str]) -> Run:
     for name in channels:
         if name not in selected.observations:
             raise InputError(
-                f"'{name}' of '{run.name}' is given to the model and not predicted by it; "
+                f"'{name}' of '{run.name}' drives the model, which does not predict it: "
                 "name another channel"
             )
     return selected
@@ -44,8 +44,7 @@ def _link_angle(run: Run, name: str) -> tuple[np.ndarray, Channel]:
     if not joints or any(joint not in run.values for joint in joints):
         measured = ", ".join(run.observations) or "none"
         raise InputError(
-            f"the channel '{name}' is wanted of '{run.name}', which does not have it; "
-            f"choose among its measured ones: {measured}"
+            f"'{run.name}' has no channel '{name}': choose among its measured ones: {measured}"
         )
     total = np.sum([run.values[joint] for joint in joints], axis=0)
     total.setflags(write=False)
@@ -74,7 +73,7 @@ def windows(run: Run, length: float) -> list[Run]:
     rows = np.searchsorted(run.times, edges - 1e-9 * length)
     if np.min(np.diff(rows)) < 4:
         raise InputError(
-            f"a window of {length:g} s of '{run.name}' holds fewer than 4 samples; make it longer"
+            f"a window of {length:g} s of '{run.name}' holds fewer than 4 samples: make it longer"
         )
     parts = [
         dataclasses.replace(
@@ -89,7 +88,7 @@ def windows(run: Run, length: float) -> list[Run]:
         for channel, values in part.observations.items():
             if np.all(np.isnan(values)):
                 raise InputError(
-                    f"the window '{part.name}' has no value of {channel}; make windows longer, or "
+                    f"the window '{part.name}' has no value of {channel}: make windows longer, or "
                     "leave the channel out"
                 )
     return parts

@@ -1,6 +1,5 @@
 """A data file as columns of numbers in SI units, with bad cells named by column and row."""
 
-import csv
 import difflib
 import hashlib
 import io
@@ -16,7 +15,9 @@ import polars as pl
 
 from .._errors import InputError
 from .._text import shown
-from ._channels import Channel, nearest, parse_column, parse_columns
+from ._channels import Channel, parse_column, parse_columns
+from ._column_complaints import nearest
+from ._csv import split_csv
 
 _MISSING = ("", "nan", "na")
 _NUMBER = re.compile(
@@ -44,7 +45,7 @@ def read_table(path: Path, rename: Mapping[str, str] | None = None) -> Table:
     """Read a `.csv` or `.parquet` file. Raises `InputError` for what is not such a table."""
     data = _bytes(path)
     if path.suffix.lower() == ".csv":
-        header, columns, first_row = _split_csv(data, path)
+        header, columns, first_row = split_csv(data, path)
     else:
         header, columns, first_row = _split_parquet(data, path)
     names = _renamed(header, rename or {}, path)
@@ -86,77 +87,6 @@ def _bytes(path: Path) -> bytes:
     if not data.strip():
         raise InputError(f"{path} is empty: it must have a header line and samples")
     return data
-
-
-def _split_csv(data: bytes, path: Path) -> tuple[list[str], list[pl.Series], int]:
-    """Header, columns of text (null = empty cell), and the line of the first sample."""
-    data = data.removeprefix(b"\xef\xbb\xbf")
-    try:
-        if b"\0" in data:
-            raise UnicodeDecodeError("utf-8", data, 0, 1, "NUL")
-        data.decode("utf-8")
-    except UnicodeDecodeError:
-        raise InputError(
-            f"{path} is not text: it must be CSV in UTF-8, so export it again"
-        ) from None
-    if b"\r" in data:
-        data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    head, _, body = data.rstrip(b"\n").partition(b"\n")
-    header = [name.strip() for name in next(csv.reader([head.decode("utf-8")]), [])]
-    if not any(header):
-        raise InputError(
-            f"{path}: the first line must name the columns, but is empty: add a header"
-        )
-    if len(header) == 1:
-        for separator, called in ((";", "semicolons"), ("\t", "tabs")):
-            if separator in header[0]:
-                raise InputError(
-                    f"{path} separates its cells with {called}, but must do so with commas "
-                    "(and write numbers with a decimal point): export it again"
-                )
-    if not body:
-        return header, [], 2
-    if b'"' in body:
-        return header, _quoted(body, header, path), 2
-    _check_widths(body, len(header), path)
-    frame = pl.read_csv(
-        io.BytesIO(body), has_header=False, infer_schema=False, quote_char=None, glob=False
-    )
-    return header, frame.get_columns(), 2
-
-
-def _check_widths(body: bytes, width: int, path: Path) -> None:
-    # Polars pads short rows in silence, so the commas of each line are counted here.
-    characters = np.frombuffer(body, dtype=np.uint8)
-    ends = np.append(np.flatnonzero(characters == ord("\n")), len(characters))
-    commas = np.flatnonzero(characters == ord(","))
-    cells = np.diff(np.searchsorted(commas, ends), prepend=0) + 1
-    bad = np.flatnonzero(cells != width)
-    if bad.size:
-        _ragged(path, int(bad[0]) + 2, int(cells[bad[0]]), width)
-
-
-def _quoted(body: bytes, header: Sequence[str], path: Path) -> list[pl.Series]:
-    # Quotes may hide commas and line ends; such files are small enough for the slow way.
-    reader = csv.reader(io.StringIO(body.decode("utf-8"), newline=""))
-    rows: list[list[str]] = []
-    for cells in reader:
-        row = len(rows) + 2
-        if reader.line_num + 1 != row:
-            raise InputError(
-                f"{path}: a cell in row {row} has a line break, which no cell may have: remove it"
-            )
-        if len(cells) != len(header):
-            _ragged(path, row, len(cells), len(header))
-        rows.append(cells)
-    return [pl.Series("", list(column), dtype=pl.String) for column in zip(*rows, strict=True)]
-
-
-def _ragged(path: Path, row: int, cells: int, width: int) -> None:
-    raise InputError(
-        f"{path}: row {row} has {cells} cell{'s' * (cells != 1)}, but the header names {width} "
-        "columns: give every row one cell for each column, empty where not measured"
-    )
 
 
 def _split_parquet(data: bytes, path: Path) -> tuple[list[str], list[pl.Series], int]:

@@ -8,7 +8,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from ..kinds import KINDS, Kind
-from ._channels import NOISE_KEYS
+from ._column_table import NOISE_KEYS
 from ._definition import Definition
 from ._fit_sections import Noise
 from ._model import infer_model
@@ -69,13 +69,13 @@ def _noise(kind: Kind, table: Table) -> list[str]:
     return ["", "[noise]  # not stated: a fit estimates it", *lines]
 
 
-def _line(section: type[BaseModel], name: str, stated: Any = None) -> str:
+def _line(section: type[BaseModel], name: str, value: Any = None) -> str:
     """`key = value  # meaning`, commented out unless the value is stated."""
     field = section.model_fields[name]
     extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
-    value = extra["example"] if stated is None else stated
-    text = f"{key_path((name,))} = {toml_value(value)}  # {field.description}{_choices(field)}"
-    return text if stated is not None else f"# {text}"
+    shown = extra["example"] if value is None else value
+    text = f"{key_path((name,))} = {toml_value(shown)}  # {field.description}{_choices(field)}"
+    return text if value is not None else f"# {text}"
 
 
 def _choices(field: FieldInfo) -> str:

@@ -34,7 +34,7 @@ def write_run(
     - `times`: shape (T,), s, or None for a static run.
     - `values`: channel name -> shape (T,), SI; NaN becomes an empty cell.
     - `units`: channel name or quantity (`length`, `angle`, `angular_velocity`, ...) -> suffix.
-      Unless given: deg, deg_per_s, kPa, and SI for the rest.
+      By default: deg, deg_per_s, kPa, and SI for the rest.
     - `definition`: with it a sidecar is written too, and holds the model and the checksum.
     - `digits`: significant digits of a value.
     - `force`: write over a file that is there.
@@ -67,7 +67,7 @@ def write_run(
 
 
 def write_files(contents: Mapping[Path, bytes], *, force: bool) -> None:
-    """Write files, all of them or, where one is there and `force` is not given, none.
+    """Write files, all of them or, where one is there and `force` is false, none.
 
     Raises `InputError` if a file is there, or its folder is not, or cannot be written.
     """
@@ -117,10 +117,10 @@ def _csv(
 
 def _recorded(name: str, units: Mapping[str, str]) -> Channel:
     channel = Channel.named(name)
-    wanted = units.get(
+    unit = units.get(
         name, units.get(channel.quantity, DEFAULT_UNITS.get(channel.quantity, channel.unit))
     )
-    return Channel.named(name, wanted)
+    return Channel.named(name, unit)
 
 
 def _cells(values: npt.NDArray[np.float64], digits: int) -> list[str]:

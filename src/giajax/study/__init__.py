@@ -1,7 +1,7 @@
 """Questions that take many fits or derivatives of a model."""
 
+from ._candidates import CANDIDATES as CANDIDATES
 from ._choose import (
-    CANDIDATES as CANDIDATES,
     Candidate as Candidate,
     Choice as Choice,
     choice_hint as choice_hint,

@@ -2,32 +2,18 @@
 
 import dataclasses
 import shlex
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from .._errors import InputError
 from ..fitting import FitResult, fit
 from ..kinds import HysteresisSection
-from ..models import HysteresisModel, hysteresis_keys, model_for
+from ..models import HysteresisModel, model_for
 from ..parameters import default_free
-from ..runs import Definition, Run
+from ..runs import Run
+from ._candidates import CANDIDATES
 from ._held_out import parted
-
-# Name: what of [hysteresis] makes it, and what is fitted beside the defaults.
-CANDIDATES: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
-    "play": ({"operator": "prandtl_ishlinskii", "thresholds": 1}, ("thresholds",)),
-    "stop": (
-        {"operator": "prandtl_ishlinskii", "thresholds": 1, "elements": "stop"},
-        ("thresholds",),
-    ),
-    "prandtl_ishlinskii": ({"operator": "prandtl_ishlinskii"}, ()),
-    "prandtl_ishlinskii_stop": ({"operator": "prandtl_ishlinskii", "elements": "stop"}, ()),
-    "modified_prandtl_ishlinskii": ({"operator": "modified_prandtl_ishlinskii"}, ()),
-    "preisach": ({"operator": "preisach"}, ("bias",)),
-    "bouc_wen": ({"operator": "bouc_wen"}, ()),
-}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -149,10 +135,11 @@ def _rank(candidate: Candidate) -> tuple[bool, float]:
 
 
 def _candidate(name: str, fitted: Sequence[Run], judged: Sequence[Run]) -> Candidate:
-    section, more = CANDIDATES[name]
-    fitted = [_stating(run, section) for run in fitted]
+    candidate = CANDIDATES[name]
+    fitted = [candidate.stated_by(run) for run in fitted]
     model = model_for(fitted)
-    result = fit(model, fitted, free=[*default_free(model), *more], check=False, max_iterations=100)
+    free = [*default_free(model), *candidate.free]
+    result = fit(model, fitted, free=free, check=False, max_iterations=100)
     residuals = _residuals(result, fitted)
     count, size = len(residuals), len(result.free)
     spread = count * np.log(np.mean(residuals**2))
@@ -180,15 +167,3 @@ def _residuals(result: FitResult, runs: Sequence[Run]) -> np.ndarray:
 
 def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-def _stating(run: Run, section: Mapping[str, Any]) -> Run:
-    """The run with this candidate's [hysteresis]; what else the sidecar states of it stays."""
-    sections, known = run.definition.given(), hysteresis_keys(section["operator"])
-    kept = {
-        key: value
-        for key, value in sections.get("hysteresis", {}).items()
-        if key in known and key not in ("operator", "elements") and key not in section
-    }
-    sections["hysteresis"] = {**kept, **section}
-    return dataclasses.replace(run, definition=Definition.parse(sections, run.name))

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from .._errors import InputError
-from ..fitting import MAX_ITERATIONS, FitResult, Iteration, Setup, Start, set_up, solve
+from ..fitting import MAX_ITERATIONS, FitResult, Iteration, Seconds, Setup, Start, set_up, solve
 from ..models import AbstractModel
 from ..runs import Run
 
@@ -117,7 +117,10 @@ def solve_from_starts(
         if result.status == "interrupted":
             break
     best = min(results, key=misfit)
-    seconds = {key: sum(result.seconds[key] for result in results) for key in ("compile", "run")}
+    seconds = Seconds(
+        compile=sum(result.seconds.compile for result in results),
+        run=sum(result.seconds.run for result in results),
+    )
     if check and best.status == "converged" and ends[-1].status != "interrupted":
         # From its own end, for the checks that were left out above.
         inside = setup.started_at(_inside(setup, _end(best)))

@@ -45,10 +45,10 @@ class Sensitivity:
 
     def bodies(self) -> dict[str, list[int]]:
         """Positions of the channels of each body (`link06`: its x, y and z), by its name."""
-        found: dict[str, list[int]] = {}
+        bodies: dict[str, list[int]] = {}
         for index, name in enumerate(self.channels):
-            found.setdefault(body_of(name), []).append(index)
-        return found
+            bodies.setdefault(body_of(name), []).append(index)
+        return bodies
 
     def lengths(self) -> tuple[tuple[str, ...], Float[np.ndarray, "parameter sample body"]]:
         """Names of the bodies, and how far each moves with a parameter: |d position / d p|.

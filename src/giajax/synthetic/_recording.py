@@ -31,7 +31,7 @@ def recorded_again(
     """The run that an experiment with the inputs of `run` would record, if the model were true.
 
     The sidecar of `run` is kept, apart from its noise: what the model knows better than it, such
-    as a turned camera, stands in `[truth]` alone, for a fit to find. The noise that is stated is
+    as a turned camera, stands in `[truth]` alone, for a fit to find. The noise in the sidecar is
     white and correlated noise together.
 
     Arguments:
@@ -57,8 +57,8 @@ def recorded_again(
     if not successful:
         raise SimulationError(model.failure(prepared))
     known = [path for path in default_free(model) if path not in truth]
-    stated = run.definition.given()
-    sections = {key: stated[key] for key in stated if key not in _OF_THE_FILE}
+    sidecar = run.definition.contents()
+    sections = {key: sidecar[key] for key in sidecar if key not in _OF_THE_FILE}
     facts = {path: np.asarray(get(model, path), dtype=float).tolist() for path in (*known, *truth)}
     made = dataclasses.asdict(errors)
     facts["recording"] = {key: value for key, value in made.items() if value not in ({}, 0.0)}

@@ -86,7 +86,7 @@ def with_errors(run: Run, errors: RecordingErrors, *, seed: int = 0) -> Run:
         if np.all(np.isnan(recorded)):
             raise InputError(f"no value of {name} is left: lower the fractions that are lost")
         values[name] = recorded
-    kept = {key: value for key, value in run.definition.given().items() if key != "noise"}
+    kept = {key: value for key, value in run.definition.contents().items() if key != "noise"}
     total = {
         key: float(np.hypot(errors.white.get(key, 0.0), errors.correlated.get(key, 0.0)))
         for key in {**errors.white, **errors.correlated}
@@ -121,7 +121,7 @@ def drifting(
 
 def _by_channel(run: Run, deviations: Mapping[str, float]) -> dict[str, float]:
     """What is given by quantity or channel, for each measured channel; 0 where nothing is."""
-    bare = {key: value for key, value in run.definition.given().items() if key != "noise"}
+    bare = {key: value for key, value in run.definition.contents().items() if key != "noise"}
     positive = {key: value for key, value in deviations.items() if value > 0}
     if any(not np.isfinite(value) or value < 0 for value in deviations.values()):
         raise InputError("a standard deviation or size is negative or infinite: correct it")

@@ -24,12 +24,12 @@ def synthesise(
     missing: float = 0.0,
     seed: int = 0,
     definition: Definition | Mapping[str, Any] | None = None,
-    stated: AbstractModel | None = None,
+    constants: AbstractModel | None = None,
     name: str = "synthetic",
 ) -> Run:
     """A run as an experiment would record it: what the model predicts, with noise and gaps.
 
-    The model is given the inputs as it would be by the run, between whose rows they are linear
+    The model gets the inputs as the run would give them, between whose rows they are linear
     or held as `definition` says: predicting the returned run with the same model gives the same
     channels without noise.
 
@@ -47,7 +47,7 @@ def synthesise(
         missing: fraction of the samples of each channel that are left empty, in [0, 1).
         seed: of the noise and the gaps.
         definition: what a sidecar would say of the run; the model's constants are added.
-        stated: the model whose constants are added instead, such as one that knows nothing of a
+        constants: the model whose constants are added instead, such as one that knows nothing of a
             turned camera.
         name: of the run.
 
@@ -83,12 +83,12 @@ def synthesise(
         {**inputs, **blank},
         name=name,
         noise=noise,
-        definition=definition.merged_with(_constants(stated or model)),
+        definition=definition.merged_with(_constants(constants or model)),
     )
     unknown = [channel for channel in channels if channel not in plan.observations]
     if unknown:
         raise InputError(
-            f"'{unknown[0]}' is given to the model and not predicted by it: record another channel"
+            f"'{unknown[0]}' drives the model, which does not predict it: record another channel"
         )
     prepared = model.prepare(plan)
     predicted, successful = predict_prepared(model, prepared, tuple(channels))

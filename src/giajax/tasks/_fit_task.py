@@ -140,7 +140,7 @@ class FitTask:
             **_parameters(self.definition, free, start or {}, fix or {}),
             **{key: value for key, value in values.items() if value is not None},
         }
-        whole = self.definition.given()
+        whole = self.definition.contents()
         whole["fit"] = {**whole.get("fit", {}), **settings}
         return dataclasses.replace(
             self,

@@ -1,0 +1,115 @@
+"""The parameters of a model: how to reach each, and which there are."""
+
+import dataclasses
+from collections.abc import Callable, Iterable
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from .._typing import Array
+from ..quantities import Declaration
+from ._field import DECLARED, INLINE
+
+Module = TypeVar("Module", bound=eqx.Module)
+
+
+@dataclasses.dataclass(frozen=True)
+class Parameter:
+    """A declared parameter of one model: its path, its declaration and how to reach it."""
+
+    path: str
+    declaration: Declaration
+    getter: Callable[[Any], Any]
+    index: int | None = None
+
+    def value(self, model: eqx.Module) -> Array:
+        """The parameter's array in a model (one element where the path has an index)."""
+        array = self.getter(model)
+        return array if self.index is None else array[self.index]
+
+    def is_on(self, model: eqx.Module) -> bool:
+        """Whether the model has this parameter, or leaves its part out."""
+        return self.getter(model) is not None
+
+    def set(self, model: Module, value: Any) -> Module:
+        """The model with this parameter replaced; differentiable in `value`.
+
+        A parameter that was left out is switched on.
+        """
+        old = self.getter(model)
+        if old is None:
+            value = jnp.asarray(value, dtype=jnp.result_type(float))
+            if value.ndim == 0:
+                value = jnp.broadcast_to(value, self.declaration.shape)
+            model = eqx.tree_at(self.getter, model, value, is_leaf=lambda leaf: leaf is None)
+            _check(model)
+            return model
+        value = jnp.asarray(value, dtype=old.dtype)
+        if self.index is not None:
+            new = old.at[self.index].set(value)
+        elif self.declaration.each and value.ndim > old.ndim:
+            new = value
+        else:
+            new = jnp.broadcast_to(value, old.shape)
+        return eqx.tree_at(self.getter, model, new)
+
+
+def declared(model: eqx.Module) -> dict[str, Parameter]:
+    """All parameters of a model by dotted path, in the order of their fields.
+
+    Optional ones that the model leaves out are not among them; see `left_out`.
+    """
+    return {p.path: p for p in _walk(model, "", lambda root: root) if p.is_on(model)}
+
+
+def left_out(model: eqx.Module) -> dict[str, Parameter]:
+    """The optional parameters that a model leaves out, by dotted path.
+
+    `replace` switches one on, by giving it a value.
+    """
+    return {p.path: p for p in _walk(model, "", lambda root: root) if not p.is_on(model)}
+
+
+def default_free(model: eqx.Module, started: Iterable[str] = ()) -> tuple[str, ...]:
+    """Paths that a fit frees when nothing is said: those whose declaration is not frozen.
+
+    What the model holds at a bound, such as the spring of a pendulum at zero, is left out of it
+    on purpose, and stays so, unless it is among those that are given a start.
+    """
+    started = set(started)
+
+    def inside(parameter: Parameter) -> bool:
+        value, declaration = np.asarray(parameter.value(model)), parameter.declaration
+        return bool(np.all((declaration.lower < value) & (value < declaration.upper)))
+
+    return tuple(
+        path
+        for path, parameter in declared(model).items()
+        if not parameter.declaration.frozen and (path in started or inside(parameter))
+    )
+
+
+def _walk(node: eqx.Module, prefix: str, getter: Callable[[Any], Any]) -> Iterable[Parameter]:
+    for field in dataclasses.fields(node):
+        reach = _attribute(getter, field.name)
+        if DECLARED in field.metadata:
+            yield Parameter(prefix + field.name, field.metadata[DECLARED], reach)
+        elif isinstance(child := getattr(node, field.name), eqx.Module):
+            inner = prefix if field.metadata.get(INLINE) else f"{prefix}{field.name}."
+            yield from _walk(child, inner, reach)
+
+
+def _check(node: eqx.Module) -> None:
+    """What the classes of a model check when it is built: not every option suits every model."""
+    check = getattr(node, "__check_init__", None)
+    if check is not None:
+        check()
+    for field in dataclasses.fields(node):
+        if isinstance(child := getattr(node, field.name), eqx.Module):
+            _check(child)
+
+
+def _attribute(getter: Callable[[Any], Any], name: str) -> Callable[[Any], Any]:
+    return lambda root: getattr(getter(root), name)

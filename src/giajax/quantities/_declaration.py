@@ -1,0 +1,102 @@
+"""What is said of a quantity, once: for the model that computes with it and for files."""
+
+import dataclasses
+from collections.abc import Iterator
+
+import numpy as np
+
+from ._units import key_factor
+
+
+@dataclasses.dataclass(frozen=True)
+class Key:
+    """How a file states a quantity.
+
+    Attributes:
+        name: of the key; it ends in its unit, which need not be the SI unit.
+        lower, upper: what a file may state, SI, where that is less than the model computes with.
+        closed: whether a bound may be stated itself: an axial inertia of zero.
+        example: a value, in the key's unit, that shows more than the default does.
+        remark: added to the sentence of what the value must be.
+        place: of the quantity in the list of numbers, where several share the key: x, then y.
+        meaning: of a key that several quantities share.
+    """
+
+    name: str
+    _: dataclasses.KW_ONLY
+    lower: float | None = None
+    upper: float | None = None
+    closed: bool = False
+    example: float | list[float] | None = None
+    remark: str = ""
+    place: int | None = None
+    meaning: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Declaration:
+    """What a parameter says of itself.
+
+    Attributes:
+        default: the value of the preset `takeichi_20m` (each element, where it is an array), SI.
+        unit: SI unit, in the spelling of the file formats; "" for a pure number.
+        doc: one line of meaning.
+        lower, upper: open bounds, SI; a free parameter stays strictly between them.
+        frozen: held at its value in a fit unless it is asked for by its path.
+        assumed: the paper gives no figure; this one is a guess that a fit should replace.
+        optional: may be None, which leaves out its part of the model and the cost of it; its
+            default is then the value that it is switched on with.
+        shape: of a parameter that is an array of fixed shape, such as a vector.
+        per: what there may be one of it for: "link", "joint", "body"; "" for what there is one of.
+        each: one number for all links or joints, or an array with one for each. Without it, what
+            there is one of for each link is an array always.
+        source: where the default is from, or the equation that the parameter stands in.
+        key: how files state it; None: by its path alone.
+        path: in a model, such as `links.mass`; "" for a parameter that is in no group.
+    """
+
+    default: float
+    _: dataclasses.KW_ONLY
+    unit: str
+    doc: str
+    lower: float = -np.inf
+    upper: float = np.inf
+    frozen: bool = True
+    assumed: bool = False
+    optional: bool = False
+    shape: tuple[int, ...] = ()
+    per: str = ""
+    each: bool = False
+    source: str = ""
+    key: Key | None = None
+    path: str = ""
+
+    @property
+    def meaning(self) -> str:
+        """`doc`, and whether there may be several numbers."""
+        several = f" (one number, or one per {self.per})" if self.each and self.per else ""
+        return self.doc + several
+
+    @property
+    def factor(self) -> float:
+        """How many SI units one unit of the key's value is; 1 without a key."""
+        return 1.0 if self.key is None else key_factor(self.key.name, self.unit)
+
+
+class Group:
+    """The quantities of one module of a model, as class attributes of a subclass.
+
+    Arguments:
+        at: path of the module, such as `links`; "" for that of the model itself.
+
+    The attributes of an instance know their paths; iterating over it gives them in their order.
+    """
+
+    def __init__(self, at: str) -> None:
+        self._names = [name for name, d in vars(type(self)).items() if isinstance(d, Declaration)]
+        for name in self._names:
+            path = f"{at}.{name}" if at else name
+            setattr(self, name, dataclasses.replace(getattr(type(self), name), path=path))
+
+    def __iter__(self) -> Iterator[Declaration]:
+        return (getattr(self, name) for name in self._names)

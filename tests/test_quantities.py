@@ -1,0 +1,287 @@
+"""A quantity is declared once: what models, files and tables say of it comes from there."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import numpy as np
+import pytest
+
+import giajax
+from giajax import InputError, Run, quantities
+from giajax.kinds import KINDS, Section, with_keys
+from giajax.models import ArmModel, model_for
+from giajax.parameters import declared, left_out, parameter, replace
+from giajax.quantities import Declaration, Group, Key, key_factor
+from giajax.runs._complaints import complaint
+from giajax.runs._template import _line
+
+SOURCE = Path(giajax.__file__).parent
+GROUPS = {name: group for name, group in vars(quantities).items() if isinstance(group, Group)}
+KEYED = [
+    (section, name, part)
+    for kind in KINDS.values()
+    for section in (*kind.sections.values(), *kind.run_sections.values())
+    for name, parts in section.quantities.items()
+    for part in parts
+]
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize("name", GROUPS)
+def test_every_declaration_says_what_it_is(name):
+    for quantity in GROUPS[name]:
+        assert quantity.lower < quantity.upper, quantity.path
+        assert quantity.lower <= quantity.default <= quantity.upper, quantity.path
+        assert quantity.doc, quantity.path
+        assert not quantity.doc.endswith("."), quantity.path
+
+
+@pytest.mark.quick
+def test_every_key_belongs_to_a_section():
+    """A key of a group that no section was made with could never be stated."""
+    read = {part.path for _, _, part in KEYED} | {part.path for part in quantities.POINT_MASSES}
+    keyed = {q.path for group in GROUPS.values() for q in group if q.key is not None}
+    assert keyed == read
+    assert len(keyed) > 30
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize(
+    ("section", "name", "part"), KEYED, ids=[f"{s.__name__}.{n}-{p.path}" for s, n, p in KEYED]
+)
+def test_the_default_goes_to_the_key_and_back(section, name, part):
+    parts = section.quantities[name]
+    values = {p.path: np.full(p.shape, p.default) for p in parts}
+    stated = section.keys_of(values)
+    again = section.model_validate(stated).values()
+    np.testing.assert_allclose(again[part.path], values[part.path], rtol=1e-15)
+    shown = section.model_fields[name].json_schema_extra["preset"]
+    assert (shown is None) == part.optional
+    if shown is not None and len({p.default for p in parts if p.path == part.path}) == 1:
+        np.testing.assert_allclose(shown, stated[name], rtol=1e-11)
+
+
+def models():
+    """One of each kind, and of each of its variants, with all that can be switched on."""
+    history = {"input": np.sin(np.arange(20.0)), "output": np.sin(np.arange(20.0))}
+    for operator in ("prandtl_ishlinskii", "modified_prandtl_ishlinskii", "preisach", "bouc_wen"):
+        about = {"model": "hysteresis", "hysteresis": {"operator": operator}}
+        yield operator, Run.from_arrays(None, history, definition=about)
+    yield (
+        "oscillator",
+        Run.from_arrays(np.arange(20.0), history, definition={"model": "oscillator"}),
+    )
+    for law in ("braided", "empirical", "piston"):
+        about = {"muscle": {"law": law, "friction": "coulomb"}}
+        columns = {"pressure": [1e5], "contraction": [0.1], "phase": ["fill"], "force": [1.0]}
+        yield law, Run.from_arrays(None, columns, definition=about)
+    yield "joint", Run.from_arrays(None, {"angle": [0.1], "side": ["inner"], "force": [1.0]})
+
+
+def check_paths(model):
+    known = {**declared(model), **left_out(model)}
+    assert known
+    assert {path: p.declaration.path for path, p in known.items()} == {path: path for path in known}
+
+
+@pytest.mark.parametrize("run", [pytest.param(run, id=name) for name, run in models()])
+def test_a_declaration_knows_its_path_in_the_model(run):
+    check_paths(model_for([run]))
+
+
+def test_an_arm_with_everything_is_declared_by_path():
+    check_paths(ArmModel(giajax.arm.preset("takeichi_20m_full", 2)))
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize(
+    ("key", "unit", "factor"),
+    [
+        ("link_mass_kg", "kg", 1.0),
+        ("link_inertia_axial_kg_m2", "kg m^2", 1.0),
+        ("air_density_kg_per_m3", "kg/m^3", 1.0),
+        ("gravity_m_per_s2", "m/s^2", 1.0),
+        ("camera_scale", "", 1.0),
+        ("thickness_mm", "m", 1e-3),
+        ("torque_N_m", "N m", 1.0),
+        ("base_rotation_deg", "rad", np.pi / 180),
+        ("rate_deg_per_s", "rad/s", np.pi / 180),
+        ("pressure_limit_kPa", "Pa", 1e3),
+    ],
+)
+def test_the_end_of_a_key_is_its_unit(key, unit, factor):
+    assert key_factor(key, unit) == factor
+
+
+@pytest.mark.quick
+def test_a_key_without_its_unit_is_refused():
+    with pytest.raises(ValueError, match="link_mass does not end in a unit of kg: end it in kg"):
+        key_factor("link_mass", "kg")
+    with pytest.raises(ValueError, match="end it in"):
+        key_factor("length_kPa", "m")
+
+
+class _Sail(Group):
+    area = Declaration(2.0, unit="m^2", lower=0, doc="area of the sail", key=Key("sail_area_m2"))
+    pitch = Declaration(
+        np.deg2rad(30),
+        unit="rad",
+        lower=0,
+        upper=np.pi / 2,
+        optional=True,
+        doc="angle of the sail",
+        key=Key("sail_pitch_deg", closed=True, remark=" (level is 0)"),
+    )
+    slack = Declaration(0.0, unit="m", each=True, per="link", doc="slack", key=Key("slack_mm"))
+    x = Declaration(1.0, unit="m", doc="x of the mast", key=Key("mast_m", place=0, meaning="mast"))
+    y = Declaration(0.5, unit="m", doc="y of the mast", key=Key("mast_m", place=1, meaning="mast"))
+    colour = Declaration(0.0, unit="", doc="has no key")
+
+
+SAIL = _Sail("sail")
+
+
+@with_keys(SAIL)
+class SailSection(Section):
+    """`[sail]`: declared here alone."""
+
+    name: ClassVar[str] = "sail"
+
+
+class Sail(eqx.Module):
+    area: jax.Array = parameter(SAIL.area)
+    pitch: jax.Array | None = parameter(SAIL.pitch)
+    slack: jax.Array = parameter(SAIL.slack)
+    x: jax.Array = parameter(SAIL.x)
+    y: jax.Array = parameter(SAIL.y)
+
+
+class Boat(eqx.Module):
+    sail: Sail = eqx.field(default_factory=Sail)
+
+
+@pytest.mark.quick
+def test_one_declaration_makes_the_template_and_the_schema():
+    lines = [_line(SailSection, name) for name in SailSection.model_fields]
+    assert lines == [
+        "# sail_area_m2 = 2.0  # area of the sail",
+        "# sail_pitch_deg = 30.0  # angle of the sail",
+        "# slack_mm = 0.0  # slack",
+        "# mast_m = [1.0, 0.5]  # mast",
+    ]
+    schema = SailSection.model_json_schema()["properties"]
+    assert schema["sail_area_m2"]["anyOf"][0] == {"exclusiveMinimum": 0.0, "type": "number"}
+    assert schema["sail_pitch_deg"]["anyOf"][0]["maximum"] == pytest.approx(90.0)
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize(
+    ("stated", "sentence"),
+    [
+        ({"sail_area_m2": 0}, "sail_area_m2 = 0 must be a positive number:"),
+        ({"sail_pitch_deg": 91}, "= 91 must be a number from 0 to 90 (level is 0):"),
+        ({"slack_mm": "much"}, "= 'much' must be a number or a list of them, one a link:"),
+        ({"mast_m": [1.0]}, "must be a list of two numbers:"),
+        ({"colour": 1}, "unknown key colour"),
+    ],
+)
+def test_one_declaration_says_what_a_file_may_state(stated, sentence):
+    with pytest.raises(ValueError) as refused:
+        SailSection.model_validate(stated)
+    assert sentence in str(complaint(SailSection, refused.value, "boat.toml"))
+
+
+def test_one_declaration_converts_between_file_and_model():
+    stated = {"sail_pitch_deg": 45.0, "slack_mm": [1.0, 2.0], "mast_m": [0.3, 0.2]}
+    boat = replace(Boat(), SailSection.model_validate(stated).values())
+    assert float(boat.sail.pitch) == pytest.approx(np.pi / 4, rel=1e-15)
+    np.testing.assert_allclose(boat.sail.slack, [1e-3, 2e-3])
+    assert (float(boat.sail.x), float(boat.sail.y), float(boat.sail.area)) == (0.3, 0.2, 2.0)
+    back = SailSection.keys_of({path: p.value(boat) for path, p in declared(boat).items()})
+    assert list(back) == ["sail_area_m2", "sail_pitch_deg", "slack_mm", "mast_m"]
+    assert back.pop("sail_area_m2") == 2.0
+    assert {name: pytest.approx(value) for name, value in back.items()} == stated
+    assert declared(boat)["sail.slack"].declaration.meaning == "slack (one number, or one per link)"
+    assert left_out(Boat())["sail.pitch"].declaration is SAIL.pitch
+
+
+# A parameter of the links, with a key: what is added to the declarations, and to the physics.
+NEW_QUANTITY = """class _Links(Group):
+    skin = Declaration(
+        1e-4, unit="m", lower=0, per="link", doc="thickness of the skin", key=Key("link_skin_mm")
+    )
+"""
+NEW_FIELD = """    skin: Float[Array, " link"] = parameter(LINKS.skin)
+
+    def __check_init__"""
+FILES_ONLY = """
+import sys
+from giajax.cli import main
+from giajax.runs import Definition
+assert main(["init", "run.csv"]) == 0
+assert "# link_skin_mm = 0.1  # thickness of the skin\\n" in open("run.toml").read()
+schema = Definition.model_json_schema()["$defs"]["ArmSection"]["properties"]["link_skin_mm"]
+assert schema["anyOf"][0] == {"exclusiveMinimum": 0.0, "type": "number"}, schema
+assert "jax" not in sys.modules
+try:
+    Definition.parse({"arm": {"link_skin_mm": -1}})
+except ValueError as refused:
+    assert "arm.link_skin_mm = -1 must be a positive number or a list" in str(refused)
+else:
+    raise AssertionError("accepted")
+"""
+MODEL = """
+import contextlib, io, json
+from giajax.cli import main
+from giajax.models import arm_from_definition, arm_to_definition
+from giajax.runs import Definition
+arm = arm_from_definition(Definition.parse({"arm": {"link_skin_mm": [0.2, 0.3]}}))
+assert arm.count == 2
+assert arm.links.skin.tolist() == [2e-4, 3e-4]
+assert [round(mm, 6) for mm in arm_to_definition(arm)["link_skin_mm"]] == [0.2, 0.3]
+with contextlib.redirect_stdout(io.StringIO()) as out:
+    main(["parameters", "--json"])
+fact = next(fact for fact in json.loads(out.getvalue()) if fact["path"] == "links.skin")
+assert (fact["default"], fact["lower"], fact["key"]) == (1e-4, 0, "link_skin_mm")
+"""
+
+
+def test_a_new_parameter_with_a_key_is_two_files(tmp_path):
+    """Its declaration, and the file that computes with it, in a copy of giajax."""
+    package = tmp_path / "giajax"
+    shutil.copytree(SOURCE, package, ignore=shutil.ignore_patterns("__pycache__"))
+    for file, old, new in [
+        ("quantities/_links.py", "class _Links(Group):\n", NEW_QUANTITY),
+        ("arm/_links.py", "    def __check_init__", NEW_FIELD),
+    ]:
+        text = (package / file).read_text(encoding="utf-8")
+        assert text.count(old) == 1
+        (package / file).write_text(text.replace(old, new), encoding="utf-8")
+    (tmp_path / "run.csv").write_text("time_s,joint01_command_deg,link01_z_m\n0,0,0\n1,1,1\n")
+    for script in (FILES_ONLY, MODEL):
+        # The folder of the copy comes first among those that Python imports from.
+        done = subprocess.run(
+            [sys.executable, "-c", script],
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(tmp_path), "JAX_ENABLE_X64": "1"},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+
+
+def test_a_model_of_your_own_declares_at_its_field():
+    class Ball(eqx.Module):
+        radius: jax.Array = parameter(0.1, unit="m", lower=0, doc="radius of the ball")
+
+    known = declared(Ball())["radius"].declaration
+    assert (known.default, known.unit, known.lower, known.key) == (0.1, "m", 0, None)
+    with pytest.raises(InputError, match="there is no parameter 'size'"):
+        replace(Ball(), {"size": 1.0})
