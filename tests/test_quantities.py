@@ -1,5 +1,7 @@
 """A quantity is declared once: what models, files and tables say of it comes from there."""
 
+import re
+from pathlib import Path
 from typing import ClassVar
 
 import equinox as eqx
@@ -17,6 +19,7 @@ from giajax.runs._complaints import complaint
 from giajax.runs._template import _line
 
 GROUPS = {name: group for name, group in vars(quantities).items() if isinstance(group, Group)}
+ROOT = Path(__file__).resolve().parents[1]
 KEYED = [
     (section, name, part)
     for kind in KINDS.values()
@@ -91,6 +94,25 @@ def test_a_declaration_knows_its_path_in_the_model(run):
 
 def test_an_arm_with_everything_is_declared_by_path():
     check_paths(ArmModel(giajax.arm.preset("takeichi_20m_full", 2)))
+
+
+def paths_of(group):
+    """The paths of a group that are within a part of a model."""
+    return [quantity.path for quantity in group if "." in quantity.path]
+
+
+PAGES = ["README.md", "docs/architecture.md", "docs/air.md"]
+PARTS = {path.partition(".")[0] for group in GROUPS.values() for path in paths_of(group)}
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize("page", PAGES)
+def test_the_paths_that_pages_name_are_declared(page):
+    text = (ROOT / page).read_text(encoding="utf-8")
+    known = {path for group in GROUPS.values() for path in paths_of(group)}
+    named = re.findall(rf"(?<![\w./])(?:{'|'.join(sorted(PARTS))})\.(?!csv|toml)[a-z_]+\b", text)
+    assert named
+    assert set(named) <= known | {"links.skin"}
 
 
 @pytest.mark.quick
