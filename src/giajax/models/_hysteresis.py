@@ -1,6 +1,4 @@
 """Hysteresis as a model: from the history of an input to that of an output.
-
-Longer than 200 lines because all that a fit asks of a model stands in one class.
 """
 
 import dataclasses

@@ -1,6 +1,4 @@
 """A muscle as a model: from pressure and contraction to force.
-
-Longer than 200 lines because all that a fit asks of a model stands in one class.
 """
 
 from collections.abc import Mapping, Sequence
