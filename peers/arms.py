@@ -62,6 +62,7 @@ def full_arm(links: int, seed: int = 0) -> Arm:
         position=jnp.asarray(random.uniform(0.2, 0.6, 3)),
         left=jnp.asarray(random.uniform(-0.1, 0.1, 3)),
         up=jnp.asarray(random.uniform(-0.2, 0.1, 3)),
+        drag_area=jnp.asarray([0.03, 0.01, 0.02]),
     )
     arm = chain(
         links,

@@ -122,6 +122,8 @@ class MujocoChain:
         self._own_wind = None if arm.air.wind is None else np.asarray(arm.air.wind, dtype=float)
         if arm.air.added_mass_coefficient is not None or arm.air.drag_curve != "constant":
             raise ValueError("MuJoCo has neither added mass nor this drag curve; leave them out")
+        if arm.point_masses is not None and arm.point_masses.drag_area is not None:
+            raise ValueError("no drag is put on MuJoCo's point masses; leave drag_area out")
         self._strip: list[tuple[float, float]] | None = None
         if arm.air.drag == "strip":
             nodes, weights = np.polynomial.legendre.leggauss(arm.air.strip_points)

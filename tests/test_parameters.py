@@ -163,7 +163,7 @@ def test_elements_are_the_numbers_that_a_path_stands_for(arm):
         ("joints.dampening", "did you mean 'joints.damping'?"),
         ("xyzzy", "'giajax parameters' lists them all"),
         ("", "'giajax parameters' lists them all"),
-        ("links.mass[-1]", "there is no parameter 'links.mass[-1]'; did you mean 'links.mass'?"),
+        ("links.mass[-1]", "there is no parameter 'links.mass[-1]': did you mean 'links.mass'?"),
         ("links.mass[x]", "there is no parameter 'links.mass[x]'"),
         ("links", "there is no parameter 'links'"),
         ("joints.stiffness", "there is no parameter 'joints.stiffness'"),

@@ -4,11 +4,14 @@ import doctest
 import importlib
 import pkgutil
 import re
+import shlex
 from pathlib import Path
 
 import pytest
+import typer
 
 import giajax
+from giajax.cli import _app
 from giajax.joint import Friction
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -34,6 +37,34 @@ def modules():
 def test_the_examples_of_docstrings_run(name):
     results = doctest.testmod(importlib.import_module(name), raise_on_error=False)
     assert results.failed == 0
+
+
+def commands():
+    """Command lines that README and docs show, with the name of the page."""
+    for page in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]:
+        text = page.read_text(encoding="utf-8")
+        found = re.findall(r"^```(\w*)\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
+        for block in (block for language, block in found if language in ("", "console")):
+            for line in block.replace("\\\n", " ").splitlines():
+                match = re.match(r"(?:\$ )?giajax (.*)", line)
+                if match is not None:
+                    yield page.name, match[1]
+
+
+@pytest.mark.quick
+def test_the_commands_of_the_pages_are_there_with_their_options():
+    """Each is parsed as the command line would, and nothing is run."""
+    shown = [(page, line) for page, line in commands() if not line.startswith("columns")]
+    assert len(shown) > 25
+    for page, line in shown:
+        words = shlex.split(line, comments=True)
+        group = typer.main.get_command(_app._app_for(words))
+        assert words[0] in group.commands, (page, line)
+        command = group.commands[words[0]]
+        try:
+            command.make_context(words[0], words[1:])
+        except Exception as error:
+            pytest.fail(f"{page}: giajax {line}: {error}")
 
 
 def test_the_readme_starts_with_the_two_commands():

@@ -147,7 +147,7 @@ def potential(arm, angles, gust):
 
 
 def drag_torque(arm, angles, rates, wind):
-    """Forces of the drag at three Gauss points of each link, pulled back on the joints."""
+    """Forces of the drag at three Gauss points of each link and at the bodies, pulled back."""
     total = jnp.zeros(LINKS)
     reference = cylinder_drag_coefficient(jnp.asarray(1e5))
     half_area = 0.5 * arm.air.density * arm.links.length * arm.links.diameter
@@ -164,7 +164,14 @@ def drag_torque(arm, angles, rates, wind):
             force -= skin[:, None] * directions
         _, pull_back = jax.vjp(lambda q, places=places: positions(arm, q, places), angles)
         total += pull_back(force)[0]
-    return total
+    fixed = arm.point_masses
+    rows = (np.asarray(fixed.links) - 1, fixed.position, fixed.left, fixed.up)
+    places = list(zip(*rows, strict=True))
+    _, velocity = motion(arm, angles, rates, places)
+    through = velocity - wind[None]
+    size = 0.5 * arm.air.density * fixed.drag_area * jnp.linalg.norm(through, axis=1)
+    _, pull_back = jax.vjp(lambda q: positions(arm, q, places), angles)
+    return total - pull_back(size[:, None] * through)[0]
 
 
 def lagranges_torque(arm, angles, rates, accelerations, wind, gust):

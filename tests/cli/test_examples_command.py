@@ -64,7 +64,7 @@ def test_a_folder_that_is_a_file(tmp_path, capsys):
 def test_an_installed_package_has_them_inside(tmp_path, monkeypatch):
     package = tmp_path / "site-packages" / "giajax"
     package.mkdir(parents=True)
-    monkeypatch.setattr(_examples.resources, "files", lambda _: package)
+    monkeypatch.setattr("importlib.resources.files", lambda _: package)
     with pytest.raises(ValueError, match="not part of this installation"):
         _examples.examples_root()
     for folder in ("fits", "data/synthetic", "data/independent", "data/recorded"):

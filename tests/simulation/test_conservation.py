@@ -54,7 +54,8 @@ def with_added_mass(arm):
 
 
 def without_losses(arm):
-    return replace(arm, {"air.axial_coefficient": 0.0, "joints.friction": 0.0})
+    losses = ("air.axial_coefficient", "joints.friction", "point_masses.drag_area")
+    return replace(arm, dict.fromkeys(losses, 0.0))
 
 
 @pytest.mark.parametrize(

@@ -40,7 +40,11 @@ def floating():
     }
     # By Reynolds number C_D is so large at first that a difference would have to be tiny.
     arm = takeichi_20m_full(LINKS, drag_curve="constant", parameters=options)
-    camera = {"point_masses.left": jnp.zeros(1), "point_masses.up": jnp.zeros(1)}
+    camera = {
+        "point_masses.left": jnp.zeros(1),
+        "point_masses.up": jnp.zeros(1),
+        "point_masses.drag_area": jnp.full(1, 0.002),
+    }
     return replace(arm, camera), None
 
 

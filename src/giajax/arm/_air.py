@@ -9,6 +9,7 @@ from .._maths import cross, dot, safe_norm, scaled
 from .._typing import Array, Float
 from ._arm import Arm
 from ._bodies import lift
+from ._body_drag import body_drag
 from ._cylinder import drag_factor
 from ._kinematics import Pose, Rows, angular_velocities, centre_velocities, pose
 
@@ -39,15 +40,26 @@ def relative_velocity(arm: Arm, centre_velocity: Rows, wind: Flow) -> Rows:
     return centre_velocity - air[:, None]
 
 
-def drag(arm: Arm, here: Pose, relative: Rows, turning: Rows) -> Load:
-    """Drag on each link.
+def drag(arm: Arm, here: Pose, relative: Rows, omega: Rows) -> Load:
+    """Drag on each link, and on the bodies that it carries.
 
     Arguments:
         arm: the arm.
         here: its pose.
         relative: velocity of the links' centres relative to the air.
-        turning: rate of change of the links' directions.
+        omega: angular velocity of the links.
     """
+    load, carried = (
+        _drag_of_links(arm, here, relative, omega),
+        body_drag(arm, here, relative, omega),
+    )
+    if carried is None:
+        return load
+    force, couple = carried
+    return Load(load.force + force, couple if load.couple is None else load.couple + couple)
+
+
+def _drag_of_links(arm: Arm, here: Pose, relative: Rows, omega: Rows) -> Load:
     air, links = arm.air, arm.links
     half_rho_area = 0.5 * air.density * links.length * links.diameter
     if air.drag == "centre":
@@ -60,7 +72,7 @@ def drag(arm: Arm, here: Pose, relative: Rows, turning: Rows) -> Load:
     gauss, weight = np.polynomial.legendre.leggauss(air.strip_points)
     places, weights = (jnp.asarray(x, relative.dtype) for x in (gauss, weight / 2))
     # The velocity across the link is linear along it.
-    lean = scaled(links.length / 2, turning)
+    lean = scaled(links.length / 2, cross(omega, here.direction))
     local = across[:, None] + places[None, :, None] * lean[:, None]
     speed = safe_norm(local)
     curve = drag_factor(air, speed, jnp.broadcast_to(links.diameter, speed.shape))
@@ -97,7 +109,7 @@ def drag_force(
 
     With `drag = "centre"`: F_D = -1/2 rho C_D L d |V| V at the link's centre, with V the velocity
     of the centre relative to the air (paper, eq. 1). With `drag = "strip"`: the sum over the
-    link of what acts across it, and the axial drag.
+    link of what acts across it, and the axial drag. Bodies with a drag of their own add theirs.
 
     Arguments:
         arm: the arm.
@@ -130,4 +142,4 @@ def drag_in_motion(
     omega = angular_velocities(here, rates)
     velocity = centre_velocities(arm, here, omega)
     relative = relative_velocity(arm, velocity, flow(arm, wind))
-    return Dragged(drag(arm, here, relative, cross(omega, here.direction)), velocity, omega)
+    return Dragged(drag(arm, here, relative, omega), velocity, omega)

@@ -97,7 +97,7 @@ def carried_load(
 
     relative = relative_velocity(arm, centre_velocity, wind)
     leaning = cross(omega, e)
-    load = drag(arm, here, relative, leaning)
+    load = drag(arm, here, relative, omega)
     force = load.force
     if load.couple is not None:
         spin = spin - load.couple

@@ -27,13 +27,14 @@ class Buoyancy(eqx.Module):
 
 
 class PointMasses(eqx.Module):
-    """Small bodies fixed to links: a camera at the tip, cables, tubes.
+    """Small bodies fixed to links: a camera at the tip, cables, tubes, the ball of a pendulum.
 
     Arguments:
         links: the link that carries each of them, counted from 1.
         mass: of each, kg.
         position: of each from its link's joint along the link, m.
         left, up: of each from the link's axis, in the straight arm, m; None: on the axis.
+        drag_area: C_D A of each, m^2; None: no body has a drag of its own.
     """
 
     links: tuple[int, ...] = eqx.field(static=True)
@@ -41,11 +42,12 @@ class PointMasses(eqx.Module):
     position: PerBody = parameter(POINT_MASSES.position)
     left: PerBody | None = parameter(POINT_MASSES.left)
     up: PerBody | None = parameter(POINT_MASSES.up)
+    drag_area: PerBody | None = parameter(POINT_MASSES.drag_area)
 
     def __check_init__(self) -> None:
         if not self.links or min(self.links) < 1:
             raise InputError("a point mass has no link, or one below 1: number its link from 1")
-        for name in ("mass", "position", "left", "up"):
+        for name in ("mass", "position", "left", "up", "drag_area"):
             value = getattr(self, name)
             if value is not None and value.shape not in ((), (len(self.links),)):
                 raise InputError(

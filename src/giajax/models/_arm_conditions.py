@@ -27,6 +27,7 @@ _SCALE = (
     "buoyancy.trim_mass",
     "buoyancy.imbalance",
     "point_masses.mass",
+    "point_masses.drag_area",
 )
 
 # C_D is referred to these (eq. 1).
@@ -75,6 +76,9 @@ def scale_conditions(
     area = [path for path in _DRAG_AREA if path not in fitted]
     if "air.drag_coefficient" in fitted and area:
         sentences.append(f"air.drag_coefficient: holds for {_values(model, area)}")
+    if "point_masses.drag_area" in fitted and "air.density" not in fitted:
+        density = _values(model, ["air.density"])
+        sentences.append(f"point_masses.drag_area: holds for {density}")
     return sentences
 
 

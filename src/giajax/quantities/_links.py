@@ -124,6 +124,16 @@ class _PointMasses(Group):
         doc="distance of a point mass above its link's axis",
         key=Key("up_m"),
     )
+    drag_area = Declaration(
+        1e-3,
+        unit="m^2",
+        lower=0,
+        per="body",
+        each=True,
+        optional=True,
+        doc="C_D A of a point mass: its drag coefficient times its frontal area",
+        key=Key("drag_area_m2", closed=True),
+    )
 
 
 LINKS = _Links("links")
