@@ -1,5 +1,4 @@
-"""Hysteresis as a model: from the history of an input to that of an output.
-"""
+"""Hysteresis as a model: from the history of an input to that of an output."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence

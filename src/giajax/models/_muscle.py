@@ -1,5 +1,4 @@
-"""A muscle as a model: from pressure and contraction to force.
-"""
+"""A muscle as a model: from pressure and contraction to force."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Self
