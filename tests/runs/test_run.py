@@ -177,7 +177,8 @@ def test_what_no_model_could_use_is_one_sentence(case):
 
 
 def test_noise_of_something_else_is_refused():
-    with pytest.raises(
+    sentence = r"'length' has no noise: give that of position, angle, rate"
+    with pytest.raises(InputError, match=sentence):
         InputError, match=r"'length' has no noise: give that of position, angle, rate"
     ):
         arm(noise={"length": 0.1})
