@@ -179,8 +179,6 @@ def test_what_no_model_could_use_is_one_sentence(case):
 def test_noise_of_something_else_is_refused():
     sentence = r"'length' has no noise: give that of position, angle, rate"
     with pytest.raises(InputError, match=sentence):
-        InputError, match=r"'length' has no noise: give that of position, angle, rate"
-    ):
         arm(noise={"length": 0.1})
     with pytest.raises(InputError, match="positive"):
         arm(noise={"position": -0.1})
