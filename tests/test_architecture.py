@@ -1,5 +1,6 @@
 """What docs/architecture.md says of the source is so: its examples are done to a copy, and run."""
 
+import csv
 import os
 import re
 import shutil
@@ -138,6 +139,29 @@ def test_a_kind_of_model_is_two_files_and_a_line(tree, giajax):
     assert re.search(r"^leak_time +[0-9.]+", again, re.MULTILINE)
 
 
+def heights(path):
+    """Heights of the second link in a run, m."""
+    with path.open(newline="", encoding="utf-8") as file:
+        return [float(row["link02_z_m"]) for row in csv.DictReader(file)]
+
+
+@pytest.mark.slow
+def test_a_parameter_is_its_declaration_and_what_computes_with_it(tree, giajax):
+    text = section("To add a parameter")
+    new, edited = done_to(tree, text)
+    assert new == []
+    assert edited == ["src/giajax/quantities/_joints.py", "src/giajax/arm/_joints.py"]
+    check_style(tree, edited)
+    (arm,) = [block for language, block in blocks(text) if language == "toml"]
+    (tree / "arm.toml").write_text(arm, encoding="utf-8")
+    *_, parameters = printed(giajax, text)
+    assert re.search(r"^joints.quadratic_damping .* N m s\^2/rad\^2 ", parameters, re.MULTILINE)
+    sidecar = (tree / "damped.toml").read_text(encoding="utf-8")
+    assert "damping of a joint by the square of its rate" in sidecar
+    damped, plain = (heights(tree / name) for name in ("damped.csv", "plain.csv"))
+    assert 0.1 < max(damped) < 0.9 * max(plain)
+
+
 def test_a_channel_is_two_files(tree, giajax):
     text = section("To add a channel")
     new, edited = done_to(tree, text)
@@ -173,7 +197,7 @@ def test_a_diff_that_does_not_fit_is_seen():
 
 @pytest.mark.quick
 def test_the_files_that_pages_name_are_there():
-    for page in [ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]:
+    for page in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]:
         text = page.read_text(encoding="utf-8")
         named = set(re.findall(r"`((?:src|tests|docs|fits|data|benchmarks)/[\w./]+)`", text))
         linked = re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", text)

@@ -41,6 +41,24 @@ def test_the_channels_of_the_data_contract_are_those_of_the_kinds():
     assert table in page("data_contract.md"), f"the table must read\n{table}"
 
 
+def key_rows():
+    """A row for each key that states a parameter."""
+    for kind in KINDS.values():
+        for name, section in {**kind.sections, **kind.run_sections}.items():
+            for key, parts in section.quantities.items():
+                paths = ", ".join(f"`{path}`" for path in dict.fromkeys(p.path for p in parts))
+                field = section.model_fields[key]
+                preset = field.json_schema_extra["preset"]
+                value = "left out" if preset is None else f"`{preset}`"
+                yield f"| `{name}.{key}` | {paths} | {value} | {field.description} |"
+
+
+@pytest.mark.quick
+def test_the_keys_of_the_data_contract_are_those_of_the_declarations():
+    table = "\n".join(key_rows())
+    assert table in page("data_contract.md"), f"the table must read\n{table}"
+
+
 @pytest.mark.quick
 def test_the_units_of_the_data_contract_are_those_of_columns():
     """As columns of a channel that takes any quantity; time and ratio are told by other tests."""

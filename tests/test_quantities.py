@@ -1,9 +1,6 @@
 """A quantity is declared once: what models, files and tables say of it comes from there."""
 
-import os
-import shutil
-import subprocess
-import sys
+import re
 from pathlib import Path
 from typing import ClassVar
 
@@ -21,8 +18,8 @@ from giajax.quantities import Declaration, Group, Key, key_factor
 from giajax.runs._complaints import complaint
 from giajax.runs._template import _line
 
-SOURCE = Path(giajax.__file__).parent
 GROUPS = {name: group for name, group in vars(quantities).items() if isinstance(group, Group)}
+ROOT = Path(__file__).resolve().parents[1]
 KEYED = [
     (section, name, part)
     for kind in KINDS.values()
@@ -97,6 +94,25 @@ def test_a_declaration_knows_its_path_in_the_model(run):
 
 def test_an_arm_with_everything_is_declared_by_path():
     check_paths(ArmModel(giajax.arm.preset("takeichi_20m_full", 2)))
+
+
+def paths_of(group):
+    """The paths of a group that are within a part of a model."""
+    return [quantity.path for quantity in group if "." in quantity.path]
+
+
+PAGES = ["README.md", "docs/architecture.md", "docs/air.md"]
+PARTS = {path.partition(".")[0] for group in GROUPS.values() for path in paths_of(group)}
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize("page", PAGES)
+def test_the_paths_that_pages_name_are_declared(page):
+    text = (ROOT / page).read_text(encoding="utf-8")
+    known = {path for group in GROUPS.values() for path in paths_of(group)}
+    named = re.findall(rf"(?<![\w./])(?:{'|'.join(sorted(PARTS))})\.(?!csv|toml)[a-z_]+\b", text)
+    assert named
+    assert set(named) <= known | {"links.skin"}
 
 
 @pytest.mark.quick
@@ -209,72 +225,6 @@ def test_one_declaration_converts_between_file_and_model():
     assert {name: pytest.approx(value) for name, value in back.items()} == stated
     assert declared(boat)["sail.slack"].declaration.meaning == "slack (one number, or one per link)"
     assert left_out(Boat())["sail.pitch"].declaration is SAIL.pitch
-
-
-# A parameter of the links, with a key: what is added to the declarations, and to the physics.
-NEW_QUANTITY = """class _Links(Group):
-    skin = Declaration(
-        1e-4, unit="m", lower=0, per="link", doc="thickness of the skin", key=Key("link_skin_mm")
-    )
-"""
-NEW_FIELD = """    skin: Float[Array, " link"] = parameter(LINKS.skin)
-
-    def __check_init__"""
-FILES_ONLY = """
-import sys
-from giajax.cli import main
-from giajax.runs import Definition
-assert main(["init", "run.csv"]) == 0
-assert "# link_skin_mm = 0.1  # thickness of the skin\\n" in open("run.toml").read()
-schema = Definition.model_json_schema()["$defs"]["ArmSection"]["properties"]["link_skin_mm"]
-assert schema["anyOf"][0] == {"exclusiveMinimum": 0.0, "type": "number"}, schema
-assert "jax" not in sys.modules
-try:
-    Definition.parse({"arm": {"link_skin_mm": -1}})
-except ValueError as refused:
-    assert "arm.link_skin_mm = -1 must be a positive number or a list" in str(refused)
-else:
-    raise AssertionError("accepted")
-"""
-MODEL = """
-import contextlib, io, json
-from giajax.cli import main
-from giajax.models import arm_from_definition, arm_to_definition
-from giajax.runs import Definition
-arm = arm_from_definition(Definition.parse({"arm": {"link_skin_mm": [0.2, 0.3]}}))
-assert arm.count == 2
-assert arm.links.skin.tolist() == [2e-4, 3e-4]
-assert [round(mm, 6) for mm in arm_to_definition(arm)["link_skin_mm"]] == [0.2, 0.3]
-with contextlib.redirect_stdout(io.StringIO()) as out:
-    main(["parameters", "--json"])
-fact = next(fact for fact in json.loads(out.getvalue()) if fact["path"] == "links.skin")
-assert (fact["default"], fact["lower"], fact["key"]) == (1e-4, 0, "link_skin_mm")
-"""
-
-
-def test_a_new_parameter_with_a_key_is_two_files(tmp_path):
-    """Its declaration, and the file that computes with it, in a copy of giajax."""
-    package = tmp_path / "giajax"
-    shutil.copytree(SOURCE, package, ignore=shutil.ignore_patterns("__pycache__"))
-    for file, old, new in [
-        ("quantities/_links.py", "class _Links(Group):\n", NEW_QUANTITY),
-        ("arm/_links.py", "    def __check_init__", NEW_FIELD),
-    ]:
-        text = (package / file).read_text(encoding="utf-8")
-        assert text.count(old) == 1
-        (package / file).write_text(text.replace(old, new), encoding="utf-8")
-    (tmp_path / "run.csv").write_text("time_s,joint01_command_deg,link01_z_m\n0,0,0\n1,1,1\n")
-    for script in (FILES_ONLY, MODEL):
-        # The folder of the copy comes first among those that Python imports from.
-        done = subprocess.run(
-            [sys.executable, "-c", script],
-            cwd=tmp_path,
-            env={**os.environ, "PYTHONPATH": str(tmp_path), "JAX_ENABLE_X64": "1"},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert done.returncode == 0, done.stderr
 
 
 def test_a_model_of_your_own_declares_at_its_field():

@@ -54,9 +54,10 @@ def with_keys(*groups: Group, required: bool = False) -> Callable[[type[S]], typ
 def _optional(parts: tuple[Declaration, ...]) -> tuple[Any, Any]:
     """Type and field of a key that a file may leave out."""
     declaration, about = parts[0], _key(parts[0])
-    default = [_shown(part) for part in parts] if about.place is not None else _shown(declaration)
-    length = len(parts) if about.place is not None else sum(declaration.shape)
-    if length:
+    shared = about.place is not None
+    default = [_shown(part) for part in parts] if shared else _shown(declaration)
+    if shared or declaration.shape:
+        length = len(default)
         kind: Any = Annotated[list[Finite], Field(min_length=length, max_length=length)]
         must = f"a list of {_COUNTS[length]} numbers"
     else:

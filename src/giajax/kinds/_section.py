@@ -47,7 +47,7 @@ class Section(BaseModel):
         return self.model_dump(exclude_unset=True)
 
     def values(self) -> dict[str, npt.NDArray[np.float64]]:
-        """The quantities that were given, by path, in SI."""
+        """The quantities that the file has, by path, in SI."""
         values = {}
         for name, stated in self.contents().items():
             for part in self.quantities.get(name, ()) if stated is not None else ():

@@ -1,7 +1,4 @@
-"""Hysteresis as a model: from the history of an input to that of an output.
-
-Longer than 200 lines because all that a fit asks of a model stands in one class.
-"""
+"""Hysteresis as a model: from the history of an input to that of an output."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,4 @@
-"""A muscle as a model: from pressure and contraction to force.
-
-Longer than 200 lines because all that a fit asks of a model stands in one class.
-"""
+"""A muscle as a model: from pressure and contraction to force."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Self
@@ -14,7 +11,7 @@ from .._typing import Array, Bool, Scalar
 from ..joint import AbstractMuscle, BraidedMuscle, EmpiricalMuscle, Friction, Piston
 from ..kinds import MuscleSection
 from ..parameters import declared, get, parameter, replace
-from ..quantities import AT_REST
+from ..quantities import AT_REST, si_factor
 from ..runs import Channel, Definition, Run
 from ._agreement import check_agreement
 from ._build import parameter_values
@@ -27,7 +24,7 @@ LAWS: dict[str, type[AbstractMuscle]] = {
 }
 """The laws by the name that `[muscle] law` gives them."""
 
-_PASCAL = 1e3  # in a kilopascal
+_PASCAL = si_factor("pressure", "kPa")
 
 
 class MuscleModel(AbstractDirectModel):

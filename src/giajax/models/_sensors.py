@@ -2,8 +2,6 @@
 
 Every parameter is optional; what is left out costs nothing. A camera shows a point p of the base
 frame at scale * R^T (p - origin), R being the turn of the camera frame against the base frame.
-
-Longer than 200 lines because each sensor declares its parameters beside what it does with them.
 """
 
 import equinox as eqx
