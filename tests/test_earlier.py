@@ -35,7 +35,7 @@ def test_what_a_sidecar_said_is_read():
     assert arm.noise("link02_z") == 0.02
     oscillator = read_run(EARLIER / "oscillator" / "run.csv").definition
     assert oscillator.oscillator.interpolation == "linear"
-    assert oscillator.hysteresis.given() == {}
+    assert oscillator.hysteresis.contents() == {}
 
 
 @pytest.mark.parametrize("kind", KINDS)
