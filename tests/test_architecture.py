@@ -1,6 +1,6 @@
 """What docs/architecture.md says of the source is so: its examples are done to a copy, and run."""
 
-import json
+import csv
 import os
 import re
 import shutil
@@ -139,54 +139,27 @@ def test_a_kind_of_model_is_two_files_and_a_line(tree, giajax):
     assert re.search(r"^leak_time +[0-9.]+", again, re.MULTILINE)
 
 
-def test_a_parameter_with_a_key_is_two_files(tree, giajax):
+def heights(path):
+    """Heights of the second link in a run, m."""
+    with path.open(newline="", encoding="utf-8") as file:
+        return [float(row["link02_z_m"]) for row in csv.DictReader(file)]
+
+
+@pytest.mark.slow
+def test_a_parameter_is_its_declaration_and_what_computes_with_it(tree, giajax):
     text = section("To add a parameter")
     new, edited = done_to(tree, text)
     assert new == []
-    assert edited == ["src/giajax/quantities/_links.py", "src/giajax/arm/_links.py"]
+    assert edited == ["src/giajax/quantities/_joints.py", "src/giajax/arm/_joints.py"]
     check_style(tree, edited)
-    write_table(text, tree / "skin.csv")
-    template, before = printed(giajax, text)
-    assert "wrote skin.toml" in template
-    offered = (tree / "skin.toml").read_text(encoding="utf-8")
-    line = "# link_skin_mm = 0.1  # thickness of the skin\n"
-    assert line in offered
-    assert skin(before)["value"] == [1e-4] * 20
-    stated = "links = 2\nlink_skin_mm = [0.2, 0.3]\n"
-    (tree / "skin.toml").write_text(offered.replace(line, stated), encoding="utf-8")
-    after = skin(giajax("parameters", "skin.csv", "--json"))
-    assert after["value"] == pytest.approx([2e-4, 3e-4])
-    assert (after["default"], after["lower"], after["key"]) == (1e-4, 0, "link_skin_mm")
-    giajax(code=SKIN)
-
-
-def skin(facts):
-    """What `giajax parameters --json` says of the new parameter."""
-    return next(fact for fact in json.loads(facts) if fact["path"] == "links.skin")
-
-
-# The schema and the errors of files know it without JAX; a model writes it as it was read.
-SKIN = """
-import sys
-from giajax.runs import Definition
-schema = Definition.model_json_schema()["$defs"]["ArmSection"]["properties"]["link_skin_mm"]
-assert {"exclusiveMinimum": 0.0, "type": "number"} in schema["anyOf"], schema
-try:
-    Definition.parse({"arm": {"link_skin_mm": -1}})
-except ValueError as refused:
-    assert "arm.link_skin_mm = -1 must be a positive number or a list" in str(refused), refused
-else:
-    raise AssertionError("accepted")
-assert "jax" not in sys.modules
-import jax, numpy
-jax.config.update("jax_enable_x64", True)
-from giajax.models import arm_from_definition, arm_to_definition
-for stated in (0.5, [0.2, 0.3]):
-    arm = arm_from_definition(Definition.parse({"arm": {"links": 2, "link_skin_mm": stated}}))
-    again = arm_to_definition(arm)["link_skin_mm"]
-    assert type(again) is type(stated), again
-    assert numpy.allclose(again, stated, rtol=1e-14, atol=0), again
-"""
+    (arm,) = [block for language, block in blocks(text) if language == "toml"]
+    (tree / "arm.toml").write_text(arm, encoding="utf-8")
+    *_, parameters = printed(giajax, text)
+    assert re.search(r"^joints.quadratic_damping .* N m s\^2/rad\^2 ", parameters, re.MULTILINE)
+    sidecar = (tree / "damped.toml").read_text(encoding="utf-8")
+    assert "damping of a joint by the square of its rate" in sidecar
+    damped, plain = (heights(tree / name) for name in ("damped.csv", "plain.csv"))
+    assert 0.1 < max(damped) < 0.9 * max(plain)
 
 
 def test_a_channel_is_two_files(tree, giajax):
@@ -224,7 +197,7 @@ def test_a_diff_that_does_not_fit_is_seen():
 
 @pytest.mark.quick
 def test_the_files_that_pages_name_are_there():
-    for page in [ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]:
+    for page in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]:
         text = page.read_text(encoding="utf-8")
         named = set(re.findall(r"`((?:src|tests|docs|fits|data|benchmarks)/[\w./]+)`", text))
         linked = re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", text)

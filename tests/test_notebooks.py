@@ -51,3 +51,7 @@ def test_a_notebook_runs(path, monkeypatch, tmp_path):
         resources={"metadata": {"path": str(tmp_path)}},
     ).execute()
     assert all(cell.execution_count for cell in code_of(notebook))
+    if path.stem == "03_hysteresis":
+        outputs = [output for cell in code_of(notebook) for output in cell.outputs]
+        shown = [output.data.get("text/html", "") for output in outputs if "data" in output]
+        assert any("<table><thead><tr><th>parameter</th>" in html for html in shown)

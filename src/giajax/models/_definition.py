@@ -119,6 +119,9 @@ def _entries(fixed: PointMasses) -> list[dict[str, Any]]:
         return np.broadcast_to(0.0 if value is None else np.asarray(value), len(fixed.links))
 
     rows = {declaration.path: row(declaration) for declaration in POINT_MASSES}
+    if fixed.drag_area is None:
+        # As earlier versions wrote it, so that a result of theirs is of the same configuration.
+        del rows[POINT_MASSES.drag_area.path]
     return [
         {"link": link, **PointMass.keys_of({path: row[body] for path, row in rows.items()})}
         for body, link in enumerate(fixed.links)
