@@ -2,8 +2,8 @@
 
 
 class InputError(ValueError):
-    """What was given cannot be used.
+    """The input cannot be used.
 
-    The message is one sentence: what was given, what it must be, what to do next. The command
+    The message is one sentence: what is wrong and, after a colon, what to do. The command
     line prints it without a traceback and ends with exit status 2.
     """

@@ -69,9 +69,9 @@ def test_a_dense_scan_confirms_every_equilibrium(name):
         load = jnp.asarray(random.choice([0.0, 0.0, random.normal(scale=0.1)]))
         found = equilibria(pair, pressures, load)
         expected = crossings(pair, pressures, load)
-        assert len(found.found) == len(expected)
+        assert len(found.every) == len(expected)
         several += len(expected) > 1
-        for item, (low, high, sign) in zip(found.found, expected, strict=True):
+        for item, (low, high, sign) in zip(found.every, expected, strict=True):
             assert low - 1e-12 <= item.angle <= high + 1e-12
             assert item.stable == (sign < 0)
         both = scan(pair, pressures, load, 3)
@@ -98,7 +98,7 @@ def test_an_angle_gives_pressures_that_give_the_angle_back(name):
             continue
         assert bool(command.reached)
         found = equilibria(pair, command.pressures)
-        nearest = min(found.found, key=lambda item: abs(item.angle - angle))
+        nearest = min(found.every, key=lambda item: abs(item.angle - angle))
         a = jnp.asarray([angle])
         known = partial(net_torque, pair, command.pressures, LOAD, ahead=a > 0)
         slope = jax.jvp(known, (a,), (jnp.ones(1),))[1]
@@ -137,7 +137,7 @@ def test_the_controller_shares_out_the_torque():
 def test_the_pair_is_bistable_about_0():
     """The figures of the design: a request of 20 deg without corrections, and the stiffness."""
     pressures = pair_command(PLAIN, np.deg2rad(20.0)).pressures
-    found = equilibria(PLAIN, pressures).found
+    found = equilibria(PLAIN, pressures).every
     np.testing.assert_allclose(
         np.rad2deg([item.angle for item in found]), [-16.5, -0.5, 20.0], atol=0.05
     )
@@ -148,7 +148,7 @@ def test_the_pair_is_bistable_about_0():
             command = pair_command(pair, np.deg2rad(degrees))
             (item,) = (
                 e
-                for e in equilibria(pair, command.pressures).found
+                for e in equilibria(pair, command.pressures).every
                 if abs(e.angle - np.deg2rad(degrees)) < 1e-9
             )
             assert 0.29 < item.muscle_stiffness < 0.71
@@ -157,7 +157,7 @@ def test_the_pair_is_bistable_about_0():
         command = pair_command(PLAIN, np.deg2rad(degrees))
         (item,) = (
             e
-            for e in equilibria(PLAIN, command.pressures).found
+            for e in equilibria(PLAIN, command.pressures).every
             if abs(e.angle - np.deg2rad(degrees)) < 1e-9
         )
         assert item.stiffness < 0
@@ -165,13 +165,13 @@ def test_the_pair_is_bistable_about_0():
 
 def test_0_itself():
     # Without corrections 0 is one unstable equilibrium between two stable ones that mirror.
-    found = equilibria(PLAIN, [26e3, 26e3]).found
+    found = equilibria(PLAIN, [26e3, 26e3]).every
     assert len(found) == 3
     assert found[1].angle == 0
     assert not found[1].stable
     assert found[0].angle == pytest.approx(-found[2].angle, abs=1e-12)
     # With them the step of alpha(0) - beta(0) holds the joint, as dry friction would.
-    found = equilibria(JointPair(), [26e3, 26e3]).found
+    found = equilibria(JointPair(), [26e3, 26e3]).every
     middle = found[len(found) // 2]
     assert middle.angle == 0
     assert middle.at_step
@@ -180,7 +180,7 @@ def test_0_itself():
     assert middle.muscle_stiffness < 0
     # At one end of the step the other side decides.
     command = pair_command(JointPair(), 0.0)
-    at_zero = [e for e in equilibria(JointPair(), command.pressures).found if e.angle == 0]
+    at_zero = [e for e in equilibria(JointPair(), command.pressures).every if e.angle == 0]
     assert [e.stable for e in at_zero] == [False]
 
 
@@ -199,7 +199,7 @@ def test_the_jumps_of_the_printed_beta_are_no_smooth_roots(degrees, offset, fall
     load = (below + above) / 2
     (item,) = (
         e
-        for e in equilibria(pair, pressures, load).found
+        for e in equilibria(pair, pressures, load).every
         if abs(e.angle - np.deg2rad(degrees)) < 1e-9
     )
     assert item.at_step
@@ -211,7 +211,7 @@ def test_the_jumps_of_the_printed_beta_are_no_smooth_roots(degrees, offset, fall
     level = float(torque(other, pressures, LOAD, angle, ahead)[0])
     (item,) = (
         e
-        for e in equilibria(other, pressures, level).found
+        for e in equilibria(other, pressures, level).every
         if abs(e.angle - np.deg2rad(degrees)) < 1e-9
     )
     assert not item.at_step
@@ -221,9 +221,9 @@ def test_the_jumps_of_the_printed_beta_are_no_smooth_roots(degrees, offset, fall
 def test_slack_muscles_leave_the_joint_to_the_load():
     idle = equilibria(PLAIN, [5e3, 5e3])
     assert idle.indifferent
-    assert idle.found == ()
+    assert idle.every == ()
     found = equilibria(PLAIN, [0.0, 0.0], 0.1)
-    assert found.found == ()
+    assert found.every == ()
     assert found.at_lower_stop
     assert not found.at_upper_stop
     assert not found.indifferent
@@ -303,7 +303,7 @@ def test_two_near_roots_are_both_found():
     lowest = int(np.argmin(values))
     assert 0 < lowest < len(values) - 1
     found = equilibria(pair, pressures, values[lowest] + 1e-10)
-    near = [e for e in found.found if abs(e.angle - angle[lowest]) < np.deg2rad(0.1)]
+    near = [e for e in found.every if abs(e.angle - angle[lowest]) < np.deg2rad(0.1)]
     assert [e.stable for e in near] == [True, False]
     assert 0 < near[1].angle - near[0].angle < np.deg2rad(0.1) / 5
-    assert len(equilibria(pair, pressures, values[lowest] - 1e-8).found) == len(found.found) - 2
+    assert len(equilibria(pair, pressures, values[lowest] - 1e-8).every) == len(found.every) - 2

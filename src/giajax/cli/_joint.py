@@ -91,7 +91,7 @@ def _pair(sections: "Definition", typed: Values, torque: float | None) -> Any:
     from ..models import MuscleModel, joint_from_section
 
     _refuse_unused(sections)
-    muscle = MuscleModel.stated(sections.section(MuscleSection)).muscle
+    muscle = MuscleModel.from_section(sections.section(MuscleSection)).muscle
     pair = JointPair(joint_from_section(sections), muscle)
     if torque is not None and not 0 < torque < math.inf:
         raise InputError(f"--torque is {torque:g}: give a positive number of N m")
@@ -151,7 +151,7 @@ def _show(pair: Any, target: float) -> None:
             f"{item.stiffness:.3g}",
             *item.branches,
         )
-        for item in rests.found
+        for item in rests.every
     ]
     print_table(headings, cells, left=5)
     notes = {

@@ -53,7 +53,7 @@ def equilibria(
         >>> pair = giajax.JointPair()
         >>> command = giajax.pair_command(pair, np.deg2rad(20.0))
         >>> rests = giajax.equilibria(pair, command.pressures)
-        >>> [(round(float(np.rad2deg(item.angle)), 1), item.stable) for item in rests.found]
+        >>> [(round(float(np.rad2deg(item.angle)), 1), item.stable) for item in rests.every]
         [(-6.0, True), (-3.3, False), (20.0, True)]
     """
     pressures = checked_pressures(pressures)
@@ -70,7 +70,7 @@ def equilibria(
     idle = [bool(roots.idle) for roots in sides.values()]
     resting += [] if any(idle) else _at_zero(sides[False], sides[True])
     return Equilibria(
-        found=tuple(sorted(resting, key=lambda item: item.angle)),
+        every=tuple(sorted(resting, key=lambda item: item.angle)),
         at_lower_stop=bool(sides[False].first < 0),
         at_upper_stop=bool(sides[True].last > 0),
         indifferent=any(idle),

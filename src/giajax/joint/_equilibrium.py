@@ -36,14 +36,14 @@ class Equilibria:
     """Every equilibrium within the joint's range, by angle.
 
     Attributes:
-        found: the equilibria, from the smallest angle to the largest.
+        every: the equilibria, stable or not, from the smallest angle to the largest.
         at_lower_stop, at_upper_stop: whether the torque drives the joint against the end of its
             range, -60 or 60 deg.
         indifferent: whether there is a range of angles in which nothing acts on the joint, as
             with slack muscles: it rests at any of them, and none of them is listed.
     """
 
-    found: tuple[Equilibrium, ...]
+    every: tuple[Equilibrium, ...]
     at_lower_stop: bool
     at_upper_stop: bool
     indifferent: bool
@@ -51,9 +51,9 @@ class Equilibria:
     @property
     def stable(self) -> tuple[Equilibrium, ...]:
         """Those to which the joint comes back."""
-        return tuple(equilibrium for equilibrium in self.found if equilibrium.stable)
+        return tuple(equilibrium for equilibrium in self.every if equilibrium.stable)
 
     @property
     def angles(self) -> np.ndarray:
         """Angles of all of them, rad, shape (equilibrium,)."""
-        return np.asarray([equilibrium.angle for equilibrium in self.found])
+        return np.asarray([equilibrium.angle for equilibrium in self.every])

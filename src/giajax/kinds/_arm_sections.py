@@ -115,25 +115,25 @@ class ArmSection(_Surroundings):
 
     def check_lists(self, links: int | None) -> None:
         """Raise `ValueError` if a list has another length than `links` (None: than another)."""
-        said = f"links is {links}" if links is not None else ""
+        count = f"links is {links}" if links is not None else ""
         for name, value in self.lists().items():
             if links is None:
-                links, said = len(value), f"{name} has {len(value)}"
+                links, count = len(value), f"{name} has {len(value)}"
             elif len(value) != links:
                 raise ValueError(
                     f"key {name} has {len(value)} values, but must have one for each link and "
-                    f"{said}: correct the list or give links"
+                    f"{count}: correct the list or give links"
                 )
 
 
 @with_keys(CAMERA, MARKER, ENCODER)
 class SensorsSection(Section):
-    """`[sensors]`: what is known of camera, markers and angle sensors. Unless given: exact."""
+    """`[sensors]`: what is known of camera, markers and angle sensors. By default: exact."""
 
 
 @with_keys(INITIAL)
 class InitialSection(Section):
-    """`[initial]`: joint angles and rates at the first sample. Unless given: straight, at rest."""
+    """`[initial]`: joint angles and rates at the first sample. By default: straight, at rest."""
 
     first_row: bool | None = key(
         "true or false",

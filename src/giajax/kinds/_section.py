@@ -49,10 +49,10 @@ class Section(BaseModel):
     def values(self) -> dict[str, npt.NDArray[np.float64]]:
         """The quantities that the file has, by path, in SI."""
         values = {}
-        for name, stated in self.contents().items():
-            for part in self.quantities.get(name, ()) if stated is not None else ():
+        for name, value in self.contents().items():
+            for part in self.quantities.get(name, ()) if value is not None else ():
                 place = None if part.key is None else part.key.place
-                number = stated if place is None else stated[place]
+                number = value if place is None else value[place]
                 values[part.path] = np.asarray(np.multiply(number, part.factor), dtype=float)
         return values
 

@@ -104,10 +104,10 @@ class ArmModel(AbstractModel):
     def from_definition(cls, definition: Mapping[str, Any]) -> Self:
         """The arm, its sensors and the settings of the integrator that `definition()` gave."""
         sections = {key: definition[key] for key in ("arm", "sensors") if key in definition}
-        stated = Definition.parse(sections, "stored result")
+        stored = Definition.parse(sections, "stored result")
         return cls(
-            arm_from_definition(stated),
-            sensors=sensors_from_definition(stated),
+            arm_from_definition(stored),
+            sensors=sensors_from_definition(stored),
             **definition["simulation"],
         )
 

@@ -81,12 +81,12 @@ def _rows(arm: Arm, run: Run, times: np.ndarray, kind: str) -> Signal:
 
 
 def _wind(run: Run, times: np.ndarray) -> Signal | None:
-    stated = run.definition.section(WindSection)
-    if stated.velocity_m_per_s is not None:
-        return constant(stated.velocity_m_per_s)
+    section = run.definition.section(WindSection)
+    if section.velocity_m_per_s is not None:
+        return constant(section.velocity_m_per_s)
     if not run.winds:
         return None
     velocity = np.zeros((len(times), 3))
     for name, values in run.winds.items():
         velocity[:, run.channels[name].component] = values
-    return logged(times, velocity, stated.interpolation)
+    return logged(times, velocity, section.interpolation)

@@ -17,8 +17,8 @@ from ._protocol import AbstractModel
 def _model_class(kind: str) -> type[AbstractModel]:
     """The class that the kind names; imported only when a model of it is built."""
     module, _, name = KINDS[kind].model.partition(":")
-    found: type[AbstractModel] = getattr(import_module(f".{module}", __package__), name)
-    return found
+    model: type[AbstractModel] = getattr(import_module(f".{module}", __package__), name)
+    return model
 
 
 def model_for(runs: Sequence[Run]) -> AbstractModel:

@@ -22,16 +22,16 @@ _ARGUMENTS = frozenset(signature(chain).parameters)
 def arm_from_definition(definition: Definition) -> Arm:
     """The arm that the `[arm]` section of a sidecar, a fit definition or an arm file states.
 
-    What is not stated is that of the preset.
+    What is not in it is that of the preset.
 
     Raises:
         InputError: an unknown preset or parameter, or lists that do not have one element per
             link.
     """
     section = definition.section(ArmSection)
-    given, values = section.contents(), section.values()
-    changes: dict[str, Any] = {name: given[name] for name in _CHOICES if name in given}
-    others = dict(given.get("parameters") or {})
+    keys, values = section.contents(), section.values()
+    changes: dict[str, Any] = {name: keys[name] for name in _CHOICES if name in keys}
+    others = dict(keys.get("parameters") or {})
     for path, value in values.items():
         if (argument := _argument(path)) in _ARGUMENTS:
             changes[argument] = value
@@ -39,10 +39,10 @@ def arm_from_definition(definition: Definition) -> Arm:
             others.setdefault(path, value)
     if others:
         changes["parameters"] = others
-    if "point_masses" in given:
+    if "point_masses" in keys:
         changes["point_masses"] = _point_masses(section.point_masses or [])
-    name = given.get("preset", DEFAULT_PRESET)
-    return preset(name, given.get("links") or _listed(section), **changes)
+    name = keys.get("preset", DEFAULT_PRESET)
+    return preset(name, keys.get("links") or _listed(section), **changes)
 
 
 def _argument(path: str) -> str:
@@ -58,10 +58,10 @@ def _listed(section: ArmSection) -> int | None:
 def _point_masses(entries: list[PointMass]) -> PointMasses | None:
     if not entries:
         return None
-    stated = [entry.values() for entry in entries]
+    bodies = [entry.values() for entry in entries]
     columns = {}
     for declaration in POINT_MASSES:
-        row = [values.get(declaration.path, 0.0) for values in stated]
+        row = [values.get(declaration.path, 0.0) for values in bodies]
         if not declaration.optional or any(row):
             columns[_name(declaration)] = jnp.asarray(row, dtype=float)
     return PointMasses(links=tuple(entry.link for entry in entries), **columns)
@@ -78,7 +78,7 @@ def arm_to_definition(arm: Arm) -> dict[str, Any]:
     """
     fitted = default_free(arm)
     constants = {path: v for path, v in parameter_values(arm).items() if path not in fitted}
-    stated: dict[str, Any] = {
+    facts: dict[str, Any] = {
         "links": arm.count,
         **ArmSection.keys_of(constants),
         "joint_axes": _axes(arm),
@@ -88,21 +88,22 @@ def arm_to_definition(arm: Arm) -> dict[str, Any]:
         "buoyancy": arm.buoyancy is not None,
     }
     if arm.point_masses is not None:
-        stated["point_masses"] = _entries(arm.point_masses)
+        facts["point_masses"] = _entries(arm.point_masses)
     keyed = {part.path for parts in ArmSection.quantities.values() for part in parts}
     keyed |= {part.path for part in POINT_MASSES}
     others = {}
     for path, parameter in declared(arm).items():
         if path in keyed or path not in constants:
             continue
-        said, value = parameter.declaration, np.asarray(constants[path])
+        declaration, value = parameter.declaration, np.asarray(constants[path])
         # `chain` hangs trim weights at half a link's length, whatever the declared default.
-        usual = said.frozen and not said.optional and bool(np.all(value == said.default))
+        usual = declaration.frozen and not declaration.optional
+        usual = usual and bool(np.all(value == declaration.default))
         if not usual or path == BUOYANCY.trim_position.path:
             others[path] = _plain(value)
     if others:
-        stated["parameters"] = others
-    return stated
+        facts["parameters"] = others
+    return facts
 
 
 def _plain(values: Any) -> Any:

@@ -32,7 +32,7 @@ def seen_with_delays(
     goes on with its last command.
 
     Arguments:
-        motion: the motion at increasing times, from the first sample until a given time.
+        motion: the motion at increasing times, from the first sample until some time.
         times: of the samples, s.
         delays: of each clock, s; None for a clock that is right.
 
@@ -40,8 +40,8 @@ def seen_with_delays(
         What each clock shows, and whether the simulation succeeded.
     """
     first = times[0]
-    wanted = [times if delay is None else times - delay for delay in delays]
-    within = [jnp.where(moments < first, first, moments) for moments in wanted]
+    clocks = [times if delay is None else times - delay for delay in delays]
+    within = [jnp.where(moments < first, first, moments) for moments in clocks]
     together = jnp.concatenate(within)
     order = jnp.argsort(jax.lax.stop_gradient(together))
     # Where the simulation ends changes nothing before it.
@@ -49,7 +49,7 @@ def seen_with_delays(
     moved = motion(together[order], end)
     place = jnp.argsort(order).reshape(len(delays), len(times))
     seen = []
-    for row, moments, inside in zip(place, wanted, within, strict=True):
+    for row, moments, inside in zip(place, clocks, within, strict=True):
         angles, rates = moved.angles[row], moved.rates[row]
         seen.append(Seen(angles + (moments - inside)[:, None] * rates, rates))
     return seen, moved.successful

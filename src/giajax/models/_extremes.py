@@ -26,7 +26,7 @@ def first_extremes(
     Arguments:
         settings: of the model.
         now: its turning points before the run, of the input, SI, shape (extreme,).
-        free: paths of the elements to fit that were given no start.
+        free: paths of the elements to fit that have no start.
 
     Returns:
         Turning points of the shape of `now`; no list where none of them is to be moved.

@@ -66,15 +66,15 @@ class HysteresisModel(AbstractDirectModel):
         inputs = [input_values(run, cls.kind) for run in runs]
         outputs = [values for run in runs for values in run.observations.values()]
         first, *others = runs
-        stated = first.definition.section(HysteresisSection)
+        section = first.definition.section(HysteresisSection)
         for other in others:
-            if other.definition.section(HysteresisSection) != stated:
+            if other.definition.section(HysteresisSection) != section:
                 raise InputError(
                     f"the sidecars of '{first.name}' and '{other.name}' disagree in [hysteresis]: "
                     "correct one, or fit the runs separately"
                 )
-        check_keys(first.name, stated)
-        settings = settings_for(stated, inputs)
+        check_keys(first.name, section)
+        settings = settings_for(section, inputs)
         if not any(turns(values) for values in inputs):
             raise InputError(
                 f"the input of '{first.name}' never turns back, and hysteresis shows only where it "
@@ -85,8 +85,8 @@ class HysteresisModel(AbstractDirectModel):
     @classmethod
     def from_definition(cls, definition: Mapping[str, Any]) -> Self:
         """The operator that `definition()` described."""
-        stated = Definition.parse({"hysteresis": definition["hysteresis"]}, "stored result")
-        settings = settings_for(stated.section(HysteresisSection), [])
+        stored = Definition.parse({"hysteresis": definition["hysteresis"]}, "stored result")
+        settings = settings_for(stored.section(HysteresisSection), [])
         return cls._made(settings, Scale(), Columns.from_definition(definition))
 
     @classmethod

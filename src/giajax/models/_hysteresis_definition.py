@@ -67,13 +67,13 @@ class HysteresisSettings:
         return (self.input_range[1] - self.input_range[0]) / 2
 
 
-def settings_for(stated: HysteresisSection, inputs: Sequence[np.ndarray]) -> HysteresisSettings:
-    """What is stated, and for the rest the default; the range is that of the inputs.
+def settings_for(section: HysteresisSection, inputs: Sequence[np.ndarray]) -> HysteresisSettings:
+    """What the section says, and for the rest the default; the range is that of the inputs.
 
     Raises:
         InputError: an input that never changes.
     """
-    ends = stated.input_range
+    ends = section.input_range
     if ends is None:
         together = np.concatenate([*inputs]) if inputs else np.zeros(1)
         ends = [float(np.min(together)), float(np.max(together))]
@@ -83,7 +83,7 @@ def settings_for(stated: HysteresisSection, inputs: Sequence[np.ndarray]) -> Hys
         )
 
     def chosen(name: str) -> Any:
-        value = getattr(stated, name)
+        value = getattr(section, name)
         if value is None:
             extra = HysteresisSection.model_fields[name].json_schema_extra
             value = extra["preset"] if isinstance(extra, dict) else None
@@ -157,15 +157,15 @@ def operator_from_settings(settings: HysteresisSettings, scale: Scale) -> Abstra
     )
 
 
-def check_keys(name: str, stated: HysteresisSection) -> None:
+def check_keys(name: str, section: HysteresisSection) -> None:
     """Refuse keys of `[hysteresis]` that the operator of a run does not have.
 
     Raises:
         InputError: naming the run, the keys and the operator.
     """
-    operator = stated.operator or "prandtl_ishlinskii"
+    operator = section.operator or "prandtl_ishlinskii"
     known = hysteresis_keys(operator)
-    ignored = [key for key in stated.model_dump(exclude_none=True) if key not in known]
+    ignored = [key for key in section.model_dump(exclude_none=True) if key not in known]
     if ignored:
         raise InputError(
             f"[hysteresis] of '{name}' states {', '.join(ignored)}, which {operator} does not "

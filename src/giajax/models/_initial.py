@@ -22,9 +22,9 @@ def initial_state(run: Run, times: np.ndarray, joints: int) -> tuple[Row, Row]:
     Raises:
         InputError: a list of another length, or `first_row` without what it needs.
     """
-    stated = run.definition.section(InitialSection)
-    if not stated.first_row:
-        values = stated.values()
+    section = run.definition.section(InitialSection)
+    if not section.first_row:
+        values = section.values()
         return (
             _each(run, values.get(INITIAL.angle.path, INITIAL.angle.default), joints),
             _each(run, values.get(INITIAL.rate.path, INITIAL.rate.default), joints),
@@ -43,7 +43,7 @@ def initial_state(run: Run, times: np.ndarray, joints: int) -> tuple[Row, Row]:
         slopes[joint - 1] = _slope(times[:_ROWS], column[:_ROWS])
     if recorded:
         return angles, np.asarray([float(rate[0]) for rate in rates if rate is not None])
-    if not stated.free:
+    if not section.free:
         raise InputError(
             f"[initial] of '{run.name}' says first_row = true, but the rate of a joint has no "
             "value there: record the rates, or let the fit find them with free = true"

@@ -66,8 +66,8 @@ class JointModel(AbstractDirectModel):
     @classmethod
     def from_definition(cls, definition: Mapping[str, Any]) -> Self:
         """The joint that `definition()` described."""
-        stated = Definition.parse({"joint": definition["joint"]}, "stored result")
-        return cls(joint_from_section(stated))
+        stored = Definition.parse({"joint": definition["joint"]}, "stored result")
+        return cls(joint_from_section(stored))
 
     def definition(self) -> dict[str, Any]:
         """The `[joint]` section."""

@@ -53,39 +53,39 @@ class MuscleModel(AbstractDirectModel):
             InputError: the sidecars disagree in [muscle], or state what their law does not know.
         """
         first, *others = runs
-        stated = first.definition.section(MuscleSection)
+        section = first.definition.section(MuscleSection)
         for other in others:
             theirs = other.definition.section(MuscleSection)
-            check_agreement("muscle", (first, stated.contents()), (other, theirs.contents()))
-        return cls.stated(stated)
+            check_agreement("muscle", (first, section.contents()), (other, theirs.contents()))
+        return cls.from_section(section)
 
     @classmethod
     def from_definition(cls, definition: Mapping[str, Any]) -> Self:
         """The muscle that `definition()` described."""
         stored = Definition.parse({"muscle": definition["muscle"]}, "stored result")
-        return cls.stated(stored.section(MuscleSection))
+        return cls.from_section(stored.section(MuscleSection))
 
     @classmethod
-    def stated(cls, stated: MuscleSection) -> Self:
+    def from_section(cls, section: MuscleSection) -> Self:
         """The muscle that a `[muscle]` section states.
 
         Raises:
             InputError: it states what its law does not know, or contradicts itself.
         """
-        law = LAWS[stated.law or BraidedMuscle.name]
-        rubs = stated.friction or ("coulomb" if law is Piston else "none")
-        if rubs == "none" and stated.friction_pressures_kPa is not None:
+        law = LAWS[section.law or BraidedMuscle.name]
+        rubs = section.friction or ("coulomb" if law is Piston else "none")
+        if rubs == "none" and section.friction_pressures_kPa is not None:
             raise InputError(
                 "[muscle] states friction_pressures_kPa, but there is no friction: remove it, or "
                 'state friction = "coulomb"'
             )
-        nodes = tuple(p * _PASCAL for p in stated.friction_pressures_kPa or [0.0])
+        nodes = tuple(p * _PASCAL for p in section.friction_pressures_kPa or [0.0])
         model = cls(
             muscle=law(),
             friction=None if rubs == "none" else Friction.at_pressures(nodes),
-            mean_pressure=stated.pressure == "mean",
+            mean_pressure=section.pressure == "mean",
         )
-        values, known = stated.values(), declared(model)
+        values, known = section.values(), declared(model)
         for path in values:
             if path not in known:
                 raise InputError(

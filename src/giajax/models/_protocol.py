@@ -88,7 +88,7 @@ class AbstractModel(eqx.Module):
 
         Arguments:
             runs: what is fitted to.
-            free: paths of the elements to fit that were given no start.
+            free: paths of the elements to fit that have no start.
         """
 
     @abc.abstractmethod
@@ -101,7 +101,7 @@ class AbstractModel(eqx.Module):
 
     @abc.abstractmethod
     def conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
-        """Sentences: on what the given parameters, fitted to these runs, are conditional."""
+        """Sentences: on what the parameters, fitted to these runs, are conditional."""
 
     @abc.abstractmethod
     def refined(self, factor: float) -> Self:

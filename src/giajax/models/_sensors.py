@@ -110,7 +110,7 @@ class Sensors(eqx.Module):
     encoder: Encoder = eqx.field(default_factory=Encoder)
 
     def check(self, joints: int) -> None:
-        """Refuse what is given for another number of links or joints.
+        """Refuse values for another number of links or joints.
 
         Raises:
             InputError: naming the parameter and both numbers.

@@ -12,7 +12,7 @@ from ._walk import Module, Parameter, left_out
 
 
 def replace(model: Module, values: Mapping[str, Any]) -> Module:
-    """The model with the parameters at the given paths replaced; the model itself is unchanged.
+    """The model with the parameters at some paths replaced; the model itself is unchanged.
 
     An optional parameter that the model leaves out is switched on.
 

@@ -73,10 +73,10 @@ def left_out(model: eqx.Module) -> dict[str, Parameter]:
 
 
 def default_free(model: eqx.Module, started: Iterable[str] = ()) -> tuple[str, ...]:
-    """Paths that a fit frees when nothing is said: those whose declaration is not frozen.
+    """Paths that a fit frees by default: those whose declaration is not frozen.
 
     What the model holds at a bound, such as the spring of a pendulum at zero, is left out of it
-    on purpose, and stays so, unless it is among those that are given a start.
+    on purpose, and stays so, unless it is among those that have a start.
     """
     started = set(started)
 

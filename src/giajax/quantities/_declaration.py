@@ -1,4 +1,4 @@
-"""What is said of a quantity, once: for the model that computes with it and for files."""
+"""The declaration of a quantity, once: for the model that computes with it and for files."""
 
 import dataclasses
 from collections.abc import Iterator

@@ -37,7 +37,7 @@ def equilibria_table(
     for target, reached, both, rests in zip(
         degrees, np.asarray(command.reached), pressures, everything, strict=True
     ):
-        for item in rests.found:
+        for item in rests.every:
             cells: tuple[object, ...] = (
                 target, bool(reached), both[0] / 1e3, both[1] / 1e3, np.rad2deg(item.angle),
                 item.stable, item.stiffness, item.muscle_stiffness, item.at_step, *item.branches,
@@ -86,7 +86,7 @@ def _draw_torque(panel: Axes, pair: JointPair, example_deg: float) -> None:
         torque = net_torque(pair, pressures, load, angle, side)
         panel.plot(np.rad2deg(angle), torque, color=INK, linewidth=1.4)
     panel.axhline(0, color=GREY, linewidth=0.8)
-    for item in equilibria(pair, pressures).found:
+    for item in equilibria(pair, pressures).every:
         colour = BLUE if item.stable else VERMILLION
         panel.plot(np.rad2deg(item.angle), 0, "o", color=colour, markersize=6)
     kilopascals = " and ".join(f"{float(p) / 1e3:.1f}" for p in pressures)
