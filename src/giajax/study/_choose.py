@@ -124,8 +124,8 @@ def choice_hint(runs: Sequence[Run], paths: Sequence[str]) -> str:
         return ""
     words = " ".join(f"--data {shlex.quote(path)}" for path in paths)
     return (
-        "no sidecar states an operator in [hysteresis], so the default was fitted: compare the "
-        f"others with: giajax choose {words}"
+        "no sidecar states an operator in [hysteresis], so the default was fitted: to compare "
+        f"it with the others, run giajax choose {words}"
     )
 
 
