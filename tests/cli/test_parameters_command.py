@@ -26,7 +26,7 @@ def test_the_table_has_a_row_for_every_declaration(capsys):
     for row, (path, parameter) in zip(rows, known.items(), strict=True):
         assert (" off " in row) == (not parameter.is_on(MODEL))
         declaration = parameter.declaration
-        assert row.endswith(declaration.doc), path
+        assert row.endswith(declaration.meaning), path
         assert f" {declaration.default:.10g} " in row
         assert ("free" in row.split()) == (not declaration.frozen)
         assert ("assumed" in row.split()) == declaration.assumed
@@ -40,7 +40,7 @@ def test_json_says_what_is_declared(capsys):
     for path, parameter in declared(MODEL).items():
         declaration = parameter.declaration
         assert facts[path]["unit"] == declaration.unit
-        assert facts[path]["meaning"] == declaration.doc
+        assert facts[path]["meaning"] == declaration.meaning
         assert facts[path]["upper"] == (
             declaration.upper if np.isfinite(declaration.upper) else None
         )
