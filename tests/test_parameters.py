@@ -207,7 +207,7 @@ def test_a_value_outside_its_bounds_is_named_with_its_unit(arm):
     with pytest.raises(InputError) as refused:
         check_within_bounds(find(arm, "joints.damping"), 200.0, free=True)
     assert str(refused.value) == (
-        "joints.damping = 200 N m s/rad is outside its bounds; "
+        "joints.damping = 200 N m s/rad is outside its bounds: "
         "choose a value strictly between 0 and 100 N m s/rad"
     )
 

@@ -112,7 +112,7 @@ def test_the_paths_that_pages_name_are_declared(page):
     known = {path for group in GROUPS.values() for path in paths_of(group)}
     named = re.findall(rf"(?<![\w./])(?:{'|'.join(sorted(PARTS))})\.(?!csv|toml)[a-z_]+\b", text)
     assert named
-    assert set(named) <= known | {"links.skin"}
+    assert set(named) <= known
 
 
 @pytest.mark.quick
