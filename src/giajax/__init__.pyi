@@ -10,6 +10,7 @@ from . import (
     kinds as kinds,
     models as models,
     parameters as parameters,
+    quantities as quantities,
     report as report,
     runs as runs,
     simulation as simulation,

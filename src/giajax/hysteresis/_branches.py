@@ -8,7 +8,7 @@ import numpy.typing as npt
 from .._errors import InputError
 from .._typing import Array, Float, Scalar
 from ..parameters import is_concrete, parameter
-from ..quantities import BRANCHES
+from ..quantities import BRANCH_COMPENSATOR
 from ._operator import AbstractExactOperator
 from ._play import clip, play
 
@@ -51,7 +51,7 @@ class BranchCompensator(AbstractExactOperator):
 
     rising: MonotoneCurve
     falling: MonotoneCurve
-    travel: Scalar = parameter(BRANCHES.travel)
+    travel: Scalar = parameter(BRANCH_COMPENSATOR.travel)
 
     def __check_init__(self) -> None:
         if is_concrete(self.travel) and not 0 < float(self.travel) < np.inf:

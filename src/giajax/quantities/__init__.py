@@ -11,7 +11,7 @@ from ._declaration import Declaration as Declaration, Group as Group, Key as Key
 from ._hysteresis import (
     BOUC_WEN as BOUC_WEN,
     BOUC_WEN_OSCILLATOR as BOUC_WEN_OSCILLATOR,
-    BRANCHES as BRANCHES,
+    BRANCH_COMPENSATOR as BRANCH_COMPENSATOR,
     DEAD_ZONES as DEAD_ZONES,
     LOOP as LOOP,
     MODIFIED_PRANDTL_ISHLINSKII as MODIFIED_PRANDTL_ISHLINSKII,
