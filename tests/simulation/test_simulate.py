@@ -188,6 +188,7 @@ def test_what_comes_after_the_data_changes_nothing_before():
     state = jnp.zeros((2, LINKS))
     tolerances = (jnp.asarray(1e-6), jnp.asarray(1e-6))
     options = {"solver": "tsit5", "max_steps": 10_000, "derivatives": "forward"}
+    options["steps_for"] = "motion"
     wind = steps([0.0, 2.0], [[0.0, 0.0, 0.1], [0.0, 0.1, 0.0]])
 
     def run(times, command, wind):
