@@ -3,13 +3,26 @@
 import itertools
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from giajax import FitTask, InputError, fit, model_for, prediction_errors, read_run
+from giajax import (
+    FitTask,
+    InputError,
+    fit,
+    load_result,
+    model_for,
+    prediction_errors,
+    read_run,
+)
 from giajax.runs import Definition
+from giajax.tasks import _preparation
+
+# Any finished fit will do where none is run.
+FINISHED = Path(__file__).parents[1] / "fitting" / "earlier"
 
 DEFINITION = """
 model = "hysteresis"
@@ -144,6 +157,21 @@ def test_settings_reach_the_fit(path):
     for key, value in {"starts": 2, "seed": 3, "spread": 0.5, "max_iterations": 1}.items():
         assert several.config[key] == value
     assert several.config["loss"] == "huber"
+
+
+def test_an_interruption_of_the_validation_keeps_the_fit(path, monkeypatch):
+    finished = load_result(FINISHED)
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(_preparation, "solve", lambda *_, **__: finished)
+    monkeypatch.setattr(_preparation, "prediction_errors", interrupt)
+    result = FitTask.load(path).run()
+    assert result.status == "interrupted"
+    assert result.message == f"{finished.message}; interrupted before its validation was complete"
+    assert result.parameters == finished.parameters
+    assert result.validation == ()
 
 
 def test_a_solver_is_refused_where_there_is_none(path):

@@ -7,6 +7,7 @@ from ..fitting import (
     MAX_ITERATIONS,
     FitResult,
     Iteration,
+    PredictionErrors,
     Setup,
     prediction_errors,
     set_up,
@@ -64,8 +65,14 @@ class Preparation:
                 announce=announce,
                 check=check,
             )
-        errors = tuple(prediction_errors(result.model, run) for run in self.validation)
-        return dataclasses.replace(result, validation=errors)
+        errors: list[PredictionErrors] = []
+        try:
+            for run in self.validation:
+                errors.append(prediction_errors(result.model, run))
+        except KeyboardInterrupt:  # The fit is done, and took longer.
+            message = f"{result.message}; interrupted before its validation was complete"
+            result = dataclasses.replace(result, status="interrupted", message=message)
+        return dataclasses.replace(result, validation=tuple(errors))
 
 
 def prepare(definition: Definition, runs: Sequence[Run], validation: Sequence[Run]) -> Preparation:
