@@ -76,7 +76,7 @@ def test_an_interruption_keeps_the_best_start_so_far(monkeypatch, interrupted_at
         return finished
 
     monkeypatch.setattr(_multi_start, "solve", solve)
-    monkeypatch.setattr(_multi_start, "_inside", lambda setup, values: {"decay": 2.0})
+    monkeypatch.setattr(_multi_start, "inside_bounds", lambda setup, values: {"decay": 2.0})
     if interrupted_at == 1:
         with pytest.raises(KeyboardInterrupt):
             multi_start(Decay(), run(), starts=3)

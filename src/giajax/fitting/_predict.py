@@ -27,7 +27,7 @@ def predict(
 
     Returns:
         Arrays in SI units of shape (sample,) by channel name; infinite or NaN where the
-        simulation did not get.
+        simulation did not arrive.
 
     Raises:
         InputError: an unknown channel, or a run of another model.

@@ -91,7 +91,7 @@ def step(state: FitState) -> FitState:
 
 
 def trial(state: FitState) -> FitState:
-    """One trial step that counts, and is told."""
+    """One trial step, counted and recorded in the history."""
     tried = dataclasses.replace(step(state), trials=state.trials + 1)
     return tried.recorded(accepted=bool(tried.inner.accepted))
 

@@ -1,4 +1,4 @@
-"""What a person sees of fits and models: tables, figures and files."""
+"""What a person sees of fits and models: tables, pictures and files."""
 
 from .._text import format_estimate as format_estimate
 from ._correlation import correlation_figure as correlation_figure

@@ -19,7 +19,7 @@ from ._style import SIGNATURE, to_png
 
 RESULT = "result.json"
 
-# A figure takes a second, and nobody looks at twenty of them.
+# A picture takes a second, and nobody looks at twenty of them.
 _MOST_RUNS = 6
 
 # What makes two fits the same fit; the iterations allowed and the folder do not.
@@ -32,7 +32,7 @@ def check_folder(
 ) -> None:
     """Refuse a folder that cannot take a result, or holds one of something else.
 
-    To be called before the fit: nobody wants to hear this after it.
+    Call it before the fit, which may take hours.
 
     Arguments:
         folder: where `write_result` is to write; need not exist.
@@ -56,33 +56,36 @@ def check_folder(
         before = record["config"]
         differing = [key for key in _SAME if before.get(key) != _as_json(config.get(key))]
     except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror}); {remedy}") from None
+        raise InputError(f"{path} cannot be read ({error.strerror}): {remedy}") from None
     except (ValueError, KeyError, TypeError, AttributeError):
-        raise InputError(f"{path} is not a result of giajax; {remedy}") from None
+        raise InputError(f"{path} is not a result of giajax: {remedy}") from None
     if checksums != [run.sha256 for run in runs]:
         names = ", ".join(str(run.get("name")) for run in record["runs"])
-        raise InputError(f"{folder} holds the result of other data ({names}); {remedy}")
+        raise InputError(f"{folder} holds the result of other data ({names}): {remedy}")
     if differing:
         what = ", ".join(_WORDS.get(key, key) for key in differing)
         raise InputError(
-            f"{folder} holds the result of another configuration (it differs in {what}); {remedy}"
+            f"{folder} holds the result of another configuration (it differs in {what}): {remedy}"
         )
 
 
 def write_result(result: FitResult, runs: Run | Sequence[Run], folder: str | Path) -> list[Path]:
-    """Write a result to a folder, which is made if it is missing; returns the files.
+    """Write a result to a folder, which is made if it is missing.
 
     `result.json` is the result itself (`giajax.load_result`). `prediction.csv` has the columns of
     the recording with the fitted in place of the recorded values, at every time; for one run it is
-    a run itself, with its sidecar, and for several it has a leading column `run`. Figures show
+    a run itself, with its sidecar, and for several it has a leading column `run`. Pictures show
     recorded against fitted values of each run (of many runs, of those that are described worst),
-    the residuals and the correlations. Each file
-    appears whole or not at all, `result.json` last. Figures of an earlier fit are removed.
+    the residuals and the correlations. Each file appears whole or not at all, `result.json` last.
+    Pictures of an earlier fit are removed.
 
     Arguments:
         result: the result of `fit` or `load_result`.
         runs: the runs that were fitted, in the same order.
-        folder: written over without asking; `check_folder` asks.
+        folder: its files are written over; `check_folder` is what refuses.
+
+    Returns:
+        The files, `result.json` last.
 
     Raises:
         InputError: other runs than those of the result, or the folder cannot be written.
@@ -100,13 +103,13 @@ def write_result(result: FitResult, runs: Run | Sequence[Run], folder: str | Pat
     contents = prediction_files(result, runs, names, predictions)
     interrupted = None
     try:
-        contents.update(_figure_files(result, runs, names, predictions))
-    except KeyboardInterrupt as error:  # figures can be made again; a fit takes longer
+        contents.update(_picture_files(result, runs, names, predictions))
+    except KeyboardInterrupt as error:  # Pictures can be drawn again; a fit takes longer.
         interrupted = error
     contents[RESULT] = result.to_json().encode()
     check_output_folder(folder)
     make_folder(folder)
-    _remove_stale_figures(folder, contents)
+    _remove_stale_pictures(folder, contents)
     paths = {folder / name: data for name, data in contents.items()}
     write_files(paths, force=True)
     if interrupted is not None:
@@ -145,7 +148,7 @@ def _worth_drawing(result: FitResult) -> list[int]:
     return sorted(worst[:_MOST_RUNS])
 
 
-def _figure_files(
+def _picture_files(
     result: FitResult,
     runs: Sequence[Run],
     names: Sequence[str],
@@ -162,12 +165,12 @@ def _figure_files(
     return files
 
 
-def _remove_stale_figures(folder: Path, contents: Mapping[str, bytes]) -> None:
-    """Remove figures that an earlier fit wrote and this one does not."""
+def _remove_stale_pictures(folder: Path, contents: Mapping[str, bytes]) -> None:
+    """Remove pictures that an earlier fit wrote and this one does not."""
     for pattern in ("recorded.png", "recorded_*.png", "residuals.png", "correlation.png"):
         for path in folder.glob(pattern):
             try:
-                # A person's own figure of such a name does not carry the signature.
+                # A person's own picture of such a name does not carry the signature.
                 ours = SIGNATURE.encode() in path.read_bytes()[:200]
                 if path.name not in contents and ours:
                     path.unlink()

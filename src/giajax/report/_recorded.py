@@ -1,4 +1,4 @@
-"""The figure of a run: recorded against fitted."""
+"""The picture of a run: recorded against fitted."""
 
 from collections.abc import Mapping
 from typing import Any

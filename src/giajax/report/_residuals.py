@@ -1,4 +1,4 @@
-"""The figure of the residuals: what the model misses, when and where."""
+"""The picture of the residuals: what the model misses, when and where."""
 
 from collections.abc import Mapping, Sequence
 

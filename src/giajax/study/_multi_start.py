@@ -9,6 +9,7 @@ from .._errors import InputError
 from ..fitting import MAX_ITERATIONS, FitResult, Iteration, Seconds, Setup, Start, set_up, solve
 from ..models import AbstractModel
 from ..runs import Run
+from ._starts import inside_bounds, start_values
 
 # An end whose misfit is this much above the best one, per measured value, is another valley.
 SAME_END = 1e-3
@@ -106,7 +107,7 @@ def solve_from_starts(
     results: list[FitResult] = []
     ends: list[Start] = []
     for number in range(1, starts + 1):
-        values = _values(setup, spread, random if number > 1 else None)
+        values = start_values(setup, spread, random if number > 1 else None)
         try:
             if announce is not None:
                 announce(number, values)
@@ -153,7 +154,7 @@ def _checked(
 ) -> FitResult:
     """The best end fitted again from where it is, with the checks that were left out before."""
     try:
-        inside = setup.started_at(_inside(setup, _end(best)))
+        inside = setup.started_at(inside_bounds(setup, _end(best)))
         again = solve(inside, max_iterations=max_iterations, progress=progress)
     except KeyboardInterrupt:
         return _interrupted(best, "before its result was checked")
@@ -182,38 +183,3 @@ def misfit(result: FitResult) -> float:
 def _end(result: FitResult) -> dict[str, float]:
     """Values of the free parameters where a fit ended, by path."""
     return {path: estimate.value for path, estimate in result.free.items()}
-
-
-def _values(setup: Setup, spread: float, random: np.random.Generator | None) -> dict[str, float]:
-    """Start values by path: those of the setup, or near them."""
-    values = {}
-    for parameter in setup.parameters:
-        declaration, value = parameter.declaration, float(parameter.value(setup.model))
-        lower, upper = declaration.lower, declaration.upper
-        if random is not None:
-            if lower >= 0:
-                value *= (1 + spread) ** random.uniform(-1, 1)
-            else:
-                size = abs(value) or abs(declaration.default) or 1.0
-                value += random.uniform(-1, 1) * spread * size
-            value = _between(value, lower, upper)
-        values[parameter.path] = value
-    return values
-
-
-def _inside(setup: Setup, values: Mapping[str, float]) -> dict[str, float]:
-    """Values strictly between the bounds, at which a fit may start."""
-    return {
-        parameter.path: _between(
-            values[parameter.path], parameter.declaration.lower, parameter.declaration.upper
-        )
-        for parameter in setup.parameters
-    }
-
-
-def _between(value: float, lower: float, upper: float) -> float:
-    if np.isfinite(lower) and np.isfinite(upper):
-        margin = 1e-9 * (upper - lower)
-        return float(np.clip(value, lower + margin, upper - margin))
-    tiny = np.finfo(float).tiny
-    return max(value, lower + tiny) if np.isfinite(lower) else min(value, upper)

@@ -44,7 +44,13 @@ class Preparation:
         *,
         check: bool = True,
     ) -> FitResult:
-        """Fit, and predict the runs of the validation; as `FitTask.run`.
+        """Fit, and predict the runs of the validation.
+
+        Arguments:
+            progress, announce, check: as of `FitTask.run`.
+
+        Returns:
+            As `FitTask.run`.
 
         Raises:
             InputError: the model cannot be evaluated at the start.
@@ -76,7 +82,15 @@ class Preparation:
 
 
 def prepare(definition: Definition, runs: Sequence[Run], validation: Sequence[Run]) -> Preparation:
-    """Build the model of the runs and resolve what the definition asks of it.
+    """Build the model of the runs and resolve the settings of the definition.
+
+    Arguments:
+        definition: all settings.
+        runs: what to fit to.
+        validation: runs that the result must predict.
+
+    Returns:
+        All that a fit needs.
 
     Raises:
         InputError: as `giajax.fit`, apart from a start that cannot be evaluated.
