@@ -65,7 +65,7 @@ def test_a_task_is_made_without_jax(path):
     code = (
         "import sys, giajax; "
         f"task = giajax.FitTask.load({str(path)!r}).on_top(free=['elastic'], starts=3); "
-        "giajax.FitTask.of(data=['a.csv'], tolerance=1e-8); "
+        "giajax.FitTask.of('a.csv').on_top(tolerance=1e-8); "
         "sys.exit(str({'jax', 'equinox', 'matplotlib'} & set(sys.modules) or '') or 0)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
@@ -77,9 +77,11 @@ def test_files_are_beside_the_definition_and_results_are_not(path):
     assert task.data == (path.parent / "loops.csv",)
     assert task.validation == (path.parent / "other.csv",)
     assert str(task.out) == "giajax-out/loops_fit"
-    assert str(FitTask.of(data=["there/a.csv"]).out) == "giajax-out/a"
+    assert str(FitTask.of(["there/a.csv"]).out) == "giajax-out/a"
+    assert FitTask.of("a.csv") == FitTask.of([Path("a.csv")])
     assert str(task.on_top(out="here").out) == "here"
     assert str(task.on_top(data=["a.csv"]).data[0]) == "a.csv"
+    assert task.on_top(validation="b.csv").validation == (Path("b.csv"),)
 
 
 def test_the_last_word_on_a_parameter_counts(path):

@@ -99,6 +99,9 @@ def one_link(
         joint: the simulated joint.
         travel: of eq. (12), rad.
         progress: called with what is being done.
+
+    Returns:
+        The trials, the recording and the fit.
     """
     joint = SimulatedJoint() if joint is None else joint
     say = progress or (lambda text: None)

@@ -24,6 +24,9 @@ def from_differences(values: np.ndarray) -> float:
 
     Arguments:
         values: recorded values, NaN where not measured, shape (sample,).
+
+    Returns:
+        Standard deviation, in the unit of the values; never 0.
     """
     measured = values[~np.isnan(values)]
     second = np.diff(values, 2)
@@ -42,6 +45,9 @@ def from_residuals(residuals: np.ndarray, parameters: float, *, robust: bool) ->
         residuals: recorded minus predicted where measured, shape (n,).
         parameters: degrees of freedom that the fit took from this channel.
         robust: use the median, for a loss that lets outliers stand.
+
+    Returns:
+        Standard deviation, in the unit of the residuals; never 0.
     """
     residuals = np.asarray(residuals, dtype=float)
     if robust:
@@ -102,6 +108,9 @@ class Noise:
             predictions: of the fit, SI, by channel of each run.
             parameters: number of fitted parameters.
             robust: use the median, for a loss that lets outliers stand.
+
+        Returns:
+            The noise to fit with next.
         """
         if self.complete:
             return self

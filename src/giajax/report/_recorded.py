@@ -37,6 +37,9 @@ def recorded_figure(
         run: the recorded run.
         predicted: what the fitted model predicts for it, SI.
         record: the run's entry in `result.runs`.
+
+    Returns:
+        The picture.
     """
     panels, left_out = _panels(run)
     columns = _columns(len(panels))

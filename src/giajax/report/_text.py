@@ -26,12 +26,23 @@ def parameter_table(result: FitResult, width: int | None = None) -> str:
         result: the result of a fit.
         width: columns that there are. Where the remarks do not fit, each goes below its row.
             Without a width nothing is wrapped: a row is a line, for grep and awk.
+
+    Returns:
+        The lines, without a newline at the end.
     """
     return estimate_table(in_column_units(result.shown, result.model), width)
 
 
 def summary(result: FitResult, width: int | None = None) -> str:
-    """How the fit ended, how well it describes the data, and what its values rest on."""
+    """How the fit ended, how well it describes the data, and what its values rest on.
+
+    Arguments:
+        result: the result of a fit.
+        width: columns that there are; without one nothing is wrapped.
+
+    Returns:
+        The lines, without a newline at the end.
+    """
     label = 20
     lines: list[str] = []
     for name, text in summary_rows(result):

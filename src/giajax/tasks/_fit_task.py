@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from ..fitting import FitResult, Iteration
     from ._preparation import Preparation
 
+Paths = str | Path | Sequence[str | Path]
+
 # Where results go by default.
 _OUT = Path("giajax-out")
 
@@ -67,26 +69,22 @@ class FitTask:
         )
 
     @classmethod
-    def of(cls, data: Sequence[str | Path], **settings: Any) -> Self:
-        """The task of some runs.
+    def of(cls, data: Paths) -> Self:
+        """The task of some runs, with every setting at its default; `on_top` changes settings.
 
         Arguments:
-            data: files of the runs to fit.
-            settings: as of `on_top`.
+            data: file or files of the runs to fit.
 
         Returns:
-            The task, with the default of every other setting.
-
-        Raises:
-            InputError: as `on_top`.
+            The task; none of its runs is read yet.
         """
-        return cls(Definition()).on_top(data=data, **settings)
+        return cls(Definition(), data=_paths(data))
 
     def on_top(
         self,
         *,
-        data: Sequence[str | Path] | None = None,
-        validation: Sequence[str | Path] | None = None,
+        data: Paths | None = None,
+        validation: Paths | None = None,
         free: Sequence[str] | None = None,
         start: Mapping[str, float] | None = None,
         fix: Mapping[str, float] | None = None,
@@ -110,7 +108,7 @@ class FitTask:
         here is no longer fixed.
 
         Arguments:
-            data, validation: files, in place of those before.
+            data, validation: file or files, in place of those before.
             free: paths of the parameters to fit, in place of those before.
             start: start values by path, SI.
             fix: values by path that are held, SI.
@@ -154,8 +152,8 @@ class FitTask:
         return dataclasses.replace(
             self,
             definition=Definition.parse(whole, origin),
-            data=self.data if data is None else tuple(map(Path, data)),
-            validation=self.validation if validation is None else tuple(map(Path, validation)),
+            data=self.data if data is None else _paths(data),
+            validation=self.validation if validation is None else _paths(validation),
             rename=self.rename if rename is None else dict(rename),
         )
 
@@ -208,6 +206,11 @@ class FitTask:
             InputError: as `prepare`, or a start from which the model cannot be evaluated.
         """
         return self.prepare().run(progress, announce, check=check)
+
+
+def _paths(files: Paths) -> tuple[Path, ...]:
+    """One file, or several."""
+    return (Path(files),) if isinstance(files, str | Path) else tuple(map(Path, files))
 
 
 def _parameters(
