@@ -1,4 +1,4 @@
-"""The standard deviation of a channel's noise, where nobody stated it."""
+"""The standard deviation of a channel's noise, where no sidecar states it."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -66,7 +66,7 @@ class Noise:
     Attributes:
         declared: what the sidecar of each run says, by channel; None where it says nothing.
         values: what the channels are weighted with.
-        estimated: whether what nobody declared comes from the residuals of a fit.
+        estimated: whether what the sidecars leave out comes from the residuals of a fit.
     """
 
     declared: tuple[Mapping[str, float | None], ...]
@@ -99,7 +99,7 @@ class Noise:
         parameters: int,
         robust: bool,
     ) -> Self:
-        """With what nobody declared from the residuals of a fit.
+        """With what the sidecars leave out from the residuals of a fit.
 
         It stays the same where no channel changes by as much as a fit would notice.
 

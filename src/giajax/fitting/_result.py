@@ -90,7 +90,7 @@ class FitResult:
 
     @property
     def shown(self) -> dict[str, Estimate]:
-        """The free parameters, what follows from them, and those that somebody chose to hold."""
+        """The free parameters, what follows from them, and those that the settings fix."""
         chosen = [path.partition("[")[0] for path in self.config.get("fix", {})]
         held = {path: self.parameters[path] for path in chosen if path in self.parameters}
         return {**self.free, **self.derived, **held}

@@ -48,7 +48,7 @@ def recorded_figure(
     if left_out:
         title += f"; {left_out} more channels are in prediction.csv"
     over, label = abscissa(run)
-    # A curve wants to be about as high as it is wide; a motion wants width.
+    # A curve is read best about as high as it is wide, a motion in a wide picture.
     height = 2.05 if run.drawn_over is None else 3.4
     figure = new_figure(max(3.7 * columns, 6.5), max(height * rows, 2.4) + 0.6, title)
     grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
