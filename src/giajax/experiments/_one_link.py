@@ -93,7 +93,8 @@ def one_link(
     """Run the experiment.
 
     Offsets are removed as the paper does: on its own history the one that makes the mean error
-    least, for each trial. On the other history the camera has not moved, and the offset is the same.
+    least, for each trial. On the other history the camera has not moved: the offset is that of the
+    recording.
 
     Arguments:
         joint: the simulated joint.
