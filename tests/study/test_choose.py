@@ -92,6 +92,8 @@ def test_bad_questions_are_refused():
     run = recording()
     with pytest.raises(InputError, match="no candidate 'duhem'"):
         choose_hysteresis([run], candidates=["duhem"])
+    with pytest.raises(InputError, match="there is no candidate: use some of: play"):
+        choose_hysteresis([run], candidates=[])
     with pytest.raises(InputError, match="between 0 and 1"):
         choose_hysteresis([run], fraction=1.0)
     with pytest.raises(InputError, match="too few to hold out"):

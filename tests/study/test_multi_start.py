@@ -1,11 +1,14 @@
 """Several starts find the valley that one start misses, and say how many did."""
 
+import dataclasses
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from giajax import Run
+from giajax import Run, load_result
 from giajax.report import summary
-from giajax.study import misfit, multi_start
+from giajax.study import _multi_start, misfit, multi_start
 from toy_model import TRUTH, Decay, height, run
 
 
@@ -54,3 +57,37 @@ def test_ends_are_compared_by_likelihood_when_the_noise_is_estimated():
     (channel,) = result.runs[0].channels.values()
     assert channel.noise == pytest.approx(0.01, rel=0.3)
     assert misfit(result) == pytest.approx(result.cost + 60 * np.log(channel.noise))
+
+
+# Any finished fit will do where none is run.
+FINISHED = Path(__file__).parents[1] / "fitting" / "earlier"
+
+
+@pytest.mark.parametrize("interrupted_at", [1, 2, 3, 4])
+def test_an_interruption_keeps_the_best_start_so_far(monkeypatch, interrupted_at):
+    """Before the second start, or the last check, has evaluated anything."""
+    finished = dataclasses.replace(load_result(FINISHED), starts=())
+    calls = []
+
+    def solve(setup, **_):
+        calls.append(setup)
+        if len(calls) == interrupted_at:
+            raise KeyboardInterrupt
+        return finished
+
+    monkeypatch.setattr(_multi_start, "solve", solve)
+    monkeypatch.setattr(_multi_start, "inside_bounds", lambda setup, values: {"decay": 2.0})
+    if interrupted_at == 1:
+        with pytest.raises(KeyboardInterrupt):
+            multi_start(Decay(), run(), starts=3)
+        return
+    result = multi_start(Decay(), run(), starts=3)
+    assert len(calls) == interrupted_at
+    assert result.status == "interrupted"
+    assert result.parameters == finished.parameters
+    at = "before its result was checked" if interrupted_at == 4 else f"at start {interrupted_at}"
+    assert f"; interrupted {at}" in result.message
+    ends = [start.status for start in result.starts]
+    assert ends == ["converged"] * min(interrupted_at - 1, 3) + ["interrupted"] * (
+        interrupted_at < 4
+    )

@@ -3,13 +3,26 @@
 import itertools
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from giajax import FitTask, InputError, fit, model_for, prediction_errors, read_run
+from giajax import (
+    FitTask,
+    InputError,
+    fit,
+    load_result,
+    model_for,
+    prediction_errors,
+    read_run,
+)
 from giajax.runs import Definition
+from giajax.tasks import _preparation
+
+# Any finished fit will do where none is run.
+FINISHED = Path(__file__).parents[1] / "fitting" / "earlier"
 
 DEFINITION = """
 model = "hysteresis"
@@ -52,7 +65,7 @@ def test_a_task_is_made_without_jax(path):
     code = (
         "import sys, giajax; "
         f"task = giajax.FitTask.load({str(path)!r}).on_top(free=['elastic'], starts=3); "
-        "giajax.FitTask.of(data=['a.csv'], tolerance=1e-8); "
+        "giajax.FitTask.of('a.csv').on_top(tolerance=1e-8); "
         "sys.exit(str({'jax', 'equinox', 'matplotlib'} & set(sys.modules) or '') or 0)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
@@ -64,9 +77,11 @@ def test_files_are_beside_the_definition_and_results_are_not(path):
     assert task.data == (path.parent / "loops.csv",)
     assert task.validation == (path.parent / "other.csv",)
     assert str(task.out) == "giajax-out/loops_fit"
-    assert str(FitTask.of(data=["there/a.csv"]).out) == "giajax-out/a"
+    assert str(FitTask.of(["there/a.csv"]).out) == "giajax-out/a"
+    assert FitTask.of("a.csv") == FitTask.of([Path("a.csv")])
     assert str(task.on_top(out="here").out) == "here"
     assert str(task.on_top(data=["a.csv"]).data[0]) == "a.csv"
+    assert task.on_top(validation="b.csv").validation == (Path("b.csv"),)
 
 
 def test_the_last_word_on_a_parameter_counts(path):
@@ -144,6 +159,21 @@ def test_settings_reach_the_fit(path):
     for key, value in {"starts": 2, "seed": 3, "spread": 0.5, "max_iterations": 1}.items():
         assert several.config[key] == value
     assert several.config["loss"] == "huber"
+
+
+def test_an_interruption_of_the_validation_keeps_the_fit(path, monkeypatch):
+    finished = load_result(FINISHED)
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(_preparation, "solve", lambda *_, **__: finished)
+    monkeypatch.setattr(_preparation, "prediction_errors", interrupt)
+    result = FitTask.load(path).run()
+    assert result.status == "interrupted"
+    assert result.message == f"{finished.message}; interrupted before its validation was complete"
+    assert result.parameters == finished.parameters
+    assert result.validation == ()
 
 
 def test_a_solver_is_refused_where_there_is_none(path):

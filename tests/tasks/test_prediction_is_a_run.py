@@ -106,17 +106,15 @@ def record(path, kind, case):
 def test_a_fit_of_a_prediction_gives_the_parameters_back(kind, tmp_path):
     case = CASES[kind]
     path = record(tmp_path / "run.csv", kind, case)
-    ready = FitTask.of(
-        [path],
-        free=list(case["truth"]),
-        start={path: 1.1 * value for path, value in case["truth"].items()},
-    ).prepare()
+    start = {path: 1.1 * value for path, value in case["truth"].items()}
+    ready = FitTask.of(path).on_top(free=list(start), start=start).prepare()
     result = ready.run(check=False)
     assert result.status == "converged"
     write_result(result, ready.runs, tmp_path / "out")
 
     start = {path: 0.8 * estimate.value for path, estimate in result.free.items()}
-    task = FitTask.of([tmp_path / "out" / "prediction.csv"], free=list(start), start=start)
+    prediction = tmp_path / "out" / "prediction.csv"
+    task = FitTask.of(prediction).on_top(free=list(start), start=start)
     again = task.run(check=False)
     assert again.status == "converged"
     # The cells of a prediction have nine digits, and what they were made with is in its sidecar.

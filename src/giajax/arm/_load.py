@@ -68,7 +68,7 @@ def carried_load(
 ) -> Float[Array, "6 link"]:
     """Force that each link needs and its moment about the origin, to be summed from the tip.
 
-    No accelerations stand for zero accelerations.
+    Accelerations of None count as zero.
     """
     links, body, e = arm.links, bodies(arm), here.direction
     span = scaled(links.length, e)

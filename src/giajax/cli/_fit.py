@@ -118,7 +118,7 @@ def fit(
     ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
     figures: Annotated[
-        bool, typer.Option("--figures/--no-figures", help="Draw figures of the result.")
+        bool, typer.Option("--figures/--no-figures", help="Draw pictures of the result.")
     ] = True,
 ) -> None:
     """Fit parameters to runs.

@@ -21,7 +21,15 @@ ONE_LINK_FILES = (
 
 
 def write_one_link(study: OneLink, folder: Path, *, force: bool = False) -> list[Path]:
-    """Write the figure, its numbers, the errors, the recording and the fit; returns the paths.
+    """Write the picture, its numbers, the errors, the recording and the fit.
+
+    Arguments:
+        study: what to write.
+        folder: where; made if it is missing.
+        force: write over files that are there.
+
+    Returns:
+        The paths of the files.
 
     Raises:
         InputError: the folder cannot be made, or (without `force`) a file is there.

@@ -39,6 +39,13 @@ def history(name: str, turns: Sequence[float]) -> History:
     """The paper's preparatory movement, then from turn to turn by 1 deg.
 
     A step takes 5 s, and 20 s where the command is within 30 deg of 0.
+
+    Arguments:
+        name: what to call it.
+        turns: angles that it goes to, one after the other, deg.
+
+    Returns:
+        The history, with the preparation in it.
     """
     before = _steps(PAPER)
     target = np.concatenate([before, _steps(turns)[1:]])

@@ -2,7 +2,7 @@
 
 The joint is recorded while it follows commands; from the recording two compensations are made,
 eq. (12) and the inverse of a modified Prandtl-Ishlinskii operator; and each is judged by how far
-the joint is from where it is to be, on the paper's own history and on another one.
+the joint is from its target, on the paper's own history and on another one.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ from ._simulated_joint import RANGE, SimulatedJoint
 # Nested and displaced loops: where eq. (12) needs one loop, an operator with memory needs more.
 _NESTED = (0, 50, -50, 40, -40, 30, -30, 20, -20, 10, -10, 0, 50, 20, 45, 10, -45, -15, -40, -5, 0)
 
-# The paper does not say within which travel xi goes from 0 to 1.
+# The paper does not say over how much travel xi goes from 0 to 1.
 TRAVEL = np.deg2rad(40.0)
 
 _THRESHOLDS = 12
@@ -67,7 +67,7 @@ class OneLink:
         trials: by history, then by compensation.
         recording: what was identified on, as a run.
         result: the fit of the modified Prandtl-Ishlinskii operator.
-        offset: of the camera, as found on the paper's history, deg.
+        offset: of the camera, by the paper's history, deg.
     """
 
     trials: tuple[Trial, ...]
@@ -93,12 +93,16 @@ def one_link(
     """Run the experiment.
 
     Offsets are removed as the paper does: on its own history the one that makes the mean error
-    least, for each trial. On the other history the camera has not moved: the one found before.
+    least, for each trial. On the other history the camera has not moved: the offset is that of the
+    recording.
 
     Arguments:
         joint: the simulated joint.
         travel: of eq. (12), rad.
         progress: called with what is being done.
+
+    Returns:
+        The trials, the recording and the fit.
     """
     joint = SimulatedJoint() if joint is None else joint
     say = progress or (lambda text: None)

@@ -108,6 +108,9 @@ class SimulatedJoint:
         Arguments:
             commands: shape (sample,), deg.
             trial: another repetition has other noise.
+
+        Returns:
+            Shape (sample,), deg.
         """
         true = np.deg2rad(self.angles(commands, trial=trial) + self.inclination)
         random = np.random.default_rng([self.seed, trial, 2])

@@ -44,6 +44,10 @@ def gradient_check(state: FitState, statistics: Statistics) -> GradientCheck | N
     for the same weight all others would have to move by less than rounding. Nor do those that
     nothing responds to where they ended.
 
+    Arguments:
+        state: the last one.
+        statistics: of the fit.
+
     Returns:
         None where no parameter is left, or a simulation beside the optimum failed.
     """
@@ -82,6 +86,10 @@ def gradient_check(state: FitState, statistics: Statistics) -> GradientCheck | N
 
 def tolerance_effect(state: FitState, statistics: Statistics) -> ToleranceEffect | None:
     """How far the optimum moves, to first order, when the solver tolerance is halved.
+
+    Arguments:
+        state: the last one.
+        statistics: of the fit.
 
     Returns:
         None where no parameter is determined.

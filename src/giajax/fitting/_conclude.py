@@ -30,6 +30,9 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
         check: compute the gradient check and the effect of the solver tolerance.
         max_iterations: that were allowed, for `config`.
         began: when the fit began, by `time.perf_counter`, s.
+
+    Returns:
+        The result.
     """
     if state.ending is None:
         raise ValueError("the fit has not ended: call `descend` first")

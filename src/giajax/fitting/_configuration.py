@@ -30,7 +30,7 @@ class Setup:
         model: with the start values and what is fixed.
         runs: what is fitted to.
         parameters: the scalar parameters to fit, apart from those of single runs.
-        unstarted: paths of those whose start nobody chose.
+        unstarted: paths of those that have no start of the caller's.
         loss: how a large residual counts.
         config: the same as plain data, `config` of the result: two fits of the same data with
             the same one have the same result.
@@ -138,13 +138,13 @@ def _check_determined(
         raise InputError("no parameter is free: free at least one")
     if measured <= count:
         raise InputError(
-            f"{measured} measured values cannot determine {count} parameters and their errors: "
-            "free fewer parameters or give a longer run"
+            f"{measured} measured values cannot determine {count} parameters and their "
+            "standard errors: free fewer parameters or give a longer run"
         )
 
 
 def _check_doubles(runs: Sequence[Run]) -> None:
-    """Refuse a recording that is there twice: its errors would shrink for nothing."""
+    """Refuse a recording that is there twice: standard errors would shrink for nothing."""
     seen: dict[tuple[str, float], str] = {}
     for run in runs:
         if run.sha256 is None:

@@ -37,6 +37,9 @@ def derived_estimates(
             ones on they belong to single runs, and nothing is derived from them.
         jacobian: weighted residuals by them, or the R of its QR factorisation.
         covariance: of them, from any generalised inverse, shape (alive, alive).
+
+    Returns:
+        By name; empty where nothing depends on a free parameter that responds.
     """
     names = [paths[i] for i in alive if i < len(paths)]
     if not names or not model.derived():

@@ -1,4 +1,4 @@
-"""The host loop of a fit: step until the optimum, and estimate the noise that nobody declared."""
+"""The host loop of a fit: step until the optimum, and estimate the noise that no sidecar states."""
 
 import dataclasses
 from collections.abc import Callable, Iterator
@@ -123,7 +123,7 @@ def _to_optimum(state: FitState, max_iterations: int) -> Iterator[FitState]:
 
 
 def _noise_after(state: FitState) -> Noise:
-    """The noise that the residuals show, where nobody declared it."""
+    """The noise that the residuals show, where no sidecar states it."""
     runs = state.setup.runs
     return state.noise.reestimated(
         runs,

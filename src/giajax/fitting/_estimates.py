@@ -14,7 +14,13 @@ _NEARLY_THE_SAME = 0.98
 
 
 def estimates(state: FitState, statistics: Statistics, model: AbstractModel) -> dict[str, Estimate]:
-    """Estimates by path of the parameters: the free ones, then those that the fitted model held."""
+    """Estimates by path of the parameters: the free ones, then those that the fitted model held.
+
+    Arguments:
+        state: the last one.
+        statistics: of the fit.
+        model: the fitted one.
+    """
     active = np.asarray(state.active)
     free = {
         parameter.path: Estimate(
@@ -32,7 +38,15 @@ def estimates(state: FitState, statistics: Statistics, model: AbstractModel) -> 
 
 
 def own_estimates(state: FitState, statistics: Statistics) -> list[dict[str, OwnEstimate]]:
-    """What was fitted of each run alone, by path."""
+    """What was fitted of each run alone, by path.
+
+    Arguments:
+        state: the last one.
+        statistics: of the fit.
+
+    Returns:
+        An estimate by path for each run, in their order.
+    """
     estimates: list[dict[str, OwnEstimate]] = [{} for _ in state.setup.runs]
     for group in state.problem.groups:
         for member, columns in zip(group.members, group.own_columns(), strict=True):
@@ -49,6 +63,9 @@ def remark(statistics: Statistics, index: int, *, moves: bool) -> str:
         statistics: of the fit.
         index: position of the parameter.
         moves: whether any channel responded to it where the fit started.
+
+    Returns:
+        The remark of the parameter's `Estimate`.
     """
     if not moves:
         return "not determined: no channel responds to it; left at its start"

@@ -69,6 +69,9 @@ def build_groups(
         runs: what was recorded.
         sigmas: standard deviations of the channels.
         shared: number of free parameters of the model itself.
+
+    Returns:
+        The groups, in the order of their first runs.
     """
     members: dict[Any, list[int]] = {}
     prepared = [model.prepare(run) for run in runs]

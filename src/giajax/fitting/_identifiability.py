@@ -17,6 +17,9 @@ def responds(norms: np.ndarray, sizes: np.ndarray) -> np.ndarray:
         norms: of the columns of the Jacobian, weighted residuals by the parameters themselves,
             not by the free coordinates, whose slope vanishes near a bound; shape (parameter,).
         sizes: typical size of each parameter, shape (parameter,).
+
+    Returns:
+        True for each that does, shape (parameter,).
     """
     return norms * sizes > _NO_RESPONSE
 
@@ -30,6 +33,9 @@ def undetermined_groups(jacobian: np.ndarray) -> list[list[int]]:
     Arguments:
         jacobian: columns of the parameters that respond, shape (row, parameter); or R of its QR
             factorisation, which has the same singular vectors.
+
+    Returns:
+        Positions of the columns of each group.
     """
     if jacobian.shape[1] < 2:
         return []
@@ -40,7 +46,15 @@ def undetermined_groups(jacobian: np.ndarray) -> list[list[int]]:
 
 
 def largest_correlations(correlation: np.ndarray, limit: float) -> dict[int, tuple[int, float]]:
-    """For each parameter, the partner it is most correlated with, where that exceeds a limit."""
+    """For each parameter, the partner it is most correlated with, where that exceeds a limit.
+
+    Arguments:
+        correlation: shape (parameter, parameter).
+        limit: on the size of the correlation.
+
+    Returns:
+        Position and correlation of the partner, by position of the parameter.
+    """
     partners = {}
     off = np.abs(correlation - np.diag(np.diag(correlation)))
     for i in range(len(correlation)):

@@ -20,6 +20,10 @@ def linearise(
     run by the parameters of another one is ever computed. Each block is reduced to a triangle
     by itself, and the triangles together to R: an orthogonal reduction, as QR of the whole.
 
+    Arguments:
+        coordinate: free coordinates, shape (parameter,).
+        problem: what is minimised.
+
     Returns:
         residual of shape (residual,); blocks of each group, shape (run, row, shared + own);
         R of shape (parameter, parameter); Q^T r; predictions.

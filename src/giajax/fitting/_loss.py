@@ -24,7 +24,15 @@ def check_loss(loss: str) -> None:
 
 
 def transform(loss: str, r: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """t(r): `huber` is quadratic up to |r| = 1, `soft_l1` is 2 (sqrt(1 + r^2) - 1)."""
+    """t(r): `huber` is quadratic up to |r| = 1, `soft_l1` is 2 (sqrt(1 + r^2) - 1).
+
+    Arguments:
+        loss: one of `LOSSES`.
+        r: weighted residuals, any shape.
+
+    Returns:
+        t, of the shape of r.
+    """
     if loss == "linear":
         return r
     if loss == "soft_l1":
@@ -35,7 +43,15 @@ def transform(loss: str, r: Float[Array, "*n"]) -> Float[Array, "*n"]:
 
 
 def influence(loss: str, r: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """psi = rho'/2, its derivative, and t', each at the residuals: what a covariance needs."""
+    """psi = rho'/2, its derivative, and t', each at the residuals: what a covariance needs.
+
+    Arguments:
+        loss: one of `LOSSES`.
+        r: weighted residuals, any shape.
+
+    Returns:
+        psi, psi' and t', each of the shape of r.
+    """
     if loss == "linear":
         return r, np.ones_like(r), np.ones_like(r)
     if loss == "soft_l1":

@@ -1,4 +1,4 @@
-"""The standard deviation of a channel's noise, where nobody stated it."""
+"""The standard deviation of a channel's noise, where no sidecar states it."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -24,6 +24,9 @@ def from_differences(values: np.ndarray) -> float:
 
     Arguments:
         values: recorded values, NaN where not measured, shape (sample,).
+
+    Returns:
+        Standard deviation, in the unit of the values; never 0.
     """
     measured = values[~np.isnan(values)]
     second = np.diff(values, 2)
@@ -42,6 +45,9 @@ def from_residuals(residuals: np.ndarray, parameters: float, *, robust: bool) ->
         residuals: recorded minus predicted where measured, shape (n,).
         parameters: degrees of freedom that the fit took from this channel.
         robust: use the median, for a loss that lets outliers stand.
+
+    Returns:
+        Standard deviation, in the unit of the residuals; never 0.
     """
     residuals = np.asarray(residuals, dtype=float)
     if robust:
@@ -60,7 +66,7 @@ class Noise:
     Attributes:
         declared: what the sidecar of each run says, by channel; None where it says nothing.
         values: what the channels are weighted with.
-        estimated: whether what nobody declared comes from the residuals of a fit.
+        estimated: whether what the sidecars leave out comes from the residuals of a fit.
     """
 
     declared: tuple[Mapping[str, float | None], ...]
@@ -93,7 +99,7 @@ class Noise:
         parameters: int,
         robust: bool,
     ) -> Self:
-        """With what nobody declared from the residuals of a fit.
+        """With what the sidecars leave out from the residuals of a fit.
 
         It stays the same where no channel changes by as much as a fit would notice.
 
@@ -102,6 +108,9 @@ class Noise:
             predictions: of the fit, SI, by channel of each run.
             parameters: number of fitted parameters.
             robust: use the median, for a loss that lets outliers stand.
+
+        Returns:
+            The noise to fit with next.
         """
         if self.complete:
             return self

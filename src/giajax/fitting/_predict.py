@@ -27,7 +27,7 @@ def predict(
 
     Returns:
         Arrays in SI units of shape (sample,) by channel name; infinite or NaN where the
-        simulation did not get.
+        simulation did not arrive.
 
     Raises:
         InputError: an unknown channel, or a run of another model.
@@ -58,7 +58,15 @@ def prediction_errors(
 
 
 def errors_of(run: Run, predicted: Mapping[str, np.ndarray]) -> PredictionErrors:
-    """How far predicted channels (SI, by name) are from what a run recorded of them."""
+    """How far predicted channels (SI, by name) are from what a run recorded of them.
+
+    Arguments:
+        run: what was recorded.
+        predicted: SI, by channel, each of shape (sample,).
+
+    Returns:
+        Errors by channel, in the unit of the recording.
+    """
     errors = {}
     for name, values in predicted.items():
         channel, recorded = run.channels[name], run.observations[name]

@@ -237,8 +237,9 @@ class Start:
     Attributes:
         start: values of the free parameters, by path.
         status: of the fit from there, or "failed" where it could not be evaluated.
-        misfit: minus the logarithm of the likelihood, up to a constant; None where it failed.
-        parameters: where it ended, by path; None where it failed.
+        misfit: minus the logarithm of the likelihood, up to a constant; None where nothing was
+            evaluated.
+        parameters: where it ended, by path; likewise.
         message: why it failed; None where it did not.
     """
 

@@ -34,9 +34,9 @@ SCHEMA_VERSION = 1
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class FitResult:
-    """What a fit says of a model; `result.model` is the fitted one.
+    """What a fit found; `result.model` is the fitted model.
 
-    Printed, it is the table of its parameters, and in a notebook too.
+    It prints as a table of its parameters, and a notebook shows it as one.
 
     Attributes:
         status: "converged", "not_converged" or "interrupted".
@@ -50,10 +50,10 @@ class FitResult:
         iterations: trial steps after the evaluation of the start.
         gradient_check: derivatives by autodiff against central differences at the optimum.
         tolerance_effect: shift of the parameters when the solver tolerance is halved.
-        conditions: sentences: what the values are conditional on.
+        conditions: sentences on what the values are conditional on.
         seconds: wall time, compiling apart.
         versions: of giajax and of the libraries that computed it.
-        config: what was asked for, resolved; with the parameters it rebuilds the model.
+        config: the settings of the fit, resolved; with the parameters it rebuilds the model.
         history: the start and each iteration.
         starts: where the fit was started (`giajax.multi_start`), each with its end; empty for
             one start.
@@ -90,13 +90,16 @@ class FitResult:
 
     @property
     def shown(self) -> dict[str, Estimate]:
-        """The free parameters, what follows from them, and those that somebody chose to hold."""
+        """The free parameters, what follows from them, and those that the settings fix."""
         chosen = [path.partition("[")[0] for path in self.config.get("fix", {})]
         held = {path: self.parameters[path] for path in chosen if path in self.parameters}
         return {**self.free, **self.derived, **held}
 
     def predict(self, run: Run, channels: Sequence[str] | None = None) -> dict[str, np.ndarray]:
-        """Channels (SI) that the fitted model predicts for a run; see `giajax.predict`."""
+        """Channels that the fitted model predicts for a run.
+
+        Arguments, results and errors are those of `giajax.predict`.
+        """
         return predict(self.model, run, channels)
 
     def to_json(self) -> str:
@@ -114,18 +117,19 @@ class FitResult:
         return f"<FitResult: {self.model.kind} model, {free}, {self.status}>"
 
     def __str__(self) -> str:
-        return f"{self._headline()}\n\n{estimate_table(self._table())}"
+        return f"{self.headline}\n\n{estimate_table(self._table())}"
 
     def _repr_html_(self) -> str:
         """What a notebook shows."""
-        return f"<p>{html.escape(self._headline())}</p>{estimate_html(self._table())}"
+        return f"<p>{html.escape(self.headline)}</p>{estimate_html(self._table())}"
 
     def _table(self) -> dict[str, Estimate]:
         """What is shown, in the units of the columns."""
         return in_column_units(self.shown, self.model)
 
-    def _headline(self) -> str:
-        """How it ended; a message about another end than an optimum does not always say so."""
+    @property
+    def headline(self) -> str:
+        """The message, and before it "NOT CONVERGED" where it did not."""
         shouted = "NOT CONVERGED: " if self.status == "not_converged" else ""
         return shouted + self.message
 
@@ -145,7 +149,7 @@ def load_result(path: str | Path) -> FitResult:
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
         if record.pop("schema_version") != SCHEMA_VERSION:
-            raise InputError(f"{path} was written by another version of giajax; run the fit again")
+            raise InputError(f"{path} was written by another version of giajax: run the fit again")
         kind = record.pop("model")
         records = _records(record)
         values = {name: estimate.value for name, estimate in records["parameters"].items()}

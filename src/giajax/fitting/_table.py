@@ -31,6 +31,9 @@ def estimate_table(estimates: Mapping[str, Estimate], width: int | None = None) 
         estimates: by path.
         width: columns that there are. Where the remarks do not fit, each goes below its row.
             Without a width nothing is wrapped: a row is a line, for grep and awk.
+
+    Returns:
+        The lines, without a newline at the end.
     """
     headings = _Row(*_Row._fields)
     rows = _rows(estimates)

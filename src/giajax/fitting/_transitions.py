@@ -91,7 +91,7 @@ def step(state: FitState) -> FitState:
 
 
 def trial(state: FitState) -> FitState:
-    """One trial step that counts, and is told."""
+    """One trial step, counted and recorded in the history."""
     tried = dataclasses.replace(step(state), trials=state.trials + 1)
     return tried.recorded(accepted=bool(tried.inner.accepted))
 
@@ -148,7 +148,16 @@ def release(state: FitState) -> FitState | None:
 
 
 def evaluate(state: FitState, coordinate: Any, problem: Problem | None = None) -> MarquardtState:
-    """Residual and Jacobian at a point, by the same compiled program as a step."""
+    """Residual and Jacobian at a point, by the same compiled program as a step.
+
+    Arguments:
+        state: gives problem, solver and the parameters that may move.
+        coordinate: the point, shape (parameter,).
+        problem: in place of that of the state.
+
+    Returns:
+        The solver's state there.
+    """
     coordinate = jnp.asarray(coordinate, dtype=state.coordinate.dtype)
     problem = state.problem if problem is None else problem
     fresh = _blank(state.solver, problem, coordinate)

@@ -47,6 +47,9 @@ def uncertainty(
         loss: name of the loss.
         measured: which residuals stand for a measured cell, shape (residual,).
         columns: the parameters that the covariance is for.
+
+    Returns:
+        Covariance, and what scaled it.
     """
     count, size = int(np.sum(measured)), len(columns)
     freedom = max(count - size, 1)

@@ -19,13 +19,28 @@ def in_column_units(estimates: Mapping[str, Estimate], model: AbstractModel) -> 
 
     Where a unit is made of "input" and "output", as those of a hysteresis operator are, and the
     model knows its columns; every other estimate stays as it is, in SI.
+
+    Arguments:
+        estimates: by path, in SI.
+        model: the fitted one, which may know its columns.
+
+    Returns:
+        By the same paths.
     """
     columns = _columns(model)
     return {path: _converted(estimate, columns) for path, estimate in estimates.items()}
 
 
 def units_note(estimates: Mapping[str, Estimate], model: AbstractModel) -> str:
-    """A sentence on the units, where `in_column_units` changes numbers; else empty."""
+    """A sentence on the units, where `in_column_units` changes numbers; else empty.
+
+    Arguments:
+        estimates: by path, in SI.
+        model: the fitted one.
+
+    Returns:
+        The sentence, or nothing.
+    """
     columns = _columns(model)
     factors = {_unit(estimate.unit, columns).factor for estimate in estimates.values()}
     if factors <= {1.0}:

@@ -122,6 +122,9 @@ class BoucWen(AbstractOperator):
 
         Arguments:
             inputs, outputs: a history and what `history` gave for it.
+
+        Returns:
+            True where it is.
         """
         z = jnp.max(jnp.abs(outputs - self.elastic * inputs))
         longest = jnp.max(jnp.abs(jnp.diff(inputs)), initial=0)

@@ -40,5 +40,8 @@ class PressureAnswer(eqx.Module):
 
         Arguments:
             index: of the element.
+
+        Returns:
+            The sentence; "reached" where the force is.
         """
         return _MEANING[int(self.code[index])]

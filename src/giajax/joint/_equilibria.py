@@ -1,8 +1,8 @@
 """All angles at which two pressures hold a joint, their stability and stiffness.
 
 Where the muscles are straight their levers grow with the angle of the outer one: the pair is then
-unstable, and the same two pressures hold the joint on either side of 0. That is the singularity
-at 0 deg of which the paper speaks.
+unstable, and the same two pressures hold the joint on either side of 0. That is the paper's
+singularity at 0 deg.
 """
 
 import math

@@ -148,7 +148,7 @@ def _complaints(
     return [
         (
             2 * jnp.hypot(wire_x, crossing - wire_y) > wire,
-            "the wire does not reach around the outer muscle, where it is to be slack: make "
+            "the wire does not reach around the outer muscle, where it must be slack: make "
             "wire_length larger or contact_y smaller",
         ),
         (

@@ -70,7 +70,7 @@ def joint_spring(
         if not (bool(converged) and same_side and inside):
             raise InputError(f"these pressures have no equilibrium near {shown:.4g} deg: {remedy}")
         if not float(spring.stiffness) > 0:
-            raise InputError(f"the equilibrium near {shown:.4g} deg is not stable; {remedy}")
+            raise InputError(f"the equilibrium near {shown:.4g} deg is not stable: {remedy}")
     return spring
 
 

@@ -43,7 +43,7 @@ class Declaration:
         doc: one line of meaning.
         lower, upper: open bounds, SI; a free parameter stays strictly between them.
         frozen: held at its value in a fit unless it is asked for by its path.
-        assumed: the paper gives no figure; this one is a guess that a fit should replace.
+        assumed: the paper gives no number; this one is a guess that a fit should replace.
         optional: may be None, which leaves out its part of the model and the cost of it; its
             default is then the value that it is switched on with.
         shape: of a parameter that is an array of fixed shape, such as a vector.

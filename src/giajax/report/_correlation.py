@@ -1,4 +1,4 @@
-"""The figure of the correlations between what was fitted."""
+"""The picture of the correlations between the estimates."""
 
 import numpy as np
 from matplotlib.figure import Figure

@@ -1,10 +1,8 @@
-"""A result as a folder of files, and whether a folder may take it."""
+"""A result as a folder of files."""
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -19,54 +17,8 @@ from ._style import SIGNATURE, to_png
 
 RESULT = "result.json"
 
-# A figure takes a second, and nobody looks at twenty of them.
+# A picture takes a second, and nobody looks at twenty of them.
 _MOST_RUNS = 6
-
-# What makes two fits the same fit; the iterations allowed and the folder do not.
-_SAME = ("definition", "runs", "free", "start", "fix", "loss")
-_WORDS = {"definition": "the model's constants", "runs": "what the sidecar states", "loss": "loss"}
-
-
-def check_folder(
-    folder: str | Path, runs: Sequence[Run], config: Mapping[str, Any], *, force: bool = False
-) -> None:
-    """Refuse a folder that cannot take a result, or holds one of something else.
-
-    To be called before the fit: nobody wants to hear this after it.
-
-    Arguments:
-        folder: where `write_result` is to write; need not exist.
-        runs: the runs to be fitted.
-        config: of the fit: `Setup.config`, which `giajax.fitting.set_up` makes.
-        force: write over any result that is there.
-
-    Raises:
-        InputError: the folder is a file, cannot be written, or (without `force`) holds the
-            result of other data, of another configuration, or of another program.
-    """
-    folder = Path(folder)
-    check_output_folder(folder)
-    path = folder / RESULT
-    if force or not path.exists():
-        return
-    remedy = "give another --out, or --force to write over it"
-    try:
-        record = json.loads(path.read_text(encoding="utf-8"))
-        checksums = [run["sha256"] for run in record["runs"]]
-        before = record["config"]
-        differing = [key for key in _SAME if before.get(key) != _as_json(config.get(key))]
-    except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror}); {remedy}") from None
-    except (ValueError, KeyError, TypeError, AttributeError):
-        raise InputError(f"{path} is not a result of giajax; {remedy}") from None
-    if checksums != [run.sha256 for run in runs]:
-        names = ", ".join(str(run.get("name")) for run in record["runs"])
-        raise InputError(f"{folder} holds the result of other data ({names}); {remedy}")
-    if differing:
-        what = ", ".join(_WORDS.get(key, key) for key in differing)
-        raise InputError(
-            f"{folder} holds the result of another configuration (it differs in {what}); {remedy}"
-        )
 
 
 def write_result(
@@ -76,19 +28,22 @@ def write_result(
     *,
     figures: bool = True,
 ) -> list[Path]:
-    """Write a result to a folder, which is made if it is missing; returns the files.
+    """Write a result to a folder, which is made if it is missing.
 
     `result.json` is the result itself (`giajax.load_result`). `prediction.csv` has the columns of
     the recording with the fitted in place of the recorded values, at every time; for one run it is
     a run itself, with its sidecar, and for several it has a leading column `run`. Each file appears
     whole or not at all, `result.json` first: what takes longest to compute is on disk before
-    anything else can fail. Figures of an earlier fit are removed.
+    anything else can fail. Pictures of an earlier fit are removed.
 
     Arguments:
         result: the result of `fit` or `load_result`.
         runs: the runs that were fitted, in the same order.
-        folder: written over without asking; `check_folder` asks.
-        figures: whether to draw the figures too; `write_figures` draws them later.
+        folder: its files are written over; `check_folder` is what refuses.
+        figures: whether to draw pictures, too; `write_figures` draws them later.
+
+    Returns:
+        The files, `result.json` first.
 
     Raises:
         InputError: other runs than those of the result, or the folder cannot be written.
@@ -101,27 +56,30 @@ def write_result(
     check_output_folder(folder)
     make_folder(folder)
     files = _written(folder, {RESULT: result.to_json().encode()})
-    _remove_stale_figures(folder)
+    _remove_stale_pictures(folder)
     files += _written(folder, prediction_files(result, runs, names, predictions))
     return files + (write_figures(result, runs, folder) if figures else [])
 
 
 def write_figures(result: FitResult, runs: Run | Sequence[Run], folder: str | Path) -> list[Path]:
-    """Draw a result into the folder that `write_result` wrote; returns the files.
+    """Draw a result into the folder that `write_result` wrote.
 
-    Recorded against fitted values of each run (of many runs, of those that are described worst),
-    the residuals and the correlations.
+    The pictures show recorded against fitted values of each run (of many runs, of those that are
+    described worst), the residuals and the correlations.
 
     Arguments:
         result: the result of `fit` or `load_result`.
         runs: the runs that were fitted, in the same order.
         folder: of the result.
 
+    Returns:
+        The files.
+
     Raises:
         InputError: other runs than those of the result, or the folder cannot be written.
     """
     runs, names, predictions = _parts(result, runs)
-    return _written(Path(folder), _figure_files(result, runs, names, predictions))
+    return _written(Path(folder), _picture_files(result, runs, names, predictions))
 
 
 def _parts(
@@ -140,11 +98,6 @@ def _written(folder: Path, contents: Mapping[str, bytes]) -> list[Path]:
     paths = {folder / name: data for name, data in contents.items()}
     write_files(paths, force=True)
     return list(paths)
-
-
-def _as_json(value: Any) -> Any:
-    """What becomes of a value that is written as JSON and read again."""
-    return json.loads(json.dumps(value))
 
 
 def _unique_names(runs: Sequence[Run]) -> list[str]:
@@ -173,7 +126,7 @@ def _worth_drawing(result: FitResult) -> list[int]:
     return sorted(worst[:_MOST_RUNS])
 
 
-def _figure_files(
+def _picture_files(
     result: FitResult,
     runs: Sequence[Run],
     names: Sequence[str],
@@ -190,12 +143,12 @@ def _figure_files(
     return files
 
 
-def _remove_stale_figures(folder: Path) -> None:
-    """Remove the figures of an earlier fit, which do not show this one."""
+def _remove_stale_pictures(folder: Path) -> None:
+    """Remove the pictures of an earlier fit, which do not show this one."""
     for pattern in ("recorded.png", "recorded_*.png", "residuals.png", "correlation.png"):
         for path in folder.glob(pattern):
             try:
-                # A person's own figure of such a name does not carry the signature.
+                # A person's own picture of such a name does not carry the signature.
                 if SIGNATURE.encode() in path.read_bytes()[:200]:
                     path.unlink()
             except OSError:

@@ -52,6 +52,9 @@ def angle_figure(joint: Joint, *, corrected: bool) -> Figure:
     Arguments:
         joint: the joint.
         corrected: with its corrections (fig. 10), or with none (fig. 9).
+
+    Returns:
+        The picture.
     """
     table = angle_table(joint, corrected=corrected)
     what = "with alpha and beta" if corrected else "without corrections"

@@ -55,6 +55,9 @@ def equilibria_figure(pair: JointPair, table: dict[str, np.ndarray], example_deg
         pair: joint and muscles.
         table: of `equilibria_table`.
         example_deg: target angle whose two pressures are drawn, deg.
+
+    Returns:
+        The picture.
     """
     figure = new_figure(11, 4.2, "Two pressures hold a joint at more than one angle")
     left, right = figure.subplots(1, 2)

@@ -34,6 +34,9 @@ def joint_files(pair: JointPair, degrees: Sequence[float], target: float) -> dic
         pair: joint and muscles.
         degrees: angles at which the joint is drawn, deg.
         target: angle whose two pressures are drawn, deg.
+
+    Returns:
+        Contents by name of the file.
     """
     joint = pair.joint
     readings = [correction_table(joint, reading=name) for name in ("continuous", "printed")]

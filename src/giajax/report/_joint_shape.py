@@ -29,6 +29,9 @@ def joint_figure(joint: Joint, degrees: Sequence[float] = _DRAWN) -> Figure:
     Arguments:
         joint: the joint.
         degrees: bending angles, deg.
+
+    Returns:
+        The picture.
     """
     columns = 2 if len(degrees) > 1 else 1
     rows = -(-len(degrees) // columns)

@@ -22,6 +22,9 @@ def prediction_files(
         runs: the runs that were fitted.
         names: of the runs, each another one.
         predictions: what the fitted model predicts for each run, SI, by channel.
+
+    Returns:
+        The contents, encoded.
     """
     tables = [_table(run, predicted) for run, predicted in zip(runs, predictions, strict=True)]
     if len(runs) == 1:

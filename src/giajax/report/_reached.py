@@ -21,6 +21,10 @@ class Reached:
 def check_figures(model: AbstractModel, definition: Definition) -> None:
     """Refuse `[figures]` of parameters that the model does not have, before anything is fitted.
 
+    Arguments:
+        model: the one that is to be fitted.
+        definition: with its `[figures]`.
+
     Raises:
         InputError: naming the path and the nearest one.
     """
@@ -33,7 +37,15 @@ def check_figures(model: AbstractModel, definition: Definition) -> None:
 
 
 def reached(result: FitResult, definition: Definition) -> list[Reached]:
-    """Compare a result with the `[figures]` of a fit definition."""
+    """Compare a result with the `[figures]` of a fit definition.
+
+    Arguments:
+        result: the result of the fit.
+        definition: with its `[figures]`.
+
+    Returns:
+        One for each figure, in the order of the definition.
+    """
     estimates = {**result.parameters, **result.derived}
     return [
         Reached(path, *_compare(estimates.get(path), figure))

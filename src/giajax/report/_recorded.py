@@ -1,4 +1,4 @@
-"""The figure of a run: recorded against fitted."""
+"""The picture of a run: recorded against fitted."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -37,6 +37,9 @@ def recorded_figure(
         run: the recorded run.
         predicted: what the fitted model predicts for it, SI.
         record: the run's entry in `result.runs`.
+
+    Returns:
+        The picture.
     """
     panels, left_out = _panels(run)
     columns = _columns(len(panels))
@@ -45,7 +48,7 @@ def recorded_figure(
     if left_out:
         title += f"; {left_out} more channels are in prediction.csv"
     over, label = abscissa(run)
-    # A curve wants to be about as high as it is wide; a motion wants width.
+    # A curve is read best about as high as it is wide, a motion in a wide picture.
     height = 2.05 if run.drawn_over is None else 3.4
     figure = new_figure(max(3.7 * columns, 6.5), max(height * rows, 2.4) + 0.6, title)
     grid = figure.subplots(rows, columns, sharex=True, squeeze=False)

@@ -1,4 +1,4 @@
-"""The figure of the residuals: what the model misses, when and where."""
+"""The picture of the residuals: what the model misses, when and where."""
 
 from collections.abc import Mapping, Sequence
 
@@ -15,7 +15,16 @@ from ._style import BLUE, GREY, LIGHT, VERMILLION, new_figure, plain, unfinished
 def residuals_figure(
     result: FitResult, runs: Sequence[Run], predictions: Sequence[Mapping[str, np.ndarray]]
 ) -> Figure:
-    """Residuals in units of the noise: over time, as a distribution, and by channel."""
+    """Residuals in units of the noise: over time, as a distribution, and by channel.
+
+    Arguments:
+        result: the fit.
+        runs: the recorded runs.
+        predictions: what the fitted model predicts for each, SI, by channel.
+
+    Returns:
+        The picture.
+    """
     tables = [
         _weighted(run, predicted, record)
         for run, predicted, record in zip(runs, predictions, result.runs, strict=True)

@@ -22,6 +22,9 @@ def sensitivity_figure(sensitivity: Sensitivity, noise: npt.ArrayLike, title: st
         sensitivity: of the positions to the parameters.
         noise: standard deviation of white noise, SI: one number, or one per channel.
         title: of the whole.
+
+    Returns:
+        The picture.
     """
     names, sizes = sensitivity.lengths()
     shares = information_shares(sensitivity, noise)
@@ -62,14 +65,30 @@ def sensitivity_figure(sensitivity: Sensitivity, noise: npt.ArrayLike, title: st
 
 
 def information_shares(sensitivity: Sensitivity, noise: npt.ArrayLike) -> np.ndarray:
-    """Part of the information about each parameter that each body carries; (body, parameter)."""
+    """Part of the information about each parameter that each body carries.
+
+    Arguments:
+        sensitivity: of the positions to the parameters.
+        noise: standard deviation of white noise, SI: one number, or one per channel.
+
+    Returns:
+        Shares from 0 to 1, shape (body, parameter).
+    """
     alone = np.diagonal(sensitivity.information(noise), axis1=1, axis2=2)
     total = alone.sum(axis=0)
     return np.divide(alone, total, out=np.zeros_like(alone), where=total > 0)
 
 
 def sensitivity_files(sensitivity: Sensitivity, noise: npt.ArrayLike) -> dict[str, str]:
-    """`sensitivity.csv`, derivatives over time, and `information.csv`, by body; as text."""
+    """`sensitivity.csv`, derivatives over time, and `information.csv`, by body; as text.
+
+    Arguments:
+        sensitivity: of the positions to the parameters.
+        noise: standard deviation of white noise, SI: one number, or one per channel.
+
+    Returns:
+        Contents by name of the file.
+    """
     over_time = io.StringIO()
     writer = csv.writer(over_time, lineterminator="\n")
     units = [Channel.named(name).si_unit for name in sensitivity.channels]

@@ -1,4 +1,4 @@
-"""How all figures look, and how they become files. Touches nothing global of matplotlib."""
+"""How all pictures look, and how they become files. Touches nothing global of matplotlib."""
 
 import io
 
@@ -14,13 +14,13 @@ INK, GREY, LIGHT = "#222222", "#767676", "#E3E3E3"
 MINUS = "\N{MINUS SIGN}"
 DEGREE = "\N{DEGREE SIGN}"
 
-# Written into each file: how a later fit knows a figure of an earlier one from a person's.
+# Written into each file: how a later fit knows a picture of an earlier one from a person's.
 SIGNATURE = "giajax fit"
 _DPI = 130
 
 
 def new_figure(width: float, height: float, title: str) -> Figure:
-    """An empty figure of this size (inches)."""
+    """An empty picture of this size (inches)."""
     # A Figure that pyplot does not know has no window and chooses no backend.
     figure = Figure(figsize=(width, height), layout="constrained", facecolor="white")
     figure.suptitle(title, fontsize=10, color=INK, x=0.01, ha="left")
@@ -48,7 +48,7 @@ def unfinished(result: FitResult) -> str:
 
 
 def to_png(figure: Figure) -> bytes:
-    """The figure as a PNG file; the same bytes for the same figure."""
+    """The picture as a PNG file; the same bytes for the same picture."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=_DPI, metadata={"Software": SIGNATURE})
     return buffer.getvalue()

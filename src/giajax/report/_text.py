@@ -18,9 +18,6 @@ from ..study import SAME_END, misfit
 # More lines of residuals than this are summed up.
 _MANY = 8
 
-# The messages of the two others begin with their status.
-_SHOUTED = {"not_converged": "NOT CONVERGED: "}
-
 
 def parameter_table(result: FitResult, width: int | None = None) -> str:
     """The free and the fixed parameters: value, standard error, unit, bounds and remark.
@@ -29,12 +26,23 @@ def parameter_table(result: FitResult, width: int | None = None) -> str:
         result: the result of a fit.
         width: columns that there are. Where the remarks do not fit, each goes below its row.
             Without a width nothing is wrapped: a row is a line, for grep and awk.
+
+    Returns:
+        The lines, without a newline at the end.
     """
     return estimate_table(in_column_units(result.shown, result.model), width)
 
 
 def summary(result: FitResult, width: int | None = None) -> str:
-    """How the fit ended, how well it describes the data, and what its values rest on."""
+    """How the fit ended, how well it describes the data, and what its values rest on.
+
+    Arguments:
+        result: the result of a fit.
+        width: columns that there are; without one nothing is wrapped.
+
+    Returns:
+        The lines, without a newline at the end.
+    """
     label = 20
     lines: list[str] = []
     for name, text in summary_rows(result):
@@ -44,7 +52,7 @@ def summary(result: FitResult, width: int | None = None) -> str:
 
 def summary_rows(result: FitResult) -> list[tuple[str, str]]:
     """The summary as pairs of a label (which may be empty) and a sentence."""
-    rows = [("status", _SHOUTED.get(result.status, "") + result.message)]
+    rows = [("status", result.headline)]
     rows += _labelled("units", [note] if (note := units_note(result.shown, result.model)) else [])
     rows.append(("cost", _number(result.cost)))
     rows.append(("reduced chi-square", _number(result.reduced_chi_square)))

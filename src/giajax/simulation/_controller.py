@@ -52,6 +52,9 @@ def step_size_controller(
         rtol, atol: tolerances of a step.
         corners: times that no step may cross, s.
         rates: of what a derivative may set swinging; None where the motion alone counts.
+
+    Returns:
+        The controller.
     """
     slowness = stable = jnp.full((), jnp.inf)
     if rates is not None:
@@ -68,6 +71,11 @@ def fastest_rate(arm: Arm, angles: Float[Array, " joint"], *, springs: bool = Tr
     """Rate of the fastest motion of springs, dampers and gravity in one configuration, 1/s.
 
     Without `springs`, that of gravity alone.
+
+    Arguments:
+        arm: the arm.
+        angles: of its joints, rad, shape (joint,).
+        springs: whether the springs and dampers of the joints count.
     """
     # Lengths of steps are no part of what is differentiated.
     arm, angles = jax.lax.stop_gradient((arm, angles))

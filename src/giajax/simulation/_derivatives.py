@@ -31,7 +31,12 @@ def adjoint(derivatives: str) -> diffrax.AbstractAdjoint:
 
 
 def guard_outputs(tree: T, derivatives: str) -> T:
-    """The same values; a cotangent that enters a forward-mode simulation raises a sentence."""
+    """The same values; a cotangent that enters a forward-mode simulation raises a sentence.
+
+    Arguments:
+        tree: outputs of a simulation.
+        derivatives: "forward" or "reverse".
+    """
     if derivatives != "forward":
         return tree
     return eqxi.nondifferentiable_backward(
@@ -42,7 +47,12 @@ def guard_outputs(tree: T, derivatives: str) -> T:
 
 
 def guard_inputs(tree: T, derivatives: str) -> T:
-    """The same values; a tangent that enters a reverse-mode simulation raises a sentence."""
+    """The same values; a tangent that enters a reverse-mode simulation raises a sentence.
+
+    Arguments:
+        tree: inputs of a simulation.
+        derivatives: "forward" or "reverse".
+    """
     if derivatives != "reverse":
         return tree
     arrays, rest = eqx.partition(tree, eqx.is_inexact_array)

@@ -20,8 +20,8 @@ class CandidateModel:
     section: Mapping[str, Any]
     free: tuple[str, ...] = ()
 
-    def stated_by(self, run: Run) -> Run:
-        """The run with the `[hysteresis]` of this model; what else is stated there stays."""
+    def applied_to(self, run: Run) -> Run:
+        """A run with this model in its `[hysteresis]`, whose other keys stay."""
         sections, known = run.definition.contents(), hysteresis_keys(self.section["operator"])
         kept = {
             key: value

@@ -42,7 +42,7 @@ class Candidate:
 
     @property
     def converged(self) -> bool:
-        """Whether the fit did: only then its errors are those of the model."""
+        """Whether its fit converged: only then are its errors those of the model."""
         return self.status == "converged"
 
 
@@ -59,7 +59,7 @@ class Choice:
 
     @property
     def best(self) -> Candidate:
-        """The converged candidate with the least error on the held-out loops."""
+        """The first: converged, if any is, and with the least error on the held-out loops."""
         return self.candidates[0]
 
 
@@ -81,11 +81,16 @@ def choose_hysteresis(
         candidates: names of `CANDIDATES`; all by default.
         progress: called with each name before it is fitted.
 
+    Returns:
+        The candidates in their order, the best one first.
+
     Raises:
-        InputError: an unknown name, a fraction that leaves nothing to fit or to judge by, or no
-            hysteresis run.
+        InputError: an unknown name or none, a fraction that leaves nothing to fit or to judge by,
+            or no hysteresis run.
     """
     names = list(CANDIDATES) if candidates is None else list(candidates)
+    if not names:
+        raise InputError(f"there is no candidate: use some of: {', '.join(CANDIDATES)}")
     for name in names:
         if name not in CANDIDATES:
             raise InputError(
@@ -110,11 +115,14 @@ def choose_hysteresis(
 
 
 def choice_hint(runs: Sequence[Run], paths: Sequence[str]) -> str:
-    """A sentence on the other operators, where no run says which one it wants; else empty.
+    """A sentence on the other operators, where no run names one; else empty.
 
     Arguments:
-        runs: that were fitted.
+        runs: the runs that were fitted.
         paths: of their files.
+
+    Returns:
+        The sentence, with the command that compares the operators.
     """
     if any(
         run.model != HysteresisModel.kind
@@ -136,7 +144,7 @@ def _rank(candidate: Candidate) -> tuple[bool, float]:
 
 def _candidate(name: str, fitted: Sequence[Run], judged: Sequence[Run]) -> Candidate:
     candidate = CANDIDATES[name]
-    fitted = [candidate.stated_by(run) for run in fitted]
+    fitted = [candidate.applied_to(run) for run in fitted]
     model = model_for(fitted)
     free = [*default_free(model), *candidate.free]
     result = fit(model, fitted, free=free, check=False, max_iterations=100)

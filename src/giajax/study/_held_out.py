@@ -20,6 +20,9 @@ def parted(run: Run, fraction: float) -> tuple[Run, Run]:
         run: with one measured channel.
         fraction: of the measured values that the second part has, between 0 and 1.
 
+    Returns:
+        The part to fit to, and the part to judge by.
+
     Raises:
         InputError: another fraction, or one that leaves too few values to a part.
     """

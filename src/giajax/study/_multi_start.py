@@ -9,6 +9,7 @@ from .._errors import InputError
 from ..fitting import MAX_ITERATIONS, FitResult, Iteration, Seconds, Setup, Start, set_up, solve
 from ..models import AbstractModel
 from ..runs import Run
+from ._starts import inside_bounds, start_values
 
 # An end whose misfit is this much above the best one, per measured value, is another valley.
 SAME_END = 1e-3
@@ -50,10 +51,11 @@ def multi_start(
         announce: called before each fit with its number, from 1, and its start.
 
     Returns:
-        The best result; `result.starts` tells of all of them.
+        The best result; `result.starts` has where each start ended. Ctrl-C ends the fit and
+        returns the best of those so far.
 
     Raises:
-        InputError: as `giajax.fit`, or no start can be evaluated.
+        InputError: as `giajax.fit`; of the starts, the first one must be evaluable.
     """
     setup = set_up(
         model,
@@ -90,17 +92,25 @@ def solve_from_starts(
 ) -> FitResult:
     """Fit what `giajax.fitting.set_up` resolved from several starts.
 
-    Arguments, results and errors are those of `multi_start`.
+    Arguments:
+        setup: what to fit to what.
+        starts, spread, seed, max_iterations, progress, announce, check: as of `multi_start`.
+
+    Returns:
+        As `multi_start`.
+
+    Raises:
+        InputError: the first start cannot be evaluated.
     """
     setup = setup.at_start()
     random = np.random.default_rng(seed)
     results: list[FitResult] = []
     ends: list[Start] = []
     for number in range(1, starts + 1):
-        values = _values(setup, spread, random if number > 1 else None)
-        if announce is not None:
-            announce(number, values)
+        values = start_values(setup, spread, random if number > 1 else None)
         try:
+            if announce is not None:
+                announce(number, values)
             result = solve(
                 setup.started_at(values),
                 max_iterations=max_iterations,
@@ -112,6 +122,12 @@ def solve_from_starts(
                 raise
             ends.append(Start(values, "failed", message=str(error)))
             continue
+        except KeyboardInterrupt:
+            # Nothing of this start was evaluated; the ends of the others are worth keeping.
+            if not results:
+                raise
+            ends.append(Start(values, "interrupted"))
+            break
         ends.append(Start(values, result.status, misfit(result), _end(result)))
         results.append(result)
         if result.status == "interrupted":
@@ -121,16 +137,40 @@ def solve_from_starts(
         compile=sum(result.seconds.compile for result in results),
         run=sum(result.seconds.run for result in results),
     )
-    if check and best.status == "converged" and ends[-1].status != "interrupted":
-        # From its own end, for the checks that were left out above.
-        inside = setup.started_at(_inside(setup, _end(best)))
-        polished = solve(inside, max_iterations=max_iterations, progress=progress)
-        if polished.status == "converged":
-            best = dataclasses.replace(
-                polished, message=best.message, iterations=best.iterations, history=best.history
-            )
+    stopped = ends[-1].status == "interrupted"
+    if stopped and best.status == "converged":
+        best = _interrupted(best, f"at start {len(ends)} of {starts}")
+    if check and best.status == "converged":
+        best = _checked(setup, best, max_iterations, progress)
     config = {**best.config, "starts": starts, "spread": spread, "seed": seed}
     return dataclasses.replace(best, starts=tuple(ends), config=config, seconds=seconds)
+
+
+def _checked(
+    setup: Setup,
+    best: FitResult,
+    max_iterations: int,
+    progress: Callable[[Iteration], None] | None,
+) -> FitResult:
+    """The best end fitted again from where it is, with the checks that were left out before."""
+    try:
+        inside = setup.started_at(inside_bounds(setup, _end(best)))
+        again = solve(inside, max_iterations=max_iterations, progress=progress)
+    except KeyboardInterrupt:
+        return _interrupted(best, "before its result was checked")
+    if again.status == "interrupted":
+        return _interrupted(best, "before its result was checked")
+    if again.status != "converged":
+        return best
+    return dataclasses.replace(
+        again, message=best.message, iterations=best.iterations, history=best.history
+    )
+
+
+def _interrupted(result: FitResult, when: str) -> FitResult:
+    """The same result; it is the best so far."""
+    message = f"{result.message}; interrupted {when}"
+    return dataclasses.replace(result, status="interrupted", message=message)
 
 
 def misfit(result: FitResult) -> float:
@@ -141,40 +181,5 @@ def misfit(result: FitResult) -> float:
 
 
 def _end(result: FitResult) -> dict[str, float]:
-    """Where a fit ended, by path."""
+    """Values of the free parameters where a fit ended, by path."""
     return {path: estimate.value for path, estimate in result.free.items()}
-
-
-def _values(setup: Setup, spread: float, random: np.random.Generator | None) -> dict[str, float]:
-    """Start values by path: those of the setup, or near them."""
-    values = {}
-    for parameter in setup.parameters:
-        declaration, value = parameter.declaration, float(parameter.value(setup.model))
-        lower, upper = declaration.lower, declaration.upper
-        if random is not None:
-            if lower >= 0:
-                value *= (1 + spread) ** random.uniform(-1, 1)
-            else:
-                size = abs(value) or abs(declaration.default) or 1.0
-                value += random.uniform(-1, 1) * spread * size
-            value = _between(value, lower, upper)
-        values[parameter.path] = value
-    return values
-
-
-def _inside(setup: Setup, values: Mapping[str, float]) -> dict[str, float]:
-    """Values strictly between the bounds, at which a fit may start."""
-    return {
-        parameter.path: _between(
-            values[parameter.path], parameter.declaration.lower, parameter.declaration.upper
-        )
-        for parameter in setup.parameters
-    }
-
-
-def _between(value: float, lower: float, upper: float) -> float:
-    if np.isfinite(lower) and np.isfinite(upper):
-        margin = 1e-9 * (upper - lower)
-        return float(np.clip(value, lower + margin, upper - margin))
-    tiny = np.finfo(float).tiny
-    return max(value, lower + tiny) if np.isfinite(lower) else min(value, upper)

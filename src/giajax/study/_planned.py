@@ -26,6 +26,9 @@ def planned(
         channels: what will be recorded; the positions of all links by default.
         definition: what a sidecar would say.
         name: of the run.
+
+    Returns:
+        The run; the channels to be recorded are 0.
     """
     definition = dict(definition or {})
     arm = {"links": links, **definition.get("arm", {})}

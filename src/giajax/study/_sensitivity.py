@@ -66,6 +66,12 @@ class Sensitivity:
 
         Arguments:
             noise: standard deviation of white noise, SI: one number, or one per channel.
+
+        Returns:
+            Shape (body, parameter, parameter), in 1 over the units of the parameters.
+
+        Raises:
+            InputError: noise that is not positive.
         """
         deviations = np.broadcast_to(np.asarray(noise, dtype=float), (len(self.channels),))
         if not np.all(deviations > 0):
@@ -77,7 +83,7 @@ class Sensitivity:
     def standard_errors(self, noise: npt.ArrayLike) -> Float[np.ndarray, " parameter"]:
         """Errors to expect of a fit of all these parameters to all these channels (Cramer-Rao).
 
-        Infinite for what only a combination of is determined.
+        Infinite where only a combination of parameters is determined.
         """
         return expected_errors(self.information(noise).sum(axis=0))
 
@@ -123,6 +129,9 @@ def sensitivity(
         parameters: paths; an array stands for each of its elements, and what the model leaves
             out is switched on at its default.
         channels: names without unit (`link06_z`); those that the run recorded by default.
+
+    Returns:
+        The derivatives, with what was predicted.
 
     Raises:
         InputError: an unknown parameter or channel, or none.

@@ -15,13 +15,15 @@ if TYPE_CHECKING:
     from ..fitting import FitResult, Iteration
     from ._preparation import Preparation
 
-# Where results go unless somebody says so.
+Paths = str | Path | Sequence[str | Path]
+
+# Where results go by default.
 _OUT = Path("giajax-out")
 
 
 @dataclasses.dataclass(frozen=True)
 class FitTask:
-    """A fit definition with the files it is about, and what was asked on top of it.
+    """A fit definition with its files, and the settings that were put on top of it.
 
     Attributes:
         definition: all settings, merged; what it leaves out has its default.
@@ -51,8 +53,11 @@ class FitTask:
         Arguments:
             path: a TOML file; the files that it names are relative to it.
 
+        Returns:
+            The task; none of its runs is read yet.
+
         Raises:
-            InputError: it is missing, not TOML or not legal.
+            InputError: the file is missing, is no TOML, or has a key or a value that it may not.
         """
         path = Path(path)
         definition = Definition.load(path)
@@ -64,23 +69,22 @@ class FitTask:
         )
 
     @classmethod
-    def of(cls, data: Sequence[str | Path], **settings: Any) -> Self:
-        """The task of some runs.
+    def of(cls, data: Paths) -> Self:
+        """The task of some runs, with every setting at its default; `on_top` changes settings.
 
         Arguments:
-            data: files of the runs to fit.
-            settings: as of `on_top`.
+            data: file or files of the runs to fit.
 
-        Raises:
-            InputError: as `on_top`.
+        Returns:
+            The task; none of its runs is read yet.
         """
-        return cls(Definition()).on_top(data=data, **settings)
+        return cls(Definition(), data=_paths(data))
 
     def on_top(
         self,
         *,
-        data: Sequence[str | Path] | None = None,
-        validation: Sequence[str | Path] | None = None,
+        data: Paths | None = None,
+        validation: Paths | None = None,
         free: Sequence[str] | None = None,
         start: Mapping[str, float] | None = None,
         fix: Mapping[str, float] | None = None,
@@ -99,27 +103,30 @@ class FitTask:
     ) -> Self:
         """The task with some settings changed; what is left out stays.
 
-        `start` and `fix` go path by path, and the last word on a parameter undoes what was said
-        before of the same one: a parameter that is fixed here is no longer free, nor has it a
-        start; one that is free or has a start here is no longer fixed.
+        `start` and `fix` are merged path by path, and the last word on a parameter counts: one
+        that is fixed here is no longer free and loses its start; one that is free or has a start
+        here is no longer fixed.
 
         Arguments:
-            data, validation: files, in place of those before.
+            data, validation: file or files, in place of those before.
             free: paths of the parameters to fit, in place of those before.
             start: start values by path, SI.
             fix: values by path that are held, SI.
-            channels: names without unit of the channels to fit; all that were measured.
+            channels: names without unit of the channels to fit; all that were measured by default.
             window_s: cut each run into windows of this length, s, each with its own start.
-            starts: how many starts; the best end is the result. 1 unless somebody says so.
-            spread: how far the other starts are from the first, relative; 0.3.
-            seed: of the other starts; 0.
+            starts: how many starts (1 by default); the best end is the result.
+            spread: how far the other starts are from the first, relative; 0.3 by default.
+            seed: of the other starts; 0 by default.
             loss: "linear" (the default), "huber" or "soft_l1".
             solver: of the simulation, one of `giajax.SOLVERS`.
             tolerance: relative and absolute tolerance of the simulation.
-            max_iterations: trial steps before the fit gives up; 50.
+            max_iterations: trial steps before the fit gives up; 50 by default.
             out: where the result goes (`giajax-out/` and the name of the definition or run).
             rename: the files' column name -> the name it has in the column table.
             origin: what an error calls the origin of these settings.
+
+        Returns:
+            A new task.
 
         Raises:
             InputError: a value that its key may not have.
@@ -145,8 +152,8 @@ class FitTask:
         return dataclasses.replace(
             self,
             definition=Definition.parse(whole, origin),
-            data=self.data if data is None else tuple(map(Path, data)),
-            validation=self.validation if validation is None else tuple(map(Path, validation)),
+            data=self.data if data is None else _paths(data),
+            validation=self.validation if validation is None else _paths(validation),
             rename=self.rename if rename is None else dict(rename),
         )
 
@@ -159,7 +166,10 @@ class FitTask:
         return _OUT / named.stem
 
     def prepare(self) -> "Preparation":
-        """Read the runs, build their model and resolve the arguments; nothing is evaluated.
+        """Read the runs, build their model and resolve the settings; nothing is evaluated.
+
+        Returns:
+            What `run` fits; its `setup` has the model and the free parameters.
 
         Raises:
             InputError: no data, files that are no runs, or as `giajax.fit`.
@@ -181,8 +191,8 @@ class FitTask:
     ) -> "FitResult":
         """Fit, and predict the runs of the validation.
 
-        JAX computes in 32-bit unless `jax.config.update("jax_enable_x64", True)` came first,
-        which a fit wants; `giajax fit` switches it on by itself.
+        A fit wants 64-bit: call `jax.config.update("jax_enable_x64", True)` first, which
+        `giajax fit` does by itself.
 
         Arguments:
             progress: called after each step with an `Iteration`.
@@ -190,12 +200,17 @@ class FitTask:
             check: compute the gradient check and the effect of the solver tolerance at the end.
 
         Returns:
-            The result, which is not written anywhere.
+            The result; `giajax.write_result` writes it. Ctrl-C returns the best so far.
 
         Raises:
             InputError: as `prepare`, or a start from which the model cannot be evaluated.
         """
         return self.prepare().run(progress, announce, check=check)
+
+
+def _paths(files: Paths) -> tuple[Path, ...]:
+    """One file, or several."""
+    return (Path(files),) if isinstance(files, str | Path) else tuple(map(Path, files))
 
 
 def _parameters(
@@ -204,7 +219,7 @@ def _parameters(
     start: Mapping[str, float],
     fix: Mapping[str, float],
 ) -> dict[str, Any]:
-    """Free, start and fix of a definition with others on top, path by path."""
+    """`free`, `start` and `fix` of a definition with others on top, path by path."""
     below = definition.fit
     freed = below.free if free is None else list(free)
     starts, fixes = dict(below.start or {}), dict(below.fix or {})

@@ -7,6 +7,7 @@ from ..fitting import (
     MAX_ITERATIONS,
     FitResult,
     Iteration,
+    PredictionErrors,
     Setup,
     prediction_errors,
     set_up,
@@ -43,7 +44,13 @@ class Preparation:
         *,
         check: bool = True,
     ) -> FitResult:
-        """Fit, and predict the runs of the validation; as `FitTask.run`.
+        """Fit, and predict the runs of the validation.
+
+        Arguments:
+            progress, announce, check: as of `FitTask.run`.
+
+        Returns:
+            As `FitTask.run`.
 
         Raises:
             InputError: the model cannot be evaluated at the start.
@@ -64,12 +71,26 @@ class Preparation:
                 announce=announce,
                 check=check,
             )
-        errors = tuple(prediction_errors(result.model, run) for run in self.validation)
-        return dataclasses.replace(result, validation=errors)
+        errors: list[PredictionErrors] = []
+        try:
+            for run in self.validation:
+                errors.append(prediction_errors(result.model, run))
+        except KeyboardInterrupt:  # The fit is done, and took longer.
+            message = f"{result.message}; interrupted before its validation was complete"
+            result = dataclasses.replace(result, status="interrupted", message=message)
+        return dataclasses.replace(result, validation=tuple(errors))
 
 
 def prepare(definition: Definition, runs: Sequence[Run], validation: Sequence[Run]) -> Preparation:
-    """Build the model of the runs and resolve what the definition asks of it.
+    """Build the model of the runs and resolve the settings of the definition.
+
+    Arguments:
+        definition: all settings.
+        runs: what to fit to.
+        validation: runs that the result must predict.
+
+    Returns:
+        All that a fit needs.
 
     Raises:
         InputError: as `giajax.fit`, apart from a start that cannot be evaluated.
