@@ -1,4 +1,4 @@
-"""`giajax compensate`: commands that make a hysteretic joint go where it is to go."""
+"""`giajax compensate`: commands that take a hysteretic joint to its targets."""
 
 import dataclasses
 import math

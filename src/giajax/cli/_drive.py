@@ -29,7 +29,7 @@ _MOVE = re.compile(
 )
 
 
-def stated_definition(arm: Path | None, links: int | None, wind: str | None) -> "Definition":
+def definition_from_options(arm: Path | None, links: int | None, wind: str | None) -> "Definition":
     """What the arm file and the options say, the options on top."""
     from ..runs import Definition
 
@@ -51,11 +51,11 @@ def stated_definition(arm: Path | None, links: int | None, wind: str | None) -> 
 
 
 def replayed_run(command: Path, definition: "Definition") -> "Run":
-    """The run whose commands are used, with the arm file's word on what is between its rows."""
+    """The run whose commands are used; between its rows they run as the arm file says."""
     from ..kinds import ArmSection
     from ..runs import Definition, read_run, read_sidecar
 
-    # Which joints there are is told by the arm that recorded it, where the sidecar states one.
+    # The arm that recorded the run says which joints there are, where the sidecar describes it.
     recorded = bool(read_sidecar(command).section(ArmSection).contents())
     keys = ("command", "wind") if recorded else ("arm", "command", "wind")
     section = {key: item for key, item in definition.contents().items() if key in keys}
@@ -83,6 +83,7 @@ def drives_of(run: "Run", rate: float) -> tuple[float, float, list["Drive"]]:
 
 
 def moves_of(step: Sequence[str], ramp: Sequence[str], count: int, duration: float) -> "Drive":
+    """The commands of --step and --ramp, for an arm of `count` joints and a run of a length (s)."""
     from ..synthetic import Move, joint_moves
 
     moves = []
@@ -128,7 +129,7 @@ def model_and_truth(
 
 
 def channel_names(selections: Sequence[str], count: int) -> list[str]:
-    """Channel names of what was asked for, each once, in the order of asking."""
+    """Names of the channels to record, each once, in the order of the options."""
     from ..runs import Channel
 
     if not selections:
@@ -147,7 +148,7 @@ def channel_names(selections: Sequence[str], count: int) -> list[str]:
         channel = Channel.named(name)
         if channel.kind not in ("joint_angle", "joint_rate", "link_position", "tip_position"):
             raise InputError(
-                f"--channels {name!r} is not something an arm is measured by: "
+                f"--channels {name!r} names no channel that an arm is measured by: "
                 "give link06, link06_z, tip, joint03_angle, joint03_rate, joints or all"
             )
         if (channel.index or 1) > count:

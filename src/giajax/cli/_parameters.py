@@ -55,7 +55,7 @@ def parameters(
     from ..runs import Definition, read_run
 
     if run is not None and (arm or preset or links is not None):
-        raise InputError("a run states its arm: leave out --arm, --preset and --links")
+        raise InputError("a run says which model it is of: leave out --arm, --preset and --links")
     recorded = None if run is None else read_run(run)
     definition = Definition() if arm is None else Definition.load(arm)
     options = {"preset": preset, "links": links}
@@ -152,6 +152,10 @@ def _value(fact: dict[str, Any]) -> str:
 
 
 def _bounds(lower: float | None, upper: float | None) -> str:
-    if lower is None or upper is None:
-        return "any" if lower is None else f"above {lower:g}"
+    if lower is None and upper is None:
+        return "any"
+    if lower is None:
+        return f"below {upper:g}"
+    if upper is None:
+        return f"above {lower:g}"
     return f"{lower:g} to {upper:g}"

@@ -10,12 +10,12 @@ from .._errors import InputError
 from ._drive import (
     DURATION,
     channel_names,
+    definition_from_options,
     drives_of,
     facts_of,
     model_and_truth,
     moves_of,
     replayed_run,
-    stated_definition,
 )
 from ._origin import origin
 from ._values import deviations, noise_section
@@ -117,7 +117,7 @@ def simulate(
     _check_numbers(missing=missing, tolerance=tolerance)
     section = noise_section(noise, "--noise")
     check_output_run(out, force=force)
-    definition = stated_definition(arm, links, wind)
+    definition = definition_from_options(arm, links, wind)
     if command is not None and (step or ramp):
         raise InputError(
             "--command gives the commands, and so do --step and --ramp: give one of them"

@@ -16,7 +16,7 @@ Values = dict[str, list[float]]
 
 
 def number(text: str) -> float | None:
-    """The finite number that a text is; None where it is none."""
+    """The finite number that a text says; None where it says no such number."""
     text = text.strip()
     if not re.fullmatch(NUMBER, text):
         return None

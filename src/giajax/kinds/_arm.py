@@ -28,7 +28,7 @@ _CHANNELS = (
 _COMMANDS = ("joint_command", "joint_torque")
 
 
-def _told_by(rows: frozenset[str]) -> bool:
+def _recognises(rows: frozenset[str]) -> bool:
     return bool(rows & {row.name for row in _CHANNELS if row.part != "surroundings"})
 
 
@@ -156,7 +156,7 @@ ARM = Kind(
     name="arm",
     model="_arm:ArmModel",
     channels=_CHANNELS,
-    told_by=_told_by,
+    recognises=_recognises,
     measured="linkNN_z_m or jointNN_angle_deg",
     sections={"arm": ArmSection, "sensors": SensorsSection},
     run_sections={"initial": InitialSection, "command": CommandSection, "wind": WindSection},

@@ -69,7 +69,7 @@ CHANNELS = (
 )
 
 
-def _told_by(rows: frozenset[str]) -> bool:
+def _recognises(rows: frozenset[str]) -> bool:
     return {"command", "angle"} <= rows or {"input", "output"} <= rows
 
 
@@ -89,7 +89,7 @@ HYSTERESIS = Kind(
     name="hysteresis",
     model="_hysteresis:HysteresisModel",
     channels=CHANNELS,
-    told_by=_told_by,
+    recognises=_recognises,
     measured="output or angle_deg",
     sections={"hysteresis": HysteresisSection},
     commands=("input", "command"),

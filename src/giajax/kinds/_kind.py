@@ -132,7 +132,8 @@ class Kind:
         model: module in `giajax.models` and class, as `_arm:ArmModel`; imported when a model is
             built, because that needs JAX.
         channels: rows of the column table, in the order of a written file.
-        told_by: whether a run with these rows is of this kind, where no sidecar says so.
+        recognises: whether a run with these rows is of this kind, where no sidecar says which
+            it is.
         measured: columns to fit, as an example in messages.
         sections: of a definition, that describe the model -> their classes.
         run_sections: of a definition, that describe one run.
@@ -152,7 +153,7 @@ class Kind:
     name: str
     model: str
     channels: tuple[ChannelKind, ...]
-    told_by: Callable[[frozenset[str]], bool]
+    recognises: Callable[[frozenset[str]], bool]
     measured: str
     sections: Mapping[str, type[Section]] = field(default_factory=dict)
     run_sections: Mapping[str, type[Section]] = field(default_factory=dict)

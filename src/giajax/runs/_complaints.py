@@ -24,9 +24,9 @@ def complaint(cls: type[BaseModel], error: ValidationError, source: str) -> Inpu
     if first["type"] == "extra_forbidden":
         return InputError(f"{source}: unknown key {name}{_remedy(cls, owner, path)}")
     if first["type"] == "value_error":  # raised by a validator of the vocabulary, in full
-        said = str(first["ctx"]["error"])
-        where = f"[{name}]" if field is None or said.startswith("key ") else name
-        return InputError(f"{source}: {where} {said}" if name else f"{source}: {said}")
+        sentence = str(first["ctx"]["error"])
+        where = f"[{name}]" if field is None or sentence.startswith("key ") else name
+        return InputError(f"{source}: {where} {sentence}" if name else f"{source}: {sentence}")
     if field is None:
         return InputError(f"{source}: [{name}] must be a table of keys: write it as one")
     # One bad number in a table of numbers is not the whole table.

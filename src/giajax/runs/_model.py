@@ -16,7 +16,7 @@ def belongs(channel: Channel, kind: Kind) -> bool:
 def infer_model(channels: Iterable[Channel]) -> str | None:
     """The kind of model that the channels tell by themselves, or None."""
     rows = frozenset(channel.kind for channel in channels)
-    return next((kind.name for kind in KINDS.values() if kind.told_by(rows)), None)
+    return next((kind.name for kind in KINDS.values() if kind.recognises(rows)), None)
 
 
 def decide_model(channels: Iterable[Channel], sidecar: str | None, source: str) -> str:

@@ -37,9 +37,9 @@ def read_run(
             f"{sidecar.sha256[:12]}...: get the file again, or correct sha256 there"
         )
     if definition is not None:
-        about = run_keys(model=True)
-        about_run = {key: item for key, item in definition.contents().items() if key in about}
-        sidecar = sidecar.merged_with(Definition.parse(about_run))
+        keys = run_keys(model=True)
+        contents = {key: item for key, item in definition.contents().items() if key in keys}
+        sidecar = sidecar.merged_with(Definition.parse(contents))
     return run_of(table, path, sidecar)
 
 

@@ -60,14 +60,16 @@ def windows(run: Run, length: float) -> list[Run]:
     Raises `InputError` if the initial state is stated and would be that of every window, if the
     run has no times, or if a window would hold fewer than four samples or none of a channel.
     """
-    initial = run.definition.section(InitialSection)
-    if not initial.first_row:
+    if run.times is None or InitialSection not in run.kind.run_sections.values():
         raise InputError(
-            f"'{run.name}' is to be cut into windows, each of which needs its own initial state; "
+            f"'{run.name}' cannot be cut into windows, because a run of the {run.model} model has "
+            "no state at a time: leave out the windows"
+        )
+    if not run.definition.section(InitialSection).first_row:
+        raise InputError(
+            f"'{run.name}' cannot be cut into windows, because each needs its own initial state: "
             "say first_row = true in [initial]"
         )
-    if run.times is None:
-        raise InputError(f"'{run.name}' has no times, so it cannot be cut into windows")
     count = max(int(np.floor((run.times[-1] - run.times[0]) / length + 0.5)), 1)
     edges = run.times[0] + length * np.arange(count + 1)
     rows = np.searchsorted(run.times, edges - 1e-9 * length)
