@@ -69,20 +69,26 @@ def check_folder(
         )
 
 
-def write_result(result: FitResult, runs: Run | Sequence[Run], folder: str | Path) -> list[Path]:
+def write_result(
+    result: FitResult,
+    runs: Run | Sequence[Run],
+    folder: str | Path,
+    *,
+    figures: bool = True,
+) -> list[Path]:
     """Write a result to a folder, which is made if it is missing; returns the files.
 
     `result.json` is the result itself (`giajax.load_result`). `prediction.csv` has the columns of
     the recording with the fitted in place of the recorded values, at every time; for one run it is
-    a run itself, with its sidecar, and for several it has a leading column `run`. Figures show
-    recorded against fitted values of each run (of many runs, of those that are described worst),
-    the residuals and the correlations. Each file
-    appears whole or not at all, `result.json` last. Figures of an earlier fit are removed.
+    a run itself, with its sidecar, and for several it has a leading column `run`. Each file appears
+    whole or not at all, `result.json` first: what takes longest to compute is on disk before
+    anything else can fail. Figures of an earlier fit are removed.
 
     Arguments:
         result: the result of `fit` or `load_result`.
         runs: the runs that were fitted, in the same order.
         folder: written over without asking; `check_folder` asks.
+        figures: whether to draw the figures too; `write_figures` draws them later.
 
     Raises:
         InputError: other runs than those of the result, or the folder cannot be written.
@@ -91,26 +97,48 @@ def write_result(result: FitResult, runs: Run | Sequence[Run], folder: str | Pat
         >>> write_result(result, runs, "giajax-out/base_step")  # doctest: +SKIP
     """
     folder = Path(folder)
+    runs, names, predictions = _parts(result, runs)
+    check_output_folder(folder)
+    make_folder(folder)
+    files = _written(folder, {RESULT: result.to_json().encode()})
+    _remove_stale_figures(folder)
+    files += _written(folder, prediction_files(result, runs, names, predictions))
+    return files + (write_figures(result, runs, folder) if figures else [])
+
+
+def write_figures(result: FitResult, runs: Run | Sequence[Run], folder: str | Path) -> list[Path]:
+    """Draw a result into the folder that `write_result` wrote; returns the files.
+
+    Recorded against fitted values of each run (of many runs, of those that are described worst),
+    the residuals and the correlations.
+
+    Arguments:
+        result: the result of `fit` or `load_result`.
+        runs: the runs that were fitted, in the same order.
+        folder: of the result.
+
+    Raises:
+        InputError: other runs than those of the result, or the folder cannot be written.
+    """
+    runs, names, predictions = _parts(result, runs)
+    return _written(Path(folder), _figure_files(result, runs, names, predictions))
+
+
+def _parts(
+    result: FitResult, runs: Run | Sequence[Run]
+) -> tuple[list[Run], list[str], Sequence[Mapping[str, np.ndarray]]]:
+    """The runs of a result, their names as files, and what it predicts for each."""
     runs = [runs] if isinstance(runs, Run) else list(runs)
     if [run.sha256 for run in runs] != [record.sha256 for record in result.runs]:
         raise InputError("the runs are not those of the result: give the same ones in their order")
     # A result that was loaded has no predictions with it.
     predictions = result.predictions or [result.predict(run) for run in runs]
-    names = _unique_names(runs)
-    contents = prediction_files(result, runs, names, predictions)
-    interrupted = None
-    try:
-        contents.update(_figure_files(result, runs, names, predictions))
-    except KeyboardInterrupt as error:  # figures can be made again; a fit takes longer
-        interrupted = error
-    contents[RESULT] = result.to_json().encode()
-    check_output_folder(folder)
-    make_folder(folder)
-    _remove_stale_figures(folder, contents)
+    return runs, _unique_names(runs), predictions
+
+
+def _written(folder: Path, contents: Mapping[str, bytes]) -> list[Path]:
     paths = {folder / name: data for name, data in contents.items()}
     write_files(paths, force=True)
-    if interrupted is not None:
-        raise interrupted
     return list(paths)
 
 
@@ -162,14 +190,13 @@ def _figure_files(
     return files
 
 
-def _remove_stale_figures(folder: Path, contents: Mapping[str, bytes]) -> None:
-    """Remove figures that an earlier fit wrote and this one does not."""
+def _remove_stale_figures(folder: Path) -> None:
+    """Remove the figures of an earlier fit, which do not show this one."""
     for pattern in ("recorded.png", "recorded_*.png", "residuals.png", "correlation.png"):
         for path in folder.glob(pattern):
             try:
                 # A person's own figure of such a name does not carry the signature.
-                ours = SIGNATURE.encode() in path.read_bytes()[:200]
-                if path.name not in contents and ours:
+                if SIGNATURE.encode() in path.read_bytes()[:200]:
                     path.unlink()
             except OSError:
                 continue
