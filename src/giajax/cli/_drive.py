@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .._errors import InputError
-from ._values import NUMBER, number, settings, with_settings
+from ._values import NUMBER, number, plain_settings, settings, with_settings
 
 if TYPE_CHECKING:
     from ..models import ArmModel
@@ -119,13 +119,11 @@ def model_and_truth(
         solver=solver,
         sensors=sensors_from_definition(definition),
     )
-    values = settings(pairs)
-    model = with_settings(model, values)
+    model = with_settings(model, settings(pairs))
     truth = {
         path: float(get(model, path)) for path in default_free(model) if not get(model, path).ndim
     }
-    typed = {path: each[0] if len(each) == 1 else each for path, each in values.items()}
-    return model, {**truth, **typed}
+    return model, {**truth, **plain_settings(pairs, "--set")}
 
 
 def channel_names(selections: Sequence[str], count: int) -> list[str]:

@@ -63,7 +63,7 @@ def windows(run: Run, length: float) -> list[Run]:
     if run.times is None or InitialSection not in run.kind.run_sections.values():
         raise InputError(
             f"'{run.name}' cannot be cut into windows, because a run of the {run.model} model has "
-            "no state at a time: leave out the windows"
+            "no initial state: leave out the windows"
         )
     if not run.definition.section(InitialSection).first_row:
         raise InputError(
