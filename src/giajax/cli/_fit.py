@@ -154,13 +154,14 @@ def fit(
     from ._jax import configure
 
     configure()
+    from ..fitting import column_factors
     from ..report import check_figures, check_folder, write_figures, write_result
     from ..study import choice_hint
 
     ready = task.prepare()
     check_figures(ready.setup.model, task.definition)
     check_folder(task.out, ready.runs, ready.setup.config, force=force)
-    progress = None if quiet else Progress()
+    progress = None if quiet else Progress(column_factors(ready.setup.model))
     result = ready.run(progress, None if progress is None else progress.announce)
     if progress is not None:
         progress.end()

@@ -66,6 +66,7 @@ def parameters(
 
     configure()
 
+    from ..fitting import units_in_si
     from ..models import (
         AbstractModel,
         ArmModel,
@@ -83,7 +84,8 @@ def parameters(
             arm_from_definition(definition), sensors=sensors_from_definition(definition)
         )
     known = [*declared(model).values(), *left_out(model).values()]
-    facts = [_facts(parameter, model) for parameter in known]
+    units = units_in_si(model)
+    facts = [_facts(parameter, units[parameter.path], model) for parameter in known]
     if as_json:
         import json
 
@@ -92,14 +94,14 @@ def parameters(
         _show(facts)
 
 
-def _facts(parameter: "Parameter", model: Any) -> dict[str, Any]:
+def _facts(parameter: "Parameter", unit: str, model: Any) -> dict[str, Any]:
     declaration = parameter.declaration
     on = parameter.is_on(model)
     value = parameter.value(model) if on else None
     shape = declaration.shape if value is None else value.shape
     return {
         "path": parameter.path,
-        "unit": declaration.unit,
+        "unit": unit,
         "value": None if value is None else value.tolist(),
         "default": declaration.default,
         "lower": _finite(declaration.lower),
