@@ -90,10 +90,15 @@ class Definition(_Sections):
 
     @classmethod
     def parse(cls, data: Mapping[str, Any], source: str = "definition") -> "Definition":
-        """The definition that plain data state; `source` names them in errors.
+        """The definition that plain data state.
 
-        Raises `InputError` for an unknown key (with the nearest known one) and for a value that
-        is not what its key must be.
+        Arguments:
+            data: as `tomllib` reads it; mappings, sequences and arrays will do.
+            source: what errors call them.
+
+        Raises:
+            InputError: an unknown key (with the nearest known one), or a value that is not what
+                its key must be.
         """
         try:
             return cls.model_validate(upgraded(plain(data)))
@@ -102,7 +107,11 @@ class Definition(_Sections):
 
     @classmethod
     def load(cls, path: str | Path) -> "Definition":
-        """Read a TOML file. Raises `InputError` if it is missing, not TOML or not legal."""
+        """Read a TOML file.
+
+        Raises:
+            InputError: it is missing, not TOML or not legal.
+        """
         path = Path(path)
         try:
             text = path.read_bytes().decode("utf-8-sig")
@@ -123,7 +132,8 @@ class Definition(_Sections):
     def merged_with(self, other: "Definition") -> "Definition":
         """This definition with what `other` gives on top, key by key within each section.
 
-        Raises `InputError` if the two together contradict themselves.
+        Raises:
+            InputError: the two together contradict themselves.
         """
         merged = self.contents()
         for name, value in other.contents().items():

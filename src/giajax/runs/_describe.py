@@ -15,10 +15,15 @@ _LEAP = 990.0
 
 
 def describe(run: Run) -> dict[str, Any]:
-    """What a run holds: plain data (dicts, lists, str, int, float, bool, None).
+    """What a run holds.
 
-    `name`, `path`, `model`, `rows`, `time` (s), `command`, `wind`, `channels` (each in its
-    recorded unit), `sidecar` and `notes`, sentences on what is assumed because it is not stated.
+    Arguments:
+        run: the run.
+
+    Returns:
+        Plain data (dicts, lists, str, int, float, bool, None): `name`, `path`, `model`, `rows`,
+        `time` (s), `command`, `wind`, `channels` (each in its recorded unit), `sidecar` and
+        `notes`, sentences on what is assumed because it is not stated.
     """
     rows = len(run.times) if run.times is not None else len(next(iter(run.values.values())))
     return {
