@@ -50,10 +50,11 @@ def _check(content: Content, wording: Wording) -> None:
                 f"{wording.source}: {wording.of(channel)} is of {part} {channel.index}, but the "
                 f"arm has {links} links: correct the name, or state links in [arm]"
             )
-    try:
-        section.check_lists(links)
-    except ValueError as error:
-        raise InputError(f"{wording.source}: [arm] {error}") from None
+    for name, lists in (("arm", section), ("sensors", definition.section(SensorsSection))):
+        try:
+            lists.check_lists(links)
+        except ValueError as error:
+            raise InputError(f"{wording.source}: [{name}] {error}") from None
     _check_motion(channels, content, wording, links)
     windy = [channel for channel in channels.values() if channel.kind == "wind"]
     if windy and definition.section(WindSection).velocity_m_per_s is not None:
