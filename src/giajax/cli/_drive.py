@@ -31,10 +31,11 @@ _MOVE = re.compile(
 
 def definition_from_options(arm: Path | None, links: int | None, wind: str | None) -> "Definition":
     """What the arm file and the options say, the options on top."""
+    from ..kinds import ARM
     from ..runs import Definition
 
     definition = Definition() if arm is None else Definition.load(arm)
-    if definition.model not in (None, "arm"):
+    if definition.model not in (None, ARM.name):
         raise InputError(f"{arm} describes a {definition.model}: give the TOML file of an arm")
     if links is not None:
         if links < 1:
@@ -64,10 +65,10 @@ def replayed_run(command: Path, definition: "Definition") -> "Run":
 
 def drives_of(run: "Run", rate: float) -> tuple[float, float, list["Drive"]]:
     """Start of a recorded run, its length in whole samples, its commands and wind."""
-    from ..kinds import CommandSection, WindSection
+    from ..kinds import ARM, CommandSection, WindSection
     from ..synthetic import Drive
 
-    if run.model != "arm" or run.times is None:
+    if run.model != ARM.name or run.times is None:
         raise InputError(f"{run.path} is a run of the {run.model} model: give the run of an arm")
     length = float(run.times[-1] - run.times[0])
     if rate > 0:

@@ -15,7 +15,7 @@ class Key:
     Attributes:
         name: of the key; it ends in its unit, which need not be the SI unit.
         lower, upper: what a file may state, SI, where that is less than the model computes with.
-        closed: whether a bound may be stated itself: an axial inertia of zero.
+        closed: whether the value may be the bound itself, as an axial inertia may be zero.
         example: a value, in the key's unit, that shows more than the default does.
         remark: added to the sentence of what the value must be.
         place: of the quantity in the list of numbers, where several share the key: x, then y.

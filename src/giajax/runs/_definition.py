@@ -28,7 +28,9 @@ class _Head(Section):
     """The keys at the top of a file."""
 
     schema_version: Literal[1] = key("1", "version of this vocabulary", default=1)
-    model: KindName | None = key(one_of(_QUOTED), "what the run is a run of", example="arm")
+    model: KindName | None = key(
+        one_of(_QUOTED), "which model the run is of", example=next(iter(KINDS))
+    )
     origin: str | None = key(
         "text", "where the run comes from", example="who recorded this, with what, when"
     )
