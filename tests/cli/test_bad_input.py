@@ -132,3 +132,12 @@ def test_a_directory_and_another_kind_of_file(tmp_path, capsys):
     assert "is a directory" in capsys.readouterr().err
     assert main(["check", str(tmp_path / "run.xlsx")]) == 2
     assert ".csv or .parquet" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("model", ["nowhere", "missing.toml", "missing.json"])
+def test_a_model_that_is_not_there(tmp_path, capsys, model):
+    run = tmp_path / "run.csv"
+    run.write_text("time_s,joint01_command_deg,link01_z_m\n0,0,0\n1,1,1\n")
+    assert main(["predict", "--model", str(tmp_path / model), "--data", str(run)]) == 2
+    error = capsys.readouterr().err
+    assert f"{model} does not exist: give the folder of a fit, its result.json, or a TOML" in error

@@ -187,6 +187,8 @@ def _task(definition: Path | None, config: Path | None) -> "FitTask":
     from ..tasks import FitTask
 
     if definition is not None and config is not None:
-        raise typer.BadParameter("two fit definitions: give one, as argument or by --config, not both")
+        raise typer.BadParameter(
+            "there are two fit definitions: give one, as argument or by --config, not both"
+        )
     source = definition or config
     return FitTask(Definition()) if source is None else FitTask.load(source)
