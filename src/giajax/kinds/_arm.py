@@ -39,6 +39,10 @@ def links_of(section: ArmSection) -> int | None:
     return DEFAULT_LINKS if section.preset in (None, DEFAULT_PRESET) else None
 
 
+def _interpolation(content: Content) -> str:
+    return content.definition.section(CommandSection).interpolation
+
+
 def _check(content: Content, wording: Wording) -> None:
     channels, definition = content.channels, content.definition
     section = definition.section(ArmSection)
@@ -164,6 +168,7 @@ ARM = Kind(
     commands=_COMMANDS,
     uncommanded="none (free motion)",
     timed=True,
+    interpolation=_interpolation,
     check=_check,
     notes=_notes,
     template=_template,

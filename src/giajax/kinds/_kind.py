@@ -119,6 +119,10 @@ def _over_time(content: Content) -> str | None:
     return None
 
 
+def _linear(content: Content) -> str:
+    return "linear"
+
+
 def _unchanged(data: dict[str, Any]) -> dict[str, Any]:
     return data
 
@@ -140,6 +144,8 @@ class Kind:
         commands: rows of the table that count as a command in a description of a run.
         uncommanded: what a description says of a run without a command; empty: nothing.
         timed: whether every run has times.
+        interpolation: how the commands of a run go between two rows: "linear", "zoh" (held) or
+            "band_limited".
         drawn_over: the input over which measured channels of a run are drawn; None: over time.
         check: raises `InputError` for what no model of this kind could use in a run.
         notes: sentences on what is assumed in a run, because its file does not say it. The
@@ -160,6 +166,7 @@ class Kind:
     commands: tuple[str, ...] = ()
     uncommanded: str = ""
     timed: bool = False
+    interpolation: Callable[[Content], str] = _linear
     drawn_over: Callable[[Content], str | None] = _over_time
     check: Callable[[Content, Wording], None] = _no_check
     notes: Callable[[Content, bool], list[str]] = _no_notes

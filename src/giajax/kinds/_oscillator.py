@@ -3,7 +3,7 @@
 from typing import Any, Literal
 
 from ._hysteresis import CHANNELS
-from ._kind import Kind
+from ._kind import Content, Kind
 from ._section import Section, key
 
 
@@ -20,6 +20,10 @@ class OscillatorSection(Section):
 def _never(rows: frozenset[str]) -> bool:
     """Its columns are those of a hysteresis run: a sidecar must say which it is."""
     return False
+
+
+def _interpolation(content: Content) -> str:
+    return content.definition.section(OscillatorSection).interpolation or "linear"
 
 
 def _upgraded(data: dict[str, Any]) -> dict[str, Any]:
@@ -43,6 +47,7 @@ OSCILLATOR = Kind(
     sections={"oscillator": OscillatorSection},
     commands=("input", "command"),
     timed=True,
+    interpolation=_interpolation,
     former_parameters=frozenset({"previous_extremes"}),
     upgraded=_upgraded,
 )
