@@ -51,11 +51,23 @@ def definition_from_options(arm: Path | None, links: int | None, wind: str | Non
     return definition
 
 
-def replayed_run(command: Path, definition: "Definition") -> "Run":
-    """The run whose commands are used; between its rows they run as the arm file says."""
+def replayed_run(
+    command: Path | None, definition: "Definition", moves: Sequence[str] | None
+) -> "Run | None":
+    """The run of --command, whose commands go between its rows as the arm file says; or None.
+
+    Raises:
+        InputError: there are moves of --step or --ramp beside it, or it is no run.
+    """
     from ..kinds import ArmSection
     from ..runs import Definition, read_run, read_sidecar
 
+    if command is None:
+        return None
+    if moves:
+        raise InputError(
+            "--command gives the commands, and so do --step and --ramp: give one of them"
+        )
     # The arm that recorded the run says which joints there are, where the sidecar describes it.
     recorded = bool(read_sidecar(command).section(ArmSection).contents())
     keys = ("command", "wind") if recorded else ("arm", "command", "wind")

@@ -116,11 +116,7 @@ def sensitivity(
         raise InputError("a run brings its own arm and motion: leave out the options for them")
     recorded = None if run is None else read_run(run)
     sections = definition_from_options(arm, links, wind)
-    if command is not None and (step or ramp):
-        raise InputError(
-            "--command gives the commands, and so do --step and --ramp: give one of them"
-        )
-    replayed = None if command is None else replayed_run(command, sections)
+    replayed = replayed_run(command, sections, step or ramp)
 
     from ._jax import configure
 

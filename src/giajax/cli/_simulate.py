@@ -118,11 +118,7 @@ def simulate(
     section = noise_section(noise, "--noise")
     check_output_run(out, force=force)
     definition = definition_from_options(arm, links, wind)
-    if command is not None and (step or ramp):
-        raise InputError(
-            "--command gives the commands, and so do --step and --ramp: give one of them"
-        )
-    replayed = None if command is None else replayed_run(command, definition)
+    replayed = replayed_run(command, definition, step or ramp)
 
     from ._jax import configure
 

@@ -178,7 +178,7 @@ class CommandSection(Section):
     """`[command]`: how the joint commands run between two rows."""
 
     interpolation: Interpolation = key(
-        _BETWEEN_ROWS, "between two rows: linear, or zoh (held)", default="linear", example="linear"
+        _BETWEEN_ROWS, "between two rows", default="linear", example="linear"
     )
 
 
@@ -186,7 +186,7 @@ class WindSection(Section):
     """`[wind]`: how the wind columns run between two rows, or a constant wind instead."""
 
     interpolation: Interpolation = key(
-        _BETWEEN_ROWS, "between two rows: linear, or zoh (held)", default="linear", example="linear"
+        _BETWEEN_ROWS, "between two rows", default="linear", example="linear"
     )
     velocity_m_per_s: Vector | None = key(
         "a list of three numbers",

@@ -30,7 +30,7 @@ class MuscleSection(_Law):
 
     pressure: Literal["measured", "mean"] | None = key(
         '"measured" or "mean"',
-        "the pressure at each row, or its mean: what was set, where friction moves the gauge",
+        "the pressure at each row, or its mean, which was set where friction moves the gauge",
         preset="measured",
     )
     friction: Literal["coulomb", "none"] | None = key(
