@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .._errors import InputError
+from ._channel_names import channel_names
 from ._drive import (
     DURATION,
-    channel_names,
     definition_from_options,
     drives_of,
     facts_of,

@@ -13,7 +13,7 @@ _EITHER = "a whole number of at least 1, or a list of positive numbers"
 
 
 class HysteresisSection(Section):
-    """`[hysteresis]`: which operator, and what of it is no parameter. Values in SI units."""
+    """`[hysteresis]`: the operator and its options, parameters apart. Values in SI units."""
 
     operator: (
         Literal["prandtl_ishlinskii", "modified_prandtl_ishlinskii", "preisach", "bouc_wen"] | None

@@ -8,7 +8,7 @@ from ._section import Section, key
 
 
 class OscillatorSection(Section):
-    """`[oscillator]`: what of the oscillator is no parameter."""
+    """`[oscillator]`: the options of an oscillator, parameters apart."""
 
     interpolation: Literal["linear", "band_limited"] | None = key(
         '"linear" or "band_limited" (one period of evenly sampled rows)',
