@@ -89,7 +89,14 @@ CASES = {
                   "[wind]\nvelocity_m_per_s = [0, 0, 1]", ["constant wind"]),
     "wrong side": ("side,force_N\ninner,1\nleft,1\n", None, ["'left' in row 3", "inner or outer"]),
     "side missing": ("side,force_N\ninner,1\n,1\n", None, ["row 3", "inner or outer"]),
-    "model unclear": ("force_N,torque_N_m\n1,1\n", None, ["do not tell the model"]),
+    "sensors of another arm": ("time_s,joint01_command_deg,link01_z_m\n0,0,0\n1,1,1\n",
+                               "[sensors]\nmarker_up_m = [0.1, 0.2]",
+                               ["[sensors] key marker_up_m has 2 values", "each of the 20 links"]),
+    "parameter of text": ("time_s,joint01_command_deg\n0,0\n1,1\n",
+                             '[arm.parameters]\n"joints.damping" = [0.1, "x"]',
+                             ["arm.parameters.\"joints.damping\"",
+                              "a finite number or a list of them"]),
+    "model unclear": ("force_N,torque_N_m\n1,1\n", None, ["do not say which model"]),
 }  # fmt: skip
 
 
@@ -125,3 +132,12 @@ def test_a_directory_and_another_kind_of_file(tmp_path, capsys):
     assert "is a directory" in capsys.readouterr().err
     assert main(["check", str(tmp_path / "run.xlsx")]) == 2
     assert ".csv or .parquet" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("model", ["nowhere", "missing.toml", "missing.json"])
+def test_a_model_that_is_not_there(tmp_path, capsys, model):
+    run = tmp_path / "run.csv"
+    run.write_text("time_s,joint01_command_deg,link01_z_m\n0,0,0\n1,1,1\n")
+    assert main(["predict", "--model", str(tmp_path / model), "--data", str(run)]) == 2
+    error = capsys.readouterr().err
+    assert f"{model} does not exist: give the folder of a fit, its result.json, or a TOML" in error

@@ -407,6 +407,8 @@ BAD = {
     "start that is no number": (CSV, "", ["--start", "joints.damping=low"], ["PATH=VALUE"]),
     "start without a value": (CSV, "", ["--start", "joints.damping"], ["PATH=VALUE"]),
     "start without a path": (CSV, "", ["--start", "=1"], ["PATH=VALUE"]),
+    "start of other elements": (CSV, "", ["--start", "camera.origin=0.1,0"],
+                                ["2 values", "3 elements"]),
     "start twice": (CSV, "", ["--start", "joints.damping=1", "--start", "joints.damping=2"],
                     ["twice"]),
     "free and fixed": (CSV, "", ["--free", "joints.damping", "--fix", "joints.damping=1"],

@@ -97,6 +97,21 @@ def refused(capsys, arguments, words):
     assert words in said
 
 
+@pytest.mark.quick
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ([], "need one source: give --model"),
+        (["--loop", "a.csv", "--model", "b"], "and not both"),
+        (["--model", "b", "--travel", "3"], "--travel goes with --loop: give both"),
+        (["--loop", "a.csv", "--travel", "-3"], "--travel is -3: give a positive number"),
+        (["--loop", "a.csv", "--travel", "nan"], "--travel is nan: give a positive number"),
+    ],
+)
+def test_sources_that_cannot_be(capsys, options, sentence):
+    refused(capsys, ["compensate", *options, "--target", "t.csv", "--out", "x.csv"], sentence)
+
+
 def test_bad_input_is_one_sentence(fitted, loops, tmp_path, capsys):
     good = target_file(tmp_path / "target.csv", ANGLES)
     far = target_file(tmp_path / "far.csv", [0, 20, 85])

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from giajax import ArmModel, declared, takeichi_20m
 from giajax.cli import main
@@ -70,6 +71,20 @@ def test_a_run_decides_the_model(capsys):
     assert muscle["friction.half_width"]["elements"] == 1
     assert main(["parameters", str(folder / "none.csv")]) == 2
     assert "does not exist" in capsys.readouterr().err
+
+
+def test_units_of_a_loop_are_those_of_its_columns_in_si(capsys, tmp_path):
+    path = tmp_path / "loop.csv"
+    path.write_text("input_kPa,output_mm\n0,0\n100,2\n50,1.5\n")
+    path.with_suffix(".toml").write_text('model = "hysteresis"\n')
+    facts = listed(capsys, str(path))
+    # --start and --fix take what is listed.
+    assert facts["thresholds"]["value"][-1] == pytest.approx(100e3 / 2 * 10 / 11)
+    units = {name: facts[name]["unit"] for name in ("thresholds", "elastic", "offset")}
+    assert units == {"thresholds": "Pa", "elastic": "m/Pa", "offset": "m"}
+    path.write_text("command_deg,angle_deg\n0,0\n10,2\n5,1.5\n")
+    facts = listed(capsys, str(path))
+    assert (facts["thresholds"]["unit"], facts["elastic"]["unit"]) == ("rad", "")
 
 
 def test_what_an_arm_file_or_preset_switches_on_is_on(capsys, tmp_path):

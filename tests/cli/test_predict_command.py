@@ -45,11 +45,3 @@ def test_one_channel_of_one_model(fitted):
     heading, row = out.splitlines()
     assert "ratio" not in heading
     assert row.split()[1] == "link04_z"
-
-
-@pytest.mark.parametrize("model", ["nowhere", "missing.toml"])
-def test_a_model_that_is_not_there_is_one_sentence(fitted, model):
-    folder, data = fitted
-    status, out, error = giajax("predict", "--model", folder / model, "--data", data)
-    assert (status, out) == (2, "")
-    assert error.count("\n") == 1

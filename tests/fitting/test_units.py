@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from giajax import fit, model_for, read_run
-from giajax.fitting import Estimate, in_column_units, units_note
+from giajax.cli._progress import Progress
+from giajax.fitting import (
+    Estimate,
+    Iteration,
+    column_factors,
+    in_column_units,
+    units_in_si,
+    units_note,
+)
 from giajax.report import parameter_table, summary
 
 
@@ -47,6 +55,19 @@ def test_units_that_cancel_are_none():
     assert one.value == pytest.approx(np.rad2deg([1.0, 2.0]).tolist())
 
 
+def test_units_of_a_fraction_are_told_apart():
+    columns = {"input": "input_deg_per_s", "output": "output_N_m"}
+    assert converted("output/input", columns).unit == "(N m)/(deg/s)"
+    assert converted("input", columns).unit == "deg/s"
+
+
+def test_progress_is_in_the_units_of_the_table(capsys):
+    values = {"elastic": 2e-6, "weights[0]": 3e-6, "decay": 0.5}
+    Progress({"elastic": 1e6, "weights": 1e6})(Iteration(0, 1.0, 0.0, True, values))
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.split() == ["0", "1", "2", "3", "0.5"]
+
+
 def test_what_is_not_known_stays():
     one = converted("output/input", {"input": "input_kPa"})
     assert (one.value, one.unit) == (2.0, "output/input")
@@ -69,3 +90,5 @@ def test_a_loop_is_described_in_its_own_units(tmp_path):
     assert slope == pytest.approx(1e6 * result.parameters["elastic"].value, rel=1e-3)
     assert "units               those of input_kPa and output_mm" in summary(result)
     assert "output/input" not in parameter_table(result)
+    assert column_factors(result.model)["elastic"] == pytest.approx(1e6)
+    assert units_in_si(result.model)["elastic"] == "m/Pa"

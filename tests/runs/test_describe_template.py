@@ -61,6 +61,18 @@ def test_held_commands_have_a_corner_at_each_jump():
     assert describe(run)["command"]["corners"] == 2
 
 
+def test_the_force_of_an_oscillator_runs_as_its_section_says():
+    times = np.arange(4.0)
+    columns = {"input": [0.0, 1.0, 0.0, -1.0], "output": [0.0, 1.0, 0.0, -1.0]}
+    for section, expected in (({}, ("linear", 1)), ({"interpolation": "band_limited"},
+                                                    ("band_limited", 0))):  # fmt: skip
+        run = Run.from_arrays(
+            times, columns, definition={"model": "oscillator", "oscillator": section}
+        )
+        command = describe(run)["command"]
+        assert (command["interpolation"], command["corners"]) == expected
+
+
 def test_a_rounded_ramp_has_corners_only_at_its_ends():
     times = np.linspace(0.0, 4.0, 41)
     ramp = np.interp(times, [1.0, 2.5], [0.0, 40.0])

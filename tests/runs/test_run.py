@@ -160,7 +160,7 @@ WRONG = {
     "noise of command": (TIMES, COMMAND, {"noise": {"joint01_command_deg": 1}}, ["measured"]),
     "model": (TIMES, COMMAND, {"model": "muscle"}, ["'muscle'", "belongs to 'arm'"]),
     "foreign": (TIMES, {**COMMAND, "pressure": [1.0] * 4}, {}, ["'pressure_kPa'", "'arm'"]),
-    "no model": (None, {"force": [1.0] * 4}, {}, ["do not tell the model", 'model = "..."']),
+    "no model": (None, {"force": [1.0] * 4}, {}, ["do not say which model", 'model = "..."']),
     "side": (None, {"side": ["inner", "left"], "force": [1, 2]}, {}, ["'left'", "inner or outer"]),
     "key": (TIMES, COMMAND, {"arm": {"lings": 3}}, ["arm.lings", "arm.links"]),
 }  # fmt: skip

@@ -46,6 +46,11 @@ def test_windows_follow_each_other_without_overlap():
     assert len({part.name for part in parts}) == 4
 
 
+def loop():
+    values = np.sin(TIMES)
+    return Run.from_arrays(TIMES, {"input": values, "output": values}, name="loop")
+
+
 def test_a_window_longer_than_the_run_is_the_run():
     (part,) = windows(swing(), 2.5)
     assert len(part.times) >= 210
@@ -56,6 +61,7 @@ def test_a_window_longer_than_the_run_is_the_run():
     [
         (swing(), 0.03, "fewer than 4 samples"),
         (swing(initial={"angle_deg": 1.0}), 0.5, "first_row = true"),
+        (loop(), 0.5, "hysteresis model .* leave out the windows"),
     ],
 )
 def test_windows_that_cannot_be(run, length, sentence):

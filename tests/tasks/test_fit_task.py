@@ -113,6 +113,28 @@ def test_a_wrong_setting_is_one_sentence(path, settings, part):
         FitTask.load(path).on_top(**settings)
 
 
+def test_an_array_starts_and_is_held_element_by_element(path):
+    path.write_text(
+        path.read_text()
+        .replace("[0.2]", "[0.2, 0.4]")
+        .replace('"weights[0]" = 0.3', "weights = [0.3, 0.1]")
+        .replace('["elastic", "weights[0]"]', '["elastic", "weights"]')
+    )
+    task = FitTask.load(path)
+    setup = task.prepare().setup
+    assert_allclose(setup.model.operator.weights, [0.3, 0.1])
+    assert setup.config["start"] == {"weights": [0.3, 0.1]}
+    held = task.on_top(fix={"weights": [0.5, 0.25]}).prepare().setup
+    assert_allclose(held.model.operator.weights, [0.5, 0.25])
+    assert [parameter.path for parameter in held.parameters] == ["elastic"]
+    # One value by itself is one for all; a list of one is the same.
+    alike = task.on_top(start={"weights": [0.2]}).prepare().setup
+    assert_allclose(alike.model.operator.weights, [0.2, 0.2])
+    assert alike.config["start"] == {"weights": 0.2}
+    with pytest.raises(InputError, match=r"weights is set to 3 values and has 2 elements: give"):
+        task.on_top(start={"weights": [0.1, 0.2, 0.3]}).prepare()
+
+
 def test_no_data_is_one_sentence():
     with pytest.raises(InputError, match="no data: give"):
         FitTask(Definition()).run()

@@ -71,8 +71,8 @@ _COMMANDS: tuple[tuple[Callable[..., None], str], ...] = (
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run `giajax` with these arguments (those of the process by default).
 
-    Returns the exit status: 0, 2 for bad input or usage, 130 when interrupted, else what the
-    command says.
+    Returns:
+        The exit status: 0, 2 for bad input or usage, 130 when interrupted, else the command's own.
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
     return run(typer.main.get_command(_app_for(words)), words)

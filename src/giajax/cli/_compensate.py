@@ -1,4 +1,4 @@
-"""`giajax compensate`: commands that make a hysteretic joint go where it is to go."""
+"""`giajax compensate`: commands that take a hysteretic joint to its targets."""
 
 import dataclasses
 import math
@@ -52,14 +52,19 @@ def compensate(
     modified form; with --loop by eq. (12) of the paper.
     """
     if (model is None) == (loop is None):
-        raise typer.BadParameter("give --model with a fit, or --loop with a run, and not both")
-    if travel is not None and (loop is None or not 0 < travel < math.inf):
-        raise typer.BadParameter("--travel goes with --loop and is a positive number")
+        raise typer.BadParameter(
+            "commands need one source: give --model with a fit, or --loop with a run, and not both"
+        )
+    if travel is not None and loop is None:
+        raise typer.BadParameter("--travel goes with --loop: give both, or leave it out")
+    if travel is not None and not 0 < travel < math.inf:
+        raise typer.BadParameter(f"--travel is {travel:g}: give a positive number")
+    from ..kinds import HYSTERESIS
     from ..runs import Definition, Run, check_output_run, parse_rename, read_run, write_run
 
     check_output_run(out, force=force)
     renamed = parse_rename(rename or [])
-    definition = Definition.parse({"model": "hysteresis"})
+    definition = Definition.parse({"model": HYSTERESIS.name})
     plan = read_run(target, rename=renamed, definition=definition)
 
     from ._jax import configure

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .._errors import InputError
-from ._values import NUMBER, number, settings, with_settings
+from ._values import NUMBER, number, plain_settings, settings, with_settings
 
 if TYPE_CHECKING:
     from ..models import ArmModel
@@ -22,19 +22,19 @@ DURATION = 25.0
 
 _START = 0.5
 _RAMP_DURATION = 1.0
-_DEFAULT_LINKS = (2, 6, 12, 20)
 
 _MOVE = re.compile(
     rf"(?P<joint>[0-9]+)=(?P<angle>{NUMBER})(?:@(?P<start>{NUMBER})(?::(?P<duration>{NUMBER}))?)?"
 )
 
 
-def stated_definition(arm: Path | None, links: int | None, wind: str | None) -> "Definition":
+def definition_from_options(arm: Path | None, links: int | None, wind: str | None) -> "Definition":
     """What the arm file and the options say, the options on top."""
+    from ..kinds import ARM
     from ..runs import Definition
 
     definition = Definition() if arm is None else Definition.load(arm)
-    if definition.model not in (None, "arm"):
+    if definition.model not in (None, ARM.name):
         raise InputError(f"{arm} describes a {definition.model}: give the TOML file of an arm")
     if links is not None:
         if links < 1:
@@ -50,12 +50,24 @@ def stated_definition(arm: Path | None, links: int | None, wind: str | None) -> 
     return definition
 
 
-def replayed_run(command: Path, definition: "Definition") -> "Run":
-    """The run whose commands are used, with the arm file's word on what is between its rows."""
+def replayed_run(
+    command: Path | None, definition: "Definition", moves: Sequence[str] | None
+) -> "Run | None":
+    """The run of --command, whose commands go between its rows as the arm file says; or None.
+
+    Raises:
+        InputError: there are moves of --step or --ramp beside it, or it is no run.
+    """
     from ..kinds import ArmSection
     from ..runs import Definition, read_run, read_sidecar
 
-    # Which joints there are is told by the arm that recorded it, where the sidecar states one.
+    if command is None:
+        return None
+    if moves:
+        raise InputError(
+            "--command gives the commands, and so do --step and --ramp: give one of them"
+        )
+    # The arm that recorded the run says which joints there are, where the sidecar describes it.
     recorded = bool(read_sidecar(command).section(ArmSection).contents())
     keys = ("command", "wind") if recorded else ("arm", "command", "wind")
     section = {key: item for key, item in definition.contents().items() if key in keys}
@@ -64,10 +76,10 @@ def replayed_run(command: Path, definition: "Definition") -> "Run":
 
 def drives_of(run: "Run", rate: float) -> tuple[float, float, list["Drive"]]:
     """Start of a recorded run, its length in whole samples, its commands and wind."""
-    from ..kinds import CommandSection, WindSection
+    from ..kinds import ARM, CommandSection, WindSection
     from ..synthetic import Drive
 
-    if run.model != "arm" or run.times is None:
+    if run.model != ARM.name or run.times is None:
         raise InputError(f"{run.path} is a run of the {run.model} model: give the run of an arm")
     length = float(run.times[-1] - run.times[0])
     if rate > 0:
@@ -83,6 +95,7 @@ def drives_of(run: "Run", rate: float) -> tuple[float, float, list["Drive"]]:
 
 
 def moves_of(step: Sequence[str], ramp: Sequence[str], count: int, duration: float) -> "Drive":
+    """The commands of --step and --ramp, for an arm of `count` joints and a run of a length (s)."""
     from ..synthetic import Move, joint_moves
 
     moves = []
@@ -118,45 +131,11 @@ def model_and_truth(
         solver=solver,
         sensors=sensors_from_definition(definition),
     )
-    values = settings(pairs)
-    model = with_settings(model, values)
+    model = with_settings(model, settings(pairs))
     truth = {
         path: float(get(model, path)) for path in default_free(model) if not get(model, path).ndim
     }
-    typed = {path: each[0] if len(each) == 1 else each for path, each in values.items()}
-    return model, {**truth, **typed}
-
-
-def channel_names(selections: Sequence[str], count: int) -> list[str]:
-    """Channel names of what was asked for, each once, in the order of asking."""
-    from ..runs import Channel
-
-    if not selections:
-        selections = [f"link{link:02d}" for link in _DEFAULT_LINKS if link <= count] + ["tip"]
-    names: list[str] = []
-    for selection in (part.strip() for item in selections for part in item.split(",")):
-        if selection == "all":
-            names += [f"link{i:02d}_{axis}" for i in range(1, count + 1) for axis in "xyz"]
-        elif selection == "joints":
-            names += [f"joint{i:02d}_angle" for i in range(1, count + 1)]
-        elif re.fullmatch(r"tip|link[0-9]+", selection):
-            names += [f"{selection}_{axis}" for axis in "xyz"]
-        else:
-            names.append(selection)
-    for name in names:
-        channel = Channel.named(name)
-        if channel.kind not in ("joint_angle", "joint_rate", "link_position", "tip_position"):
-            raise InputError(
-                f"--channels {name!r} is not something an arm is measured by: "
-                "give link06, link06_z, tip, joint03_angle, joint03_rate, joints or all"
-            )
-        if (channel.index or 1) > count:
-            part = "link" if channel.kind == "link_position" else "joint"
-            raise InputError(
-                f"--channels {name!r} is of {part} {channel.index}, but the arm has {count} links: "
-                "correct the number, or simulate a longer arm"
-            )
-    return list(dict.fromkeys(names))
+    return model, {**truth, **plain_settings(pairs, "--set")}
 
 
 def facts_of(

@@ -41,10 +41,11 @@ class Commands(TyperGroup):
 
 
 def run(command: Any, arguments: list[str]) -> int:
-    """Run the command line; returns its exit status.
+    """Run the command line. An `InputError` and a usage error are one line on standard error.
 
-    0, or what the command gives with `typer.Exit(status)`; 2 for bad input or usage; 130 when
-    interrupted. An `InputError` and a usage error are one line on standard error.
+    Returns:
+        The exit status: 0, or that of the command's `typer.Exit(status)`; 2 for bad input or
+        usage; 130 when interrupted.
     """
     try:
         result = command.main(args=arguments, prog_name="giajax", standalone_mode=False)

@@ -3,7 +3,6 @@
 This file is longer than 200 lines because every option of the command stands in it with its help.
 """
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,6 +10,7 @@ import typer
 
 from ._fit_output import show_files, show_result, write_or_print
 from ._progress import Progress
+from ._values import plain_settings
 
 if TYPE_CHECKING:
     from ..tasks import FitTask
@@ -25,7 +25,8 @@ Examples:
   giajax fit --data run.csv --free joints.damping --free "links.mass[19]"
   giajax fit definition.toml --force
 
-Parameters are called as `giajax parameters` lists them, in the units that it lists.
+Parameters are called as `giajax parameters` lists them, in the units that it lists;
+one with several elements has one VALUE for all, or one for each: camera.origin=0.1,0,0.
 The table and the summary go to standard output, progress to standard error.
 
 \b
@@ -131,8 +132,8 @@ def fit(
     task = _task(definition, config).on_top(
         data=data or None,
         free=free or None,
-        start=_values(start, "--start"),
-        fix=_values(fix, "--fix"),
+        start=plain_settings(start, "--start"),
+        fix=plain_settings(fix, "--fix"),
         channels=channels or None,
         window_s=window,
         starts=starts,
@@ -153,13 +154,14 @@ def fit(
     from ._jax import configure
 
     configure()
+    from ..fitting import column_factors
     from ..report import check_figures, check_folder, write_figures, write_result
     from ..study import choice_hint
 
     ready = task.prepare()
     check_figures(ready.setup.model, task.definition)
     check_folder(task.out, ready.runs, ready.setup.config, force=force)
-    progress = None if quiet else Progress()
+    progress = None if quiet else Progress(column_factors(ready.setup.model))
     result = ready.run(progress, None if progress is None else progress.announce)
     if progress is not None:
         progress.end()
@@ -185,22 +187,8 @@ def _task(definition: Path | None, config: Path | None) -> "FitTask":
     from ..tasks import FitTask
 
     if definition is not None and config is not None:
-        raise typer.BadParameter("give the fit definition as argument or by --config, not both")
+        raise typer.BadParameter(
+            "there are two fit definitions: give one, as argument or by --config, not both"
+        )
     source = definition or config
     return FitTask(Definition()) if source is None else FitTask.load(source)
-
-
-def _values(pairs: list[str] | None, option: str) -> dict[str, float]:
-    values: dict[str, float] = {}
-    for pair in pairs or []:
-        path, _, text = pair.partition("=")
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not path or not math.isfinite(value):
-            raise typer.BadParameter(f"{option} '{pair}' must be PATH=VALUE, VALUE a number")
-        if path in values:
-            raise typer.BadParameter(f"{option} gives '{path}' twice: give it once")
-        values[path] = value
-    return values

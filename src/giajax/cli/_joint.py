@@ -114,8 +114,8 @@ def _refuse_unused(sections: "Definition") -> None:
         "friction": muscle.friction not in (None, "none"),
         "friction_pressures_kPa": muscle.friction_pressures_kPa is not None,
     }
-    for key, is_stated in unused.items():
-        if is_stated:
+    for key, is_there in unused.items():
+        if is_there:
             raise InputError(
                 f"[muscle] {key} is not used here: the length is muscle_length_m of [joint], and "
                 "a pair has no friction: remove it"

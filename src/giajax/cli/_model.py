@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from .._errors import InputError
+
 if TYPE_CHECKING:
     from ..models import AbstractModel
     from ..runs import Definition, Run
@@ -15,9 +17,18 @@ def is_result(path: Path) -> bool:
 
 
 def definition_of(path: Path | None) -> "Definition":
-    """What a file that states a model says on top of the sidecars; nothing of a fit."""
+    """What a file that states a model says on top of the sidecars; nothing of a fit.
+
+    Raises:
+        InputError: there is no such file, or it is not legal.
+    """
     from ..runs import Definition
 
+    if path is not None and not path.exists():
+        raise InputError(
+            f"{path} does not exist: give the folder of a fit, its result.json, or a TOML file "
+            "that states a model"
+        )
     return Definition() if path is None or is_result(path) else Definition.load(path)
 
 

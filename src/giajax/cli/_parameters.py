@@ -55,7 +55,7 @@ def parameters(
     from ..runs import Definition, read_run
 
     if run is not None and (arm or preset or links is not None):
-        raise InputError("a run states its arm: leave out --arm, --preset and --links")
+        raise InputError("a run says which model it is of: leave out --arm, --preset and --links")
     recorded = None if run is None else read_run(run)
     definition = Definition() if arm is None else Definition.load(arm)
     options = {"preset": preset, "links": links}
@@ -66,6 +66,7 @@ def parameters(
 
     configure()
 
+    from ..fitting import units_in_si
     from ..models import (
         AbstractModel,
         ArmModel,
@@ -83,7 +84,8 @@ def parameters(
             arm_from_definition(definition), sensors=sensors_from_definition(definition)
         )
     known = [*declared(model).values(), *left_out(model).values()]
-    facts = [_facts(parameter, model) for parameter in known]
+    units = units_in_si(model)
+    facts = [_facts(parameter, units[parameter.path], model) for parameter in known]
     if as_json:
         import json
 
@@ -92,14 +94,14 @@ def parameters(
         _show(facts)
 
 
-def _facts(parameter: "Parameter", model: Any) -> dict[str, Any]:
+def _facts(parameter: "Parameter", unit: str, model: Any) -> dict[str, Any]:
     declaration = parameter.declaration
     on = parameter.is_on(model)
     value = parameter.value(model) if on else None
     shape = declaration.shape if value is None else value.shape
     return {
         "path": parameter.path,
-        "unit": declaration.unit,
+        "unit": unit,
         "value": None if value is None else value.tolist(),
         "default": declaration.default,
         "lower": _finite(declaration.lower),
@@ -152,6 +154,10 @@ def _value(fact: dict[str, Any]) -> str:
 
 
 def _bounds(lower: float | None, upper: float | None) -> str:
-    if lower is None or upper is None:
-        return "any" if lower is None else f"above {lower:g}"
+    if lower is None and upper is None:
+        return "any"
+    if lower is None:
+        return f"below {upper:g}"
+    if upper is None:
+        return f"above {lower:g}"
     return f"{lower:g} to {upper:g}"

@@ -12,14 +12,23 @@ if TYPE_CHECKING:
 
 
 class Progress:
-    """One line an iteration on standard error, as it happens."""
+    """One line an iteration on standard error, as it happens.
 
-    def __init__(self) -> None:
+    Arguments:
+        factors: what the value of each parameter (SI) is multiplied by, by path: its unit is
+            then that of the table at the end. 1 for others.
+    """
+
+    def __init__(self, factors: Mapping[str, float]) -> None:
+        self._factors = factors
         self._say("compiling ...")
         self._headed = False
 
     def __call__(self, iteration: "Iteration") -> None:
-        values = [f"{value:.5g}" for value in iteration.parameters.values()]
+        values = [
+            f"{value * self._factors.get(path.partition('[')[0], 1.0):.5g}"
+            for path, value in iteration.parameters.items()
+        ]
         cells = [str(iteration.number), f"{iteration.cost:.6g}", f"{iteration.step:.1e}"]
         if not self._headed:
             self._head(list(iteration.parameters))

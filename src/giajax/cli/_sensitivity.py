@@ -1,6 +1,6 @@
-"""`giajax sensitivity`: what a recording would tell about parameters.
+"""`giajax sensitivity`: how well a recording would determine parameters.
 
-Longer than 200 lines because a run that is not there yet is told by the options of `simulate`.
+Longer than 200 lines because a planned run has the options of `simulate`, each with its help.
 """
 
 import math
@@ -10,21 +10,24 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .._errors import InputError
+from ._channel_names import channel_names
 from ._drive import (
     DURATION,
-    channel_names,
+    definition_from_options,
     drives_of,
     facts_of,
     model_and_truth,
     moves_of,
     replayed_run,
-    stated_definition,
 )
 from ._values import deviations, noise_section, settings, with_settings
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from ..models import AbstractModel
     from ..runs import Run
+    from ..study import Sensitivity
 
 EXAMPLES = """\b
 Examples:
@@ -105,19 +108,15 @@ def sensitivity(
 
     section = noise_section(noise, "--noise")
     if not all(value > 0 for value in section.values()):
-        raise InputError("--noise is 0, and nothing is that exact: give a positive number")
+        raise InputError("--noise is 0, but no recording is exact: give a positive number")
     check_output_folder(out, _FILES, force=force)
     typed = settings(pairs)
     again = (arm, step, ramp, command, wind, links, duration, rate)
     if run is not None and any(value is not None and value != [] for value in again):
-        raise InputError("a run says what moves which arm: leave out the options that say it again")
+        raise InputError("a run brings its own arm and motion: leave out the options for them")
     recorded = None if run is None else read_run(run)
-    sections = stated_definition(arm, links, wind)
-    if command is not None and (step or ramp):
-        raise InputError(
-            "--command gives the commands, and so do --step and --ramp: give one of them"
-        )
-    replayed = None if command is None else replayed_run(command, sections)
+    sections = definition_from_options(arm, links, wind)
+    replayed = replayed_run(command, sections, step or ramp)
 
     from ._jax import configure
 
@@ -167,7 +166,7 @@ def sensitivity(
         raise typer.Exit(1) from None
     noises = _noise_of(recorded, sensitivities.channels, section)
     files = {name: text.encode() for name, text in sensitivity_files(sensitivities, noises).items()}
-    title = f"{recorded.name}: sensitivity, and what each body tells"
+    title = f"{recorded.name}: sensitivity, and the information in each body"
     files["sensitivity.png"] = to_png(sensitivity_figure(sensitivities, noises, title))
     make_folder(out)
     write_files({out / name: files[name] for name in _FILES}, force=force)
@@ -197,22 +196,22 @@ def _noise_of(run: "Run", channels: tuple[str, ...], section: dict[str, float]) 
     return noises
 
 
-def _show(sensitivities, deviations, shares) -> None:  # type: ignore[no-untyped-def]
+def _show(sensitivities: "Sensitivity", noises: list[float], shares: "np.ndarray") -> None:
     from ._output import print_table
 
     bodies = list(sensitivities.bodies())
     rows = []
     for index, path in enumerate(sensitivities.parameters):
-        error = float(sensitivities.standard_errors(deviations)[index])
+        error = float(sensitivities.standard_errors(noises)[index])
         most = int(shares[:, index].argmax())
-        tells = f"{bodies[most]} ({100 * shares[most, index]:.0f} %)" if error < math.inf else None
+        share = f"{bodies[most]} ({100 * shares[most, index]:.0f} %)" if error < math.inf else None
         rows.append(
             [
                 path,
                 float(sensitivities.values[index]),
                 error if error < math.inf else "not determined",
                 sensitivities.units[index] or None,
-                tells,
+                share,
             ]
         )
-    print_table(["parameter", "value", "expected error", "unit", "tells most"], rows)
+    print_table(["parameter", "value", "expected error", "unit", "most informative"], rows)

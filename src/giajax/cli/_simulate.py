@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from .._errors import InputError
+from ._channel_names import channel_names
 from ._drive import (
     DURATION,
-    channel_names,
+    definition_from_options,
     drives_of,
     facts_of,
     model_and_truth,
     moves_of,
     replayed_run,
-    stated_definition,
 )
 from ._origin import origin
 from ._values import deviations, noise_section
@@ -117,12 +117,8 @@ def simulate(
     _check_numbers(missing=missing, tolerance=tolerance)
     section = noise_section(noise, "--noise")
     check_output_run(out, force=force)
-    definition = stated_definition(arm, links, wind)
-    if command is not None and (step or ramp):
-        raise InputError(
-            "--command gives the commands, and so do --step and --ramp: give one of them"
-        )
-    replayed = None if command is None else replayed_run(command, definition)
+    definition = definition_from_options(arm, links, wind)
+    replayed = replayed_run(command, definition, step or ramp)
 
     from ._jax import configure
 

@@ -16,7 +16,7 @@ Values = dict[str, list[float]]
 
 
 def number(text: str) -> float | None:
-    """The finite number that a text is; None where it is none."""
+    """The finite number that a text says; None where it says no such number."""
     text = text.strip()
     if not re.fullmatch(NUMBER, text):
         return None
@@ -52,6 +52,16 @@ def settings(pairs: Sequence[str] | None, option: str = "--set") -> Values:
     return values
 
 
+def plain_settings(pairs: Sequence[str] | None, option: str) -> dict[str, float | list[float]]:
+    """Values by path, from PATH=VALUE, as a file has them: one number by itself, several as a list.
+
+    Raises:
+        InputError: as `settings`.
+    """
+    values = settings(pairs, option)
+    return {path: each[0] if len(each) == 1 else each for path, each in values.items()}
+
+
 def with_settings(model: Any, values: Mapping[str, Sequence[float]]) -> Any:
     """The model with these parameters, switched on where they are left out.
 
@@ -59,16 +69,12 @@ def with_settings(model: Any, values: Mapping[str, Sequence[float]]) -> Any:
         InputError: an unknown path, another number of values than elements, or a value beyond
             its bounds.
     """
-    from ..parameters import check_within_bounds, elements, replace, switched_on
+    from ..parameters import check_count, check_within_bounds, elements, replace, switched_on
 
     for path, numbers in values.items():
         model = switched_on(model, [path])
+        check_count(model, path, numbers)
         parts = elements(model, path)
-        if len(numbers) not in (1, len(parts)):
-            raise InputError(
-                f"{path} is set to {len(numbers)} values and has {len(parts)} elements: give one "
-                "value, or one for each"
-            )
         each = [float(value) for value in numbers] * (len(parts) // len(numbers))
         for part, value in zip(parts, each, strict=True):
             check_within_bounds(part, value, free=False)

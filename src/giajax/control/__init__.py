@@ -1,4 +1,4 @@
-"""Commands that take an arm or a joint where it is to go."""
+"""Commands that take a joint to its targets."""
 
 from ._compensator import (
     Compensator as Compensator,

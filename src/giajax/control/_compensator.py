@@ -1,4 +1,4 @@
-"""Commands that make a hysteretic joint go where it is to go."""
+"""Commands that take a hysteretic joint to its targets."""
 
 from typing import Any, cast
 

@@ -25,4 +25,9 @@ from ._records import (
 from ._result import FitResult as FitResult, load_result as load_result
 from ._solver import Marquardt as Marquardt
 from ._table import estimate_table as estimate_table
-from ._units import in_column_units as in_column_units, units_note as units_note
+from ._units import (
+    column_factors as column_factors,
+    in_column_units as in_column_units,
+    units_in_si as units_in_si,
+    units_note as units_note,
+)

@@ -5,15 +5,16 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Self
 
 import numpy as np
+import numpy.typing as npt
 
 from .._errors import InputError
 from ..models import AbstractModel
 from ..parameters import (
     Parameter,
+    check_count,
     check_within_bounds,
     default_free,
     elements,
-    find,
     get,
     replace,
     switched_on,
@@ -58,8 +59,8 @@ def set_up(
     runs: Run | Sequence[Run],
     *,
     free: Sequence[str] | None = None,
-    start: Mapping[str, float] | None = None,
-    fix: Mapping[str, float] | None = None,
+    start: Mapping[str, npt.ArrayLike] | None = None,
+    fix: Mapping[str, npt.ArrayLike] | None = None,
     loss: str = "linear",
     solver: str | None = None,
     tolerance: float | None = None,
@@ -76,7 +77,7 @@ def set_up(
         InputError: as `fit`, apart from a start that cannot be evaluated.
     """
     runs = (runs,) if isinstance(runs, Run) else tuple(runs)
-    start, fix = dict(start or {}), dict(fix or {})
+    start, fix = _plain(start or {}), _plain(fix or {})
     check_loss(loss)
     if not runs:
         raise InputError("there is no run: give at least one")
@@ -98,12 +99,18 @@ def set_up(
             "definition": model.definition(),
             "runs": [_about(run) for run in runs],
             "free": [parameter.path for parameter in parameters],
-            "start": {path: float(value) for path, value in start.items()},
-            "fix": {path: float(value) for path, value in fix.items()},
+            "start": start,
+            "fix": fix,
             "loss": loss,
             **_integration(model),
         },
     )
+
+
+def _plain(values: Mapping[str, npt.ArrayLike]) -> dict[str, Any]:
+    """Values by path as a result states them: numbers, and lists of several."""
+    arrays = {path: np.asarray(value, dtype=float) for path, value in values.items()}
+    return {path: a.item() if a.size == 1 else a.tolist() for path, a in arrays.items()}
 
 
 def _integration(model: AbstractModel) -> dict[str, Any]:
@@ -161,13 +168,13 @@ def _check_doubles(runs: Sequence[Run]) -> None:
 def _resolved(
     model: AbstractModel,
     free: Sequence[str] | None,
-    start: Mapping[str, float],
-    fix: Mapping[str, float],
+    start: Mapping[str, npt.ArrayLike],
+    fix: Mapping[str, npt.ArrayLike],
 ) -> tuple[AbstractModel, list[Parameter]]:
     """The model with starts and fixed values, and the scalar parameters to fit."""
     model = switched_on(model, (*start, *fix, *(free or ())))
-    for path in (*start, *fix):
-        find(model, path)
+    for path, value in (*start.items(), *fix.items()):
+        check_count(model, path, value)
     for path in set(start) & set(fix):
         raise InputError(f"'{path}' has a start and a fixed value: give one of them")
     chosen = default_free(model, start) if free is None else free

@@ -5,6 +5,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 
 import jax
+import numpy.typing as npt
 
 from ..models import AbstractModel
 from ..runs import Run
@@ -23,8 +24,8 @@ def fit(
     runs: Run | Sequence[Run],
     *,
     free: Sequence[str] | None = None,
-    start: Mapping[str, float] | None = None,
-    fix: Mapping[str, float] | None = None,
+    start: Mapping[str, npt.ArrayLike] | None = None,
+    fix: Mapping[str, npt.ArrayLike] | None = None,
     loss: str = "linear",
     solver: str | None = None,
     tolerance: float | None = None,
@@ -42,8 +43,8 @@ def fit(
         runs: one run or several, fitted together.
         free: paths of the parameters to fit (`links.mass[2]` for one element of an array); by
             default those that the model declares free.
-        start: start values by path, in SI units.
-        fix: values by path that are set and not fitted.
+        start: start values by path, in SI units: one, or one for each element.
+        fix: values by path that are set and not fitted, as `start`.
         loss: "linear", or "huber" or "soft_l1" where a few cells are outliers.
         solver: of the simulation, one of `giajax.SOLVERS`; by default that of the model.
         tolerance: relative and absolute tolerance of the simulation; by default the model's.

@@ -1,4 +1,4 @@
-"""Estimates in the units of the columns: a parameter whose unit is "output/input" has no other."""
+"""Units of parameters of a model whose columns have any: "output/input" is no unit to read."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -7,11 +7,20 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..models import AbstractModel
+from ..parameters import declared, left_out
+from ..quantities import QUANTITIES
 from ..runs import Channel, parse_column
 from ._records import Estimate
 
 # What a declaration calls the units of the columns that a model was fitted to.
 _WORDS = ("input", "output")
+
+
+class _Unit(NamedTuple):
+    """What a value in SI is multiplied by, and its unit then."""
+
+    factor: float
+    name: str
 
 
 def in_column_units(estimates: Mapping[str, Estimate], model: AbstractModel) -> dict[str, Estimate]:
@@ -27,8 +36,24 @@ def in_column_units(estimates: Mapping[str, Estimate], model: AbstractModel) -> 
     Returns:
         By the same paths.
     """
-    columns = _columns(model)
-    return {path: _converted(estimate, columns) for path, estimate in estimates.items()}
+    units = _recorded(_columns(model))
+    return {path: _converted(estimate, units) for path, estimate in estimates.items()}
+
+
+def column_factors(model: AbstractModel) -> dict[str, float]:
+    """What `in_column_units` multiplies the values of each parameter by, by its path."""
+    units = _recorded(_columns(model))
+    return {path: _unit(unit, units).factor for path, unit in _declared_units(model).items()}
+
+
+def units_in_si(model: AbstractModel) -> dict[str, str]:
+    """The SI unit of each parameter, by its path; of those that are left out, too.
+
+    Where a unit is made of "input" and "output", and the model knows its columns, it is made of
+    the SI units of these.
+    """
+    units = {word: _Unit(1.0, channel.si_unit) for word, channel in _columns(model).items()}
+    return {path: _unit(unit, units).name for path, unit in _declared_units(model).items()}
 
 
 def units_note(estimates: Mapping[str, Estimate], model: AbstractModel) -> str:
@@ -42,7 +67,8 @@ def units_note(estimates: Mapping[str, Estimate], model: AbstractModel) -> str:
         The sentence, or nothing.
     """
     columns = _columns(model)
-    factors = {_unit(estimate.unit, columns).factor for estimate in estimates.values()}
+    units = _recorded(columns)
+    factors = {_unit(estimate.unit, units).factor for estimate in estimates.values()}
     if factors <= {1.0}:
         return ""
     names = " and ".join(channel.column for channel in columns.values())
@@ -55,8 +81,23 @@ def _columns(model: AbstractModel) -> dict[str, Channel]:
     return {word: parse_column(column) for word, column in named.items() if column}
 
 
-def _converted(estimate: Estimate, columns: Mapping[str, Channel]) -> Estimate:
-    factor, unit = _unit(estimate.unit, columns)
+def _declared_units(model: AbstractModel) -> dict[str, str]:
+    known = {**declared(model), **left_out(model)}
+    return {path: parameter.declaration.unit for path, parameter in known.items()}
+
+
+def _recorded(columns: Mapping[str, Channel]) -> dict[str, _Unit]:
+    """The units that columns are recorded in."""
+    return {
+        word: _Unit(
+            float(channel.from_si(1.0)), QUANTITIES[channel.quantity].suffixes[channel.unit]
+        )
+        for word, channel in columns.items()
+    }
+
+
+def _converted(estimate: Estimate, units: Mapping[str, _Unit]) -> Estimate:
+    factor, unit = _unit(estimate.unit, units)
     if unit == estimate.unit:
         return estimate
 
@@ -73,28 +114,21 @@ def _converted(estimate: Estimate, columns: Mapping[str, Channel]) -> Estimate:
     )
 
 
-class _Unit(NamedTuple):
-    """What a value in SI is multiplied by, and its unit then."""
-
-    factor: float
-    name: str
-
-
-def _unit(unit: str, columns: Mapping[str, Channel]) -> _Unit:
-    """A unit in terms of "input" and "output", in the units of the columns."""
+def _unit(unit: str, units: Mapping[str, _Unit]) -> _Unit:
+    """A unit in terms of "input" and "output", made of the units that these have."""
     above, _, below = unit.partition("/")
-    if not {above, below} & set(_WORDS) or not {above, below} & set(_WORDS) <= set(columns):
+    words = {above, below} & set(_WORDS)
+    if not words or not words <= set(units):
         return _Unit(1.0, unit)
-    (up, numerator), (down, denominator) = _part(above, columns), _part(below, columns)
-    if numerator == denominator:
-        return _Unit(up / down, "")
-    shown = f"{numerator or 1}/{denominator}" if denominator else numerator
-    return _Unit(up / down, shown)
+    up = units.get(above, _Unit(1.0, "" if above == "1" else above))
+    down = units.get(below, _Unit(1.0, below))
+    factor = up.factor / down.factor
+    if up.name == down.name:
+        return _Unit(factor, "")
+    if not down.name:
+        return _Unit(factor, up.name)
+    return _Unit(factor, f"{_bracketed(up.name) or 1}/{_bracketed(down.name)}")
 
 
-def _part(name: str, columns: Mapping[str, Channel]) -> _Unit:
-    if name not in columns:
-        return _Unit(1.0, "" if name == "1" else name)
-    channel = columns[name]
-    unit = channel.unit.replace("_per_", "/")
-    return _Unit(float(channel.from_si(1.0)), f"({unit})" if "/" in unit else unit)
+def _bracketed(unit: str) -> str:
+    return f"({unit})" if "/" in unit or " " in unit else unit

@@ -28,7 +28,7 @@ _CHANNELS = (
 _COMMANDS = ("joint_command", "joint_torque")
 
 
-def _told_by(rows: frozenset[str]) -> bool:
+def _recognises(rows: frozenset[str]) -> bool:
     return bool(rows & {row.name for row in _CHANNELS if row.part != "surroundings"})
 
 
@@ -37,6 +37,10 @@ def links_of(section: ArmSection) -> int | None:
     if section.links is not None:
         return section.links
     return DEFAULT_LINKS if section.preset in (None, DEFAULT_PRESET) else None
+
+
+def _interpolation(content: Content) -> str:
+    return content.definition.section(CommandSection).interpolation
 
 
 def _check(content: Content, wording: Wording) -> None:
@@ -50,10 +54,11 @@ def _check(content: Content, wording: Wording) -> None:
                 f"{wording.source}: {wording.of(channel)} is of {part} {channel.index}, but the "
                 f"arm has {links} links: correct the name, or state links in [arm]"
             )
-    try:
-        section.check_lists(links)
-    except ValueError as error:
-        raise InputError(f"{wording.source}: [arm] {error}") from None
+    for name, lists in (("arm", section), ("sensors", definition.section(SensorsSection))):
+        try:
+            lists.check_lists(links)
+        except ValueError as error:
+            raise InputError(f"{wording.source}: [{name}] {error}") from None
     _check_motion(channels, content, wording, links)
     windy = [channel for channel in channels.values() if channel.kind == "wind"]
     if windy and definition.section(WindSection).velocity_m_per_s is not None:
@@ -156,13 +161,14 @@ ARM = Kind(
     name="arm",
     model="_arm:ArmModel",
     channels=_CHANNELS,
-    told_by=_told_by,
+    recognises=_recognises,
     measured="linkNN_z_m or jointNN_angle_deg",
     sections={"arm": ArmSection, "sensors": SensorsSection},
     run_sections={"initial": InitialSection, "command": CommandSection, "wind": WindSection},
     commands=_COMMANDS,
     uncommanded="none (free motion)",
     timed=True,
+    interpolation=_interpolation,
     check=_check,
     notes=_notes,
     template=_template,

@@ -30,6 +30,15 @@ class PointMass(Section):
     )
 
 
+def each_of(section: Section) -> dict[str, list[Any]]:
+    """The lists of a section that have one value for each link or joint, by key."""
+    return {
+        name: value
+        for name, value in section
+        if isinstance(value, list) and any(part.per for part in section.quantities.get(name, ()))
+    }
+
+
 @with_keys(LINKS)
 class _Links(Section):
     """Which arm it is, and its links."""
@@ -106,12 +115,8 @@ class ArmSection(_Surroundings):
 
     def lists(self) -> dict[str, list[Any]]:
         """The lists that have one value for each link or joint, by key."""
-        return {
-            name: value
-            for name, value in self
-            if isinstance(value, list)
-            and (name == "joint_axes" or any(part.per for part in self.quantities.get(name, ())))
-        }
+        axes = {"joint_axes": self.joint_axes} if isinstance(self.joint_axes, list) else {}
+        return {**axes, **each_of(self)}
 
     def check_lists(self, links: int | None) -> None:
         """Raise `ValueError` if a list has another length than `links` (None: than another)."""
@@ -129,6 +134,15 @@ class ArmSection(_Surroundings):
 @with_keys(CAMERA, MARKER, ENCODER)
 class SensorsSection(Section):
     """`[sensors]`: what is known of camera, markers and angle sensors. By default: exact."""
+
+    def check_lists(self, links: int | None) -> None:
+        """Raise `ValueError` if a list has another length than `links`, where that is known."""
+        for name, value in each_of(self).items():
+            if links is not None and len(value) != links:
+                raise ValueError(
+                    f"key {name} has {len(value)} values, but must have one for each of the "
+                    f"{links} links: correct the list"
+                )
 
 
 @with_keys(INITIAL)
@@ -164,7 +178,7 @@ class CommandSection(Section):
     """`[command]`: how the joint commands run between two rows."""
 
     interpolation: Interpolation = key(
-        _BETWEEN_ROWS, "between two rows: linear, or zoh (held)", default="linear", example="linear"
+        _BETWEEN_ROWS, "between two rows", default="linear", example="linear"
     )
 
 
@@ -172,7 +186,7 @@ class WindSection(Section):
     """`[wind]`: how the wind columns run between two rows, or a constant wind instead."""
 
     interpolation: Interpolation = key(
-        _BETWEEN_ROWS, "between two rows: linear, or zoh (held)", default="linear", example="linear"
+        _BETWEEN_ROWS, "between two rows", default="linear", example="linear"
     )
     velocity_m_per_s: Vector | None = key(
         "a list of three numbers",

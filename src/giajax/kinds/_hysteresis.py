@@ -13,7 +13,7 @@ _EITHER = "a whole number of at least 1, or a list of positive numbers"
 
 
 class HysteresisSection(Section):
-    """`[hysteresis]`: which operator, and what of it is no parameter. Values in SI units."""
+    """`[hysteresis]`: the operator and its options, parameters apart. Values in SI units."""
 
     operator: (
         Literal["prandtl_ishlinskii", "modified_prandtl_ishlinskii", "preisach", "bouc_wen"] | None
@@ -69,7 +69,7 @@ CHANNELS = (
 )
 
 
-def _told_by(rows: frozenset[str]) -> bool:
+def _recognises(rows: frozenset[str]) -> bool:
     return {"command", "angle"} <= rows or {"input", "output"} <= rows
 
 
@@ -89,7 +89,7 @@ HYSTERESIS = Kind(
     name="hysteresis",
     model="_hysteresis:HysteresisModel",
     channels=CHANNELS,
-    told_by=_told_by,
+    recognises=_recognises,
     measured="output or angle_deg",
     sections={"hysteresis": HysteresisSection},
     commands=("input", "command"),

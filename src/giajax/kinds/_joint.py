@@ -26,7 +26,7 @@ class JointSection(Section):
     )
 
 
-def _told_by(rows: frozenset[str]) -> bool:
+def _recognises(rows: frozenset[str]) -> bool:
     return "side" in rows
 
 
@@ -81,7 +81,7 @@ JOINT = Kind(
         ChannelKind("force", "force", "force", "output"),
         ChannelKind("torque", "torque", "torque", "input"),
     ),
-    told_by=_told_by,
+    recognises=_recognises,
     measured="contraction or force_N",
     sections={"joint": JointSection},
     drawn_over=_drawn_over,

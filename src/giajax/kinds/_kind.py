@@ -119,6 +119,10 @@ def _over_time(content: Content) -> str | None:
     return None
 
 
+def _linear(content: Content) -> str:
+    return "linear"
+
+
 def _unchanged(data: dict[str, Any]) -> dict[str, Any]:
     return data
 
@@ -132,13 +136,16 @@ class Kind:
         model: module in `giajax.models` and class, as `_arm:ArmModel`; imported when a model is
             built, because that needs JAX.
         channels: rows of the column table, in the order of a written file.
-        told_by: whether a run with these rows is of this kind, where no sidecar says so.
+        recognises: whether a run with these rows is of this kind, where no sidecar says which
+            it is.
         measured: columns to fit, as an example in messages.
         sections: of a definition, that describe the model -> their classes.
         run_sections: of a definition, that describe one run.
         commands: rows of the table that count as a command in a description of a run.
         uncommanded: what a description says of a run without a command; empty: nothing.
         timed: whether every run has times.
+        interpolation: how the commands of a run go between two rows: "linear", "zoh" (held) or
+            "band_limited".
         drawn_over: the input over which measured channels of a run are drawn; None: over time.
         check: raises `InputError` for what no model of this kind could use in a run.
         notes: sentences on what is assumed in a run, because its file does not say it. The
@@ -152,13 +159,14 @@ class Kind:
     name: str
     model: str
     channels: tuple[ChannelKind, ...]
-    told_by: Callable[[frozenset[str]], bool]
+    recognises: Callable[[frozenset[str]], bool]
     measured: str
     sections: Mapping[str, type[Section]] = field(default_factory=dict)
     run_sections: Mapping[str, type[Section]] = field(default_factory=dict)
     commands: tuple[str, ...] = ()
     uncommanded: str = ""
     timed: bool = False
+    interpolation: Callable[[Content], str] = _linear
     drawn_over: Callable[[Content], str | None] = _over_time
     check: Callable[[Content, Wording], None] = _no_check
     notes: Callable[[Content, bool], list[str]] = _no_notes

@@ -30,7 +30,7 @@ class MuscleSection(_Law):
 
     pressure: Literal["measured", "mean"] | None = key(
         '"measured" or "mean"',
-        "the pressure at each row, or its mean: what was set, where friction moves the gauge",
+        "the pressure at each row, or its mean, which was set where friction moves the gauge",
         preset="measured",
     )
     friction: Literal["coulomb", "none"] | None = key(
@@ -52,7 +52,7 @@ class MuscleSection(_Law):
         return pressures
 
 
-def _told_by(rows: frozenset[str]) -> bool:
+def _recognises(rows: frozenset[str]) -> bool:
     return "pressure" in rows
 
 
@@ -105,7 +105,7 @@ MUSCLE = Kind(
         ChannelKind("phase", "phase", "text", "input", texts=("fill", "exhaust")),
         ChannelKind("force", "force", "force", "output"),
     ),
-    told_by=_told_by,
+    recognises=_recognises,
     measured="force_N",
     sections={"muscle": MuscleSection},
     drawn_over=_drawn_over,

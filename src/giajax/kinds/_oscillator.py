@@ -3,12 +3,12 @@
 from typing import Any, Literal
 
 from ._hysteresis import CHANNELS
-from ._kind import Kind
+from ._kind import Content, Kind
 from ._section import Section, key
 
 
 class OscillatorSection(Section):
-    """`[oscillator]`: what of the oscillator is no parameter."""
+    """`[oscillator]`: the options of an oscillator, parameters apart."""
 
     interpolation: Literal["linear", "band_limited"] | None = key(
         '"linear" or "band_limited" (one period of evenly sampled rows)',
@@ -20,6 +20,10 @@ class OscillatorSection(Section):
 def _never(rows: frozenset[str]) -> bool:
     """Its columns are those of a hysteresis run: a sidecar must say which it is."""
     return False
+
+
+def _interpolation(content: Content) -> str:
+    return content.definition.section(OscillatorSection).interpolation or "linear"
 
 
 def _upgraded(data: dict[str, Any]) -> dict[str, Any]:
@@ -38,11 +42,12 @@ OSCILLATOR = Kind(
     name="oscillator",
     model="_oscillator:OscillatorModel",
     channels=CHANNELS,
-    told_by=_never,
+    recognises=_never,
     measured="output or angle_deg",
     sections={"oscillator": OscillatorSection},
     commands=("input", "command"),
     timed=True,
+    interpolation=_interpolation,
     former_parameters=frozenset({"previous_extremes"}),
     upgraded=_upgraded,
 )

@@ -20,10 +20,14 @@ Count = Annotated[int, Field(ge=1)]
 def key(
     must: str, meaning: str, *, preset: Any = None, default: Any = None, example: Any = None
 ) -> Any:
-    """Declare a key once: what it must be (errors), what it means (`giajax init`).
+    """Declare a key, once for errors and templates.
 
-    `preset` is its value where a file does not state it, for the template of a sidecar; `example`
-    is what the template shows where there is none.
+    Arguments:
+        must: what its value must be, for errors.
+        meaning: what it means, for the template of a sidecar.
+        preset: the value that a model takes where a file leaves it out, for the template.
+        default: the value of the field where a file leaves it out.
+        example: what the template shows where there is no preset.
     """
     extra = {"must": must, "preset": preset, "example": preset if example is None else example}
     return Field(default=default, description=meaning, json_schema_extra=extra)

@@ -119,11 +119,8 @@ class ArmModel(AbstractModel):
     def initial_section(self, inputs: ArmInputs) -> dict[str, Any]:
         """Angles and rates at the first sample, as the arm has them: without the sensors."""
         first = inputs.initial
-        return {
-            **InitialSection.keys_of(
-                {INITIAL.angle.path: first.angle, INITIAL.rate.path: first.rate}
-            ),
-        }
+        state = {INITIAL.angle.path: first.angle, INITIAL.rate.path: first.rate}
+        return InitialSection.keys_of(state)
 
     def scene(self, run: Run) -> Scene:
         """The links, their markers and the tip, in the frame of the base."""

@@ -46,7 +46,7 @@ def arm_inputs(arm: Arm, encoder: Encoder, run: Run) -> ArmInputs:
             state the arm cannot have.
     """
     if run.model != "arm" or run.times is None:
-        raise InputError(f"'{run.name}' is a run of the {run.model} model, not of an arm")
+        raise InputError(f"'{run.name}' is a run of the {run.model} model: give a run of an arm")
     wind = _wind(run, run.times)
     check_wind(arm, wind)
     driven = any(run.channels[name].kind == "joint_torque" for name in run.commands)
@@ -75,7 +75,10 @@ def _rows(arm: Arm, run: Run, times: np.ndarray, kind: str) -> Signal:
             continue
         joint = run.channels[name].index or 0
         if joint > arm.count:
-            raise InputError(f"'{run.name}' drives joint {joint} of an arm of {arm.count} joints")
+            raise InputError(
+                f"'{run.name}' drives joint {joint}, but the arm has {arm.count} joints: remove "
+                "the column, or give a longer arm"
+            )
         values[:, joint - 1] = column
     return logged(times, values, run.definition.section(CommandSection).interpolation)
 

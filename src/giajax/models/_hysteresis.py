@@ -40,7 +40,7 @@ class HysteresisModel(AbstractDirectModel):
     Units of parameters in terms of "input" and "output" are the SI units of those channels.
 
     Arguments:
-        settings: what of the `[hysteresis]` section is no parameter.
+        settings: the `[hysteresis]` section, which holds no parameters.
         operator: its parameters keep their own paths.
         offset: added to the output, such as the inclination of a camera.
         previous_extremes: turning points of the input before the run, the latest last. What a

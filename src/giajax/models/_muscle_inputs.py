@@ -18,7 +18,7 @@ class MuscleInputs(eqx.Module):
         contraction: relative to the length at rest; None where only a position is recorded.
         position: displacement, m; None where it is not recorded.
         direction: +1 where the muscle is moved against its own pull (exhausting), -1 where it
-            moves by itself (filling); None where friction follows the displacement, or is none.
+            moves by itself (filling); None without friction, or where it follows the displacement.
     """
 
     pressure: Float[Array, " sample"]
@@ -39,7 +39,7 @@ def muscle_inputs(run: Run, *, mean: bool, directed: bool) -> MuscleInputs:
         InputError: a run of another model, or without a pressure.
     """
     if run.model != "muscle":
-        raise InputError(f"'{run.name}' is a run of the {run.model} model, not of a muscle")
+        raise InputError(f"'{run.name}' is a run of the {run.model} model: give a run of a muscle")
     dtype = jnp.result_type(float)
 
     def column(name: str) -> Array | None:

@@ -81,10 +81,10 @@ class AbstractModel(eqx.Module):
 
     @abc.abstractmethod
     def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
-        """The model where a fit of some parameters to some runs may start.
+        """The model from which a fit of some parameters to some runs may start.
 
-        Another one where the value that a parameter has unless it is stated is a point that no
-        derivative leads away from; most models have none.
+        Another one where a parameter has, by default, a value at which nothing responds to it;
+        most models have no such parameter.
 
         Arguments:
             runs: what is fitted to.

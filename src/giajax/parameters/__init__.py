@@ -9,6 +9,7 @@ from ..quantities import Declaration as Declaration
 from ._field import declaration as declaration, inline as inline, parameter as parameter
 from ._find import elements as elements, find as find, get as get
 from ._replace import (
+    check_count as check_count,
     check_within_bounds as check_within_bounds,
     is_concrete as is_concrete,
     replace as replace,

@@ -44,7 +44,7 @@ def parameter(declared: Declaration | float, /, **about: Any) -> Any:
     Arguments:
         declared: the declaration, of `giajax.quantities`; or a default (SI), for a model of
             your own, with the rest of its declaration as keywords.
-        about: see `Declaration`; unit and doc there must be.
+        about: the rest of a declaration; `unit` and `doc` are needed.
 
     Example:
         >>> import equinox as eqx

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 
 from .._errors import InputError
-from ._find import find
+from ._find import elements, find
 from ._walk import Module, Parameter, left_out
 
 
@@ -35,6 +35,20 @@ def switched_on(model: Module, paths: Iterable[str]) -> Module:
         if name in absent:
             model = absent[name].set(model, absent[name].declaration.default)
     return model
+
+
+def check_count(model: Module, path: str, value: Any) -> None:
+    """Refuse values for a parameter that are neither one nor one for each of its elements.
+
+    Raises:
+        InputError: naming the parameter and both numbers.
+    """
+    size, count = np.size(value), len(elements(model, path))
+    if size not in (1, count):
+        raise InputError(
+            f"{path} is set to {size} values and has {count} element{'s' * (count != 1)}: give one "
+            "value, or one for each"
+        )
 
 
 def check_within_bounds(parameter: Parameter, value: float, *, free: bool) -> None:

@@ -15,7 +15,7 @@ class Key:
     Attributes:
         name: of the key; it ends in its unit, which need not be the SI unit.
         lower, upper: what a file may state, SI, where that is less than the model computes with.
-        closed: whether a bound may be stated itself: an axial inertia of zero.
+        closed: whether the value may be the bound itself, as an axial inertia may be zero.
         example: a value, in the key's unit, that shows more than the default does.
         remark: added to the sentence of what the value must be.
         place: of the quantity in the list of numbers, where several share the key: x, then y.
@@ -47,9 +47,10 @@ class Declaration:
         optional: may be None, which leaves out its part of the model and the cost of it; its
             default is then the value that it is switched on with.
         shape: of a parameter that is an array of fixed shape, such as a vector.
-        per: what there may be one of it for: "link", "joint", "body"; "" for what there is one of.
-        each: one number for all links or joints, or an array with one for each. Without it, what
-            there is one of for each link is an array always.
+        per: what an element of it belongs to: "link", "joint", "body"; "" where it belongs to
+            the whole model.
+        each: whether it may be one number for all links or joints, as well as an array with one
+            for each; without it, a parameter per link is always an array.
         source: where the default is from, or the equation that the parameter stands in.
         key: how files state it; None: by its path alone.
         path: in a model, such as `links.mass`; "" for a parameter that is in no group.

@@ -37,9 +37,9 @@ def _coordinate(
     )
 
 
-_ANCHOR = "muscle's ends A, C, M, N"
-_WIRE = "wire's ends B, D"
-_CONTACT = "balloon's shoulder P, Q"
+_ANCHOR = "ends A, C, M, N of the muscle"
+_WIRE = "ends B, D of the wire"
+_CONTACT = "shoulders P, Q of the balloon"
 
 
 class _Geometry(Group):

@@ -16,13 +16,14 @@ from ._units import QUANTITIES, QUANTITY_OF_SUFFIX, from_si, to_si
 class Channel:
     """One measured or commanded quantity of a run.
 
-    - `name`: `link06_z`, `joint01_command`, `tip_x`, `time`, ...
-    - `kind`: the row of the column table: `link_position`, `joint_command`, ...
-    - `index`: 1-based number of the joint or link, or None.
-    - `component`: 0, 1, 2 for x, y, z, or None.
-    - `quantity`: `length`, `angle`, `angular_velocity`, `velocity`, `force`, `torque`,
-      `pressure`, `time`, `ratio` or `text`.
-    - `unit`: the suffix as recorded, `m`, `cm`, `deg`, ...; empty for a ratio or text.
+    Attributes:
+        name: `link06_z`, `joint01_command`, `tip_x`, `time`, ...
+        kind: the row of the column table: `link_position`, `joint_command`, ...
+        index: 1-based number of the joint or link, or None.
+        component: 0, 1, 2 for x, y, z, or None.
+        quantity: `length`, `angle`, `angular_velocity`, `velocity`, `force`, `torque`,
+            `pressure`, `time`, `ratio` or `text`.
+        unit: the suffix as recorded, `m`, `cm`, `deg`, ...; empty for a ratio or text.
     """
 
     name: str
@@ -34,11 +35,15 @@ class Channel:
 
     @classmethod
     def named(cls, name: str, unit: str | None = None) -> "Channel":
-        """The channel called `name` (no suffix), in `unit` or, by default, in its SI unit.
+        """The channel of a name.
 
-        A pressure, which the table has in no SI unit, is in kPa by default. Without a unit
-        `input` and `output` are ratios. Raises `InputError` if there is no such channel, or
-        no such unit for it.
+        Arguments:
+            name: without a suffix.
+            unit: a suffix of its quantity. By default that of the SI unit, kPa for a pressure,
+                which the table has in no SI unit; `input` and `output` are then ratios.
+
+        Raises:
+            InputError: there is no such channel, or no such unit for it.
         """
         row = match_name(name)
         if row is None or row.suffix is not None:
@@ -81,8 +86,11 @@ def parse_column(name: str) -> Channel:
     """What a column name means.
 
     The longest channel of the table that the name begins with is the channel; the rest is the
-    unit. Raises `InputError`, with the nearest known name or the units to choose from, if the
-    name is not in the table.
+    unit.
+
+    Raises:
+        InputError: the name is not in the table; the nearest known name, or the units to choose
+            from, are in the sentence.
     """
     row = match_name(name)
     if row is None:
@@ -96,7 +104,8 @@ def parse_column(name: str) -> Channel:
 def parse_columns(names: Iterable[str]) -> dict[str, Channel]:
     """The channels of a file's header, by column name and in its order.
 
-    Raises `InputError` for an unknown column and for a channel that is given twice.
+    Raises:
+        InputError: an unknown column, or a channel that is there twice.
     """
     channels: dict[str, Channel] = {}
     first: dict[str, str] = {}

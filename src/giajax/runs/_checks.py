@@ -62,7 +62,7 @@ def check_content(
         if channel.quantity == "text":
             _check_text(values[name], channel, wording)
         else:
-            # A model needs what acts on it at every sample: a gap there is no missing measurement.
+            # What acts on a model must be known at every sample; only measurements may be missing.
             gaps = channel.kind in kind.outputs
             _check_numbers(values[name], channel, wording, gaps=gaps)
     for column in definition.noise.columns:

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from .._errors import InputError
-from .._text import shown
+from .._text import one_of, shown
 from ._toml import key_path
 
 
@@ -24,14 +24,14 @@ def complaint(cls: type[BaseModel], error: ValidationError, source: str) -> Inpu
     if first["type"] == "extra_forbidden":
         return InputError(f"{source}: unknown key {name}{_remedy(cls, owner, path)}")
     if first["type"] == "value_error":  # raised by a validator of the vocabulary, in full
-        said = str(first["ctx"]["error"])
-        where = f"[{name}]" if field is None or said.startswith("key ") else name
-        return InputError(f"{source}: {where} {said}" if name else f"{source}: {said}")
+        sentence = str(first["ctx"]["error"])
+        where = f"[{name}]" if field is None or sentence.startswith("key ") else name
+        return InputError(f"{source}: {where} {sentence}" if name else f"{source}: {sentence}")
     if field is None:
         return InputError(f"{source}: [{name}] must be a table of keys: write it as one")
     # One bad number in a table of numbers is not the whole table.
     in_table = _is_dict(field) and owner is None and len(path) > 2
-    must = "a finite number" if in_table else _declared(field)
+    must = "a finite number or a list of them" if in_table else _declared(field)
     if first["type"] == "missing":
         return InputError(f"{source}: {name} is missing, and must be {must}: give it")
     return InputError(
@@ -137,7 +137,7 @@ def _remedy(cls: type[BaseModel], owner: type[BaseModel] | None, path: tuple[str
     if unknown in cls.model_fields and len(path) > 1:
         return ": it belongs at the top of the file, so move it there"
     if homes:
-        return f": it belongs in {' or '.join(homes)}, so move it there"
+        return f": it belongs in {one_of(homes)}, so move it there"
     if len(known) > _MANY:
         return ": correct or remove it ('giajax init' writes all keys that are known here)"
     return f": correct or remove it (known here: {', '.join(known)})"

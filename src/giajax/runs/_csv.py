@@ -19,7 +19,8 @@ _TOP = 1 << 16
 def split_csv(data: bytes, path: Path) -> tuple[list[str], list[pl.Series], int]:
     """Header, columns of text (null = empty cell), and the line of the first sample.
 
-    Raises `InputError` for what is no CSV in UTF-8 with as many cells in each row as in the first.
+    Raises:
+        InputError: the data are not CSV in UTF-8 with as many cells in each row as in the first.
     """
     data = data.removeprefix(b"\xef\xbb\xbf")
     try:

@@ -28,7 +28,9 @@ class _Head(Section):
     """The keys at the top of a file."""
 
     schema_version: Literal[1] = key("1", "version of this vocabulary", default=1)
-    model: KindName | None = key(one_of(_QUOTED), "what the run is a run of", example="arm")
+    model: KindName | None = key(
+        one_of(_QUOTED), "which model the run is of", example=next(iter(KINDS))
+    )
     origin: str | None = key(
         "text", "where the run comes from", example="who recorded this, with what, when"
     )
@@ -90,10 +92,15 @@ class Definition(_Sections):
 
     @classmethod
     def parse(cls, data: Mapping[str, Any], source: str = "definition") -> "Definition":
-        """The definition that plain data state; `source` names them in errors.
+        """The definition that plain data state.
 
-        Raises `InputError` for an unknown key (with the nearest known one) and for a value that
-        is not what its key must be.
+        Arguments:
+            data: as `tomllib` reads it; mappings, sequences and arrays will do.
+            source: what errors call them.
+
+        Raises:
+            InputError: an unknown key (with the nearest known one), or a value that is not what
+                its key must be.
         """
         try:
             return cls.model_validate(upgraded(plain(data)))
@@ -102,7 +109,11 @@ class Definition(_Sections):
 
     @classmethod
     def load(cls, path: str | Path) -> "Definition":
-        """Read a TOML file. Raises `InputError` if it is missing, not TOML or not legal."""
+        """Read a TOML file.
+
+        Raises:
+            InputError: it is missing, not TOML or not legal.
+        """
         path = Path(path)
         try:
             text = path.read_bytes().decode("utf-8-sig")
@@ -123,7 +134,8 @@ class Definition(_Sections):
     def merged_with(self, other: "Definition") -> "Definition":
         """This definition with what `other` gives on top, key by key within each section.
 
-        Raises `InputError` if the two together contradict themselves.
+        Raises:
+            InputError: the two together contradict themselves.
         """
         merged = self.contents()
         for name, value in other.contents().items():

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..kinds import KINDS, CommandSection, WindSection
+from ..kinds import WindSection
 from ._read import sidecar_path
 from ._run import Run
 
@@ -15,10 +15,15 @@ _LEAP = 990.0
 
 
 def describe(run: Run) -> dict[str, Any]:
-    """What a run holds: plain data (dicts, lists, str, int, float, bool, None).
+    """What a run holds.
 
-    `name`, `path`, `model`, `rows`, `time` (s), `command`, `wind`, `channels` (each in its
-    recorded unit), `sidecar` and `notes`, sentences on what is assumed because it is not stated.
+    Arguments:
+        run: the run.
+
+    Returns:
+        Plain data (dicts, lists, str, int, float, bool, None): `name`, `path`, `model`, `rows`,
+        `time` (s), `command`, `wind`, `channels` (each in its recorded unit), `sidecar` and
+        `notes`, sentences on what is assumed because it is not stated.
     """
     rows = len(run.times) if run.times is not None else len(next(iter(run.values.values())))
     return {
@@ -51,11 +56,11 @@ def _command(run: Run) -> dict[str, Any] | None:
     commands = {
         name: array
         for name, array in run.commands.items()
-        if run.channels[name].kind in KINDS[run.model].commands
+        if run.channels[name].kind in run.kind.commands
     }
     if not commands:
         return None
-    interpolation = run.definition.section(CommandSection).interpolation
+    interpolation = run.kind.interpolation(run)
     steps = np.arange(len(next(iter(commands.values())))) if run.times is None else run.times
     return {
         "channels": list(commands),
@@ -67,7 +72,9 @@ def _command(run: Run) -> dict[str, Any] | None:
 
 
 def _corners(times: npt.NDArray[Any], values: npt.NDArray[Any], interpolation: str) -> int:
-    """Number of rows at which a command jumps (zoh) or changes its slope (linear)."""
+    """Number of rows at which a command jumps (zoh) or changes its slope; 0 where it is smooth."""
+    if interpolation == "band_limited":
+        return 0
     if interpolation == "zoh":
         return int(np.any(np.diff(values, axis=0) != 0, axis=1).sum())
     slopes = np.diff(values, axis=0) / np.diff(times)[:, None]
@@ -115,9 +122,9 @@ def _channel(run: Run, name: str) -> dict[str, Any]:
 
 
 def _part(run: Run, kind: str) -> str:
-    if kind in KINDS[run.model].outputs:
+    if kind in run.kind.outputs:
         return "measured"
-    return "command" if kind in KINDS[run.model].inputs else "wind"
+    return "command" if kind in run.kind.inputs else "wind"
 
 
 def _sidecar(run: Run) -> dict[str, Any] | None:
@@ -161,7 +168,7 @@ def _leaps(times: npt.NDArray[np.float64], first_row: int | None) -> list[str]:
 
 
 def _notes(run: Run) -> list[str]:
-    notes = KINDS[run.model].notes(run, _sidecar(run) is not None)
+    notes = run.kind.notes(run, _sidecar(run) is not None)
     notes += [] if run.times is None else _leaps(run.times, _first_row(run))
     if not run.observations:
         notes.append("no measured channel: the run can be simulated, but not fitted")

@@ -47,8 +47,10 @@ class Fit(Section):
 
     data: list[Name] | None = key("a list of file names", "runs, relative to this file")
     free: list[Name] | None = key("a list of parameter paths", "parameters to fit")
-    start: dict[Name, Finite] | None = key("a table of parameter paths and numbers", "start values")
-    fix: dict[Name, Finite] | None = key(
+    start: dict[Name, Finite | list[Finite]] | None = key(
+        "a table of parameter paths and numbers", "start values"
+    )
+    fix: dict[Name, Finite | list[Finite]] | None = key(
         "a table of parameter paths and numbers", "parameters held at a value"
     )
     channels: list[Name] | None = key(

@@ -14,16 +14,16 @@ def belongs(channel: Channel, kind: Kind) -> bool:
 
 
 def infer_model(channels: Iterable[Channel]) -> str | None:
-    """The kind of model that the channels tell by themselves, or None."""
+    """The kind of model that the channels alone say, or None."""
     rows = frozenset(channel.kind for channel in channels)
-    return next((kind.name for kind in KINDS.values() if kind.told_by(rows)), None)
+    return next((kind.name for kind in KINDS.values() if kind.recognises(rows)), None)
 
 
 def decide_model(channels: Iterable[Channel], sidecar: str | None, source: str) -> str:
-    """The kind of model of a run: as its sidecar states, else as its channels tell.
+    """The kind of model of a run: as its sidecar states, else as its channels say.
 
     Raises:
-        InputError: neither tells, or a channel belongs to another kind.
+        InputError: neither says, or a channel belongs to another kind.
     """
     channels = list(channels)
     inferred = infer_model(channels)
@@ -31,7 +31,7 @@ def decide_model(channels: Iterable[Channel], sidecar: str | None, source: str) 
     if model is None:
         names = ", ".join(channel.name for channel in channels)
         raise InputError(
-            f"{source}: the channels {names} do not tell the model: "
+            f"{source}: the channels {names} do not say which model the run is of: "
             f'state it in the sidecar as model = "..." ({one_of(KINDS)})'
         )
     for channel in channels:

@@ -36,7 +36,8 @@ def _unit_of(key: str) -> tuple[str, str]:
 def noise_section(noise: Mapping[str, float], channels: Mapping[str, Channel]) -> dict[str, Any]:
     """The `[noise]` section of standard deviations (SI) by quantity or by channel.
 
-    Raises `InputError` for another name.
+    Raises:
+        InputError: another name.
     """
     section: dict[str, Any] = {}
     for name, deviation in noise.items():

@@ -34,15 +34,28 @@ def check_output_files(paths: Iterable[str | Path], *, force: bool) -> None:
             )
 
 
-def check_output_run(path: str | Path, *, force: bool) -> None:
-    """Refuse a run that could not be written with its sidecar; `.csv` is its only form.
+def check_run_name(path: str | Path) -> Path:
+    """Refuse a name that no run can be written to; `.csv` is its only form.
+
+    Returns:
+        The path.
 
     Raises:
-        InputError: naming the file and what to do.
+        InputError: the name does not end in `.csv`.
     """
     path = Path(path)
     if path.suffix != ".csv":
         raise InputError(f"{path} must end in .csv to be written as a run: give such a name")
+    return path
+
+
+def check_output_run(path: str | Path, *, force: bool) -> None:
+    """Refuse a run that could not be written with its sidecar.
+
+    Raises:
+        InputError: naming the file and what to do.
+    """
+    path = check_run_name(path)
     check_output_files((path, sidecar_path(path)), force=force)
 
 
@@ -80,7 +93,10 @@ def check_output_folder(
 
 
 def make_folder(folder: str | Path) -> Path:
-    """Make a folder with all above it, unless it is there; returns it.
+    """Make a folder with all above it, unless it is there.
+
+    Returns:
+        Its path.
 
     Raises:
         InputError: it cannot be made.

@@ -19,14 +19,16 @@ def read_run(
 ) -> Run:
     """Read one run and the sidecar beside it, `<stem>.toml`, if there is one.
 
-    - `path`: a `.csv` file (UTF-8, commas, one header line; an empty cell, `NaN` or `NA` is not
-      measured) or a `.parquet` file.
-    - `rename`: the file's column name -> the name it has in the column table.
-    - `definition`: a fit definition, whose `[arm]`, `[initial]`, `[command]`, `[wind]`,
-      `[noise]`, `model` and `free_motion` win over the sidecar's.
+    Arguments:
+        path: a `.csv` file (UTF-8, commas, one header line; an empty cell, `NaN` or `NA` is not
+            measured) or a `.parquet` file.
+        rename: the file's column name -> the name it has in the column table.
+        definition: a fit definition. What it says of the run and of its model, key by key, goes
+            before the sidecar.
 
-    Raises `InputError` for whatever keeps the file from being a run: one sentence that names the
-    file, the column and the row (in a CSV file, its line).
+    Raises:
+        InputError: whatever keeps the file from being a run, in one sentence that names the
+            file, the column and the row (in a CSV file, its line).
     """
     path = Path(path)
     table = read_table(path, rename)
@@ -37,9 +39,9 @@ def read_run(
             f"{sidecar.sha256[:12]}...: get the file again, or correct sha256 there"
         )
     if definition is not None:
-        about = run_keys(model=True)
-        about_run = {key: item for key, item in definition.contents().items() if key in about}
-        sidecar = sidecar.merged_with(Definition.parse(about_run))
+        keys = run_keys(model=True)
+        contents = {key: item for key, item in definition.contents().items() if key in keys}
+        sidecar = sidecar.merged_with(Definition.parse(contents))
     return run_of(table, path, sidecar)
 
 
@@ -51,11 +53,13 @@ def read_runs(
 ) -> list[Run]:
     """Read the runs of a fit, with the channels and the windows that its definition asks for.
 
-    - `paths`: as of `read_run`.
-    - `definition`: the fit definition.
-    - `rename`: as of `read_run`.
+    Arguments:
+        paths: as of `read_run`.
+        definition: the fit definition.
+        rename: as of `read_run`.
 
-    Raises `InputError` as `read_run`, `observing` and `windows` do.
+    Raises:
+        InputError: as `read_run`, `observing` and `windows`.
     """
     runs = [read_run(path, rename=rename, definition=definition) for path in paths]
     if definition.fit.channels is not None:
@@ -87,8 +91,9 @@ def sidecar_path(path: str | Path) -> Path:
 def read_sidecar(path: str | Path) -> Definition:
     """The sidecar of the run at `path`; an empty definition if there is none.
 
-    Raises `InputError` if it is not legal, or holds `[fit]` or `[figures]`, which a fit of the
-    run would silently ignore.
+    Raises:
+        InputError: it is not legal, or holds `[fit]` or `[figures]`, which a fit of the run would
+            silently ignore.
     """
     sidecar = sidecar_path(path)
     if not sidecar.exists():
@@ -104,7 +109,11 @@ def read_sidecar(path: str | Path) -> Definition:
 
 
 def parse_rename(pairs: list[str]) -> dict[str, str]:
-    """`["OLD=NEW", ...]` of the command line as a mapping. Raises `InputError`."""
+    """`["OLD=NEW", ...]` of the command line as a mapping.
+
+    Raises:
+        InputError: a pair of another form, or an old name twice.
+    """
     rename: dict[str, str] = {}
     for pair in pairs:
         # No name of the column table holds an equals sign; a foreign one may.

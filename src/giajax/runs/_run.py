@@ -22,18 +22,19 @@ from ._noise import deviation_of, noise_section
 class Run:
     """One experiment, in SI units.
 
-    - `name`: the file's stem, or a name of the caller's.
-    - `model`: name of its kind, one of `giajax.kinds.KINDS`.
-    - `times`: float64, shape (T,), s, strictly increasing; None for a static run.
-    - `values`: channel name -> float64, shape (T,), SI; NaN = not measured. A text channel
-      (`side`, `phase`) is an object array of str or None. Time is not among them.
-    - `channels`: channel name -> `Channel`, the same keys as `values`.
-    - `definition`: what the sidecar says, with the fit definition's word on top.
-    - `observed`: the channels that a fit compares; None for all that were measured.
-    - `path`, `sha256`: the file and its checksum; None for a run made from arrays.
-
     Made by `read_run` and `Run.from_arrays`, which both check the content. The arrays are
     read-only.
+
+    Attributes:
+        name: the file's stem, or a name of the caller's.
+        model: name of its kind, one of `giajax.kinds.KINDS`.
+        times: s, shape (sample,), strictly increasing; None for a static run.
+        values: by channel name, SI, each of shape (sample,); NaN = not measured. A text channel
+            (`side`, `phase`) is an object array of str or None. Time is not among them.
+        channels: by the same names.
+        definition: the sidecar, with the fit definition on top.
+        path, sha256: the file and its checksum; None for a run made from arrays.
+        observed: the channels that a fit compares; None for all that were measured.
     """
 
     name: str
@@ -58,20 +59,22 @@ class Run:
     ) -> "Run":
         """A run from arrays, with the same checks as a file.
 
-        - `times`: shape (T,), s; None for a static run.
-        - `values`: channel name (`joint01_command`, `link06_z`: no unit) -> shape (T,), SI
-          units: rad, rad/s, m, m/s, N, N m, Pa. NaN = not measured.
-        - `noise`: standard deviations, SI: by quantity (`position`, `angle`, `rate`) or by
-          channel name.
-        - `definition`: what a sidecar would say, as a `Definition` or a dict.
+        Arguments:
+            times: shape (sample,), s; None for a static run.
+            values: by channel name without unit (`joint01_command`, `link06_z`), SI (rad, rad/s,
+                m, m/s, N, N m, Pa), each of shape (sample,). NaN = not measured.
+            name: of the run.
+            noise: standard deviations, SI: by quantity (`position`, `angle`, `rate`) or by
+                channel name.
+            definition: what a sidecar would say.
 
-        Raises `InputError`.
+        Raises:
+            InputError: whatever keeps the arrays from being a run.
 
-            run = Run.from_arrays(
-                [0.0, 1.0, 2.0],
-                {"joint01_command": [0.0, 0.5, 0.5], "link20_z": [0.0, 0.4, 2.0]},
-                noise={"position": 0.01},
-            )
+        Example:
+            >>> import giajax
+            >>> values = {"joint01_command": [0.0, 0.5, 0.5], "link20_z": [0.0, 0.4, 2.0]}
+            >>> run = giajax.Run.from_arrays([0.0, 1.0, 2.0], values, noise={"position": 0.01})
         """
         if not isinstance(definition, Definition):
             definition = Definition.parse(definition or {}, f"{name}: definition")
@@ -158,7 +161,11 @@ def build_run(
     path: Path | None = None,
     sha256: str | None = None,
 ) -> Run:
-    """Decide the model, check the content, freeze the arrays. Raises `InputError`."""
+    """Decide the model, check the content, freeze the arrays.
+
+    Raises:
+        InputError: the content is not a run.
+    """
     if not channels:
         raise InputError(
             f"{wording.source} has only a time column: it must also have a channel, "

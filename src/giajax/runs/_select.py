@@ -18,11 +18,16 @@ _LINK_ANGLE = re.compile(r"link([0-9]+)_angle")
 def observing(run: Run, channels: Sequence[str]) -> Run:
     """The run with only these channels to be compared with a prediction.
 
-    - `channels`: names without unit. `linkNN_angle`, the absolute angle of a link in a plane, is
-      made from the joint angles up to it where it is not recorded.
+    The other channels stay in the run, and may give its initial state.
 
-    The other channels stay in the run, and may give its initial state. Raises `InputError` for a
-    channel that the run does not have and that cannot be made.
+    Arguments:
+        run: the run.
+        channels: names without unit. `linkNN_angle`, the absolute angle of a link in a plane, is
+            made from the joint angles up to it where it is not recorded.
+
+    Raises:
+        InputError: a channel that the run does not have and that cannot be made, or one that the
+            model does not predict.
     """
     values, known = dict(run.values), dict(run.channels)
     for name in channels:
@@ -57,17 +62,20 @@ def windows(run: Run, length: float) -> list[Run]:
     Each starts at its own initial state, which makes one long or chaotic recording into several
     short ones (multiple shooting). A remainder shorter than half a window is left out.
 
-    Raises `InputError` if the initial state is stated and would be that of every window, if the
-    run has no times, or if a window would hold fewer than four samples or none of a channel.
+    Raises:
+        InputError: the run has no initial state, or its sidecar states one that would be that of
+            every window, or a window would hold fewer than four samples or none of a channel.
     """
-    initial = run.definition.section(InitialSection)
-    if not initial.first_row:
+    if run.times is None or InitialSection not in run.kind.run_sections.values():
         raise InputError(
-            f"'{run.name}' is to be cut into windows, each of which needs its own initial state; "
+            f"'{run.name}' cannot be cut into windows, because a run of the {run.model} model has "
+            "no initial state: leave out the windows"
+        )
+    if not run.definition.section(InitialSection).first_row:
+        raise InputError(
+            f"'{run.name}' cannot be cut into windows, because each needs its own initial state: "
             "say first_row = true in [initial]"
         )
-    if run.times is None:
-        raise InputError(f"'{run.name}' has no times, so it cannot be cut into windows")
     count = max(int(np.floor((run.times[-1] - run.times[0]) / length + 0.5)), 1)
     edges = run.times[0] + length * np.arange(count + 1)
     rows = np.searchsorted(run.times, edges - 1e-9 * length)

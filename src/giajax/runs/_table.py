@@ -30,8 +30,13 @@ _SUFFIXES = (".csv", ".parquet")
 class Table:
     """The content of a data file, before anything is known about its model.
 
-    `times` (T,) s or None; `values` channel name -> (T,) SI, NaN = not measured, or an object
-    array of text; `first_row` is what errors call the first sample.
+    Attributes:
+        times: s, shape (sample,), or None.
+        values: by channel name, SI, each of shape (sample,): NaN = not measured; text as an
+            object array.
+        channels: by the same names.
+        sha256: checksum of the file.
+        first_row: what errors call the first sample.
     """
 
     times: npt.NDArray[np.float64] | None
@@ -42,7 +47,11 @@ class Table:
 
 
 def read_table(path: Path, rename: Mapping[str, str] | None = None) -> Table:
-    """Read a `.csv` or `.parquet` file. Raises `InputError` for what is not such a table."""
+    """Read a `.csv` or `.parquet` file.
+
+    Raises:
+        InputError: the file is not such a table.
+    """
     data = _bytes(path)
     if path.suffix.lower() == ".csv":
         header, columns, first_row = split_csv(data, path)

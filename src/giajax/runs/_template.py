@@ -19,9 +19,16 @@ from ._toml import key_path, toml_value
 def sidecar_template(path: str | Path, rename: Mapping[str, str] | None = None) -> str:
     """TOML text of a sidecar for the run at `path`.
 
-    It states what the file itself tells (model, checksum, free motion) and offers, as comments
+    It states what follows from the file (model, checksum, free motion) and offers, as comments
     with unit and meaning, every other key of the vocabulary that applies. An old sidecar is not
-    read. Raises `InputError` if the file is not a table of known columns.
+    read.
+
+    Arguments:
+        path: of the run.
+        rename: the file's column name -> the name it has in the column table.
+
+    Raises:
+        InputError: the file is not a table of known columns.
     """
     path = Path(path)
     table = read_table(path, rename)

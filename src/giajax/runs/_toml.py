@@ -13,8 +13,10 @@ _BARE = re.compile(r"[A-Za-z0-9_-]+")
 def to_toml(data: dict[str, Any]) -> str:
     """TOML text of nested dicts of strings, numbers, booleans and lists; None is left out.
 
-    Deterministic: the order of the dicts is kept, plain values come before tables. Raises
-    `InputError` for a value that TOML cannot hold.
+    Deterministic: the order of the dicts is kept, plain values come before tables.
+
+    Raises:
+        InputError: a value that TOML cannot hold.
     """
     return "\n".join(_table(data, ())).strip("\n") + "\n"
 

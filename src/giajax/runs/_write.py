@@ -13,7 +13,7 @@ from .._errors import InputError
 from ._channels import Channel, order
 from ._definition import Definition
 from ._model import infer_model
-from ._output import check_output_files
+from ._output import check_output_files, check_run_name
 from ._read import sidecar_path
 
 DEFAULT_UNITS = {"angle": "deg", "angular_velocity": "deg_per_s", "pressure": "kPa"}
@@ -31,19 +31,22 @@ def write_run(
 ) -> Path:
     """Write a run as a `.csv` file that `read_run` reads; returns its path.
 
-    - `times`: shape (T,), s, or None for a static run.
-    - `values`: channel name -> shape (T,), SI; NaN becomes an empty cell.
-    - `units`: channel name or quantity (`length`, `angle`, `angular_velocity`, ...) -> suffix.
-      By default: deg, deg_per_s, kPa, and SI for the rest.
-    - `definition`: with it a sidecar is written too, and holds the model and the checksum.
-    - `digits`: significant digits of a value.
-    - `force`: write over a file that is there.
+    Each file appears whole or not at all.
 
-    Raises `InputError`, and then nothing was written over. Each file appears whole or not at all.
+    Arguments:
+        path: of the run; its name ends in `.csv`.
+        times: shape (sample,), s, or None for a static run.
+        values: by channel name, SI, each of shape (sample,); NaN becomes an empty cell.
+        units: suffix by channel name or quantity (`length`, `angle`, `angular_velocity`, ...).
+            By default: deg, deg_per_s, kPa, and SI for the rest.
+        definition: with it a sidecar is written too, and holds the model and the checksum.
+        digits: significant digits of a value.
+        force: write over a file that is there.
+
+    Raises:
+        InputError: a run that cannot be written; then nothing was written over.
     """
-    path = Path(path)
-    if path.suffix != ".csv":
-        raise InputError(f"{path} must end in .csv to be written as a run: give such a name")
+    path = check_run_name(path)
     sidecar = sidecar_path(path)
     if definition is not None and not isinstance(definition, Definition):
         definition = Definition.parse(definition, str(sidecar))
@@ -69,7 +72,8 @@ def write_run(
 def write_files(contents: Mapping[Path, bytes], *, force: bool) -> None:
     """Write files, all of them or, where one is there and `force` is false, none.
 
-    Raises `InputError` if a file is there, or its folder is not, or cannot be written.
+    Raises:
+        InputError: a file is there, or its folder is not, or it cannot be written.
     """
     check_output_files(contents, force=force)
     temporary = {path: path.with_name(f".{path.name}.{os.getpid()}.part") for path in contents}

@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 from .._errors import InputError
 from ..fitting import MAX_ITERATIONS, FitResult, Iteration, Seconds, Setup, Start, set_up, solve
@@ -25,8 +26,8 @@ def multi_start(
     spread: float = SPREAD,
     seed: int = SEED,
     free: Sequence[str] | None = None,
-    start: Mapping[str, float] | None = None,
-    fix: Mapping[str, float] | None = None,
+    start: Mapping[str, npt.ArrayLike] | None = None,
+    fix: Mapping[str, npt.ArrayLike] | None = None,
     loss: str = "linear",
     solver: str | None = None,
     tolerance: float | None = None,

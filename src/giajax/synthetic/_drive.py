@@ -63,7 +63,7 @@ class Drive:
 
 
 def joint_moves(moves: Sequence[Move], *, joints: int, end: float) -> Drive:
-    """Commands that go from the straight arm at 0 s through the given movements.
+    """Commands that go from the straight arm at 0 s through some movements.
 
     Each movement goes on from where the one before it left its joint. A joint that no movement
     names has no column.

@@ -22,7 +22,7 @@ class RecordingErrors:
     Attributes:
         white: standard deviation of noise that each sample has by itself.
         correlated: standard deviation of noise that drifts (Ornstein-Uhlenbeck).
-        correlation_time: after which the drift has forgotten itself by 1/e, s.
+        correlation_time: in which the correlation of the drift falls to 1/e, s.
         missing: fraction of cells that are empty here and there, in [0, 1).
         bursts: fraction of the samples of each link or joint that is lost in whole stretches.
         burst_duration: of each stretch, s.
@@ -120,7 +120,7 @@ def drifting(
 
 
 def _by_channel(run: Run, deviations: Mapping[str, float]) -> dict[str, float]:
-    """What is given by quantity or channel, for each measured channel; 0 where nothing is."""
+    """Deviations by measured channel, from those by quantity or channel; 0 where there is none."""
     bare = {key: value for key, value in run.definition.contents().items() if key != "noise"}
     positive = {key: value for key, value in deviations.items() if value > 0}
     if any(not np.isfinite(value) or value < 0 for value in deviations.values()):

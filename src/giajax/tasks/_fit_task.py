@@ -8,6 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
+import numpy.typing as npt
+
 from .._errors import InputError
 from ..runs import Definition, read_runs
 
@@ -86,8 +88,8 @@ class FitTask:
         data: Paths | None = None,
         validation: Paths | None = None,
         free: Sequence[str] | None = None,
-        start: Mapping[str, float] | None = None,
-        fix: Mapping[str, float] | None = None,
+        start: Mapping[str, npt.ArrayLike] | None = None,
+        fix: Mapping[str, npt.ArrayLike] | None = None,
         channels: Sequence[str] | None = None,
         window_s: float | None = None,
         starts: int | None = None,
@@ -216,8 +218,8 @@ def _paths(files: Paths) -> tuple[Path, ...]:
 def _parameters(
     definition: Definition,
     free: Sequence[str] | None,
-    start: Mapping[str, float],
-    fix: Mapping[str, float],
+    start: Mapping[str, npt.ArrayLike],
+    fix: Mapping[str, npt.ArrayLike],
 ) -> dict[str, Any]:
     """`free`, `start` and `fix` of a definition with others on top, path by path."""
     below = definition.fit
