@@ -25,7 +25,8 @@ _RAMP_DURATION = 1.0
 _DEFAULT_LINKS = (2, 6, 12, 20)
 
 _MOVE = re.compile(
-    rf"(?P<joint>[0-9]+)=(?P<angle>{NUMBER})(?:@(?P<start>{NUMBER})(?::(?P<duration>{NUMBER}))?)?"
+    rf"(?P<joint>[0-9]{{1,9}})=(?P<angle>{NUMBER})"
+    rf"(?:@(?P<start>{NUMBER})(?::(?P<duration>{NUMBER}))?)?"
 )
 
 

@@ -3,7 +3,6 @@
 This file is longer than 200 lines because every option of the command stands in it with its help.
 """
 
-import math
 import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ._progress import Progress
+from ._values import number
 
 if TYPE_CHECKING:
     from ..fitting import FitResult
@@ -186,11 +186,8 @@ def _values(pairs: list[str] | None, option: str) -> dict[str, float]:
     values: dict[str, float] = {}
     for pair in pairs or []:
         path, _, text = pair.partition("=")
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not path or not math.isfinite(value):
+        value = number(text)
+        if not path or value is None:
             raise typer.BadParameter(f"{option} '{pair}' must be PATH=VALUE, VALUE a number")
         if path in values:
             raise typer.BadParameter(f"{option} gives '{path}' twice: give it once")

@@ -9,6 +9,9 @@ from typing import Any
 import numpy as np
 
 from .._errors import InputError
+from .._files import read_bytes
+from .._limits import RESULT_BYTES
+from .._syntax import parse_json
 from ..fitting import FitResult, RunFit
 from ..runs import Run, check_output_folder, make_folder, write_files
 from ._correlation import correlation_figure
@@ -21,6 +24,9 @@ RESULT = "result.json"
 
 # A figure takes a second, and nobody looks at twenty of them.
 _MOST_RUNS = 6
+
+# Of a run, in the name of a figure: 50 characters of four bytes leave room for what is around it.
+_LONGEST_NAME = 50
 
 # What makes two fits the same fit; the iterations allowed and the folder do not.
 _SAME = ("definition", "runs", "free", "start", "fix", "loss")
@@ -51,13 +57,13 @@ def check_folder(
         return
     remedy = "give another --out, or --force to write over it"
     try:
-        record = json.loads(path.read_text(encoding="utf-8"))
+        record = parse_json(read_bytes(path, RESULT_BYTES).decode(), path)
         checksums = [run["sha256"] for run in record["runs"]]
         before = record["config"]
         differing = [key for key in _SAME if before.get(key) != _as_json(config.get(key))]
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror}); {remedy}") from None
-    except (ValueError, KeyError, TypeError, AttributeError):
+    except (ValueError, LookupError, TypeError, AttributeError):
         raise InputError(f"{path} is not a result of giajax; {remedy}") from None
     if checksums != [run.sha256 for run in runs]:
         names = ", ".join(str(run.get("name")) for run in record["runs"])
@@ -123,7 +129,8 @@ def _unique_names(runs: Sequence[Run]) -> list[str]:
     """A name for each run that no other has and any file system takes."""
     names: list[str] = []
     for run in runs:
-        stem = name = re.sub(r"[^\w.-]+", "_", run.name).strip(".") or "run"
+        stem = re.sub(r"[^\w.-]+", "_", run.name).strip(".")[:_LONGEST_NAME] or "run"
+        name = stem
         number = 1
         while name.lower() in (other.lower() for other in names):
             number += 1
