@@ -62,10 +62,12 @@ def split_csv(data: bytes, path: Path) -> tuple[list[str], list[pl.Series], int]
     if b'"' in body:
         return header, _quoted(body, header, path), 2
     _check_widths(body, len(header), path)
+    # Below a line of its own: Polars drops a byte order mark and empty lines at the top.
+    top = b",".join([b"0"] * len(header)) + b"\n"
     frame = pl.read_csv(
-        io.BytesIO(body), has_header=False, infer_schema=False, quote_char=None, glob=False
+        io.BytesIO(top + body), has_header=False, infer_schema=False, quote_char=None, glob=False
     )
-    return header, frame.get_columns(), 2
+    return header, frame[1:].get_columns(), 2
 
 
 def _check_lengths(data: bytes, path: Path) -> None:
