@@ -168,7 +168,7 @@ def test_numbers_are_read_where_every_row_has_them(folder, data):
     lines = data.removeprefix(b"\xef\xbb\xbf").split()
     # A last row of one empty cell is no row.
     even = len({line.count(b",") for line in lines}) == 1 and b"," in lines[0]
-    if even and all(lines):
+    if even and len(lines) > 1:
         assert same(data, folder / "numbers.csv")
 
 
