@@ -71,13 +71,13 @@ headers = st.lists(st.sampled_from(sorted(UNITS)), min_size=1, max_size=4, uniqu
 
 
 @st.composite
-def tables(draw, cell=cells):
-    """The bytes of a CSV file, not always with as many cells in a row as in the header."""
-    header = draw(headers)
+def tables(draw, cell=cells, others=(0,) * 12 + (1, -1), fewest=1):
+    """The bytes of a CSV file, with some `others` more or fewer cells in a row than columns."""
+    header = draw(headers.filter(lambda names: len(names) >= fewest))
     end = draw(st.sampled_from(["\n", "\r\n", "\r"]))
     lines = [",".join(header)]
     for _ in range(draw(st.integers(1, 5))):
-        width = len(header) + draw(st.sampled_from([0] * 12 + [1, -1]))
+        width = len(header) + draw(st.sampled_from(others))
         lines.append(",".join(draw(cell) for _ in range(width)))
     text = end.join(lines) + draw(st.sampled_from(["", end, end + end]))
     return draw(st.sampled_from([b"", b"\xef\xbb\xbf"])) + text.encode("utf-8", "surrogatepass")
@@ -159,17 +159,15 @@ def test_no_cell_is_read_as_another_number(folder, data):
     same(data, folder / "cells.csv")
 
 
+good = st.one_of(st.floats(-1e9, 1e9).map(repr), st.sampled_from(["", "NA", "-.5e-3", " 1"]))
+
+
+# A last row of one empty cell is no row.
 @usual
-@given(
-    tables(cell=st.one_of(st.floats(-1e9, 1e9).map(repr), st.sampled_from(["", "NA", "-.5e-3"])))
-)
-def test_numbers_are_read_where_every_row_has_them(folder, data):
+@given(tables(good, others=(0,), fewest=2))
+def test_numbers_are_read(folder, data):
     """So that the test above is not one of a reader that refuses everything."""
-    lines = data.removeprefix(b"\xef\xbb\xbf").split()
-    # A last row of one empty cell is no row.
-    even = len({line.count(b",") for line in lines}) == 1 and b"," in lines[0]
-    if even and len(lines) > 1:
-        assert same(data, folder / "numbers.csv")
+    assert same(data, folder / "numbers.csv")
 
 
 RUNS = [

@@ -114,6 +114,7 @@ from .report import (
     draw_scene as draw_scene,
     parameter_table as parameter_table,
     summary as summary,
+    write_figures as write_figures,
     write_result as write_result,
 )
 from .runs import (

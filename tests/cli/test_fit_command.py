@@ -12,6 +12,7 @@ import sys
 import numpy as np
 import pytest
 
+from giajax import InputError
 from giajax.cli import main
 from giajax.fitting import load_result
 from giajax.runs import read_run
@@ -47,6 +48,26 @@ def fitted(tmp_path_factory):
 def data(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     return make_run(tmp_path)
+
+
+def test_a_result_that_cannot_be_written_is_printed(data, monkeypatch):
+    def fail(*_, **__):
+        raise InputError("no space left: make some")
+
+    monkeypatch.setattr("giajax.report.write_result", fail)
+    status, out, err = giajax("fit", "--data", data, *STARTS, "--max-iterations", "1")
+    assert status == 2
+    assert json.loads(out)["parameters"]["air.drag_coefficient"]["value"] > 0
+    assert err.endswith("could not all be written:\ngiajax: no space left: make some\n")
+
+
+def test_numbers_without_figures(data):
+    options = ["--max-iterations", "1", "--out", "out", "--no-figures"]
+    _, out, _ = giajax("fit", "--data", data, *STARTS, *options)
+    assert {path.name for path in (data.parent / "out").iterdir()} == {
+        name for name in FILES if not name.endswith(".png")
+    }
+    assert out.endswith("wrote out: result.json, prediction.csv, prediction.toml\n")
 
 
 def test_it_finds_the_truth(fitted):
@@ -306,6 +327,7 @@ def test_an_interruption_in_the_loop_writes_the_best_so_far(data, tmp_path, monk
 SLOWLY = """
 import sys, time
 import giajax.cli._progress as command
+from giajax import InputError
 from giajax.cli import main
 shown = command.Progress.__call__
 def slowly(self, iteration):

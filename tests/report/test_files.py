@@ -11,17 +11,17 @@ from giajax._errors import InputError
 from giajax.fitting import fit, load_result, set_up
 from giajax.kinds import InitialSection
 from giajax.models import model_for
-from giajax.report import check_folder, write_result
+from giajax.report import _files, check_folder, write_figures, write_result
 from giajax.runs import Run, read_run
 from small_arm import START, make_run, small_run
 
 NAMES = [
+    "result.json",
     "prediction.csv",
     "prediction.toml",
     "recorded.png",
     "residuals.png",
     "correlation.png",
-    "result.json",
 ]
 
 
@@ -36,7 +36,7 @@ def test_what_is_written(result, run, tmp_path):
     assert [path.name for path in files] == NAMES
     assert sorted(os.listdir(folder)) == sorted(NAMES)  # and no half-written file
     assert (folder / "result.json").read_text() == result.to_json()
-    for name in NAMES[2:5]:
+    for name in NAMES[3:]:
         assert (folder / name).stat().st_size > 5_000
 
 
@@ -76,8 +76,8 @@ def test_several_runs_are_in_one_file_and_have_a_figure_each(tmp_path):
     files = [path.name for path in write_result(both, runs, folder)]
     # Two runs of one name are told apart.
     assert files == [
-        "prediction.csv", "recorded_run.png", "recorded_run_2.png", "residuals.png",
-        "correlation.png", "result.json",
+        "result.json", "prediction.csv", "recorded_run.png", "recorded_run_2.png",
+        "residuals.png", "correlation.png",
     ]  # fmt: skip
     lines = (folder / "prediction.csv").read_text().splitlines()
     head = "run,time_s,joint01_command_deg,joint02_command_deg,link02_y_m,link04_z_m,link04_z_cm"
@@ -97,6 +97,31 @@ def test_stale_figures_go_and_a_persons_own_stay(result, run, tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     write_result(result, run, tmp_path)
     assert sorted(os.listdir(tmp_path)) == sorted([*NAMES, "recorded_mine.png", "notes.txt"])
+
+
+def test_figures_are_drawn_later_or_not_at_all(result, run, tmp_path):
+    write_result(result, run, tmp_path / "whole")
+    files = write_result(result, run, tmp_path / "parts", figures=False)
+    assert [path.name for path in files] == ["result.json", "prediction.csv", "prediction.toml"]
+    assert sorted(os.listdir(tmp_path / "parts")) == sorted(path.name for path in files)
+    write_figures(result, run, tmp_path / "parts")
+    for name in NAMES:
+        assert (tmp_path / "parts" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+
+
+def test_a_disk_that_fills_up_keeps_the_result(result, run, tmp_path, monkeypatch):
+    """The numbers come first: what is large, or drawn, is what a full disk loses."""
+    write = _files.write_files
+
+    def fill_up(contents, *, force):
+        if any(path.suffix == ".csv" for path in contents):
+            raise InputError("no space left")
+        write(contents, force=force)
+
+    monkeypatch.setattr(_files, "write_files", fill_up)
+    with pytest.raises(InputError, match="no space left"):
+        write_result(result, run, tmp_path)
+    assert load_result(tmp_path).to_json() == result.to_json()
 
 
 def test_a_loaded_result_writes_the_same_files(result, run, tmp_path):

@@ -3,18 +3,16 @@
 This file is longer than 200 lines because every option of the command stands in it with its help.
 """
 
-import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ._fit_output import show_files, show_result, write_or_print
 from ._progress import Progress
 from ._values import number
 
 if TYPE_CHECKING:
-    from ..fitting import FitResult
-    from ..runs import Definition
     from ..tasks import FitTask
 
 STATUS = {"converged": 0, "not_converged": 1, "interrupted": 130}
@@ -119,6 +117,9 @@ def fit(
         bool, typer.Option("--json", help="Print result.json instead of the tables.")
     ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
+    figures: Annotated[
+        bool, typer.Option("--figures/--no-figures", help="Draw figures of the result.")
+    ] = True,
 ) -> None:
     """Fit parameters to runs.
 
@@ -152,7 +153,7 @@ def fit(
     from ._jax import configure
 
     configure()
-    from ..report import check_figures, check_folder, write_result
+    from ..report import check_figures, check_folder, write_figures, write_result
     from ..study import choice_hint
 
     ready = task.prepare()
@@ -162,11 +163,18 @@ def fit(
     result = ready.run(progress, None if progress is None else progress.announce)
     if progress is not None:
         progress.end()
-    files = write_result(result, ready.runs, task.out)
+    files = write_or_print(
+        result, lambda: write_result(result, ready.runs, task.out, figures=False)
+    )
     if as_json:
         typer.echo(result.to_json(), nl=False)
     elif not quiet:
-        _show(result, task.definition, files)
+        show_result(result, task.definition)
+    # What a person waits for is there; drawing takes a second or two.
+    if figures:
+        files += write_figures(result, ready.runs, task.out)
+    if not (as_json or quiet):
+        show_files(files)
         if hint := choice_hint(ready.runs, [str(path) for path in task.data]):
             print(f"\n{hint}")
     raise typer.Exit(STATUS[result.status])
@@ -193,24 +201,3 @@ def _values(pairs: list[str] | None, option: str) -> dict[str, float]:
             raise typer.BadParameter(f"{option} gives '{path}' twice: give it once")
         values[path] = value
     return values
-
-
-def _show(result: "FitResult", definition: "Definition", files: list[Path]) -> None:
-    import shutil
-    import sys
-
-    from ..report import parameter_table, reached, summary
-
-    # Nothing is wrapped where no person reads it: a row is a line, for grep and awk.
-    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
-    print(parameter_table(result, width))
-    print()
-    print(summary(result, width))
-    figures = reached(result, definition)
-    if figures:
-        print()
-    for figure in figures:
-        print(f"{'reached' if figure.reached else 'MISSED':<9}{figure.path} {figure.sentence}")
-    print()
-    wrote = f"wrote {files[0].parent}: {', '.join(path.name for path in files)}"
-    print(wrote if width is None else textwrap.fill(wrote, width, subsequent_indent="  "))

@@ -2,7 +2,11 @@
 
 from .._text import format_estimate as format_estimate
 from ._correlation import correlation_figure as correlation_figure
-from ._files import check_folder as check_folder, write_result as write_result
+from ._files import (
+    check_folder as check_folder,
+    write_figures as write_figures,
+    write_result as write_result,
+)
 from ._joint_angle import angle_figure as angle_figure, angle_table as angle_table
 from ._joint_correction import (
     correction_figure as correction_figure,

@@ -1,7 +1,6 @@
 """A result as a folder of files, and whether a folder may take it."""
 
 import json
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from .._syntax import parse_json
 from ..fitting import FitResult, RunFit
 from ..runs import Run, check_output_folder, make_folder, write_files
 from ._correlation import correlation_figure
+from ._names import unique_names
 from ._prediction import prediction_files
 from ._recorded import recorded_figure
 from ._residuals import residuals_figure
@@ -24,9 +24,6 @@ RESULT = "result.json"
 
 # A figure takes a second, and nobody looks at twenty of them.
 _MOST_RUNS = 6
-
-# Of a run, in the name of a figure: 50 characters of four bytes leave room for what is around it.
-_LONGEST_NAME = 50
 
 # What makes two fits the same fit; the iterations allowed and the folder do not.
 _SAME = ("definition", "runs", "free", "start", "fix", "loss")
@@ -75,20 +72,26 @@ def check_folder(
         )
 
 
-def write_result(result: FitResult, runs: Run | Sequence[Run], folder: str | Path) -> list[Path]:
+def write_result(
+    result: FitResult,
+    runs: Run | Sequence[Run],
+    folder: str | Path,
+    *,
+    figures: bool = True,
+) -> list[Path]:
     """Write a result to a folder, which is made if it is missing; returns the files.
 
     `result.json` is the result itself (`giajax.load_result`). `prediction.csv` has the columns of
     the recording with the fitted in place of the recorded values, at every time; for one run it is
-    a run itself, with its sidecar, and for several it has a leading column `run`. Figures show
-    recorded against fitted values of each run (of many runs, of those that are described worst),
-    the residuals and the correlations. Each file
-    appears whole or not at all, `result.json` last. Figures of an earlier fit are removed.
+    a run itself, with its sidecar, and for several it has a leading column `run`. Each file appears
+    whole or not at all, `result.json` first: what takes longest to compute is on disk before
+    anything else can fail. Figures of an earlier fit are removed.
 
     Arguments:
         result: the result of `fit` or `load_result`.
         runs: the runs that were fitted, in the same order.
         folder: written over without asking; `check_folder` asks.
+        figures: whether to draw the figures too; `write_figures` draws them later.
 
     Raises:
         InputError: other runs than those of the result, or the folder cannot be written.
@@ -97,46 +100,54 @@ def write_result(result: FitResult, runs: Run | Sequence[Run], folder: str | Pat
         >>> write_result(result, runs, "giajax-out/base_step")  # doctest: +SKIP
     """
     folder = Path(folder)
+    runs, names, predictions = _parts(result, runs)
+    check_output_folder(folder)
+    make_folder(folder)
+    files = _written(folder, {RESULT: result.to_json().encode()})
+    _remove_stale_figures(folder)
+    files += _written(folder, prediction_files(result, runs, names, predictions))
+    return files + (write_figures(result, runs, folder) if figures else [])
+
+
+def write_figures(result: FitResult, runs: Run | Sequence[Run], folder: str | Path) -> list[Path]:
+    """Draw a result into the folder that `write_result` wrote; returns the files.
+
+    Recorded against fitted values of each run (of many runs, of those that are described worst),
+    the residuals and the correlations.
+
+    Arguments:
+        result: the result of `fit` or `load_result`.
+        runs: the runs that were fitted, in the same order.
+        folder: of the result.
+
+    Raises:
+        InputError: other runs than those of the result, or the folder cannot be written.
+    """
+    runs, names, predictions = _parts(result, runs)
+    return _written(Path(folder), _figure_files(result, runs, names, predictions))
+
+
+def _parts(
+    result: FitResult, runs: Run | Sequence[Run]
+) -> tuple[list[Run], list[str], Sequence[Mapping[str, np.ndarray]]]:
+    """The runs of a result, their names as files, and what it predicts for each."""
     runs = [runs] if isinstance(runs, Run) else list(runs)
     if [run.sha256 for run in runs] != [record.sha256 for record in result.runs]:
         raise InputError("the runs are not those of the result: give the same ones in their order")
     # A result that was loaded has no predictions with it.
     predictions = result.predictions or [result.predict(run) for run in runs]
-    names = _unique_names(runs)
-    contents = prediction_files(result, runs, names, predictions)
-    interrupted = None
-    try:
-        contents.update(_figure_files(result, runs, names, predictions))
-    except KeyboardInterrupt as error:  # figures can be made again; a fit takes longer
-        interrupted = error
-    contents[RESULT] = result.to_json().encode()
-    check_output_folder(folder)
-    make_folder(folder)
-    _remove_stale_figures(folder, contents)
+    return runs, unique_names(runs), predictions
+
+
+def _written(folder: Path, contents: Mapping[str, bytes]) -> list[Path]:
     paths = {folder / name: data for name, data in contents.items()}
     write_files(paths, force=True)
-    if interrupted is not None:
-        raise interrupted
     return list(paths)
 
 
 def _as_json(value: Any) -> Any:
     """What becomes of a value that is written as JSON and read again."""
     return json.loads(json.dumps(value))
-
-
-def _unique_names(runs: Sequence[Run]) -> list[str]:
-    """A name for each run that no other has and any file system takes."""
-    names: list[str] = []
-    for run in runs:
-        stem = re.sub(r"[^\w.-]+", "_", run.name).strip(".")[:_LONGEST_NAME] or "run"
-        name = stem
-        number = 1
-        while name.lower() in (other.lower() for other in names):
-            number += 1
-            name = f"{stem}_{number}"
-        names.append(name)
-    return names
 
 
 def _worth_drawing(result: FitResult) -> list[int]:
@@ -169,14 +180,13 @@ def _figure_files(
     return files
 
 
-def _remove_stale_figures(folder: Path, contents: Mapping[str, bytes]) -> None:
-    """Remove figures that an earlier fit wrote and this one does not."""
+def _remove_stale_figures(folder: Path) -> None:
+    """Remove the figures of an earlier fit, which do not show this one."""
     for pattern in ("recorded.png", "recorded_*.png", "residuals.png", "correlation.png"):
         for path in folder.glob(pattern):
             try:
                 # A person's own figure of such a name does not carry the signature.
-                ours = SIGNATURE.encode() in path.read_bytes()[:200]
-                if path.name not in contents and ours:
+                if SIGNATURE.encode() in path.read_bytes()[:200]:
                     path.unlink()
             except OSError:
                 continue
