@@ -97,7 +97,7 @@ def _bytes(path: Path) -> bytes:
 def _split_parquet(data: bytes, path: Path) -> tuple[list[str], list[pl.Series], int]:
     try:
         frame = pl.read_parquet(io.BytesIO(data))
-    except (pl.exceptions.PolarsError, OSError):
+    except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError):
         raise InputError(
             f"{path} is not a Parquet file: it must be one, so export it again"
         ) from None
