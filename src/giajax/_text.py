@@ -1,6 +1,7 @@
 """Numbers and sentences as text."""
 
 import math
+import re
 import textwrap
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -74,5 +75,28 @@ def one_of(names: Iterable[Any]) -> str:
 
 def shown(value: Any, longest: int = 60) -> str:
     """A value much as its author wrote it, on one line and not longer than a line."""
+    if isinstance(value, str | bytes):
+        value = value[: longest + 1]  # enough to see that it is longer
     text = repr(value) if not isinstance(value, bool) else str(value).lower()
     return text if len(text) <= longest else f"{text[: longest - 3]}..."
+
+
+# A path of a deep folder, and a sentence that lists what there is.
+_LONGEST_WORD = 300
+_LONGEST_SENTENCE = 2_000
+
+
+def abridged(sentence: str) -> str:
+    """A sentence without the middle of its endless words, and of itself where it is endless.
+
+    What a file has where a name or a number should be may be a megabyte long. The beginning says
+    what it is and the end what to do.
+    """
+    if len(sentence) <= _LONGEST_WORD:
+        return sentence
+    words = re.sub(rf"\S{{{_LONGEST_WORD},}}", lambda word: _without_middle(word[0], 60), sentence)
+    return words if len(words) <= _LONGEST_SENTENCE else _without_middle(words, 400)
+
+
+def _without_middle(text: str, each: int) -> str:
+    return f"{text[:each]}...{text[-each:]}"

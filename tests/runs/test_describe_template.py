@@ -118,14 +118,14 @@ def leap_notes(run):
 
 
 def test_a_leap_of_the_time_step_is_noted_with_its_row(tmp_path):
-    """Milliseconds among seconds: from line 5 on the stamps are a thousand times as large."""
+    """Another unit, perhaps: from line 6 on the steps are a thousand times as large."""
     path = tmp_path / "run.csv"
-    rows = ["0,0", "0.01,1", "0.02,2", "0.03,3", "40,3", "50,3", "60,3"]
+    rows = ["0,0", "0.01,1", "0.02,2", "0.03,3", "70,3", "80,3", "90,3"]
     path.write_text("time_s,input_m,output_m\n" + "".join(f"{row},1\n" for row in rows))
     (note,) = leap_notes(read_run(path))
-    assert note.startswith("the time step changes from 0.01 s to 40 s in row 6: check the unit")
+    assert note.startswith("the time step changes from 0.01 s to 70 s in row 6: check the unit")
     (note,) = leap_notes(read_run(path, rename={"time_s": "time_ms"}))
-    assert "from 1e-05 s to 0.04 s in row 6" in note
+    assert "from 1e-05 s to 0.07 s in row 6" in note
 
 
 def test_a_gap_is_two_leaps_and_another_rate_none():

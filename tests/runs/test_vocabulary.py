@@ -181,7 +181,7 @@ WRONG = [
     ("[arm]\ncolour = 3", ["unknown key arm.colour", "giajax init"]),
     ("arm = 3", ["[arm] must be a table"]),
     ("[arm]\nlinks = 2.5", ["arm.links = 2.5", "whole number"]),
-    ("[arm]\nlinks = 0", ["arm.links = 0", "at least 1"]),
+    ("[arm]\nlinks = 0", ["arm.links = 0", "from 1 to 1000"]),
     ("[arm]\nlinks = true", ["arm.links = true", "whole number"]),
     ("[arm]\nlink_length_m = 0", ["arm.link_length_m = 0", "positive number"]),
     ("[arm]\nlink_length_m = nan", ["arm.link_length_m = nan", "positive number"]),

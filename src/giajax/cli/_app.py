@@ -26,6 +26,7 @@ from . import (
     _synth,
 )
 from ._errors import Commands, run
+from ._words import command_of
 
 _EXAMPLES = """\b
 Examples:
@@ -98,7 +99,7 @@ def _app_for(words: Sequence[str]) -> typer.Typer:
     for function, examples in _COMMANDS:
         name = function.__name__
         full = function if name in words else _without_options(function)
-        app.command(name, epilog=examples)(full)
+        app.command(name, epilog=examples, cls=command_of(full))(full)
     return app
 
 

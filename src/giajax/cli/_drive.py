@@ -24,7 +24,8 @@ _START = 0.5
 _RAMP_DURATION = 1.0
 
 _MOVE = re.compile(
-    rf"(?P<joint>[0-9]+)=(?P<angle>{NUMBER})(?:@(?P<start>{NUMBER})(?::(?P<duration>{NUMBER}))?)?"
+    rf"(?P<joint>[0-9]{{1,9}})=(?P<angle>{NUMBER})"
+    rf"(?:@(?P<start>{NUMBER})(?::(?P<duration>{NUMBER}))?)?"
 )
 
 

@@ -9,6 +9,7 @@ import typer
 from typer.core import TyperGroup
 
 from .._errors import InputError
+from .._text import abridged
 
 BAD_INPUT = 2
 INTERRUPTED = 130
@@ -67,7 +68,7 @@ def run(command: Any, arguments: list[str]) -> int:
 
 
 def _say(sentence: str, status: int) -> int:
-    print(f"giajax: {' '.join(sentence.split())}", file=sys.stderr)
+    print(f"giajax: {abridged(' '.join(sentence.split()))}", file=sys.stderr)
     return status
 
 

@@ -10,6 +10,9 @@ from typing import Any
 import numpy as np
 
 from .._errors import InputError
+from .._files import check_path, read_bytes
+from .._limits import RESULT_BYTES
+from .._syntax import parse_json
 from ..models import AbstractModel, build_model
 from ..runs import Run
 from ._predict import predict
@@ -145,9 +148,10 @@ def load_result(path: str | Path) -> FitResult:
         >>> result.predict(giajax.read_run("other.csv"))  # doctest: +SKIP
     """
     path = Path(path)
+    check_path(path)
     path = path / "result.json" if path.is_dir() else path
     try:
-        record = json.loads(path.read_text(encoding="utf-8"))
+        record = parse_json(read_bytes(path, RESULT_BYTES).decode(), path)
         if record.pop("schema_version") != SCHEMA_VERSION:
             raise InputError(f"{path} was written by another version of giajax: run the fit again")
         kind = record.pop("model")
@@ -159,7 +163,7 @@ def load_result(path: str | Path) -> FitResult:
         raise InputError(f"{path} does not exist: give the folder of a finished fit") from None
     except InputError:
         raise
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+    except (OSError, ValueError, LookupError, ArithmeticError, TypeError, AttributeError):
         raise InputError(f"{path} is not a result of giajax: give the folder of a fit") from None
 
 

@@ -59,6 +59,12 @@ def _check(content: Content, wording: Wording) -> None:
             lists.check_lists(links)
         except ValueError as error:
             raise InputError(f"{wording.source}: [{name}] {error}") from None
+    for body in section.point_masses or ():
+        if links is not None and body.link > links:
+            raise InputError(
+                f"{wording.source}: a body of arm.point_masses is on link {body.link}, but the "
+                f"arm has {links} links: correct the number, or state links in [arm]"
+            )
     _check_motion(channels, content, wording, links)
     windy = [channel for channel in channels.values() if channel.kind == "wind"]
     if windy and definition.section(WindSection).velocity_m_per_s is not None:

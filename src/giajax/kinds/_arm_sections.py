@@ -5,6 +5,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
+from .._limits import LINKS as MOST_LINKS
 from ..quantities import (
     AIR,
     BASE,
@@ -18,6 +19,7 @@ from ..quantities import (
     POINT_MASSES,
 )
 from ._keys import with_keys
+from ._other_parameters import check_bounds, check_stated_once
 from ._section import Finite, Name, Section, Vector, flat, key
 
 
@@ -25,8 +27,8 @@ from ._section import Finite, Name, Section, Vector, flat, key
 class PointMass(Section):
     """An entry of `[[arm.point_masses]]`: a small body fixed to a link."""
 
-    link: Annotated[int, Field(ge=1)] = key(
-        "a whole number of at least 1", "link that carries it", default=...
+    link: Annotated[int, Field(ge=1, le=MOST_LINKS)] = key(
+        f"a whole number from 1 to {MOST_LINKS}", "link that carries it", default=...
     )
 
 
@@ -46,8 +48,10 @@ class _Links(Section):
     preset: Name | None = key(
         "the name of a preset", "arm that the other keys change", preset="takeichi_20m"
     )
-    links: Annotated[int, Field(ge=1)] | None = key(
-        "a whole number of at least 1", "number of links; joint i precedes link i", preset=20
+    links: Annotated[int, Field(ge=1, le=MOST_LINKS)] | None = key(
+        f"a whole number from 1 to {MOST_LINKS}",
+        "number of links; joint i precedes link i",
+        preset=20,
     )
 
 
@@ -100,6 +104,12 @@ class ArmSection(_Surroundings):
     def _unquoted_paths_are_paths(cls, table: Any) -> Any:
         return flat(table) if isinstance(table, Mapping) else table
 
+    @field_validator("parameters")
+    @classmethod
+    def _within_bounds(cls, table: dict[str, float | list[float]] | None) -> Any:
+        check_bounds(table or {})
+        return table
+
     @field_validator("joint_axes")
     @classmethod
     def _axes_have_a_direction(cls, axes: Any) -> Any:
@@ -109,6 +119,7 @@ class ArmSection(_Surroundings):
 
     @model_validator(mode="after")
     def _lists_agree(self) -> "ArmSection":
+        check_stated_once(self, self.parameters or {})
         # Without `links` the lists must still agree with each other; the run checks the rest.
         self.check_lists(self.links)
         return self
@@ -122,6 +133,11 @@ class ArmSection(_Surroundings):
         """Raise `ValueError` if a list has another length than `links` (None: than another)."""
         count = f"links is {links}" if links is not None else ""
         for name, value in self.lists().items():
+            if len(value) > MOST_LINKS:
+                raise ValueError(
+                    f"key {name} has {len(value)} values, but an arm may have {MOST_LINKS} links "
+                    "at most: shorten the list"
+                )
             if links is None:
                 links, count = len(value), f"{name} has {len(value)}"
             elif len(value) != links:

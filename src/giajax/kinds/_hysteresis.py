@@ -5,11 +5,12 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, field_validator
 
+from .._limits import ELEMENTS
 from ._kind import ChannelKind, Content, Kind
-from ._section import Count, Finite, Positive, Section, key
+from ._section import COUNT, Count, Finite, Positive, Section, key
 
 CountOrPositive = Count | Annotated[list[Positive], Field(min_length=1)]
-_EITHER = "a whole number of at least 1, or a list of positive numbers"
+_EITHER = f"{COUNT}, or a list of positive numbers"
 
 
 class HysteresisSection(Section):
@@ -38,8 +39,8 @@ class HysteresisSection(Section):
     lower_dead_zones: CountOrPositive | None = key(
         _EITHER, "the same below 0, as distances from it", preset=5
     )
-    rows: Annotated[int, Field(ge=2)] | None = key(
-        "a whole number of at least 2", "rows of the Preisach mesh", preset=40
+    rows: Annotated[int, Field(ge=2, le=ELEMENTS)] | None = key(
+        f"a whole number from 2 to {ELEMENTS}", "rows of the Preisach mesh", preset=40
     )
     input_range: Annotated[list[Finite], Field(min_length=2, max_length=2)] | None = key(
         "a list of two numbers, the lower one first",
@@ -47,7 +48,7 @@ class HysteresisSection(Section):
         preset=[-1.0, 1.0],
     )
     previous_extremes: Count | Annotated[list[Finite], Field(min_length=1)] | None = key(
-        "a whole number of at least 1, or a list of numbers",
+        f"{COUNT}, or a list of numbers",
         "turning points of the input before the run (SI), or how many a fit may find",
         preset=1,
     )

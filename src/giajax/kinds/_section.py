@@ -7,6 +7,8 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
+from .._limits import ELEMENTS
+from .._text import shown
 from ..quantities import Declaration
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -14,7 +16,8 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Vector = Annotated[list[Finite], Field(min_length=3, max_length=3)]
 Name = Annotated[str, Field(min_length=1)]
-Count = Annotated[int, Field(ge=1)]
+Count = Annotated[int, Field(ge=1, le=ELEMENTS)]
+COUNT = f"a whole number from 1 to {ELEMENTS}"
 
 
 def key(
@@ -87,11 +90,16 @@ def _in_file(declaration: Declaration, value: npt.ArrayLike) -> Any:
 
 
 def flat(table: Mapping[str, Any], before: str = "") -> dict[str, Any]:
-    """Nested tables as one, its keys joined by points."""
+    """Nested tables as one, its keys joined by points.
+
+    Raises:
+        ValueError: two keys are the same then.
+    """
     pairs: dict[str, Any] = {}
     for name, value in table.items():
-        if isinstance(value, Mapping):
-            pairs.update(flat(value, f"{before}{name}."))
-        else:
-            pairs[f"{before}{name}"] = value
+        path = f"{before}{name}"
+        inner = flat(value, f"{path}.") if isinstance(value, Mapping) else {path: value}
+        for twice in inner.keys() & pairs.keys():
+            raise ValueError(f"has {shown(twice)} twice, quoted and unquoted: remove one")
+        pairs.update(inner)
     return pairs

@@ -11,7 +11,7 @@ from .._errors import InputError
 from .._typing import Array
 from ._walk import Parameter, declared, left_out
 
-_PATH = re.compile(r"(?P<name>[A-Za-z_][\w.]*?)(?:\[(?P<index>\d+)\])?\Z")
+_PATH = re.compile(r"(?P<name>[A-Za-z_][\w.]*?)(?:\[(?P<index>[0-9]{1,9})\])?\Z", re.ASCII)
 
 
 def find(model: eqx.Module, path: str) -> Parameter:

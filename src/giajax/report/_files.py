@@ -1,6 +1,5 @@
 """A result as a folder of files."""
 
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -10,6 +9,7 @@ from .._errors import InputError
 from ..fitting import FitResult, RunFit
 from ..runs import Run, check_output_folder, make_folder, write_files
 from ._correlation import correlation_figure
+from ._names import unique_names
 from ._prediction import prediction_files
 from ._recorded import recorded_figure
 from ._residuals import residuals_figure
@@ -91,26 +91,13 @@ def _parts(
         raise InputError("the runs are not those of the result: give the same ones in their order")
     # A result that was loaded has no predictions with it.
     predictions = result.predictions or [result.predict(run) for run in runs]
-    return runs, _unique_names(runs), predictions
+    return runs, unique_names(runs), predictions
 
 
 def _written(folder: Path, contents: Mapping[str, bytes]) -> list[Path]:
     paths = {folder / name: data for name, data in contents.items()}
     write_files(paths, force=True)
     return list(paths)
-
-
-def _unique_names(runs: Sequence[Run]) -> list[str]:
-    """A name for each run that no other has and any file system takes."""
-    names: list[str] = []
-    for run in runs:
-        stem = name = re.sub(r"[^\w.-]+", "_", run.name).strip(".") or "run"
-        number = 1
-        while name.lower() in (other.lower() for other in names):
-            number += 1
-            name = f"{stem}_{number}"
-        names.append(name)
-    return names
 
 
 def _worth_drawing(result: FitResult) -> list[int]:

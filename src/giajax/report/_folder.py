@@ -6,6 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from .._errors import InputError
+from .._files import read_bytes
+from .._limits import RESULT_BYTES
+from .._syntax import parse_json
 from ..runs import Run, check_output_folder
 from ._files import RESULT
 
@@ -38,13 +41,13 @@ def check_folder(
         return
     remedy = "give another --out, or --force to write over it"
     try:
-        record = json.loads(path.read_text(encoding="utf-8"))
+        record = parse_json(read_bytes(path, RESULT_BYTES).decode(), path)
         checksums = [run["sha256"] for run in record["runs"]]
         before = record["config"]
         differing = [key for key in _SAME if before.get(key) != _as_json(config.get(key))]
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror}): {remedy}") from None
-    except (ValueError, KeyError, TypeError, AttributeError):
+    except (ValueError, LookupError, TypeError, AttributeError):
         raise InputError(f"{path} is not a result of giajax: {remedy}") from None
     if checksums != [run.sha256 for run in runs]:
         names = ", ".join(str(run.get("name")) for run in record["runs"])

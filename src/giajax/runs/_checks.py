@@ -8,31 +8,13 @@ import numpy as np
 import numpy.typing as npt
 
 from .._errors import InputError
-from ..kinds import KINDS, Kind, RecordedChannel
+from .._limits import VALUE
+from ..kinds import KINDS, Kind
 from ._channels import Channel, parse_column
 from ._column_table import TEXTS
 from ._definition import Definition
-
-
-@dataclass(frozen=True)
-class Wording:
-    """How errors name the parts of a run: `row 5` and columns of a file, samples of arrays."""
-
-    source: str
-    row: str
-    first_row: int
-    columns: bool
-
-    def at(self, index: Any) -> str:
-        """The row of the sample with this index."""
-        return f"{self.row} {int(index) + self.first_row}"
-
-    def of(self, channel: RecordedChannel) -> str:
-        """The name of the channel in the person's file or arrays."""
-        if not self.columns:
-            return f"channel {channel.name!r}"
-        column = f"{channel.name}_{channel.unit}" if channel.unit else channel.name
-        return f"column {column!r}"
+from ._times import check_times
+from ._wording import Wording
 
 
 @dataclass(frozen=True)
@@ -57,7 +39,7 @@ def check_content(
     kind = KINDS[model]
     _check_lengths(kind, times, values, channels, wording)
     if times is not None:
-        check_times(times, wording)
+        check_times(times, wording, integrated=kind.timed)
     for name, channel in channels.items():
         if channel.quantity == "text":
             _check_text(values[name], channel, wording)
@@ -74,25 +56,6 @@ def check_content(
                 "column of the run: correct or remove that key"
             )
     kind.check(_Content(times, values, channels, definition), wording)
-
-
-def check_times(times: npt.NDArray[np.float64], wording: Wording) -> None:
-    """Raise `InputError` unless times are finite and strictly increasing."""
-    bad = np.flatnonzero(~np.isfinite(times))
-    if bad.size:
-        state = "infinite" if np.isinf(times[bad[0]]) else "empty"
-        raise InputError(
-            f"{wording.source}: time in {wording.at(bad[0])} is {state}, but every sample must "
-            "have its time: complete or remove it"
-        )
-    bad = np.flatnonzero(np.diff(times) <= 0)
-    if bad.size:
-        at = bad[0] + 1
-        raise InputError(
-            f"{wording.source}: time goes from {times[at - 1]:.9g} s to {times[at]:.9g} s in "
-            f"{wording.at(at)}, but must strictly increase: sort the samples and remove repeated "
-            "ones"
-        )
 
 
 def _check_lengths(
@@ -149,6 +112,12 @@ def _check_numbers(
         raise InputError(
             f"{wording.source}: {wording.of(channel)} is infinite in {wording.at(bad[0])}, but "
             "must be a finite number or empty: correct it"
+        )
+    bad = np.flatnonzero(np.abs(array) > VALUE)
+    if bad.size:
+        raise InputError(
+            f"{wording.source}: {wording.of(channel)} is {channel.from_si(array[bad[0]]):.3g} in "
+            f"{wording.at(bad[0])}, but no value of a recording is so large: correct or empty it"
         )
     bad = np.flatnonzero(missing)
     if bad.size and not gaps:

@@ -4,6 +4,7 @@ import difflib
 import re
 import shlex
 
+from .._limits import LINKS
 from .._text import one_of, shown
 from ._column_table import TABLE, units_of
 
@@ -16,7 +17,7 @@ def bad_suffix(name: str, kind: str, suffix: str | None, what: str) -> str:
     units = units_of(kind)
     if units == [""]:
         return (
-            f"{what} {shown(name)} ends in {suffix!r}, but {TABLE[kind].column} has no unit: "
+            f"{what} {shown(name)} ends in {shown(suffix)}, but {TABLE[kind].column} has no unit: "
             f"rename it with --rename {name}={TABLE[kind].column}"
         )
     of = "it" if quantity is None else f"{_ARTICLE.get(quantity, 'a')} {quantity.replace('_', ' ')}"
@@ -25,13 +26,19 @@ def bad_suffix(name: str, kind: str, suffix: str | None, what: str) -> str:
         complaint = f"{what} {shown(name)} does not say its unit"
         remedy = f"rename it, for example with --rename {name}={name}_{units[0]}"
     else:
-        complaint = f"{what} {shown(name)} has the unknown unit {suffix!r}"
+        complaint = f"{what} {shown(name)} has the unknown unit {shown(suffix)}"
         remedy = "convert the values and rename the column"
     return f"{complaint}: {of} must be in {one_of(units)}, so {remedy}"
 
 
 def unknown_name(name: str, what: str) -> str:
     """What to do with a column or channel (`what`) that the table does not have."""
+    numbered = re.match("(joint|link)([0-9]{3,})", name)
+    if numbered is not None and (len(numbered[2]) > len(str(LINKS)) or int(numbered[2]) > LINKS):
+        return (
+            f"{what} {shown(name)} has the number of a {numbered[1]} beyond {LINKS:,}, the most "
+            "that an arm may have: correct the number"
+        )
     near = nearest(name, suffixes=what == "column")
     old = "OLD" if not 0 < len(name) <= 40 or not name.isprintable() else name
     pair = shlex.quote(f"{old}={near or 'NEW'}")

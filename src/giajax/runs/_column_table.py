@@ -3,6 +3,7 @@
 import re
 from typing import NamedTuple
 
+from .._limits import LINKS
 from ..kinds import KINDS, ChannelKind
 from ._units import QUANTITIES, QUANTITY_OF_SUFFIX
 
@@ -52,11 +53,17 @@ def match_name(name: str) -> NameMatch | None:
         if match is None:
             continue
         number = match.groupdict().get("index")
-        # link6 and link006 would be two more names of link06.
-        if number is not None and (int(number) == 0 or f"{int(number):02d}" != number):
+        if number is not None and not _is_number(number):
             continue
         matches.append(NameMatch(kind, match, match["suffix"]))
     return max(matches, key=lambda one: len(one.match["name"]), default=None)
+
+
+def _is_number(digits: str) -> bool:
+    """Whether these are how the number of a joint or link is written: link6 is not link06."""
+    # So many digits first: Python refuses to convert thousands of them.
+    short = len(digits) <= len(str(LINKS))
+    return short and 0 < int(digits) <= LINKS and f"{int(digits):02d}" == digits
 
 
 def units_of(kind: str) -> list[str]:

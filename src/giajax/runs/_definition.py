@@ -1,6 +1,5 @@
 """The one TOML vocabulary of sidecars, fit definitions and a user's own arm."""
 
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
@@ -8,6 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 from pydantic import Field, ValidationError, create_model, field_validator
 
 from .._errors import InputError
+from .._files import read_bytes
+from .._limits import TEXT_BYTES
+from .._syntax import check_size, parse_toml
 from .._text import one_of
 from ..kinds import KINDS, Name, Section, key
 from ._complaints import complaint, plain
@@ -100,8 +102,9 @@ class Definition(_Sections):
 
         Raises:
             InputError: an unknown key (with the nearest known one), or a value that is not what
-                its key must be.
+                its key must be, or data beyond the limits of a file.
         """
+        check_size(data, source)
         try:
             return cls.model_validate(upgraded(plain(data)))
         except ValidationError as error:
@@ -116,20 +119,16 @@ class Definition(_Sections):
         """
         path = Path(path)
         try:
-            text = path.read_bytes().decode("utf-8-sig")
-            data = tomllib.loads(text)
+            text = read_bytes(path, TEXT_BYTES).decode("utf-8-sig")
         except FileNotFoundError:
             raise InputError(f"{path} does not exist: give the path of a TOML file") from None
         except UnicodeDecodeError:
             raise InputError(f"{path} is not text: it must be TOML in UTF-8") from None
-        except tomllib.TOMLDecodeError as error:
-            reason = " ".join(str(error).split())
-            raise InputError(f"{path} is not valid TOML ({reason}): correct that line") from None
         except OSError as error:
             raise InputError(
                 f"{path} cannot be read ({error.strerror}): give a TOML file"
             ) from None
-        return cls.parse(data, str(path))
+        return cls.parse(parse_toml(text, path), str(path))
 
     def merged_with(self, other: "Definition") -> "Definition":
         """This definition with what `other` gives on top, key by key within each section.

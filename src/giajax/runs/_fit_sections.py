@@ -6,6 +6,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from .._errors import InputError
+from .._limits import STARTS
 from ..kinds import Finite, Name, Positive, Section, flat, key
 from ._channels import parse_column
 
@@ -31,14 +32,21 @@ class Noise(Section):
 
     @model_validator(mode="after")
     def _extra_keys_are_columns(self) -> "Noise":
+        stated: dict[str, str] = {}
         for name in self.columns:
             try:
-                parse_column(name)
+                channel = parse_column(name).name
             except InputError:
                 raise ValueError(
                     f"key {name!r} must be {', '.join(type(self).model_fields)} or a column of "
                     "the run: correct or remove it"
                 ) from None
+            if channel in stated:
+                raise ValueError(
+                    f"key {name!r} states the noise of {channel}, and so does {stated[channel]!r}: "
+                    "remove one"
+                )
+            stated[channel] = name
         return self
 
 
@@ -59,8 +67,8 @@ class Fit(Section):
     window_s: Positive | None = key(
         "a positive number", "cut each run into windows of this length, each with its own start"
     )
-    starts: Annotated[int, Field(ge=1)] | None = key(
-        "a whole number of at least 1", "how many starts; the best end is the result"
+    starts: Annotated[int, Field(ge=1, le=STARTS)] | None = key(
+        f"a whole number from 1 to {STARTS}", "how many starts; the best end is the result"
     )
     spread: Positive | None = key(
         "a positive number", "how far the other starts are from the first: 0.3 is 30 %"

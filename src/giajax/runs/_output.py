@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from .._errors import InputError
+from .._files import check_path
 from ._read import sidecar_path
 
 # What files of this toolkit end in: a folder of such a name is a slip.
@@ -18,9 +19,11 @@ def check_output_files(paths: Iterable[str | Path], *, force: bool) -> None:
         InputError: naming the file and what to do.
     """
     for path in map(Path, paths):
+        check_path(path)
         if path.is_dir():
             raise InputError(f"{path} is a folder: give the name of a file")
-        if path.exists() and not force:
+        # A broken link is there as well, for whoever made it.
+        if os.path.lexists(path) and not force:
             raise InputError(f"{path} exists and is not written over: give another name or --force")
         if not path.parent.is_dir():
             raise InputError(
@@ -73,6 +76,7 @@ def check_output_folder(
         InputError: naming the file or folder and what to do.
     """
     folder = existing = Path(folder)
+    check_path(folder)
     if folder.suffix in _FILES and not folder.exists():
         raise InputError(
             f"{folder} is the name of a file, but a folder is written: give the name of one"
@@ -86,7 +90,8 @@ def check_output_folder(
     if not os.access(existing, os.W_OK | os.X_OK):
         raise InputError(f"{existing} cannot be written: give another folder")
     for name in names:
-        if (folder / name).exists() and not force:
+        check_path(folder / name)
+        if os.path.lexists(folder / name) and not force:
             raise InputError(
                 f"{folder / name} exists and is not written over: give another folder or --force"
             )

@@ -1,14 +1,16 @@
 """Reading a run: CSV or Parquet, with its sidecar."""
 
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from .._errors import InputError
-from ._checks import Wording
+from .._files import check_path
 from ._definition import Definition, run_keys
 from ._run import Run, build_run
 from ._select import observing, windows
 from ._table import Table, read_table
+from ._wording import Wording
 
 
 def read_run(
@@ -96,8 +98,14 @@ def read_sidecar(path: str | Path) -> Definition:
             silently ignore.
     """
     sidecar = sidecar_path(path)
-    if not sidecar.exists():
+    check_path(sidecar)
+    if not os.path.lexists(sidecar):
         return Definition()
+    if not sidecar.exists():
+        raise InputError(
+            f"{sidecar} is a link to a file that does not exist, but must be the sidecar of "
+            f"{path}: mend or remove the link"
+        )
     definition = Definition.load(sidecar)
     for section in ("fit", "figures"):
         if section in definition.model_fields_set:

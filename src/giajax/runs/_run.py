@@ -11,11 +11,12 @@ import numpy.typing as npt
 from .._errors import InputError
 from ..kinds import KINDS, Kind
 from ._channels import Channel
-from ._checks import Wording, check_content
+from ._checks import check_content
 from ._column_table import TEXTS
 from ._definition import Definition
 from ._model import decide_model
 from ._noise import deviation_of, noise_section
+from ._wording import Wording
 
 
 @dataclass(frozen=True, eq=False)

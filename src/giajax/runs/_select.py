@@ -12,7 +12,7 @@ from ..kinds import InitialSection
 from ._channels import Channel
 from ._run import Run
 
-_LINK_ANGLE = re.compile(r"link([0-9]+)_angle")
+_LINK_ANGLE = re.compile(r"link([0-9]{1,4})_angle")
 
 
 def observing(run: Run, channels: Sequence[str]) -> Run:
@@ -76,13 +76,13 @@ def windows(run: Run, length: float) -> list[Run]:
             f"'{run.name}' cannot be cut into windows, because each needs its own initial state: "
             "say first_row = true in [initial]"
         )
-    count = max(int(np.floor((run.times[-1] - run.times[0]) / length + 0.5)), 1)
-    edges = run.times[0] + length * np.arange(count + 1)
+    count = max(np.floor((run.times[-1] - run.times[0]) / length + 0.5), 1)
+    if 4 * count > len(run.times):
+        raise _too_short(run, length)
+    edges = run.times[0] + length * np.arange(int(count) + 1)
     rows = np.searchsorted(run.times, edges - 1e-9 * length)
     if np.min(np.diff(rows)) < 4:
-        raise InputError(
-            f"a window of {length:g} s of '{run.name}' holds fewer than 4 samples: make it longer"
-        )
+        raise _too_short(run, length)
     parts = [
         dataclasses.replace(
             run,
@@ -100,3 +100,9 @@ def windows(run: Run, length: float) -> list[Run]:
                     "leave the channel out"
                 )
     return parts
+
+
+def _too_short(run: Run, length: float) -> InputError:
+    return InputError(
+        f"a window of {length:g} s of '{run.name}' holds fewer than 4 samples: make it longer"
+    )

@@ -14,15 +14,16 @@ import numpy.typing as npt
 import polars as pl
 
 from .._errors import InputError
+from .._files import read_bytes
+from .._limits import COLUMNS, RUN_BYTES
 from .._text import shown
 from ._channels import Channel, parse_column, parse_columns
 from ._column_complaints import nearest
 from ._csv import split_csv
 
 _MISSING = ("", "nan", "na")
-_NUMBER = re.compile(
-    r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?|[+-]?inf(inity)?", re.IGNORECASE
-)
+_FINITE = r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?"
+_NUMBER = re.compile(rf"{_FINITE}|[+-]?inf(inity)?", re.IGNORECASE | re.ASCII)
 _SUFFIXES = (".csv", ".parquet")
 
 
@@ -57,6 +58,10 @@ def read_table(path: Path, rename: Mapping[str, str] | None = None) -> Table:
         header, columns, first_row = split_csv(data, path)
     else:
         header, columns, first_row = _split_parquet(data, path)
+    if len(header) > COLUMNS:
+        raise InputError(
+            f"{path} has {len(header):,} columns, but may have {COLUMNS:,} at most: remove some"
+        )
     names = _renamed(header, rename or {}, path)
     try:
         named = parse_columns(names)
@@ -86,7 +91,7 @@ def _bytes(path: Path) -> bytes:
             f"{path} must be a run, a file whose name ends in .csv or .parquet: give or convert one"
         )
     try:
-        data = path.read_bytes()
+        data = read_bytes(path, RUN_BYTES)
     except FileNotFoundError:
         raise InputError(f"{path} does not exist: give the path of a recorded run") from None
     except IsADirectoryError:
@@ -101,7 +106,7 @@ def _bytes(path: Path) -> bytes:
 def _split_parquet(data: bytes, path: Path) -> tuple[list[str], list[pl.Series], int]:
     try:
         frame = pl.read_parquet(io.BytesIO(data))
-    except (pl.exceptions.PolarsError, OSError):
+    except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError):
         raise InputError(
             f"{path} is not a Parquet file: it must be one, so export it again"
         ) from None
@@ -148,11 +153,14 @@ def _numbers(series: pl.Series, where: str, first_row: int) -> npt.NDArray[np.fl
     """Numbers of a column, NaN where nothing was measured."""
     if series.dtype == pl.Categorical:
         series = series.cast(pl.String)
-    numbers = series.cast(pl.Float64, strict=False)
-    array = np.array(numbers.to_numpy(), dtype=np.float64)
+    array = np.array(series.cast(pl.Float64, strict=False).to_numpy(), dtype=np.float64)
     if series.dtype != pl.String:
         return array
-    for index in (series.is_not_null() & numbers.is_null()).arg_true():
+    # What else Polars takes for a number is its own affair, and may change.
+    plain = series.str.contains(f"^(?:{_FINITE})$")
+    if (plain.sum() or 0) + series.null_count() == len(series):
+        return array
+    for index in (series.is_not_null() & ~plain).arg_true():
         text = str(series[int(index)]).strip()
         if text.lower() in _MISSING:
             array[index] = np.nan

@@ -12,7 +12,8 @@ from ..quantities import (
 
 def to_si(quantity: str, suffix: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
     """`values` in the unit of `suffix`, any shape, as float64 in SI."""
-    return np.asarray(np.asarray(values, dtype=np.float64) * si_factor(quantity, suffix))
+    with np.errstate(over="ignore"):  # what is infinite then is refused as such
+        return np.asarray(np.asarray(values, dtype=np.float64) * si_factor(quantity, suffix))
 
 
 def from_si(quantity: str, suffix: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:

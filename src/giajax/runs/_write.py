@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import secrets
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -50,7 +51,7 @@ def write_run(
     sidecar = sidecar_path(path)
     if definition is not None and not isinstance(definition, Definition):
         definition = Definition.parse(definition, str(sidecar))
-    if definition is None and sidecar.exists():
+    if definition is None and os.path.lexists(sidecar):
         raise InputError(
             f"{sidecar} would become the sidecar of the new {path.name}, which it does not "
             "describe: move it away, or write the run elsewhere"
@@ -72,14 +73,22 @@ def write_run(
 def write_files(contents: Mapping[Path, bytes], *, force: bool) -> None:
     """Write files, all of them or, where one is there and `force` is false, none.
 
+    Each is written beside its place and then moved there. A link that stands there is replaced
+    like a file, if `force` says so; what it points to stays as it is.
+
     Raises:
         InputError: a file is there, or its folder is not, or it cannot be written.
     """
     check_output_files(contents, force=force)
-    temporary = {path: path.with_name(f".{path.name}.{os.getpid()}.part") for path in contents}
+    temporary: dict[Path, Path] = {}
     try:
         for path, data in contents.items():
-            temporary[path].write_bytes(data)
+            # Not guessable, short where the name is long, and opened only if it is not there:
+            # nobody can have put a link in its way.
+            part = path.with_name(f".{secrets.token_hex(16)}.part")
+            with part.open("xb") as file:
+                temporary[path] = part
+                file.write(data)
         for path, part in temporary.items():
             os.replace(part, path)
     except OSError as error:

@@ -1,0 +1,53 @@
+"""The most that people's files and options may hold; `docs/data_contract.md` lists it.
+
+Each limit is far beyond what a recording, an arm or a path needs, and below what would keep the
+program busy for minutes or fill the memory: what is beyond is refused in one sentence, early.
+"""
+
+RUN_BYTES = 1 << 30
+"""Size of a `.csv` or `.parquet` file."""
+
+TEXT_BYTES = 1 << 20
+"""Size of a TOML file."""
+
+RESULT_BYTES = 1 << 26
+"""Size of a `result.json`."""
+
+DEPTH = 32
+"""Tables and lists within each other, and parts of a dotted key, in TOML and JSON."""
+
+WHOLE = 2**63
+"""Whole numbers in TOML and JSON are smaller than this, as TOML says."""
+
+NAME_BYTES = 255
+"""Length of the name of a file or folder: what file systems take."""
+
+COLUMNS = 10_000
+"""Columns of a run."""
+
+CELL_BYTES = 1_000
+"""Length of a cell or of a column's name in a CSV file."""
+
+VALUE = 1e30
+"""Size of a recorded value, in SI units."""
+
+TIME_S = 1e10
+"""Size of a time stamp: three centuries, enough for stamps that count from 1970."""
+
+STEP_S = 1e-9
+"""Least time between two samples."""
+
+GAP_S = 3_600.0
+"""Most time between two samples of a run that a model integrates over time."""
+
+DURATION_S = 1e5
+"""Length of a run that a model integrates over time."""
+
+LINKS = 1_000
+"""Links of an arm, and so numbers of joints and links."""
+
+ELEMENTS = 1_000
+"""Elements of a hysteresis operator, rows of its mesh, turning points before a run."""
+
+STARTS = 10_000
+"""Starts of a fit."""
