@@ -105,7 +105,7 @@ def refused(capsys, arguments, words):
         (["--loop", "a.csv", "--model", "b"], "and not both"),
         (["--model", "b", "--travel", "3"], "--travel goes with --loop: give both"),
         (["--loop", "a.csv", "--travel", "-3"], "--travel is -3: give a positive number"),
-        (["--loop", "a.csv", "--travel", "nan"], "--travel is nan: give a positive number"),
+        (["--loop", "a.csv", "--travel", "nan"], "--travel 'nan' must be a number"),
     ],
 )
 def test_sources_that_cannot_be(capsys, options, sentence):

@@ -116,7 +116,7 @@ def test_what_is_within_the_limits_is_read(tmp_path):
     ("options", "parts"),
     [
         (["--start", "air.drag_coefficient=1_0"], ["1_0"]),
-        (["--fix", "air.drag_coefficient=\u0661"], ["VALUE a number"]),
+        (["--fix", "air.drag_coefficient=\u0661"], ["must be PATH=VALUE"]),
         (["--starts", "1_0"], ["--starts '1_0'"]),
         (["--starts", "\u0661"], ["--starts '\u0661'"]),
         (["--starts", "9" * 5_000], ["--starts '999"]),

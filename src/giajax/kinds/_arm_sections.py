@@ -16,29 +16,11 @@ from ..quantities import (
     JOINTS,
     LINKS,
     MARKER,
-    POINT_MASSES,
 )
 from ._keys import with_keys
 from ._other_parameters import check_bounds, check_stated_once
-from ._section import Finite, Name, Section, Vector, flat, key
-
-
-@with_keys(POINT_MASSES, required=True)
-class PointMass(Section):
-    """An entry of `[[arm.point_masses]]`: a small body fixed to a link."""
-
-    link: Annotated[int, Field(ge=1, le=MOST_LINKS)] = key(
-        f"a whole number from 1 to {MOST_LINKS}", "link that carries it", default=...
-    )
-
-
-def each_of(section: Section) -> dict[str, list[Any]]:
-    """The lists of a section that have one value for each link or joint, by key."""
-    return {
-        name: value
-        for name, value in section
-        if isinstance(value, list) and any(part.per for part in section.quantities.get(name, ()))
-    }
+from ._point_mass import PointMass as PointMass
+from ._section import Finite, Name, Section, Vector, each_of, flat, key
 
 
 @with_keys(LINKS)

@@ -103,3 +103,12 @@ def flat(table: Mapping[str, Any], before: str = "") -> dict[str, Any]:
             raise ValueError(f"has {shown(twice)} twice, quoted and unquoted: remove one")
         pairs.update(inner)
     return pairs
+
+
+def each_of(section: Section) -> dict[str, list[Any]]:
+    """The lists of a section that have one value for each link or joint, by key."""
+    return {
+        name: value
+        for name, value in section
+        if isinstance(value, list) and any(part.per for part in section.quantities.get(name, ()))
+    }
