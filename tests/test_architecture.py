@@ -118,6 +118,7 @@ def check_style(tree, paths):
         assert ended.returncode == 0, ended.stdout + ended.stderr
 
 
+@pytest.mark.slow
 def test_a_kind_of_model_is_two_files_and_a_line(tree, giajax):
     text = section("To add a kind of model")
     new, edited = done_to(tree, text)
@@ -162,6 +163,7 @@ def test_a_parameter_is_its_declaration_and_what_computes_with_it(tree, giajax):
     assert 0.1 < max(damped) < 0.9 * max(plain)
 
 
+@pytest.mark.slow
 def test_a_channel_is_two_files(tree, giajax):
     text = section("To add a channel")
     new, edited = done_to(tree, text)

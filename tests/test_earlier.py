@@ -49,6 +49,7 @@ def test_fit_definitions_are_read(kind):
     assert ready.setup.config["start"] == pytest.approx(record["config"]["start"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_results_predict_as_they_did(kind):
     result = load_result(EARLIER / kind)

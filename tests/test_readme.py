@@ -33,6 +33,7 @@ def modules():
     return [module.name for module in found if not module.name.endswith("__main__")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", modules())
 def test_the_examples_of_docstrings_run(name):
     results = doctest.testmod(importlib.import_module(name), raise_on_error=False)

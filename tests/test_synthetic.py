@@ -67,6 +67,7 @@ def test_a_changed_value_is_found_by_its_checksum(altered):
     assert ["SHA-256" in sentence for sentence in altered.differences("base_step")] == [True]
 
 
+@pytest.mark.slow
 def test_a_changed_value_is_found_by_simulating(altered):
     path = altered.HERE / "base_step.csv"
     value = first_value(path)

@@ -65,6 +65,7 @@ def test_the_wind_across_and_along_a_link():
     assert_allclose(by_eq_1, half_area * 1.2 * 5 * wind[None], rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_drag_along_the_link_converges_with_the_number_of_points():
     """The power of the drag on an arm that flails, where the flow turns round along the links.
 

@@ -102,6 +102,7 @@ def test_several_bodies_on_a_link_and_one_beside_its_axis():
     assert_allclose(found, [force[1] * 0.3, 0.0], rtol=1e-12, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_its_derivatives_are_those_of_differences(ball):
     def acceleration(area, position, angle, rate):
         numbers = {"point_masses.drag_area": area, "point_masses.position": position}
@@ -125,6 +126,7 @@ def test_its_derivatives_are_those_of_differences(ball):
     assert found[0] == found[3] == 0
 
 
+@pytest.mark.slow
 def test_a_fit_finds_it(ball):
     definition = {"arm": {**SECTION}, "initial": {"angle_deg": 60.0}, "free_motion": True}
     run = synthesise(

@@ -129,6 +129,7 @@ def test_accelerations_enter_the_torque_through_the_mass_matrix(arm):
     assert_allclose(moving - coasting, expected, rtol=1e-11, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_still_air_is_a_wind_of_zero(arm):
     angles, rates, torques = ANGLES[0], RATES[0], ACCELERATIONS[0]
     calm = jnp.zeros(3)

@@ -245,6 +245,7 @@ relative_error = 1e-9
 """
 
 
+@pytest.mark.slow
 def test_a_definition_and_what_goes_before_it(tmp_path, monkeypatch):
     # The data are named relative to the definition, the folder relative to where one is.
     there, here = tmp_path / "there", tmp_path / "here"
@@ -289,6 +290,7 @@ def test_a_definition_and_what_goes_before_it(tmp_path, monkeypatch):
     assert config["definition"]["simulation"]["tolerance"] == 1e-8
 
 
+@pytest.mark.slow
 def test_a_channel_is_renamed_on_the_way(data):
     data.write_text(data.read_text().replace("link04_z_m", "tip height"))
     data.with_suffix(".toml").write_text("[arm]\nlinks = 4")

@@ -78,6 +78,7 @@ def test_corrections_are_those_of_the_joint(tmp_path, written, capsys):
     assert curve(out, "printed", "outer")[-60.0] == pytest.approx(-1.2, abs=1e-8)
 
 
+@pytest.mark.slow
 def test_stops_and_branches_that_are_never_reached_are_told(tmp_path, capsys):
     strong = ["--torque", "3", "--set", "muscle.pressure_limit=40e3", "--target", "60"]
     assert main(["joint", "--out", str(tmp_path / "a"), *strong]) == 0

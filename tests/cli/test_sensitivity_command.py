@@ -11,6 +11,7 @@ SHORT = ["--links", "3", "--duration", "3"]
 DRAG = ["--parameter", "air.drag_coefficient"]
 
 
+@pytest.mark.slow
 def test_a_planned_run_has_a_picture_and_two_tables(tmp_path, capsys):
     out = tmp_path / "drag"
     assert main(["sensitivity", *DRAG, *SHORT, "--out", str(out)]) == 0

@@ -133,6 +133,7 @@ def test_commands_and_wind_of_a_recorded_run(out, tmp_path):
     np.testing.assert_allclose(np.rad2deg(longer.values["joint01_command"][-1]), -5)
 
 
+@pytest.mark.slow
 def test_an_arm_of_ones_own(out, tmp_path):
     arm = tmp_path / "pendulum.toml"
     arm.write_text(

@@ -94,6 +94,7 @@ def problem_of(runs, loss="linear"):
     return problem, coordinate
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loss", ["linear", "huber"])
 def test_blocks_are_the_whole_jacobian(loss):
     """Two groups (one run has a fixed state, one is shorter), against jacfwd of the residual."""
@@ -161,6 +162,7 @@ def test_a_run_alone_may_be_all_that_is_fitted():
         assert abs(estimate.value - value) < 3.5 * estimate.standard_error
 
 
+@pytest.mark.slow
 def test_the_first_state_of_a_pendulum_is_found():
     """Angles with noise; the fit starts from a first row that is off by it, and without rates."""
     arm = pendulum(2, parameters={"joints.damping": 0.05})

@@ -36,6 +36,7 @@ def test_the_truth_is_recovered_with_honest_errors():
     assert [entry.number for entry in result.history] == list(range(result.iterations + 1))
 
 
+@pytest.mark.slow
 def test_intervals_cover_the_truth_as_often_as_they_claim():
     """200 recordings: the pulls of each parameter must have mean 0 and deviation 1."""
     all_pulls = np.array(

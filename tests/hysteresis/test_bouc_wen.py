@@ -105,6 +105,7 @@ def push(t):
     return 60.0 * np.sin(2 * np.pi * (20 + 30 * t) * t) * np.minimum(8 * t, 1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("nu", [1.0, 1.7])
 def test_the_oscillator_against_scipy(nu):
     it = BoucWenOscillator(nu=nu, beta=1e3 if nu == 1 else 30.0)

@@ -157,6 +157,7 @@ def test_a_narrow_knee_is_inverted_over_its_whole_range():
     np.testing.assert_allclose(finest.history(command)[0], wanted, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_bisected_input_has_the_derivative_of_the_inverse():
     turns = np.asarray([0.0, 0.5, -0.4, 0.3])
     wanted = jnp.asarray(np.interp(np.linspace(0, 3, 40), np.arange(4), turns))

@@ -134,6 +134,7 @@ def test_the_controller_shares_out_the_torque():
     np.testing.assert_allclose(mirrored.pressures[::-1], command.pressures, rtol=1e-14)
 
 
+@pytest.mark.slow
 def test_the_pair_is_bistable_about_0():
     """The figures of the design: a request of 20 deg without corrections, and the stiffness."""
     pressures = pair_command(PLAIN, np.deg2rad(20.0)).pressures
@@ -184,6 +185,7 @@ def test_0_itself():
     assert [e.stable for e in at_zero] == [False]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("degrees", "offset", "falls"),
     [(20.0, 0.01, True), (-20.0, 0.01, True), (2.0, 0.01, True), (2.0, -0.01, False)],
@@ -229,6 +231,7 @@ def test_slack_muscles_leave_the_joint_to_the_load():
     assert not found.indifferent
 
 
+@pytest.mark.slow
 def test_the_spring_and_its_derivatives():
     pair, angle = JointPair(), np.deg2rad(25.0)
     pressures = pair_command(pair, angle).pressures
@@ -294,6 +297,7 @@ def test_what_a_muscle_cannot_do_is_said():
     assert "push" in pushed.first_pressure.message()
 
 
+@pytest.mark.slow
 def test_two_near_roots_are_both_found():
     """A load that almost lifts the torque off its lowest point: both roots lie in one interval."""
     pair = JointPair(Joint(correction=Correction(blend=np.deg2rad(2))))

@@ -23,6 +23,7 @@ def by_angle(joint, angle):
     return jax.jacfwd(lambda a: outputs(joint, a))(jnp.asarray(angle))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reading", ["continuous", "none"])
 def test_the_slope_by_the_angle(reading):
     joint = Joint(correction=Correction(reading=reading))
@@ -51,6 +52,7 @@ def test_one_sided_slopes_at_the_branch_points_and_at_0(kink):
         np.testing.assert_allclose(by_angle(joint, start), slope, rtol=1e-6, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_slope_by_every_parameter():
     joint = Joint()
     angles = np.deg2rad([-55.0, -30.0, -10.0, -3.0, -1.0, 1.0, 2.5, 8.0, 30.0, 55.0])

@@ -158,6 +158,7 @@ def test_outer_wrapped_satisfies_equations_7_9_and_10(joint):
     np.testing.assert_allclose(state.path.wire_slack, wire - 2 * norm(O - at.D), atol=1e-15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reading", READINGS)
 @pytest.mark.parametrize("side", ["inner", "outer"])
 def test_virtual_work(reading, side):

@@ -60,6 +60,7 @@ def run():
     return synthetic()
 
 
+@pytest.mark.slow
 def test_predictions_are_those_of_simulate(run):
     arm = truth_model().arm
     command = giajax.logged(TIMES, np.stack([ramp(0.6), ramp(-0.4), 0 * TIMES, 0 * TIMES], -1))
@@ -72,6 +73,7 @@ def test_predictions_are_those_of_simulate(run):
         np.testing.assert_allclose(predicted[name], value, atol=2e-6)
 
 
+@pytest.mark.slow
 def test_the_truth_is_recovered(run):
     result = fit(model_for([run]), run, start=START)
     assert result.status == "converged"
@@ -85,6 +87,7 @@ def test_the_truth_is_recovered(run):
     assert any("per unit of mass" in sentence for sentence in result.conditions)
 
 
+@pytest.mark.slow
 def test_a_pitch_run_does_not_determine_the_yaw_stiffness():
     command = {"joint01_command": ramp(0.6)}
     blank = recorded({**command, "link04_z": np.zeros_like(TIMES)})
@@ -141,6 +144,7 @@ def test_scaling_masses_and_forces_leaves_the_prediction(run):
         np.testing.assert_allclose(one[name], other[name], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_residual_differentiates_as_differences_say(run):
     """Per parameter, at the start and from rest: the arm is straight and still at first."""
     model = giajax.replace(model_for([run]), START).refined(1e-4)
@@ -166,6 +170,7 @@ def test_the_residual_differentiates_as_differences_say(run):
         assert np.linalg.norm(column - difference) < 1e-5 * norm
 
 
+@pytest.mark.slow
 def test_padding_a_run_changes_nothing(run):
     """Runs of several lengths share one program: the last rows are repeated."""
     cut = dataclasses.replace(
@@ -180,6 +185,7 @@ def test_padding_a_run_changes_nothing(run):
         np.testing.assert_allclose(stacked[name][1, :40], alone[name], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_several_arm_runs_fit_together():
     runs = [synthetic(seed=1), synthetic(seed=2, channels=("link02_z", "link04_z"))]
     result = fit(model_for(runs), runs, start=START, check=False)
@@ -242,6 +248,7 @@ def test_runs_that_disagree_about_the_arm_are_refused(run):
         model_for([run, other])
 
 
+@pytest.mark.slow
 def test_a_wind_moves_the_arm_and_steady_rows_are_merged():
     still = {"joint01_command": 0 * TIMES, "tip_z": np.zeros_like(TIMES)}
     upwards = {"wind_z": np.full_like(TIMES, 0.2)}

@@ -85,6 +85,7 @@ def record(case, *, inputs=INPUT, channels=("command", "angle"), seed=1, **more)
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_it_is_found_from_a_recorded_history(case):
     run = record(case)
@@ -215,6 +216,7 @@ def test_it_is_rebuilt_from_its_definition(case):
     )
 
 
+@pytest.mark.slow
 def test_a_result_is_read_again(tmp_path):
     run = record("bouc_wen")
     result = fit(

@@ -39,6 +39,7 @@ def driven(samples, interpolation):
     return predict(model, run, ["output"])["output"]
 
 
+@pytest.mark.slow
 def test_a_band_limited_force_is_followed_between_the_rows():
     """Few rows of one period say as much as many."""
     fine = driven(3200, "linear")[::16]
@@ -87,6 +88,7 @@ def test_a_result_of_version_0_1_is_read():
     assert parameter_values(again) == parameter_values(model)
 
 
+@pytest.mark.slow
 def test_a_mass_is_found():
     """From a start that is off; the offset is free as well."""
     times = np.arange(300) / 750

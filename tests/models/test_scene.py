@@ -25,6 +25,7 @@ from small_arm import small_run
 ANGLES = np.deg2rad([-60.0, -30.0, -2.0, 2.0, 10.0, 45.0])
 
 
+@pytest.mark.slow
 def test_links_go_from_joint_to_joint():
     arm = chain(2, joint_axes="pitch_yaw", length=[2.0, 1.0], diameter=[0.4, 0.2])
     motion = simulate(arm, joint_steps(2, {1: 0.0}), jnp.linspace(0.0, 1.0, 3))

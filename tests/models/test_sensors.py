@@ -67,6 +67,7 @@ def test_what_is_left_out_is_not_there():
     assert Camera().sees(positions) is positions
 
 
+@pytest.mark.slow
 def test_a_camera_turned_by_a_right_angle(plain):
     """The camera's x axis is y of the base, and its y axis is -x of the base."""
     turned = model(**{"camera.rotation": [0.0, 0.0, np.pi / 2]})
@@ -75,6 +76,7 @@ def test_a_camera_turned_by_a_right_angle(plain):
     np.testing.assert_allclose(seen, np.stack([y, -x, z], -1), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_scale_acts_on_what_is_seen_from_the_origin(plain):
     changes = {"camera.origin": [0.1, 0.2, -0.3], "camera.scale": 2.0}
     changes["camera.rotation"] = [np.pi, 0.0, 0.0]
@@ -106,6 +108,7 @@ def test_angle_sensors_have_a_zero_and_a_scale(plain):
     np.testing.assert_array_equal(seen["link03_z"], plain["link03_z"])
 
 
+@pytest.mark.slow
 def test_a_late_camera_shows_what_was(plain):
     """Two samples late: the same values two rows later, and at first the arm at rest."""
     late = giajax.predict(model(**{"camera.delay": 0.2}), run_of(), EVERYTHING)
@@ -170,6 +173,7 @@ def recording():
     return jax.jit(table), jax.jit(jax.jacfwd(table))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("where", [NEUTRAL, EACH], ids=["neutral", "elsewhere"])
 def test_derivatives_by_every_parameter_are_those_of_differences(recording, where):
     """From where they change nothing, the arm at rest, and with all of them at work."""
@@ -209,6 +213,7 @@ def recorded(channels=CHANNELS, command=COMMAND, sigma=0.005, **changes):
     )
 
 
+@pytest.mark.slow
 def test_a_camera_frame_is_found_together_with_the_drag_coefficient():
     run = recorded(**TRUE_FRAME)
     assert run.definition.sensors.contents() == {}
@@ -232,6 +237,7 @@ def test_a_camera_frame_is_found_together_with_the_drag_coefficient():
     assert result.gradient_check.relative_difference < 1e-5
 
 
+@pytest.mark.slow
 def test_a_camera_frame_is_found_as_often_as_its_errors_say():
     """Of many draws of the noise, 95 % of the estimates are within 2 standard errors."""
     truth = model(**TRUE_FRAME)
@@ -302,6 +308,7 @@ STATED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("key", STATED)
 def test_each_key_of_the_section_changes_the_prediction(key, plain):
     stated = model_for([run_of(sensors={key: STATED[key]})])

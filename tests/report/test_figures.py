@@ -118,6 +118,7 @@ def test_what_does_not_vary_is_not_drawn_over():
     assert axes.get_xlabel() == "pressure (kPa)"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("links", "components", "count"), [(1, "z", 1), (8, "xyz", 24), (20, "xyz", 20), (60, "z", 24)]
 )

@@ -54,6 +54,7 @@ def test_the_prediction_is_a_run_with_the_columns_of_the_recording(result, run, 
     assert predicted.definition.arm.links == 4
 
 
+@pytest.mark.slow
 def test_a_free_motion_and_its_initial_state_are_in_the_prediction(result, tmp_path):
     times = np.linspace(0, 1, 5)
     definition = {"arm": {"links": 4}, "initial": {"angle_deg": [10.0, 0, 0, 0]}}
@@ -66,6 +67,7 @@ def test_a_free_motion_and_its_initial_state_are_in_the_prediction(result, tmp_p
     assert np.allclose(again, predicted.observations["link04_z"], rtol=1e-8, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_several_runs_are_in_one_file_and_have_a_figure_each(tmp_path):
     (tmp_path / "a").mkdir()
     first = small_run(tmp_path, channels=("link02_y", "link04_z"))
@@ -178,6 +180,7 @@ CHANGES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", CHANGES)
 def test_another_configuration_is_refused(result, run, config, tmp_path, change):
     write_result(result, run, tmp_path)

@@ -13,6 +13,7 @@ DENSITY, LENGTH, DIAMETER, DRAG = 1.204, 0.99, 0.3, 1.2
 DISPLACED = DENSITY * np.pi / 4 * DIAMETER**2 * LENGTH
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drag", ["centre", "strip"])
 @pytest.mark.parametrize("added", [None, 0.9])
 def test_a_falling_horizontal_cylinder(drag, added):
@@ -101,6 +102,7 @@ def test_a_link_that_swings_loses_energy_to_the_air(drag, share, added):
     assert off[1] / off[0] == pytest.approx(0.5, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_trimmed_arm_stays_where_it_is_put():
     """It floats in any pose, and without trim weights it does not."""
     springless = {"joints.pitch_stiffness": 0.0, "joints.yaw_stiffness": 0.0}
@@ -116,6 +118,7 @@ def test_a_trimmed_arm_stays_where_it_is_put():
     assert moved[False] > 0.5
 
 
+@pytest.mark.slow
 def test_a_wind_that_grows_pushes_a_link_and_one_that_jumps_is_refused():
     """Without drag, I q'' = rho V (1 + C_a) (L / 2) du/dt with I of the link and its air."""
     arm = chain(1, joint_axes=["yaw"], parameters={"air.added_mass_coefficient": 0.8})

@@ -55,6 +55,7 @@ def oscillation(stiffness, damping, times):
     return np.where(times < 0, 0.0, 1 - np.exp(-decay * times) * ring)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_a_spring_and_a_damper_after_a_step_with_every_solver(solver):
     arm = one_link(stiffness=3.0, damping=0.2)

@@ -58,6 +58,7 @@ def without_losses(arm):
     return replace(arm, dict.fromkeys(losses, 0.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "arm",
     [
@@ -76,6 +77,7 @@ def test_energy_is_conserved_without_air_and_damping(arm):
     assert_allclose(total, total[0], rtol=0, atol=1e-6 * float(kinetic.max()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arm", "command", "wind"),
     [

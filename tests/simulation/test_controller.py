@@ -60,6 +60,7 @@ def test_the_fastest_rate_is_that_of_the_springs_and_dampers(damping):
     assert found > 0.95 * np.abs(poles).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", ["tsit5", "springs5"])
 def test_the_derivatives_of_what_hangs_at_rest_do_not_diverge(solver):
     """A pendulum at rest has no error and no spring; its first angle still swings, as cos(w t)."""

@@ -188,6 +188,7 @@ def jacobian(solver, tolerance):
     return jax.jacfwd(lambda x: angles(x, solver, tolerance))(POINT)
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_an_explicit_method():
     """Which are those of central differences: see the test of derivatives."""
     expected, tight, loose = (
@@ -215,6 +216,7 @@ def test_reverse_mode_is_forward_mode():
     assert_allclose(gradient(POINT), expected, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_batch_is_each():
     stiffnesses = [3.0, 30.0, 3000.0]
     points = jnp.stack([POINT.at[2].set(stiffness) for stiffness in stiffnesses])
@@ -224,6 +226,7 @@ def test_a_batch_is_each():
         assert_allclose(one, angles(point, "springs5", 1e-6), rtol=0, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_steps_do_not_grow_with_the_stiffness_as_those_of_explicit_methods():
     arm = replace(takeichi_20m(4), {"joints.yaw_stiffness": 3e4})
     command = joint_ramps(4, {1: 0.5}, start=0.5, duration=1.0)
@@ -235,6 +238,7 @@ def test_steps_do_not_grow_with_the_stiffness_as_those_of_explicit_methods():
     assert 10 * int(implicit.steps.sum()) < int(explicit.steps.sum())
 
 
+@pytest.mark.slow
 def test_a_jump_starts_anew():
     """A slope from before the jump would spoil the first step after it."""
     command = joint_steps(4, {1: 0.5, 2: 0.3}, time=1.234)

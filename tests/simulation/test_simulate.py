@@ -92,6 +92,7 @@ CORNERED = {
 WITHIN = {"tsit5": 5e-6, "springs5": 3e-5}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", WITHIN)
 @pytest.mark.parametrize("name", CORNERED)
 def test_corners_do_not_hurt(name, solver):
@@ -109,6 +110,7 @@ def test_held_rows_move_otherwise_than_joined_ones():
     assert np.abs(held - joined).max() > 1e-2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ulps", [0, 1, 2, 3, 4])
 def test_corners_of_command_and_wind_may_differ_by_rounding(ulps):
     time = 0.7

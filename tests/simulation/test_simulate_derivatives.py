@@ -117,6 +117,7 @@ def point(request):
     return vector, np.stack(columns, axis=1)
 
 
+@pytest.mark.slow
 def test_forward_mode_is_the_difference(point):
     vector, expected = point
     found = forward_jacobian(vector, TIGHT)

@@ -28,6 +28,7 @@ def motion(coefficient, wind, **options):
     return jnp.stack([moved.angles, moved.rates]).ravel(), moved.steps
 
 
+@pytest.mark.slow
 @CHOICES
 @SOLVERS
 def test_the_value_beside_a_derivative_is_the_value(solver, steps_for):
@@ -42,6 +43,7 @@ def test_the_value_beside_a_derivative_is_the_value(solver, steps_for):
     assert np.abs(slope).max() > 0.01
 
 
+@pytest.mark.slow
 @SOLVERS
 def test_the_value_beside_a_derivative_by_the_wind_is_the_value(solver):
     def by_wind(wind):
@@ -54,6 +56,7 @@ def test_the_value_beside_a_derivative_by_the_wind_is_the_value(solver):
     assert np.abs(slope).max() > 0.01
 
 
+@pytest.mark.slow
 @SOLVERS
 def test_steps_for_derivatives_keep_derivatives_across_a_planar_motion_stable(solver):
     """By a wind across, of which the motion itself has none."""
@@ -98,6 +101,7 @@ def test_a_disturbance_needs_steps_for_derivatives(part, derivatives, compiled):
         (jax.jit(derivative) if compiled else derivative)(0.1)
 
 
+@pytest.mark.slow
 def test_reverse_mode_by_what_moves_already_takes_steps_for_the_motion():
     def first(coefficient):
         return motion(coefficient, STILL, derivatives="reverse")[0][-LINKS]

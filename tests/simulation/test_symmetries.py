@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
@@ -19,6 +20,7 @@ def move(arm, command=COMMAND, **options):
     return simulate(arm, command, TIMES, **TIGHT, **options)
 
 
+@pytest.mark.slow
 def test_a_pitch_command_moves_nothing_in_yaw():
     motion = move(takeichi_20m(LINKS), joint_ramps(LINKS, {1: 0.5}, start=0.5, duration=1.0))
     assert_allclose(motion.angles[:, 1::2], 0, atol=1e-12)

@@ -119,6 +119,7 @@ def test_a_run_without_times_has_white_noise_only():
         with_errors(still, RecordingErrors(bursts=0.1))
 
 
+@pytest.mark.slow
 def test_a_run_is_recorded_again_as_a_model_predicts_it():
     """The sidecar stays what it was: the turned camera is for a fit to find."""
     times = np.linspace(0.0, 2.0, 21)

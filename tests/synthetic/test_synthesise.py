@@ -42,6 +42,7 @@ def test_a_run_states_its_arm(clean, model):
     assert made.definition()["arm"] == model.definition()["arm"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("moves", "interpolation"),
     [
@@ -112,7 +113,7 @@ def test_a_fraction_that_is_none(model, missing):
 def test_channels_that_the_arm_does_not_have(model):
     with pytest.raises(InputError, match=r"link 4.*3 links"):
         noisy(model, channels=("link04_x",))
-    with pytest.raises(InputError, match="'wind_x' is given to the model"):
+    with pytest.raises(InputError, match="'wind_x' drives the model"):
         noisy(model, channels=("wind_x",))
 
 

@@ -102,6 +102,7 @@ def record(path, kind, case):
     return write_run(path, times, {**inputs, **recorded}, definition=definition)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", CASES)
 def test_a_fit_of_a_prediction_gives_the_parameters_back(kind, tmp_path):
     case = CASES[kind]
