@@ -22,8 +22,6 @@ from giajax._syntax import parse_json
 from giajax.runs import Definition, describe, read_run
 from giajax.runs._table import read_table
 
-pytestmark = pytest.mark.quick
-
 ROOT = Path(__file__).resolve().parents[1]
 
 # The same cases in every session. A case that takes 5 s hangs: the usual one takes milliseconds.
