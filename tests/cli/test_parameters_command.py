@@ -59,7 +59,7 @@ def test_an_arm_without_links(capsys):
     assert main(["parameters", "--links", "0"]) == 2
     out, err = capsys.readouterr()
     assert (out, err.count("\n")) == ("", 1)
-    assert "at least 1" in err
+    assert "arm.links = 0 must be a whole number from 1 to 1000" in err
 
 
 def test_a_run_decides_the_model(capsys):

@@ -220,6 +220,7 @@ def test_the_jumps_of_the_printed_beta_are_no_smooth_roots(degrees, offset, fall
     assert np.isfinite(item.stiffness)
 
 
+@pytest.mark.slow
 def test_slack_muscles_leave_the_joint_to_the_load():
     idle = equilibria(PLAIN, [5e3, 5e3])
     assert idle.indifferent
@@ -260,6 +261,7 @@ def test_the_spring_and_its_derivatives():
     assert float(by_load[0]) == pytest.approx(-1 / float(outputs(*point)[1]), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_the_spring_feeds_a_joint_of_the_arm():
     """III.A: a spring whose constant and initial length change. One link, held by a pair."""
     pair, angle = JointPair(), np.deg2rad(30.0)

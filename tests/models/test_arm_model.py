@@ -204,6 +204,7 @@ def test_a_stiff_trial_is_rejected_and_the_fit_goes_on(run):
     assert result.parameters["joints.damping"].value == pytest.approx(0.08, rel=0.5)
 
 
+@pytest.mark.slow
 def test_a_result_rebuilds_its_model(run, tmp_path):
     result = fit(model_for([run]), run, start=START, check=False)
     (tmp_path / "result.json").write_text(result.to_json())

@@ -235,6 +235,7 @@ def test_input_and_output_of_any_quantity():
     np.testing.assert_allclose(run.values["output"], same.values["angle"], atol=6 * NOISE)
 
 
+@pytest.mark.slow
 def test_products_are_determined_where_their_factors_are_not():
     run = record("bouc_wen")
     result = fit(

@@ -126,6 +126,7 @@ def test_clocks_of_camera_and_encoder_are_their_own(plain):
         np.testing.assert_allclose(seen[name][:-1], plain[name][1:], atol=1e-7)
 
 
+@pytest.mark.slow
 def test_an_early_clock_goes_on_beyond_the_end():
     """With the last command: as a run that lasts longer does."""
     longer = np.linspace(0.0, 4.3, 44)
@@ -338,7 +339,9 @@ def test_recordings_that_disagree_about_the_sensors_are_refused():
 
 
 def test_lists_of_another_length_are_refused():
-    with pytest.raises(InputError, match=r"marker.up has 2 values for an arm of 3 links"):
+    with pytest.raises(
+        InputError, match=r"key marker_up_m has 2 values, but must have one for each of the 3 links"
+    ):
         model_for([run_of(sensors={"marker_up_m": [0.1, 0.2]})])
 
 

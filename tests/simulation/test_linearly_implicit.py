@@ -128,6 +128,7 @@ def observed_orders(stiffness, steps):
     return np.diff(np.log(errors), axis=0).T / -np.diff(np.log(steps))
 
 
+@pytest.mark.slow
 def test_the_order_is_five_where_nothing_is_stiff():
     angles, rates = observed_orders(3.0, [16, 32, 64, 128])
     assert_allclose(angles, 5, atol=0.35)
@@ -147,6 +148,7 @@ def test_a_stiff_arm_is_stable_with_steps_that_an_explicit_method_cannot_take():
     assert not np.abs(explicit - exact)[:, 0].max() < 1
 
 
+@pytest.mark.slow
 def test_the_springs_are_those_of_the_motion():
     """At rest in still air nothing but springs and dampers changes the accelerations."""
     arm = replace(takeichi_20m(4), {"joints.damping": 0.3})

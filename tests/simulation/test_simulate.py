@@ -184,6 +184,7 @@ def test_a_batch_of_arms_is_each_arm():
         assert_allclose(one, alone, rtol=0, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_what_comes_after_the_data_changes_nothing_before():
     """Runs of different lengths share a program by repeating their last row."""
     command = logged(TIMES, SINES)

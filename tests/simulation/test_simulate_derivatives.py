@@ -139,6 +139,7 @@ def test_reverse_mode_is_the_difference(point):
     assert error.max() < 1e-5, dict(zip(LABELS, error, strict=True))
 
 
+@pytest.mark.slow
 def test_the_default_tolerance_is_enough_for_a_fit():
     found = forward_jacobian(flat(MOVING), jnp.asarray(1e-6))
     tight = forward_jacobian(flat(MOVING), TIGHT)

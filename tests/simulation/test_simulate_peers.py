@@ -37,6 +37,7 @@ def test_the_default_tolerance_keeps_its_promise(driven):
     assert np.linalg.norm(motion.tip - tight.tip, axis=1).max() < 1e-4
 
 
+@pytest.mark.slow
 def test_a_general_arm_in_a_changing_wind_moves_as_in_mujoco_and_scipy():
     """Everything at once: axes, gravity, initial state, steps, a wind of rows."""
     arm = general_arm(5)

@@ -71,6 +71,7 @@ def test_steps_for_derivatives_keep_derivatives_across_a_planar_motion_stable(so
     assert_allclose(slope, difference, rtol=0, atol=0.02 * largest)
 
 
+@pytest.mark.slow
 def test_steps_for_derivatives_are_the_shorter_ones_of_an_explicit_method():
     _, plain = motion(1.2, STILL)
     _, careful = motion(1.2, STILL, steps_for="derivatives")

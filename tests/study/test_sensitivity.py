@@ -92,6 +92,7 @@ def test_what_no_channel_tells_has_an_infinite_error():
     assert np.isfinite(errors[1])
 
 
+@pytest.mark.slow
 def test_arrays_are_taken_element_by_element_and_options_are_switched_on():
     some = sensitivity(model(), RUN, ["camera.origin", "links.mass[1]"], ["link03_z"])
     assert some.parameters == (*(f"camera.origin[{i}]" for i in range(3)), "links.mass[1]")

@@ -117,6 +117,7 @@ def test_channels_that_the_arm_does_not_have(model):
         noisy(model, channels=("wind_x",))
 
 
+@pytest.mark.slow
 def test_a_simulation_that_fails():
     times, inputs = rows()
     with pytest.raises(SimulationError, match="step limit"):
