@@ -87,5 +87,4 @@ def test_it_predicts_a_sweep_that_it_did_not_see(result, benchmark):
 
 def predicted_sweep(result, run):
     """What the fitted model predicts; the sweep is no period of a band-limited signal."""
-    settings = dataclasses.replace(result.model.settings, interpolation="linear")
-    return predict(dataclasses.replace(result.model, settings=settings), run)["output"]
+    return predict(dataclasses.replace(result.model, interpolation="linear"), run)["output"]
