@@ -13,18 +13,16 @@ from ._arm_sections import (
     SensorsSection as SensorsSection,
     WindSection as WindSection,
 )
-from ._hysteresis import HYSTERESIS as HYSTERESIS, HysteresisSection as HysteresisSection
-from ._joint import JOINT as JOINT, JointSection as JointSection
-from ._keys import with_keys as with_keys
-from ._kind import (
-    ChannelKind as ChannelKind,
+from ._content import (
     Content as Content,
-    Kind as Kind,
-    Offer as Offer,
     RecordedChannel as RecordedChannel,
     Sections as Sections,
     Wording as Wording,
 )
+from ._hysteresis import HYSTERESIS as HYSTERESIS, HysteresisSection as HysteresisSection
+from ._joint import JOINT as JOINT, JointSection as JointSection
+from ._keys import with_keys as with_keys
+from ._kind import ChannelKind as ChannelKind, Kind as Kind, Offer as Offer
 from ._muscle import MUSCLE as MUSCLE, MuscleSection as MuscleSection
 from ._oscillator import OSCILLATOR as OSCILLATOR, OscillatorSection as OscillatorSection
 from ._section import (

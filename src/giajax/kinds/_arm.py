@@ -10,7 +10,8 @@ from ._arm_sections import (
     SensorsSection,
     WindSection,
 )
-from ._kind import ChannelKind, Content, Kind, Offer, RecordedChannel, Wording
+from ._content import Content, RecordedChannel, Wording
+from ._kind import ChannelKind, Kind, Offer
 
 DEFAULT_PRESET = "takeichi_20m"
 DEFAULT_LINKS = 20

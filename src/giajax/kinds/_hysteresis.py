@@ -6,7 +6,8 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from .._limits import ELEMENTS
-from ._kind import ChannelKind, Content, Kind
+from ._content import Content
+from ._kind import ChannelKind, Kind
 from ._section import COUNT, Count, Finite, Positive, Section, key
 
 CountOrPositive = Count | Annotated[list[Positive], Field(min_length=1)]

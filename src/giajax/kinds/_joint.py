@@ -7,8 +7,9 @@ from pydantic import Field
 
 from .._errors import InputError
 from ..quantities import ALPHA, BETA, GEOMETRY, LOAD
+from ._content import Content, Wording
 from ._keys import with_keys
-from ._kind import ChannelKind, Content, Kind, Wording
+from ._kind import ChannelKind, Kind
 from ._section import Section, key
 
 

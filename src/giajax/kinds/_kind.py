@@ -3,14 +3,10 @@
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple, Protocol, TypeVar
+from typing import Any, Literal, NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
+from ._content import Content, RecordedChannel, Wording
 from ._section import Section
-
-S = TypeVar("S", bound=Section)
 
 
 @dataclass(frozen=True)
@@ -40,57 +36,6 @@ class ChannelKind:
         """Regular expression of the channels of this row, with groups `index` and `component`."""
         numbered = self.column.replace("NN", "(?P<index>[0-9]+)")
         return re.sub("_x$", "_(?P<component>[xyz])", numbered)
-
-
-class RecordedChannel(Protocol):
-    """What a kind asks of a channel of a run; see `giajax.runs.Channel`."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def kind(self) -> str: ...
-    @property
-    def index(self) -> int | None: ...
-    @property
-    def quantity(self) -> str: ...
-    @property
-    def unit(self) -> str: ...
-
-
-class Sections(Protocol):
-    """What a kind asks of a definition; see `giajax.runs.Definition`."""
-
-    @property
-    def free_motion(self) -> bool | None: ...
-
-    def section(self, of: type[S]) -> S:
-        """The section of a class, with its defaults where it is not in the file."""
-
-
-class Content(Protocol):
-    """What a kind asks of a run; see `giajax.runs.Run`."""
-
-    @property
-    def times(self) -> npt.NDArray[np.float64] | None: ...
-    @property
-    def values(self) -> Mapping[str, npt.NDArray[Any]]: ...
-    @property
-    def channels(self) -> Mapping[str, RecordedChannel]: ...
-    @property
-    def definition(self) -> Sections: ...
-
-
-class Wording(Protocol):
-    """How errors name the parts of a run: `row 5` and columns of a file, samples of arrays."""
-
-    @property
-    def source(self) -> str: ...
-
-    def at(self, index: Any) -> str:
-        """The row of the sample with this index."""
-
-    def of(self, channel: RecordedChannel) -> str:
-        """The name of the channel in the person's file or arrays."""
 
 
 class Offer(NamedTuple):
@@ -174,6 +119,11 @@ class Kind:
     template_heading: str = "# is assumed or unknown."
     former_parameters: frozenset[str] = frozenset()
     upgraded: Callable[[dict[str, Any]], dict[str, Any]] = _unchanged
+
+    @property
+    def all_sections(self) -> dict[str, type[Section]]:
+        """Sections that describe the model, and then those that describe one run."""
+        return {**self.sections, **self.run_sections}
 
     def rows(self, *parts: str) -> tuple[str, ...]:
         """Names of the rows of the column table that play one of these parts."""

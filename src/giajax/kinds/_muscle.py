@@ -8,8 +8,9 @@ from pydantic import Field, field_validator
 
 from .._errors import InputError
 from ..quantities import AT_REST, BRAIDED, EMPIRICAL, FRICTION, PISTON
+from ._content import Content, Wording
 from ._keys import with_keys
-from ._kind import ChannelKind, Content, Kind, Wording
+from ._kind import ChannelKind, Kind
 from ._section import NotNegative, Section, key
 
 

@@ -2,8 +2,9 @@
 
 from typing import Any, Literal
 
+from ._content import Content
 from ._hysteresis import CHANNELS
-from ._kind import Content, Kind
+from ._kind import Kind
 from ._section import Section, key
 
 

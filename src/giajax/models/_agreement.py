@@ -1,11 +1,11 @@
 """Whether the sidecars of runs that are fitted together agree."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 from .._errors import InputError
 from ..arm import Arm
-from ..kinds import ArmSection, SensorsSection
+from ..kinds import ArmSection, Section, SensorsSection
 from ..runs import Run
 from ._definition import (
     arm_from_definition,
@@ -14,6 +14,8 @@ from ._definition import (
     sensors_to_definition,
 )
 from ._sensors import Sensors
+
+S = TypeVar("S", bound=Section)
 
 
 def agreed_parts(runs: Sequence[Run]) -> tuple[Arm, Sensors]:
@@ -37,6 +39,28 @@ def agreed_parts(runs: Sequence[Run]) -> tuple[Arm, Sensors]:
         ):
             check_agreement(section, (first, ours), (other, theirs))
     return arm, sensors
+
+
+def agreed_section(runs: Sequence[Run], name: str, of: type[S]) -> S:
+    """The section that the sidecars of some runs have alike.
+
+    Arguments:
+        runs: that are fitted together.
+        name: of the section.
+        of: its class.
+
+    Raises:
+        InputError: the sidecars disagree in it.
+    """
+    first, *others = runs
+    section = first.definition.section(of)
+    for other in others:
+        if other.definition.section(of) != section:
+            raise InputError(
+                f"the sidecars of '{first.name}' and '{other.name}' disagree in [{name}]: "
+                "correct one, or fit the runs separately"
+            )
+    return section
 
 
 def check_agreement(

@@ -15,6 +15,7 @@ from ..kinds import HysteresisSection
 from ..parameters import inline, parameter
 from ..quantities import LOOP
 from ..runs import Definition, Run
+from ._agreement import agreed_section
 from ._direct import AbstractDirectModel
 from ._extremes import first_extremes, turns, unexplained
 from ._hysteresis_definition import (
@@ -65,14 +66,8 @@ class HysteresisModel(AbstractDirectModel):
         """
         inputs = [input_values(run, cls.kind) for run in runs]
         outputs = [values for run in runs for values in run.observations.values()]
-        first, *others = runs
-        section = first.definition.section(HysteresisSection)
-        for other in others:
-            if other.definition.section(HysteresisSection) != section:
-                raise InputError(
-                    f"the sidecars of '{first.name}' and '{other.name}' disagree in [hysteresis]: "
-                    "correct one, or fit the runs separately"
-                )
+        first = runs[0]
+        section = agreed_section(runs, cls.kind, HysteresisSection)
         check_keys(first.name, section)
         settings = settings_for(section, inputs)
         if not any(turns(values) for values in inputs):

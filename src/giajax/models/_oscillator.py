@@ -14,6 +14,7 @@ from ..kinds import OscillatorSection
 from ..parameters import inline, parameter
 from ..quantities import LOOP
 from ..runs import Definition, Run
+from ._agreement import agreed_section
 from ._direct import AbstractDirectModel
 from ._protocol import Channels, Derived
 from ._response import Columns, check_outputs, input_values, products, products_condition
@@ -58,15 +59,8 @@ class OscillatorModel(AbstractDirectModel):
         Raises:
             InputError: the sidecars disagree in [oscillator].
         """
-        first, *others = runs
-        section = first.definition.section(OscillatorSection)
-        for other in others:
-            if other.definition.section(OscillatorSection) != section:
-                raise InputError(
-                    f"the sidecars of '{first.name}' and '{other.name}' disagree in [oscillator]: "
-                    "correct one, or fit the runs separately"
-                )
-        return cls._made(section, Columns.of(first))
+        section = agreed_section(runs, cls.kind, OscillatorSection)
+        return cls._made(section, Columns.of(runs[0]))
 
     @classmethod
     def from_definition(cls, definition: Mapping[str, Any]) -> Self:

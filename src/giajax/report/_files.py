@@ -58,7 +58,9 @@ def write_result(
     files = _written(folder, {RESULT: result.to_json().encode()})
     _remove_stale_pictures(folder)
     files += _written(folder, prediction_files(result, runs, names, predictions))
-    return files + (write_figures(result, runs, folder) if figures else [])
+    if figures:
+        files += _written(folder, _picture_files(result, runs, names, predictions))
+    return files
 
 
 def write_figures(result: FitResult, runs: Run | Sequence[Run], folder: str | Path) -> list[Path]:

@@ -45,11 +45,7 @@ class _Head(Section):
     )
 
 
-_CLASSES = {
-    name: section
-    for kind in KINDS.values()
-    for name, section in {**kind.sections, **kind.run_sections}.items()
-}
+_CLASSES = {name: section for kind in KINDS.values() for name, section in kind.all_sections.items()}
 _NAMES = {section: name for name, section in _CLASSES.items()}
 
 if TYPE_CHECKING:
@@ -164,7 +160,7 @@ def run_keys(*, model: bool) -> tuple[str, ...]:
     sections = [
         name
         for kind in KINDS.values()
-        for name in ({**kind.sections, **kind.run_sections} if model else kind.run_sections)
+        for name in (kind.all_sections if model else kind.run_sections)
     ]
     return (*(("model",) if model else ()), "free_motion", *dict.fromkeys(sections), "noise")
 

@@ -52,7 +52,7 @@ def sidecar_template(path: str | Path, rename: Mapping[str, str] | None = None) 
 
 def _offered(kind: Kind, table: Table) -> list[str]:
     """The sections that the kind of model offers for these columns."""
-    classes = {**kind.sections, **kind.run_sections}
+    classes = kind.all_sections
     lines = []
     for offer in kind.offers(list(table.channels.values())):
         section = classes.get(offer.section, Definition)
