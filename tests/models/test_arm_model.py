@@ -13,6 +13,7 @@ from giajax import InputError, Run
 from giajax.fitting import fit
 from giajax.fitting._bijector import Bijector
 from giajax.fitting._group import build_groups
+from giajax.fitting._layout import Layout
 from giajax.fitting._problem import Problem, residual
 from giajax.models import ArmModel, arm_to_definition, build_model, model_for, parameter_values
 
@@ -151,7 +152,11 @@ def test_the_residual_differentiates_as_differences_say(run):
     bijector = Bijector((0.0,) * 4, (50.0, 1e3, 1e4, 1e2))
     sigmas = [dict.fromkeys(run.observations, 0.005)]
     problem = Problem(
-        model, build_groups(model, [run], sigmas, 4), bijector, tuple(START), "soft_l1"
+        model,
+        build_groups(model, [run], sigmas, Layout.of(tuple(START), {}, 1)),
+        bijector,
+        tuple(START),
+        "soft_l1",
     )
     coordinate = jnp.asarray(bijector.inverse(np.array(list(START.values()))))
 
@@ -178,7 +183,7 @@ def test_padding_a_run_changes_nothing(run):
     )
     model = truth_model()
     sigmas = [dict.fromkeys(run.observations, 1.0)] * 2
-    (group,) = build_groups(model, [run, cut], sigmas, 0)
+    (group,) = build_groups(model, [run, cut], sigmas, Layout.of((), {}, 2))
     stacked = jax.vmap(lambda inputs: model.predict(inputs, group.channels)[0])(group.inputs)
     alone = giajax.predict(model, cut)
     for name in alone:

@@ -74,13 +74,12 @@ def gradient_check(state: FitState, statistics: Statistics) -> GradientCheck | N
     relative = np.linalg.norm(by_autodiff - by_difference) / np.linalg.norm(by_autodiff)
     if not np.isfinite(relative):
         return None
+    known = statistics.labels[: problem.shared]
     return GradientCheck(
         relative_difference=float(relative),
-        direction=dict(zip(problem.paths, direction.tolist(), strict=False)),
+        direction=dict(zip(known, direction.tolist(), strict=False)),
         step=offset,
-        left_out=tuple(
-            path for path, there in zip(problem.paths, takes_part, strict=False) if not there
-        ),
+        left_out=tuple(path for path, there in zip(known, takes_part, strict=False) if not there),
     )
 
 

@@ -7,12 +7,11 @@ from importlib.metadata import version
 
 import numpy as np
 
-from ..parameters import replace
 from ..runs import Run
 from ._checks import Checks, checks
 from ._derived import derived_estimates
-from ._estimates import estimates, own_estimates
-from ._problem import predictions_by_run
+from ._estimates import estimates, own_estimates, with_tied
+from ._problem import Problem, predictions_by_run
 from ._records import ChannelFit, Correlation, OwnEstimate, RunFit, Seconds, finite_or_none
 from ._result import FitResult
 from ._state import FitState
@@ -38,8 +37,9 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
         raise ValueError("the fit has not ended: call `descend` first")
     status, message = state.ending
     setup, problem = state.setup, state.problem
-    model = replace(problem.model, state.parameters())
+    model = problem.with_values(np.asarray(list(state.parameters().values())))
     known = statistics(state)
+    derived = derived_estimates(problem, known)
     done = Checks(None, None, interrupted=False)
     if check and status != "interrupted" and np.any(np.asarray(state.active)):
         done = checks(state, known)
@@ -47,8 +47,12 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
         status = "interrupted"
         message += ", then interrupted before its result was checked"
     predictions = predictions_by_run(problem, state.inner.aux, setup.runs)
-    paths, active = list(problem.paths), np.asarray(state.active)
-    moved = [path for path, on in zip(paths, active, strict=False) if on]
+    active = np.asarray(state.active)
+    moved = [
+        path
+        for path, places in zip(problem.paths, problem.positions, strict=True)
+        if np.any(active[list(places)])
+    ]
     compiling = state.step_seconds[0] - float(np.median(state.step_seconds[1:] or [0.0]))
     compiling = max(compiling, 0.0)
     elapsed = time.perf_counter() - began
@@ -56,9 +60,9 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
         status=status,
         message=message + _note(state, known),
         model=model,
-        parameters=estimates(state, known, model),
-        derived=derived_estimates(model, paths, known.alive, known.root, known.covariance),
-        correlation=_correlation(known, paths),
+        parameters=with_tied(estimates(state, known, model), derived, problem.ties),
+        derived=derived,
+        correlation=_correlation(known, problem),
         runs=tuple(
             _run_fit(run, predicted, sigmas, own)
             for run, predicted, sigmas, own in zip(
@@ -83,12 +87,13 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
     )
 
 
-def _correlation(known: Statistics, paths: list[str]) -> Correlation:
-    """Correlations of the model's parameters, those of single runs left out."""
-    rows = [row for row, index in enumerate(known.determined) if index < len(paths)]
+def _correlation(known: Statistics, problem: Problem) -> Correlation:
+    """Correlations of what all runs share."""
+    shared = {places[0] for places in problem.positions if len(places) == 1}
+    rows = [row for row, index in enumerate(known.determined) if index in shared]
     matrix = known.correlation[np.ix_(rows, rows)].tolist()
     return Correlation(
-        tuple(paths[known.determined[row]] for row in rows), tuple(map(tuple, matrix))
+        tuple(known.labels[known.determined[row]] for row in rows), tuple(map(tuple, matrix))
     )
 
 

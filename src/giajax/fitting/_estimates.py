@@ -1,5 +1,8 @@
 """Estimates of the parameters: value, standard error, and what a reader must know of them."""
 
+import dataclasses
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 
 from ..models import AbstractModel, parameter_values
@@ -8,9 +11,13 @@ from ._identifiability import largest_correlations
 from ._records import Estimate, OwnEstimate, finite_or_none
 from ._state import FitState
 from ._statistics import Statistics
+from ._ties import Tie
 
 # Parameters that are more correlated than this are worth a remark.
 _NEARLY_THE_SAME = 0.98
+
+# A prior that says more than this of a parameter is worth a remark.
+_MOSTLY = 0.5
 
 
 def estimates(state: FitState, statistics: Statistics, model: AbstractModel) -> dict[str, Estimate]:
@@ -21,24 +28,46 @@ def estimates(state: FitState, statistics: Statistics, model: AbstractModel) -> 
         statistics: of the fit.
         model: the fitted one.
     """
-    active = np.asarray(state.active)
     free = {
-        parameter.path: Estimate(
-            value=float(statistics.values[index]),
-            standard_error=finite_or_none(statistics.standard_errors.get(index)),
-            unit=parameter.declaration.unit,
-            lower=finite_or_none(parameter.declaration.lower),
-            upper=finite_or_none(parameter.declaration.upper),
-            free=True,
-            remark=remark(statistics, index, moves=bool(active[index])),
-        )
-        for index, parameter in enumerate(state.setup.parameters)
+        parameter.path: _free(state, statistics, parameter, places)
+        for parameter, places in zip(state.setup.parameters, state.problem.positions, strict=True)
     }
     return {**free, **_held(model, tuple(free))}
 
 
+def _free(
+    state: FitState, statistics: Statistics, parameter: Parameter, places: tuple[int, ...]
+) -> Estimate:
+    """The estimate of a parameter; of one with a value for each group of runs, their mean."""
+    index = places[0]
+    error = statistics.standard_errors.get(index)
+    share = statistics.prior_shares.get(index)
+    said = _remark(state, statistics, index)
+    if len(places) > 1:
+        error, share = _error_of_mean(statistics, places), None
+        runs = "run" if len(places) == len(state.setup.runs) else "group of runs"
+        said = f"mean of {len(places)} values, one for each {runs}"
+    return Estimate(
+        value=float(np.mean(statistics.values[list(places)])),
+        standard_error=finite_or_none(error),
+        unit=parameter.declaration.unit,
+        lower=finite_or_none(parameter.declaration.lower),
+        upper=finite_or_none(parameter.declaration.upper),
+        free=True,
+        remark=said,
+        prior_share=finite_or_none(share),
+    )
+
+
+def _error_of_mean(statistics: Statistics, places: tuple[int, ...]) -> float | None:
+    if not set(places) <= set(statistics.determined):
+        return None
+    weights = np.isin(statistics.alive, places) / len(places)
+    return float(np.sqrt(weights @ statistics.covariance @ weights))
+
+
 def own_estimates(state: FitState, statistics: Statistics) -> list[dict[str, OwnEstimate]]:
-    """What was fitted of each run alone, by path.
+    """What was fitted of each run alone or of its group of runs, by path.
 
     Arguments:
         state: the last one.
@@ -47,13 +76,23 @@ def own_estimates(state: FitState, statistics: Statistics) -> list[dict[str, Own
     Returns:
         An estimate by path for each run, in their order.
     """
+    problem = state.problem
+    varied = [index for index, places in enumerate(problem.positions) if len(places) > 1]
     estimates: list[dict[str, OwnEstimate]] = [{} for _ in state.setup.runs]
-    for group in state.problem.groups:
-        for member, columns in zip(group.members, group.own_columns(), strict=True):
-            for label, column in zip(group.own_labels(), columns.tolist(), strict=True):
+    for group in problem.groups:
+        names = [*(problem.paths[index] for index in varied), *group.own_labels()]
+        for member, columns in zip(group.members, group.columns(), strict=True):
+            own = [*columns[varied], *columns[len(problem.paths) :]]
+            for name, column in zip(names, map(int, own), strict=True):
                 error = finite_or_none(statistics.standard_errors.get(column))
-                estimates[member][label] = OwnEstimate(float(statistics.values[column]), error)
+                value = float(statistics.values[column])
+                said = _remark(state, statistics, column)
+                estimates[member][name] = OwnEstimate(value, error, said)
     return estimates
+
+
+def _remark(state: FitState, statistics: Statistics, index: int) -> str:
+    return remark(statistics, index, moves=bool(np.asarray(state.active)[index]))
 
 
 def remark(statistics: Statistics, index: int, *, moves: bool) -> str:
@@ -81,6 +120,9 @@ def remark(statistics: Statistics, index: int, *, moves: bool) -> str:
             f"at its {statistics.bounds[index]} bound: the best value is the bound itself, and "
             "the standard error says how far from it the data allow"
         )
+    share = statistics.prior_shares.get(index, 0.0)
+    if share > _MOSTLY:
+        return f"its value is mostly that of its prior ({share:.0%} of what is known of it)"
     if error > abs(statistics.values[index]):
         return "barely determined: the standard error exceeds the value"
     partners = largest_correlations(statistics.correlation, _NEARLY_THE_SAME)
@@ -90,6 +132,29 @@ def remark(statistics: Statistics, index: int, *, moves: bool) -> str:
         other = statistics.labels[statistics.determined[partner]]
         return f"correlation {correlation:+.3f} with {other}"
     return ""
+
+
+def with_tied(
+    estimates: dict[str, Estimate], derived: Mapping[str, Estimate], ties: Sequence[Tie]
+) -> dict[str, Estimate]:
+    """The estimates of parameters, in which the tied ones have the errors that follow for them.
+
+    Arguments:
+        estimates: by path.
+        derived: what follows from the free parameters, the tied ones among it.
+        ties: of the fit.
+    """
+    tied = {tie.path: tie.expression.text for tie in ties if tie.path in estimates}
+    remarked = {
+        path: dataclasses.replace(estimates[path], remark=f"tied: {text}")
+        for path, text in tied.items()
+    }
+    single = {
+        path: dataclasses.replace(derived[path], free=False)
+        for path in tied
+        if path in derived and not isinstance(estimates[path].value, list)
+    }
+    return {**estimates, **remarked, **single}
 
 
 def _held(model: AbstractModel, free: tuple[str, ...]) -> dict[str, Estimate]:

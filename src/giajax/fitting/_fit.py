@@ -8,6 +8,7 @@ import jax
 import numpy.typing as npt
 
 from ..models import AbstractModel
+from ..quantities import Prior
 from ..runs import Run
 from ._conclude import conclude
 from ._configuration import Setup, set_up
@@ -29,6 +30,11 @@ def fit(
     loss: str = "linear",
     solver: str | None = None,
     tolerance: float | None = None,
+    priors: Mapping[str, Prior] | None = None,
+    bounds: Mapping[str, Sequence[float]] | None = None,
+    ties: Mapping[str, str] | None = None,
+    per_run: Sequence[str] = (),
+    groups: Mapping[str, Sequence[Sequence[str]]] | None = None,
     max_iterations: int = MAX_ITERATIONS,
     progress: Callable[[Iteration], None] | None = None,
     check: bool = True,
@@ -48,6 +54,15 @@ def fit(
         loss: "linear", or "huber" or "soft_l1" where a few cells are outliers.
         solver: of the simulation, one of `giajax.SOLVERS`; by default that of the model.
         tolerance: relative and absolute tolerance of the simulation; by default the model's.
+        priors: what is known of free parameters before, by path; where one has no start, the
+            fit starts there.
+        bounds: lower and upper bounds of free parameters, by path, within those that they have.
+        ties: expressions over paths by the path of the parameter that follows from them, such as
+            `{"joints.yaw_stiffness": "1.5 * joints.pitch_stiffness"}`. Elements of an array that
+            its own expression names stay free: `{"links.mass": "links.mass[0]"}` is one mass for
+            all links.
+        per_run: paths of free parameters that have a value of their own in each recording.
+        groups: names of the runs that share a value, group by group, by path.
         max_iterations: trial steps before the fit gives up.
         progress: called after each step with an `Iteration`.
         check: compute the gradient check and the effect of the solver tolerance at the end.
@@ -76,6 +91,11 @@ def fit(
         loss=loss,
         solver=solver,
         tolerance=tolerance,
+        priors=priors,
+        bounds=bounds,
+        ties=ties,
+        per_run=per_run,
+        groups=groups,
     )
     return solve(setup, max_iterations=max_iterations, progress=progress, check=check)
 

@@ -45,6 +45,8 @@ class Estimate:
         lower, upper: bounds; None where there is none.
         free: whether the fit was allowed to move it.
         remark: what a reader must know before using the value; may be empty.
+        prior_share: how much of what is known of it is its prior's, from 0 to 1: the variance of
+            the estimate over that of the prior; None without a prior.
     """
 
     value: Any
@@ -54,14 +56,22 @@ class Estimate:
     upper: float | None
     free: bool
     remark: str = ""
+    prior_share: float | None = None
 
 
 @dataclasses.dataclass(frozen=True)
 class OwnEstimate:
-    """A parameter of one run alone, such as an initial angle: its value and standard error, SI."""
+    """What one run has for itself, such as an initial angle, or shares with some others.
+
+    Attributes:
+        value: SI.
+        standard_error: one standard deviation, SI; None if there is none.
+        remark: what a reader must know before using the value; may be empty.
+    """
 
     value: float
     standard_error: float | None
+    remark: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,7 +100,7 @@ class RunFit:
         path: of its file; None for a run that was made in memory.
         sha256: checksum of the file.
         channels: by name.
-        parameters: what was free in this run alone, by path.
+        parameters: what was free in this run alone, or in its group of runs, by path.
     """
 
     name: str

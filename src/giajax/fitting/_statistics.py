@@ -4,7 +4,10 @@ import dataclasses
 
 import numpy as np
 
-from ._identifiability import responds, undetermined_groups
+from ._identifiability import COLLINEAR, responds, undetermined_groups
+from ._jacobian import BlockJacobian
+from ._labels import labels
+from ._priors import Priors
 from ._state import FitState
 from ._uncertainty import correlation_matrix, uncertainty
 
@@ -29,6 +32,8 @@ class Statistics:
         reduced_chi_square: sum of squared weighted residuals per degree of freedom.
         scale: factor on the covariance, 1 unless the residuals exceed the noise.
         bounds: of the parameters that ended at one: "lower" or "upper".
+        prior_shares: how much of what is known of a parameter is its prior's: the variance of the
+            estimate, were the noise as stated, over that of the prior.
     """
 
     labels: tuple[str, ...]
@@ -43,6 +48,7 @@ class Statistics:
     reduced_chi_square: float
     scale: float
     bounds: dict[int, str]
+    prior_shares: dict[int, float] = dataclasses.field(default_factory=dict)
 
 
 def statistics(state: FitState) -> Statistics:
@@ -56,13 +62,20 @@ def statistics(state: FitState) -> Statistics:
     loose = {index for group in together for index in group}
     determined = tuple(int(i) for i in alive if i not in loose)
     residuals, measured = weighted_residuals(state)
-    spread = uncertainty(residuals, jacobian, loss=problem.loss, measured=measured, columns=alive)
+    spread = uncertainty(
+        residuals,
+        jacobian,
+        loss=problem.loss,
+        measured=measured,
+        columns=alive,
+        priors=len(problem.priors),
+    )
     rows = [int(np.flatnonzero(alive == i)[0]) for i in determined]
     covariance = spread.covariance[np.ix_(rows, rows)]
     errors = np.sqrt(np.diag(covariance))
     standard_errors = {i: float(error) for i, error in zip(determined, errors, strict=True)}
     return Statistics(
-        labels=tuple(problem.labels(state.setup.runs)),
+        labels=tuple(labels(problem, state.setup.runs)),
         values=state.values(),
         alive=alive,
         together=together,
@@ -74,17 +87,39 @@ def statistics(state: FitState) -> Statistics:
         reduced_chi_square=spread.reduced_chi_square,
         scale=spread.scale,
         bounds=_at_bounds(state, standard_errors),
+        prior_shares=_prior_shares(problem.priors, jacobian, alive, root),
     )
 
 
 def weighted_residuals(state: FitState) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals in units of the noise before the loss transforms them, and which are measured."""
+    """Residuals in units of the noise before the loss transforms them, and which are measured.
+
+    The rows of priors come last, and count as measured.
+    """
     groups = state.problem.groups
     weights = np.concatenate([np.asarray(g.weight).ravel() for g in groups])
     observed = np.concatenate([np.asarray(g.observed).ravel() for g in groups])
     predicted = np.concatenate([np.asarray(p).ravel() for p in state.inner.aux.channels])
     measured = weights > 0
-    return np.where(measured, (predicted - observed) * weights, 0.0), measured
+    known = np.asarray(state.inner.residual)[len(measured) :]
+    rows = np.where(measured, (predicted - observed) * weights, 0.0)
+    return np.append(rows, known), np.append(measured, np.ones(len(known), bool))
+
+
+def _prior_shares(
+    priors: Priors, jacobian: BlockJacobian, alive: np.ndarray, root: np.ndarray
+) -> dict[int, float]:
+    """How much of what is known of each parameter with a prior is the prior's."""
+    if not len(priors):
+        return {}
+    norms = np.linalg.norm(root, axis=0)
+    spread = np.linalg.norm(np.linalg.pinv(root / norms, rcond=COLLINEAR), axis=1) / norms
+    slopes = dict(zip(priors.columns, np.diag(jacobian.blocks[-1]), strict=True))
+    return {
+        index: min(float((slopes[index] * deviation) ** 2), 1.0)
+        for index, deviation in zip(alive.tolist(), spread.tolist(), strict=True)
+        if index in slopes
+    }
 
 
 def _at_bounds(state: FitState, standard_errors: dict[int, float]) -> dict[int, str]:
