@@ -110,6 +110,7 @@ from .models import (
     model_for as model_for,
 )
 from .parameters import declared as declared, get as get, replace as replace
+from .quantities import Prior as Prior
 from .report import (
     draw_scene as draw_scene,
     parameter_table as parameter_table,

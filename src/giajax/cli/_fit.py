@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ._fit_output import show_files, show_result, write_or_print
+from ._fit_values import bounds as limits, groups, priors, ties
 from ._progress import Progress
 from ._values import plain_settings
 
@@ -23,6 +24,9 @@ Examples:
   giajax fit --data run.csv --start air.drag_coefficient=0.8 --loss huber
   giajax fit --data a.csv --data b.csv --fix joints.damping=0.05 --out both
   giajax fit --data run.csv --free joints.damping --free "links.mass[19]"
+  giajax fit --data run.csv --free links.mass --tie "links.mass=links.mass[0]"
+  giajax fit --data a.csv --data b.csv --per-run camera.delay \\
+      --prior camera.delay=0+-0.05 --bounds joints.damping=0.01,1
   giajax fit definition.toml --force
 
 Parameters are called as `giajax parameters` lists them, in the units that it lists;
@@ -61,6 +65,37 @@ def fit(
     start: Annotated[
         list[str] | None,
         typer.Option(metavar="PATH=VALUE", help="Start a parameter at a value. Repeatable."),
+    ] = None,
+    prior: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PATH=VALUE+-DEVIATION",
+            help="What is known of a parameter before; PATH=VALUEx/FACTOR is log-normal. "
+            "Repeatable.",
+        ),
+    ] = None,
+    bounds: Annotated[
+        list[str] | None,
+        typer.Option(metavar="PATH=LOW,HIGH", help="Bounds of a parameter. Repeatable."),
+    ] = None,
+    tie: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PATH=EXPRESSION",
+            help="Let a parameter follow from others: joints.yaw_stiffness=1.5*"
+            "joints.pitch_stiffness. Repeatable.",
+        ),
+    ] = None,
+    per_run: Annotated[
+        list[str] | None,
+        typer.Option(metavar="PATH", help="Fit a value of it for each run. Repeatable."),
+    ] = None,
+    group: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PATH=RUN,RUN",
+            help="Fit a value of it that these runs share. Repeat it for each group.",
+        ),
     ] = None,
     channels: Annotated[
         list[str] | None,
@@ -134,6 +169,11 @@ def fit(
         free=free or None,
         start=plain_settings(start, "--start"),
         fix=plain_settings(fix, "--fix"),
+        priors=priors(prior),
+        bounds=limits(bounds),
+        ties=ties(tie),
+        per_run=per_run or None,
+        groups=groups(group),
         channels=channels or None,
         window_s=window,
         starts=starts,

@@ -73,7 +73,7 @@ def set_up(
     loss: str = "linear",
     solver: str | None = None,
     tolerance: float | None = None,
-    priors: Mapping[str, Any] | None = None,
+    priors: Mapping[str, Prior] | None = None,
     bounds: Mapping[str, Sequence[float]] | None = None,
     ties: Mapping[str, str] | None = None,
     per_run: Sequence[str] = (),

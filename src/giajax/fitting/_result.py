@@ -1,4 +1,7 @@
-"""The result of a fit, as data: it can be written, read again, and it predicts."""
+"""The result of a fit, as data: it can be written, read again, and it predicts.
+
+The file is longer than 200 lines because it says of each part of a result what it is.
+"""
 
 import dataclasses
 import html
@@ -15,6 +18,7 @@ from .._limits import RESULT_BYTES
 from .._syntax import parse_json
 from ..models import AbstractModel, build_model
 from ..runs import Run
+from ._of_runs import model_of_run, rows_of_runs
 from ._predict import predict
 from ._records import (
     Correlation,
@@ -61,7 +65,8 @@ class FitResult:
         starts: where the fit was started (`giajax.multi_start`), each with its end; empty for
             one start.
         validation: errors of prediction of runs that were not fitted.
-        derived: `Estimate` by name of what follows from the parameters (`AbstractModel.derived`).
+        derived: `Estimate` by name of what follows from the free parameters: the tied ones, and
+            what the model derives (`AbstractModel.derived`).
         predictions: predicted channels (SI) of each run, by name; empty after `load_result`.
     """
 
@@ -93,17 +98,24 @@ class FitResult:
 
     @property
     def shown(self) -> dict[str, Estimate]:
-        """The free parameters, what follows from them, and those that the settings fix."""
+        """The free parameters, what follows from them, and those that the settings fix.
+
+        Of what has a value for each group of runs, these values follow their mean, if they are few.
+        """
         chosen = [path.partition("[")[0] for path in self.config.get("fix", {})]
         held = {path: self.parameters[path] for path in chosen if path in self.parameters}
-        return {**self.free, **self.derived, **held}
+        return {**self.free, **rows_of_runs(self.runs, self.free), **self.derived, **held}
 
     def predict(self, run: Run, channels: Sequence[str] | None = None) -> dict[str, np.ndarray]:
         """Channels that the fitted model predicts for a run.
 
         Arguments, results and errors are those of `giajax.predict`.
         """
-        return predict(self.model, run, channels)
+        return predict(self.model_of(run), run, channels)
+
+    def model_of(self, run: Run) -> AbstractModel:
+        """The fitted model as it is for a run: of one that was fitted, with its own values."""
+        return model_of_run(self.model, self.runs, run, self.config.get("ties", {}))
 
     def to_json(self) -> str:
         """The result as JSON; what is not finite becomes null."""

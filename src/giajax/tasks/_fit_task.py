@@ -6,12 +6,14 @@ The file is longer than 200 lines because `on_top` says of each setting what it 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Self
 
 import numpy.typing as npt
 
 from .._errors import InputError
+from ..quantities import Prior
 from ..runs import Definition, read_runs
+from ._override import overridden
 
 if TYPE_CHECKING:
     from ..fitting import FitResult, Iteration
@@ -90,6 +92,11 @@ class FitTask:
         free: Sequence[str] | None = None,
         start: Mapping[str, npt.ArrayLike] | None = None,
         fix: Mapping[str, npt.ArrayLike] | None = None,
+        priors: Mapping[str, Prior] | None = None,
+        bounds: Mapping[str, Sequence[float]] | None = None,
+        ties: Mapping[str, str] | None = None,
+        per_run: Sequence[str] | None = None,
+        groups: Mapping[str, Sequence[Sequence[str]]] | None = None,
         channels: Sequence[str] | None = None,
         window_s: float | None = None,
         starts: int | None = None,
@@ -105,15 +112,17 @@ class FitTask:
     ) -> Self:
         """The task with some settings changed; what is left out stays.
 
-        `start` and `fix` are merged path by path, and the last word on a parameter counts: one
-        that is fixed here is no longer free and loses its start; one that is free or has a start
-        here is no longer fixed.
+        What is said of parameters is merged path by path, and the last word on one counts: one
+        that is fixed here is no longer free, and loses its start, prior, bounds, tie and groups;
+        one that is free or has a start here is no longer fixed.
 
         Arguments:
             data, validation: file or files, in place of those before.
             free: paths of the parameters to fit, in place of those before.
             start: start values by path, SI.
             fix: values by path that are held, SI.
+            priors, bounds, ties, groups: by path, as of `giajax.fit`.
+            per_run: paths, as of `giajax.fit`, in place of those before.
             channels: names without unit of the channels to fit; all that were measured by default.
             window_s: cut each run into windows of this length, s, each with its own start.
             starts: how many starts (1 by default); the best end is the result.
@@ -146,7 +155,17 @@ class FitTask:
             "out": None if out is None else str(out),
         }
         settings = {
-            **_parameters(self.definition, free, start or {}, fix or {}),
+            **overridden(
+                self.definition,
+                free=free,
+                start=start or {},
+                fix=fix or {},
+                priors=priors or {},
+                bounds=bounds or {},
+                ties=ties or {},
+                per_run=per_run,
+                groups=groups or {},
+            ),
             **{key: value for key, value in values.items() if value is not None},
         }
         whole = self.definition.contents()
@@ -213,22 +232,3 @@ class FitTask:
 def _paths(files: Paths) -> tuple[Path, ...]:
     """One file, or several."""
     return (Path(files),) if isinstance(files, str | Path) else tuple(map(Path, files))
-
-
-def _parameters(
-    definition: Definition,
-    free: Sequence[str] | None,
-    start: Mapping[str, npt.ArrayLike],
-    fix: Mapping[str, npt.ArrayLike],
-) -> dict[str, Any]:
-    """`free`, `start` and `fix` of a definition with others on top, path by path."""
-    below = definition.fit
-    freed = below.free if free is None else list(free)
-    starts, fixes = dict(below.start or {}), dict(below.fix or {})
-    for path in fix:
-        starts.pop(path, None)
-        if not free and freed is not None:
-            freed = [name for name in freed if name != path]
-    for path in (*start, *(free or ())):
-        fixes.pop(path, None)
-    return {"free": freed, "start": {**starts, **start}, "fix": {**fixes, **fix}}

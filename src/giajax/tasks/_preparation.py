@@ -105,5 +105,10 @@ def prepare(definition: Definition, runs: Sequence[Run], validation: Sequence[Ru
         loss=settings.loss or "linear",
         solver=settings.solver,
         tolerance=settings.tolerance,
+        priors={path: entry.prior() for path, entry in settings.priors.items()},
+        bounds=settings.bounds,
+        ties=settings.ties,
+        per_run=settings.per_run or (),
+        groups=settings.groups,
     )
     return Preparation(definition, setup, tuple(validation))

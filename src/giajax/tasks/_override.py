@@ -1,0 +1,63 @@
+"""What a definition says of parameters, with other settings on top. Imports no JAX."""
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any, TypeVar
+
+import numpy.typing as npt
+
+from ..quantities import Prior
+from ..runs import Definition
+
+Item = TypeVar("Item")
+Values = Mapping[str, npt.ArrayLike]
+
+
+def overridden(
+    definition: Definition,
+    *,
+    free: Sequence[str] | None,
+    start: Values,
+    fix: Values,
+    priors: Mapping[str, Prior],
+    bounds: Mapping[str, Sequence[float]],
+    ties: Mapping[str, str],
+    per_run: Sequence[str] | None,
+    groups: Mapping[str, Sequence[Sequence[str]]],
+) -> dict[str, Any]:
+    """The keys of `[fit]` about parameters, path by path; the last word on one counts.
+
+    Arguments:
+        definition: what was said before.
+        free, start, fix, priors, bounds, ties, per_run, groups: as of `FitTask.on_top`.
+
+    Returns:
+        Values by key, of those keys that say anything.
+    """
+    below = definition.fit
+    held, following = set(fix), set(ties)
+    apart = {*(per_run or ()), *groups}
+    freed = {*(free or ()), *apart}
+    no_more = held | following
+
+    def kept(table: Mapping[str, Item] | None, without: Collection[str]) -> dict[str, Item]:
+        return {path: item for path, item in (table or {}).items() if path not in without}
+
+    frees = below.free if free is None else list(free)
+    if not free and frees is not None:
+        frees = [path for path in frees if path not in no_more]
+    alone = below.per_run if per_run is None else list(per_run)
+    if per_run is None and alone is not None:
+        alone = [path for path in alone if path not in no_more | set(groups)]
+    known = {path: entry.contents() for path, entry in below.priors.items()}
+    settings: dict[str, Any] = {
+        "free": frees,
+        "start": {**kept(below.start, no_more), **start},
+        "fix": {**kept(below.fix, freed | set(start) | following), **fix},
+        "priors": kept(known, no_more) | {path: prior.contents() for path, prior in priors.items()},
+        "bounds": {**kept(below.bounds, no_more), **bounds},
+        "ties": {**kept(below.ties, freed | held), **ties},
+        "per_run": alone,
+        "groups": {**kept(below.groups, no_more | set(per_run or ())), **groups},
+    }
+    always = ("free", "start", "fix")
+    return {key: item for key, item in settings.items() if item or key in always}
