@@ -82,8 +82,7 @@ def fit(
         list[str] | None,
         typer.Option(
             metavar="PATH=EXPRESSION",
-            help="Let a parameter follow from others: joints.yaw_stiffness=1.5*"
-            "joints.pitch_stiffness. Repeatable.",
+            help="Let a parameter follow from others, as in links.mass=links.mass[0]. Repeatable.",
         ),
     ] = None,
     per_run: Annotated[

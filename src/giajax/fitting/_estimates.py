@@ -46,7 +46,7 @@ def _free(
     if len(places) > 1:
         error, share = _error_of_mean(statistics, places), None
         runs = "run" if len(places) == len(state.setup.runs) else "group of runs"
-        said = f"mean of {len(places)} values, one for each {runs}"
+        said = f"mean of {len(places)} values, one for each {runs}; result.json has them"
     return Estimate(
         value=float(np.mean(statistics.values[list(places)])),
         standard_error=finite_or_none(error),

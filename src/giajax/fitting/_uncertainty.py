@@ -76,8 +76,8 @@ def uncertainty(
         return Uncertainty(bread @ (root.T @ root) @ bread, reduced, scale)
     # A residual beyond the corner of the loss has no curvature; the mean keeps A positive.
     bread = _inverse_gram(root_of_gram(np.sqrt(mean_curvature)))
-    root = root_of_gram(psi)
-    return Uncertainty(bread @ (root.T @ root) @ bread * count / freedom, reduced, 1.0)
+    root = root_of_gram(psi * np.sqrt(count / freedom))
+    return Uncertainty(bread @ (root.T @ root) @ bread, reduced, 1.0)
 
 
 def correlation_matrix(covariance: np.ndarray) -> np.ndarray:
