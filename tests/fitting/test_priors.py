@@ -10,12 +10,13 @@ from numpy.testing import assert_allclose
 from scipy.optimize import least_squares
 from test_blocks import OwnHeights, recording
 
-from giajax import InputError, Prior, fit
+from giajax import InputError, Prior, fit, model_for
 from giajax.fitting._configuration import set_up
 from giajax.fitting._jacobian import BlockJacobian
 from giajax.fitting._linearise import linearise
 from giajax.fitting._problem import residual
 from giajax.fitting._transitions import begin
+from small_arm import START, TRUTH, small_run
 from toy_model import Decay, run
 
 DECAY = 0.7
@@ -208,3 +209,36 @@ def test_what_is_no_prior_is_refused(options, sentence):
 def test_a_prior_that_cannot_be_is_refused(priors, sentence):
     with pytest.raises(InputError, match=sentence):
         fit(Decay(), run(), priors=priors)
+
+
+@pytest.mark.slow
+def test_a_prior_of_the_mass_sets_the_scale_that_motion_leaves_open(tmp_path):
+    """Of a weightless arm only ratios to its mass are determined; with a prior all is."""
+    recorded = small_run(tmp_path)
+    model = model_for([recorded])
+    links = model.arm.links
+    options = {
+        "free": ["links.mass", *START],
+        "start": START,
+        "ties": {
+            "links.mass": "links.mass[0]",
+            **{
+                f"links.{name}": f"{float(getattr(links, name)[0] / links.mass[0])} * links.mass"
+                for name in ("inertia_transverse", "inertia_axial")
+            },
+        },
+    }
+    loose = fit(model, recorded, **options)
+    assert [estimate.standard_error for estimate in loose.free.values()] == [None] * 5
+    result = fit(model, recorded, priors={"links.mass[0]": Prior(0.05, factor=1.2)}, **options)
+    assert result.status == "converged"
+    for path, truth in {**TRUTH, "links.mass[0]": 0.047}.items():
+        estimate = result.parameters[path]
+        known = np.log(1.2) * estimate.value
+        assert 0.99 * known < estimate.standard_error < 3 * known
+        assert abs(estimate.value - truth) < 3 * estimate.standard_error
+    mass = result.parameters["links.mass[0]"]
+    assert mass.value == pytest.approx(0.05, rel=1e-2)
+    assert mass.prior_share == pytest.approx(1.0, rel=1e-3)
+    inertia = result.derived["links.inertia_transverse"]
+    assert inertia.standard_error / inertia.value == pytest.approx(np.log(1.2), rel=1e-2)

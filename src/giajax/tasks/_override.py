@@ -31,7 +31,7 @@ def overridden(
         free, start, fix, priors, bounds, ties, per_run, groups: as of `FitTask.on_top`.
 
     Returns:
-        Values by key, of those keys that say anything.
+        Values by key, of those keys that say anything now or before.
     """
     below = definition.fit
     held, following = set(fix), set(ties)
@@ -59,5 +59,5 @@ def overridden(
         "per_run": alone,
         "groups": {**kept(below.groups, no_more | set(per_run or ())), **groups},
     }
-    always = ("free", "start", "fix")
-    return {key: item for key, item in settings.items() if item or key in always}
+    mentioned = {"free", "start", "fix", *below.contents()}
+    return {key: item for key, item in settings.items() if item or key in mentioned}
