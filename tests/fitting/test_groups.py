@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from giajax import InputError, Prior, RunFit, fit
 from giajax.fitting import set_up
 from giajax.fitting._layout import Layout, members, sharing
-from toy_model import TRUTH, Decay, height
+from toy_model import TRUTH, Decay, height, run
 
 DECAY, SIGMA = TRUTH["decay"], 0.01
 

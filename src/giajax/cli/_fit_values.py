@@ -5,20 +5,25 @@ No character in it means anything to a shell, brackets of indices apart.
 
 import re
 from collections.abc import Collection, Sequence
+from typing import TYPE_CHECKING
 
 from .._errors import InputError
-from ..quantities import Prior
 from ._values import NUMBER, number
+
+if TYPE_CHECKING:
+    from ..quantities import Prior
 
 _PRIOR = re.compile(rf"\s*({NUMBER})\s*(\+-|x/)\s*({NUMBER})\s*")
 
 
-def priors(pairs: Sequence[str] | None) -> dict[str, Prior]:
+def priors(pairs: Sequence[str] | None) -> "dict[str, Prior]":
     """Priors by path, from PATH=VALUE+-DEVIATION or PATH=VALUEx/FACTOR.
 
     Raises:
         InputError: a pair that is neither, a path twice, or a number that is not legal.
     """
+    from ..quantities import Prior
+
     known: dict[str, Prior] = {}
     for pair in pairs or []:
         path, text = _pair(pair, "--prior", "air.drag_coefficient=1.1+-0.2 or links.mass=0.05x/1.5")

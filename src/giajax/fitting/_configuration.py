@@ -12,9 +12,10 @@ from ..models import AbstractModel
 from ..parameters import Parameter, get, replace
 from ..quantities import Prior
 from ..runs import Run, run_keys
-from ._free import Free, checked_priors, resolve
+from ._free import Free, resolve
 from ._layout import Layout, sharing
 from ._loss import check_loss
+from ._priors import checked_priors
 from ._ties import Tie, tied
 
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -117,25 +117,6 @@ def resolve(
         },
         begun=frozenset({*begun, *expected}),
     )
-
-
-def checked_priors(priors: Mapping[str, Any]) -> dict[str, Prior]:
-    """The priors, also where they are given as `{"value": ..., "deviation": ...}`.
-
-    Raises:
-        InputError: what is no prior.
-    """
-    checked = {}
-    for path, prior in priors.items():
-        try:
-            checked[path] = prior if isinstance(prior, Prior) else Prior(**prior)
-        except InputError as error:
-            raise InputError(f"the prior of '{path}' is not right, because {error}") from None
-        except TypeError:
-            raise InputError(
-                f"the prior of '{path}' is no prior: give giajax.Prior(value, deviation=...)"
-            ) from None
-    return checked
 
 
 def _bounded(

@@ -1,13 +1,14 @@
 """Priors as rows of the residual: what is known of a parameter counts as one more measurement."""
 
 from collections.abc import Mapping, Sequence
-from typing import Self
+from typing import Any, Self
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .._errors import InputError
 from .._typing import Array, Float
 from ..quantities import Prior
 from ._bijector import Bijector
@@ -72,3 +73,22 @@ class Priors(eqx.Module):
 
         part = coordinate[columns]
         return jax.jvp(row, (part,), (jnp.ones_like(part),))
+
+
+def checked_priors(priors: Mapping[str, Any]) -> dict[str, Prior]:
+    """The priors, also where they are given as `{"value": ..., "deviation": ...}`.
+
+    Raises:
+        InputError: what is no prior.
+    """
+    checked = {}
+    for path, prior in priors.items():
+        try:
+            checked[path] = prior if isinstance(prior, Prior) else Prior(**prior)
+        except InputError as error:
+            raise InputError(f"the prior of '{path}' is not right, because {error}") from None
+        except TypeError:
+            raise InputError(
+                f"the prior of '{path}' is no prior: give giajax.Prior(value, deviation=...)"
+            ) from None
+    return checked

@@ -175,8 +175,7 @@ def evaluate(state: FitState, coordinate: Any, problem: Problem | None = None) -
 def _blank(solver: Marquardt, problem: Problem, coordinate: Array) -> MarquardtState:
     """The solver's state before its first evaluation."""
     groups, dtype = problem.groups, coordinate.dtype
-    priors = len(problem.priors)
-    count = sum(group.observed.size for group in groups) + priors
+    count = sum(group.observed.size for group in groups) + len(problem.priors)
     prediction = Prediction(
         tuple(jax.ShapeDtypeStruct(group.observed.shape, dtype) for group in groups),
         jax.ShapeDtypeStruct((), bool),
@@ -186,7 +185,7 @@ def _blank(solver: Marquardt, problem: Problem, coordinate: Array) -> MarquardtS
     blocks = tuple(
         jnp.zeros((len(g.members), g.observed[0].size, shared + g.width), dtype) for g in groups
     )
-    options = {"jacobian": (*blocks, jnp.zeros(priors, dtype))}
+    options = {"jacobian": (*blocks, jnp.zeros(len(problem.priors), dtype))}
     return solver.init(residual, coordinate, problem, options, shape, prediction, frozenset())
 
 

@@ -61,9 +61,7 @@ def summary_rows(result: FitResult) -> list[tuple[str, str]]:
     if len(residuals) > _MANY:
         residuals = _over_runs(result.runs, "residuals of")
     rows += _labelled("residuals", residuals)
-    free = result.free
-    alone = [[path for path in run.parameters if path not in free] for run in result.runs]
-    own = [paths for paths in alone if paths]
+    own = list(filter(None, (run.parameters.keys() - result.free for run in result.runs)))
     if own:
         text = f"{sum(map(len, own))} values of {len(own)} runs alone were fitted, too"
         rows.append(("initial states", f"{text}; result.json has them"))
