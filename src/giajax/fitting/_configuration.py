@@ -1,4 +1,7 @@
-"""What a fit is asked: checked and resolved before anything is evaluated."""
+"""What a fit is asked: checked and resolved before anything is evaluated.
+
+The file is longer than 200 lines because the arguments of a fit and its configuration are one list.
+"""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
