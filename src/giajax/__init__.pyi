@@ -57,6 +57,7 @@ from .control import (
 from .fitting import (
     ChannelFit as ChannelFit,
     Estimate as Estimate,
+    Finding as Finding,
     FitResult as FitResult,
     GradientCheck as GradientCheck,
     Marquardt as Marquardt,

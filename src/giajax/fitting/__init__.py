@@ -1,6 +1,7 @@
 """Least squares over chosen parameters of any model that predicts channels."""
 
 from ._configuration import Setup as Setup, set_up as set_up
+from ._findings import Finding as Finding
 from ._fit import MAX_ITERATIONS as MAX_ITERATIONS, fit as fit, solve as solve
 from ._predict import (
     errors_of as errors_of,

@@ -11,6 +11,7 @@ from ..runs import Run
 from ._checks import Checks, checks
 from ._derived import derived_estimates
 from ._estimates import estimates, own_estimates, with_tied
+from ._findings import findings
 from ._problem import Problem, predictions_by_run
 from ._records import ChannelFit, Correlation, OwnEstimate, RunFit, Seconds, finite_or_none
 from ._result import FitResult
@@ -40,7 +41,7 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
     model = problem.with_values(np.asarray(list(state.parameters().values())))
     known = statistics(state)
     derived = derived_estimates(problem, known)
-    done = Checks(None, None, interrupted=False)
+    done = Checks(None, None, {}, interrupted=False)
     if check and status != "interrupted" and np.any(np.asarray(state.active)):
         done = checks(state, known)
     if done.interrupted:
@@ -62,6 +63,7 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
         model=model,
         parameters=with_tied(estimates(state, known, model), derived, problem.ties),
         derived=derived,
+        findings=findings(state, known, done.curvatures),
         correlation=_correlation(known, problem),
         runs=tuple(
             _run_fit(run, predicted, sigmas, own)

@@ -18,6 +18,7 @@ from .._limits import RESULT_BYTES
 from .._syntax import parse_json
 from ..models import AbstractModel, build_model
 from ..runs import Run
+from ._findings import Finding
 from ._of_runs import model_of_run, rows_of_runs
 from ._predict import predict
 from ._records import (
@@ -67,6 +68,7 @@ class FitResult:
         validation: errors of prediction of runs that were not fitted.
         derived: `Estimate` by name of what follows from the free parameters: the tied ones, and
             what the model derives (`AbstractModel.derived`).
+        findings: what the data cannot tell, each with advice (`docs/findings.md`).
         predictions: predicted channels (SI) of each run, by name; empty after `load_result`.
     """
 
@@ -89,6 +91,7 @@ class FitResult:
     starts: tuple[Start, ...] = ()
     validation: tuple[PredictionErrors, ...] = ()
     derived: dict[str, Estimate] = dataclasses.field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
     predictions: tuple[dict[str, np.ndarray], ...] = ()
 
     @property
@@ -185,6 +188,7 @@ def _records(record: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "parameters": {path: Estimate(**item) for path, item in record["parameters"].items()},
         "derived": {name: Estimate(**item) for name, item in record.get("derived", {}).items()},
+        "findings": tuple(Finding.of_json(item) for item in record.get("findings", ())),
         "correlation": Correlation.of_json(record["correlation"]),
         "runs": tuple(RunFit.of_json(item) for item in record["runs"]),
         "gradient_check": None if check is None else GradientCheck.of_json(check),

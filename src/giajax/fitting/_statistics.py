@@ -4,12 +4,12 @@ import dataclasses
 
 import numpy as np
 
-from ._identifiability import COLLINEAR, responds, undetermined_groups
+from ._identifiability import responds, undetermined_groups
 from ._jacobian import BlockJacobian
 from ._labels import labels
 from ._priors import Priors
 from ._state import FitState
-from ._uncertainty import correlation_matrix, uncertainty
+from ._uncertainty import correlation_matrix, inverse_gram, uncertainty
 
 # A parameter this close to its bound, in standard errors, is at it.
 _AT_BOUND = 0.1
@@ -112,12 +112,11 @@ def _prior_shares(
     """How much of what is known of each parameter with a prior is the prior's."""
     if not len(priors):
         return {}
-    norms = np.linalg.norm(root, axis=0)
-    spread = np.linalg.norm(np.linalg.pinv(root / norms, rcond=COLLINEAR), axis=1) / norms
+    variances = np.diag(inverse_gram(root))
     slopes = dict(zip(priors.columns, np.diag(jacobian.blocks[-1]), strict=True))
     return {
-        index: min(float((slopes[index] * deviation) ** 2), 1.0)
-        for index, deviation in zip(alive.tolist(), spread.tolist(), strict=True)
+        index: min(float(slopes[index] ** 2 * variance), 1.0)
+        for index, variance in zip(alive.tolist(), variances.tolist(), strict=True)
         if index in slopes
     }
 

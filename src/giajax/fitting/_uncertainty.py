@@ -69,13 +69,13 @@ def uncertainty(
     if loss == "linear" or mean_curvature < _FEW:
         # With a robust loss: almost every residual is an outlier, and the sandwich has no bread.
         scale = max(1.0, reduced)
-        bread = _inverse_gram(plain)
+        bread = inverse_gram(plain)
         if not priors or scale == 1:
             return Uncertainty(bread * scale, reduced, scale)
         root = root_of_gram(np.sqrt(scale))
         return Uncertainty(bread @ (root.T @ root) @ bread, reduced, scale)
     # A residual beyond the corner of the loss has no curvature; the mean keeps A positive.
-    bread = _inverse_gram(root_of_gram(np.sqrt(mean_curvature)))
+    bread = inverse_gram(root_of_gram(np.sqrt(mean_curvature)))
     root = root_of_gram(psi * np.sqrt(count / freedom))
     return Uncertainty(bread @ (root.T @ root) @ bread, reduced, 1.0)
 
@@ -88,8 +88,10 @@ def correlation_matrix(covariance: np.ndarray) -> np.ndarray:
     return np.clip(correlation, -1, 1)
 
 
-def _inverse_gram(jacobian: np.ndarray) -> np.ndarray:
+def inverse_gram(jacobian: np.ndarray) -> np.ndarray:
     """(J^T J)^-1 through QR with scaled columns, which does not square the condition.
+
+    A matrix R of the same R^T R will do for J.
 
     Directions that leave the residuals unchanged are left out: what takes no part in them keeps
     its own variance, and the others have none that means anything.

@@ -54,8 +54,8 @@ def summary_rows(result: FitResult) -> list[tuple[str, str]]:
     """The summary as pairs of a label (which may be empty) and a sentence."""
     rows = [("status", result.headline)]
     rows += _labelled("units", [note] if (note := units_note(result.shown, result.model)) else [])
-    rows.append(("cost", _number(result.cost)))
-    rows.append(("reduced chi-square", _number(result.reduced_chi_square)))
+    chi_square = _number(result.reduced_chi_square)
+    rows += [("cost", _number(result.cost)), ("reduced chi-square", chi_square)]
     rows += _labelled("starts", _starts(result))
     residuals = [text for run in result.runs for text in _residuals(run)]
     if len(residuals) > _MANY:
@@ -69,9 +69,9 @@ def summary_rows(result: FitResult) -> list[tuple[str, str]]:
     if len(validation) > _MANY:
         validation = _over_runs(result.validation, "prediction of")
     rows += _labelled("validation", validation)
-    strongest = _strongest_correlation(result)
-    if strongest:
+    if strongest := _strongest_correlation(result):
         rows.append(("correlation", strongest))
+    rows += _labelled("findings", [f"{f.sentence}: {f.advice} ({f.page})" for f in result.findings])
     rows.append(("gradient check", _gradient(result)))
     rows.append(("solver tolerance", _tolerance(result)))
     for index, condition in enumerate(result.conditions):
