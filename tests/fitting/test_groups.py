@@ -130,6 +130,16 @@ def test_windows_of_a_recording_share_the_value_of_a_run():
     assert layout.size == 4
 
 
+def test_two_recordings_of_one_name_are_refused():
+    """Two folders may hold a run.csv each; which of them a group means is not known."""
+    runs = [dataclasses.replace(RUNS[0], path=Path(f"{folder}/run.csv")) for folder in "ab"]
+    with pytest.raises(InputError, match="two runs are called 'run'.*: rename one"):
+        sharing(runs, ["offset"], {})
+    with pytest.raises(InputError, match="two runs are called 'run0'"):
+        set_up(Decay(), [RUNS[0], dataclasses.replace(RUNS[0])], per_run=["offset"])
+    assert sharing(runs, [], {}) == {}
+
+
 def test_a_prior_and_bounds_hold_for_each_value():
     result = fit(
         Decay(decay=DECAY),

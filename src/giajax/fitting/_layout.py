@@ -70,8 +70,16 @@ def sharing(
     """By path, names of the runs that share a value: each recording alone, or those of a group.
 
     Raises:
-        InputError: a path is in both.
+        InputError: a path is in both, or two recordings have one name.
     """
+    recordings: dict[str, object] = {}
+    for run in runs if per_run or groups else ():
+        name, recording = recording_of(run), run.path or id(run)
+        if recordings.setdefault(name, recording) != recording:
+            raise InputError(
+                f"two runs are called '{name}', so that nothing can be said of one of them: "
+                "rename one"
+            )
     alone = [[name] for name in dict.fromkeys(recording_of(run) for run in runs)]
     for path in sorted(set(per_run) & set(groups)):
         raise InputError(f"'{path}' has a value for each run and groups of runs: give one of them")

@@ -27,7 +27,7 @@ def key(
     preset: Any = None,
     default: Any = None,
     example: Any = None,
-    entry: str = "a finite number or a list of them",
+    entry: str = "",
 ) -> Any:
     """Declare a key, once for errors and templates.
 
@@ -37,13 +37,13 @@ def key(
         preset: the value that a model takes where a file leaves it out, for the template.
         default: the value of the field where a file leaves it out.
         example: what the template shows where there is no preset.
-        entry: what an entry must be, of a key that is a table.
+        entry: what an entry of a table must be, where that is not a number or a list of them.
     """
     extra = {
         "must": must,
         "preset": preset,
         "example": preset if example is None else example,
-        "entry": entry,
+        **({"entry": entry} if entry else {}),
     }
     return Field(default=default, description=meaning, json_schema_extra=extra)
 

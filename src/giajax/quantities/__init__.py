@@ -8,7 +8,7 @@ computes with it.
 
 from ._air import AIR as AIR, BUOYANCY as BUOYANCY
 from ._declaration import Declaration as Declaration, Group as Group, Key as Key
-from ._expression import FUNCTIONS as FUNCTIONS, Expression as Expression
+from ._expression import Expression as Expression
 from ._hysteresis import (
     BOUC_WEN as BOUC_WEN,
     BOUC_WEN_OSCILLATOR as BOUC_WEN_OSCILLATOR,

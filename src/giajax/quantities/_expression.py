@@ -13,8 +13,8 @@ from typing import Any, Self
 from .._errors import InputError
 from .._text import shown
 
-FUNCTIONS = ("sqrt", "exp", "log")
-"""What an expression may call; `Expression.value` is told what they are."""
+# What an expression may call; `Expression.value` is told what they are.
+_FUNCTIONS = ("sqrt", "exp", "log")
 
 _LONGEST = 1_000
 _DEEPEST = 100
@@ -27,7 +27,7 @@ _WORDS = re.compile(rf"(?:\s*(?:{_DIGITS}(?![A-Za-z0-9_.])|{_NAME}|[-+*/()\[\].]
 _OPERATORS: dict[type[ast.AST], str] = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
 
 _MADE_OF = (
-    f"numbers, paths of parameters, + - * /, parentheses and {', '.join(FUNCTIONS)}: correct it"
+    f"numbers, paths of parameters, + - * /, parentheses and {', '.join(_FUNCTIONS)}: correct it"
 )
 
 # A number, ("path", name), or an operator or function with its operands.
@@ -82,7 +82,7 @@ class Expression:
 
         Arguments:
             of: the value of the parameter at a path, SI.
-            functions: those of `FUNCTIONS`, for what `of` returns.
+            functions: `sqrt`, `exp` and `log` of what `of` returns.
         """
         return _value(self.tree, of, functions)
 
@@ -102,7 +102,7 @@ def _node(node: ast.AST, text: str, paths: dict[str, None], depth: int) -> _Node
         operand = _node(node.operand, text, paths, depth + 1)
         return operand if isinstance(node.op, ast.UAdd) else ("-", 0.0, operand)
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-        if node.func.id not in FUNCTIONS or node.keywords or len(node.args) != 1:
+        if node.func.id not in _FUNCTIONS or node.keywords or len(node.args) != 1:
             raise ValueError
         return node.func.id, _node(node.args[0], text, paths, depth + 1)
     if isinstance(node, ast.Constant):
