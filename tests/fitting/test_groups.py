@@ -133,7 +133,7 @@ def test_windows_of_a_recording_share_the_value_of_a_run():
 def test_two_recordings_of_one_name_are_refused():
     """Two folders may hold a run.csv each; which of them a group means is not known."""
     runs = [dataclasses.replace(RUNS[0], path=Path(f"{folder}/run.csv")) for folder in "ab"]
-    with pytest.raises(InputError, match="two runs are called 'run'.*: rename one"):
+    with pytest.raises(InputError, match=r"two runs are called 'run'.*: rename one"):
         sharing(runs, ["offset"], {})
     with pytest.raises(InputError, match="two runs are called 'run0'"):
         set_up(Decay(), [RUNS[0], dataclasses.replace(RUNS[0])], per_run=["offset"])

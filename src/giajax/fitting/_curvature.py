@@ -21,8 +21,10 @@ from ._uncertainty import inverse_gram
 # and far below where the third derivative counts.
 _STEP = 0.1
 
-# Each takes an evaluation. Of more parameters those with the largest relative errors are asked.
+# Each takes an evaluation. Of more parameters those with the largest relative errors are asked, and
+# none that is known this well: a power of it bends by no more than that within its error.
 _MOST = 10
+_SURE = 0.03
 
 
 class Curvature(NamedTuple):
@@ -45,14 +47,15 @@ def curvatures(state: FitState, statistics: Statistics) -> dict[int, Curvature]:
         statistics: of the fit.
 
     Returns:
-        Without those at a bound, and those beside which the model cannot be evaluated.
+        Without those at a bound, those that are known well, and those beside which the model
+        cannot be evaluated.
     """
-    asked = [
-        index
+    relative = {
+        index: error / (abs(statistics.values[index]) or 1e-300)
         for index, error in statistics.standard_errors.items()
-        if index < state.problem.shared and index not in statistics.bounds and error > 0
-    ]
-    asked.sort(key=lambda i: -statistics.standard_errors[i] / (abs(statistics.values[i]) or 1e-300))
+        if index < state.problem.shared and index not in statistics.bounds
+    }
+    asked = [i for i in sorted(relative, key=lambda i: -relative[i]) if relative[i] > _SURE]
     bent = {index: _curvature(state, statistics, index) for index in sorted(asked[:_MOST])}
     return {index: known for index, known in bent.items() if known is not None}
 
