@@ -10,8 +10,8 @@ from giajax.fitting._bijector import Bijector
 from giajax.fitting._identifiability import responds, undetermined_groups
 from giajax.fitting._jacobian import BlockJacobian
 from giajax.fitting._loss import LOSSES, check_loss, influence, transform
-from giajax.fitting._noise import from_differences, from_residuals
 from giajax.fitting._uncertainty import uncertainty
+from giajax.noise import from_differences
 
 INF = float("inf")
 BOUNDS = Bijector((0.0, -INF, -2.0, -INF), (INF, 3.0, 5.0, INF))

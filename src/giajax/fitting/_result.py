@@ -21,6 +21,7 @@ from ._records import (
     Estimate,
     GradientCheck,
     Iteration,
+    NoiseFit,
     PredictionErrors,
     RunFit,
     Seconds,
@@ -61,6 +62,7 @@ class FitResult:
         starts: where the fit was started (`giajax.multi_start`), each with its end; empty for
             one start.
         validation: errors of prediction of runs that were not fitted.
+        noise: what was taken for noise; None from a file without it.
         derived: `Estimate` by name of what follows from the parameters (`AbstractModel.derived`).
         predictions: predicted channels (SI) of each run, by name; empty after `load_result`.
     """
@@ -83,6 +85,7 @@ class FitResult:
     history: tuple[Iteration, ...]
     starts: tuple[Start, ...] = ()
     validation: tuple[PredictionErrors, ...] = ()
+    noise: NoiseFit | None = None
     derived: dict[str, Estimate] = dataclasses.field(default_factory=dict)
     predictions: tuple[dict[str, np.ndarray], ...] = ()
 
@@ -170,13 +173,17 @@ def load_result(path: str | Path) -> FitResult:
 def _records(record: Mapping[str, Any]) -> dict[str, Any]:
     """The typed fields of a stored result; earlier versions lack some of them."""
     check, effect = record["gradient_check"], record["tolerance_effect"]
+    noise = record.get("noise")
     return {
-        "parameters": {path: Estimate(**item) for path, item in record["parameters"].items()},
-        "derived": {name: Estimate(**item) for name, item in record.get("derived", {}).items()},
+        "parameters": {path: Estimate.of_json(item) for path, item in record["parameters"].items()},
+        "derived": {
+            name: Estimate.of_json(item) for name, item in record.get("derived", {}).items()
+        },
         "correlation": Correlation.of_json(record["correlation"]),
         "runs": tuple(RunFit.of_json(item) for item in record["runs"]),
         "gradient_check": None if check is None else GradientCheck.of_json(check),
         "tolerance_effect": None if effect is None else ToleranceEffect.of_json(effect),
+        "noise": None if noise is None else NoiseFit(**noise),
         "seconds": Seconds(**record["seconds"]),
         "conditions": tuple(record["conditions"]),
         "history": tuple(Iteration(**item) for item in record["history"]),
