@@ -2,7 +2,6 @@
 
 from collections import Counter
 
-import jax
 import numpy as np
 
 from ..noise import Cells
@@ -36,10 +35,7 @@ def residual_cells(state: FitState, *, together: bool = False) -> dict[tuple[int
             weight = np.asarray(group.weight[row], dtype=float)
             difference = np.asarray(tables[row], dtype=float) - np.asarray(group.observed[row])
             if group.whitening is not None:
-                own_gains = jax.tree.map(
-                    lambda leaf, row=row: np.asarray(leaf[row]), group.whitening
-                )
-                block = own_gains.undone(block)
+                block = group.whitening.of_run(row).undone(block)
             slope = influence(state.problem.loss, (difference * weight).ravel())[2]
             with np.errstate(divide="ignore", invalid="ignore"):
                 block = (block / (slope * weight.ravel())[:, None]).reshape(*weight.shape, -1)

@@ -50,6 +50,10 @@ class Whitening(eqx.Module):
             parts.append((keep, gain, scale))
         return cls(*(np.stack(part, axis=-1) for part in zip(*parts, strict=True)))
 
+    def of_run(self, row: int) -> Self:
+        """The gains of one of several runs."""
+        return jax.tree.map(lambda leaf: leaf[row], self)
+
     def padded(self, length: int) -> Self:
         """With further samples, which are not measured."""
         return jax.tree.map(lambda leaf: np.pad(leaf, ((0, length - len(leaf)), (0, 0))), self)

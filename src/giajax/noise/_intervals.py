@@ -112,15 +112,10 @@ class _Family:
             # With the sum known, there is no room for differences where one part is almost all.
             names = ["correlated", "time"] if noise.white**2 > fresh else ["time"]
         else:
-            names = (
-                ["white", "correlated", "time"] if self._white_shows() else ["correlated", "time"]
-            )
+            names = ["white"] if noise.white > _AT_ZERO * noise.correlated else []
+            names += ["correlated", "time"]
         self._names = names
         self.variances = np.array([name != "time" for name in names])
-
-    def _white_shows(self) -> bool:
-        noise = self._noise
-        return noise.white > _AT_ZERO * noise.correlated
 
     def at(self, x: Float[np.ndarray, " coordinate"]) -> ChannelNoise:
         """The noise at coordinates."""
