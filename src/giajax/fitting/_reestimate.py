@@ -21,6 +21,9 @@ from ._state import FitState
 # Twice the gain in log-likelihood below which another noise is the same one.
 _SETTLED = 0.1
 
+# Weight below which a cell is an outlier: three deviations off.
+_OUTLIER = 1 / 3
+
 # Change of a robust deviation, in its logarithm, and mean change of weights, likewise.
 _SAME_DEVIATION = 0.05
 _SAME_WEIGHT = 0.01
@@ -68,9 +71,9 @@ def _among_outliers(
     }
     if noise.memory:
         weights = {at: outlier_weights(each, sizes[each.key]) for at, each in cells.items()}
-        before = Restricted.of(
-            [dataclasses.replace(each, weights=weights[at]) for at, each in cells.items()], sizes
-        )
+        # An outlier is no noise: it has no part in its size, only little in the fit.
+        inliers = [each.where(weights[at] > _OUTLIER) for at, each in cells.items()]
+        before = Restricted.of(inliers, sizes)
         after = estimate(before, stated, memory=True)
         if not all(each.is_white for each in after.noise.values()):
             return _weighted(noise, weights, runs, _gain(before, after), after)

@@ -9,10 +9,9 @@ from scipy.optimize import minimize
 from ._model import ChannelNoise
 from ._restricted import Restricted
 
-# Twice the gain in log-likelihood that a memory must bring. Between the bounds of Akaike's
-# criterion for one and for two more parameters: white noise is taken for correlated in about one
-# channel of ten, which costs nothing but a little width of its intervals.
-_WORTH = 3.0
+# Twice the gain in log-likelihood that a memory must bring, for two more parameters: white noise
+# is taken for correlated in about one channel of twenty, and its intervals are wider then.
+_WORTH = 5.0
 
 # That stated noise must be missed by to be left: a chance of 1 in 100, for one parameter.
 _REJECTED = 6.63
@@ -79,12 +78,15 @@ def _of_key(problem: Restricted, key: str, stated: Stated, *, memory: bool) -> C
     step = float(np.median(np.concatenate([np.diff(times) for times in timed])))
     longest = max(float(np.ptp(times)) for times in timed)
     bounds = (np.log(step / 3), np.log(longest))
-    best = _with_memory(problem, key, white, present, bounds, fixed=known is not None)
-    if known is not None:
-        free = _with_memory(problem, key, white, best, bounds, fixed=False)
-        gain = problem.value(key, best) - problem.value(key, free)
-        if gain > _REJECTED and free.deviation > known.deviation:
-            return free
+    if known is None:
+        return _with_memory(problem, key, white, present, bounds, fixed=False)
+    best = _with_memory(problem, key, known, present, bounds, fixed=True)
+    scaled = _best_scale(problem, key, known)
+    if scaled.deviation > known.deviation:
+        free = _with_memory(problem, key, scaled, best, bounds, fixed=False)
+        if problem.value(key, best) - problem.value(key, free) > _REJECTED:
+            # White noise beyond what is stated scales the errors of all channels alike.
+            return known if free.is_white else free
     return best
 
 

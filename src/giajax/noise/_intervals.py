@@ -25,7 +25,7 @@ _AT_ZERO = 0.15
 
 # Least eigenvalue of the information, its diagonal scaled to one: what the data do not tell apart
 # is no reason for infinite variances.
-_LEAST = 0.02
+_LEAST = 1e-4
 
 
 class Spread(NamedTuple):

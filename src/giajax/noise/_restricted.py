@@ -16,7 +16,7 @@ from typing import Self
 
 import numpy as np
 
-from .._typing import Float
+from .._typing import Bool, Float
 from ._model import ChannelNoise
 from ._segment import solve
 
@@ -45,6 +45,17 @@ class Cells:
     residual: Float[np.ndarray, " cell"]
     shared: Float[np.ndarray, "cell shared"]
     own: Float[np.ndarray, "cell own"]
+
+    def where(self, kept: Bool[np.ndarray, " cell"]) -> Self:
+        """Some of the cells."""
+        return dataclasses.replace(
+            self,
+            times=None if self.times is None else self.times[kept],
+            weights=self.weights[kept],
+            residual=self.residual[kept],
+            shared=self.shared[kept],
+            own=self.own[kept],
+        )
 
     def gram(self, noise: ChannelNoise) -> tuple[np.ndarray, float]:
         """X^T V^-1 X of own and shared columns and the residual, in that order; and log|V|."""
