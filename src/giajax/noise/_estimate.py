@@ -16,6 +16,12 @@ _WORTH = 5.0
 # That stated noise must be missed by to be left: a chance of 1 in 100, for one parameter.
 _REJECTED = 6.63
 
+# The noise of a channel depends little on that of the others: through the parameters alone.
+_SWEEPS = 2
+
+# Squared residuals over stated noise, for each cell, below which more noise is not asked for.
+_MORE = 1.05
+
 # No statement on a memory is made from fewer cells.
 _FEW = 20
 
@@ -58,9 +64,11 @@ def estimate(problem: Restricted, stated: Mapping[str, Stated], *, memory: bool)
     Returns:
         The problem with the new noise.
     """
-    for _ in range(2 if len(problem.noise) > 1 else 1):
+    for _ in range(_SWEEPS):
         for key in problem.noise:
             problem = problem.with_noise(key, _of_key(problem, key, stated[key], memory=memory))
+        if len(problem.noise) == 1 or all(each.is_white for each in problem.noise.values()):
+            break
     return problem
 
 
@@ -81,8 +89,8 @@ def _of_key(problem: Restricted, key: str, stated: Stated, *, memory: bool) -> C
     if known is None:
         return _with_memory(problem, key, white, present, bounds, fixed=False)
     best = _with_memory(problem, key, known, present, bounds, fixed=True)
-    scaled = _best_scale(problem, key, known)
-    if scaled.deviation > known.deviation:
+    if sum(float(np.sum(each.residual**2)) for each in cells) > _MORE * count * known.deviation**2:
+        scaled = _best_scale(problem, key, known)
         free = _with_memory(problem, key, scaled, best, bounds, fixed=False)
         if problem.value(key, best) - problem.value(key, free) > _REJECTED:
             # White noise beyond what is stated scales the errors of all channels alike.
@@ -110,14 +118,17 @@ def _with_memory(
 
     least = problem.value(key, white)
     low, high = bounds
-    tries = [(share, time) for share in (-1.0, 2.0) for time in np.linspace(low + 1, high - 2, 4)]
+    tries = [(share, time) for share in (-1.5, 2.0) for time in np.linspace(low + 1, high - 2, 4)]
     if not start.is_white:
         share = (start.correlated / start.deviation) ** 2 / _MOST
         share = float(np.clip(share, 1e-3, 1 - 1e-3))
         tries.append((float(np.log(share / (1 - share))), float(np.log(start.time_s))))
-    first = min((np.array([*at, 0.0]) for at in tries), key=target)
+    values = [(target(np.array([*at, 0.0])), at) for at in tries]
+    nearest, at = min(values)
+    if least - nearest < -_WORTH:
+        return white
+    first = np.array([*at, 0.0])
     limits = [(-5.0, 14.0), bounds, (0.0, 0.0) if fixed else (-3.0, 3.0)]
-    # Longer memories make larger noise likely; the second start is for that.
     done = minimize(target, first, method="L-BFGS-B", bounds=limits, options={"maxiter": 30})
     if least - float(done.fun) < _WORTH:
         return white
