@@ -32,6 +32,7 @@ ROOMS = [
     ("simulation", "joint", "arm", "hysteresis"),
     ("runs",),
     ("kinds",),
+    ("verdict",),
     ("noise",),
     (
         "parameters",

@@ -141,9 +141,7 @@ def test_nothing_responds_is_no_convergence():
 
 
 def test_parameters_that_only_count_together_have_no_error_of_their_own():
-    result = fit(
-        Decay(), run(), free=["amplitude", "twin", "decay", "offset"], noise_model="white"
-    )
+    result = fit(Decay(), run(), free=["amplitude", "twin", "decay", "offset"], noise_model="white")
     for path, other in (("amplitude", "twin"), ("twin", "amplitude")):
         assert result.parameters[path].standard_error is None
         assert other in result.parameters[path].remark

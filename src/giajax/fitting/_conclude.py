@@ -26,6 +26,7 @@ from ._records import (
 from ._result import FitResult
 from ._state import FitState
 from ._statistics import Statistics, statistics
+from ._verdict import verdict
 
 # Residuals of this many times the noise are worth a word.
 _NOTABLE = 1.15
@@ -67,6 +68,7 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
         model=model,
         parameters=estimates(state, known, model),
         noise=_noise(state, known),
+        verdict=verdict(state, status),
         derived=derived_estimates(model, paths, known.alive, known.root, known.covariance),
         correlation=_correlation(known, paths),
         runs=tuple(

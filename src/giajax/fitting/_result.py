@@ -15,6 +15,7 @@ from .._limits import RESULT_BYTES
 from .._syntax import parse_json
 from ..models import AbstractModel, build_model
 from ..runs import Run
+from ..verdict import Verdict
 from ._predict import predict
 from ._records import (
     Correlation,
@@ -63,6 +64,7 @@ class FitResult:
             one start.
         validation: errors of prediction of runs that were not fitted.
         noise: what was taken for noise; None from a file without it.
+        verdict: whether the model describes the data, apart from convergence.
         derived: `Estimate` by name of what follows from the parameters (`AbstractModel.derived`).
         predictions: predicted channels (SI) of each run, by name; empty after `load_result`.
     """
@@ -86,6 +88,7 @@ class FitResult:
     starts: tuple[Start, ...] = ()
     validation: tuple[PredictionErrors, ...] = ()
     noise: NoiseFit | None = None
+    verdict: Verdict = dataclasses.field(default_factory=Verdict.missing)
     derived: dict[str, Estimate] = dataclasses.field(default_factory=dict)
     predictions: tuple[dict[str, np.ndarray], ...] = ()
 
@@ -135,9 +138,16 @@ class FitResult:
 
     @property
     def headline(self) -> str:
-        """The message, and before it "NOT CONVERGED" where it did not."""
-        shouted = "NOT CONVERGED: " if self.status == "not_converged" else ""
-        return shouted + self.message
+        """The message; before it "NOT CONVERGED", or what is wrong with the model."""
+        if self.status == "not_converged":
+            return f"NOT CONVERGED: {self.message}"
+        if self.verdict.status == "inadequate":
+            reason = self.verdict.reasons[0].sentence
+            return (
+                f"INADEQUATE MODEL: {reason}; {self.message}; the standard errors are conditional "
+                "on a model that does not describe the data"
+            )
+        return self.message
 
 
 def load_result(path: str | Path) -> FitResult:
@@ -173,7 +183,7 @@ def load_result(path: str | Path) -> FitResult:
 def _records(record: Mapping[str, Any]) -> dict[str, Any]:
     """The typed fields of a stored result; earlier versions lack some of them."""
     check, effect = record["gradient_check"], record["tolerance_effect"]
-    noise = record.get("noise")
+    noise, verdict = record.get("noise"), record.get("verdict")
     return {
         "parameters": {path: Estimate.of_json(item) for path, item in record["parameters"].items()},
         "derived": {
@@ -184,6 +194,7 @@ def _records(record: Mapping[str, Any]) -> dict[str, Any]:
         "gradient_check": None if check is None else GradientCheck.of_json(check),
         "tolerance_effect": None if effect is None else ToleranceEffect.of_json(effect),
         "noise": None if noise is None else NoiseFit(**noise),
+        "verdict": Verdict.missing() if verdict is None else Verdict.of_json(verdict),
         "seconds": Seconds(**record["seconds"]),
         "conditions": tuple(record["conditions"]),
         "history": tuple(Iteration(**item) for item in record["history"]),

@@ -23,6 +23,9 @@ from ._segment import solve
 # Column-normalised singular value below which a combination of parameters is not determined.
 _COLLINEAR = 1e-6
 
+# Columns up to which a product is made without a linear algebra library.
+_NARROW = 12
+
 
 @dataclasses.dataclass(frozen=True)
 class Cells:
@@ -61,6 +64,9 @@ class Cells:
         """X^T V^-1 X of own and shared columns and the residual, in that order; and log|V|."""
         columns = np.concatenate([self.own, self.shared, self.residual[:, None]], axis=1)
         solved = solve(noise, self.times, self.weights, columns)
+        # Threads of a linear algebra library cost more than a matrix of this size takes.
+        if columns.shape[1] <= _NARROW:
+            return np.einsum("ca,cb->ab", columns, solved.columns), solved.log_determinant
         return columns.T @ solved.columns, solved.log_determinant
 
 

@@ -32,7 +32,8 @@ def score_covariance(
     meat = np.zeros_like(covariance)
     count = 0
     for each in cells:
-        white = _whitened(each, noise[each.key])
+        columns = np.concatenate([each.shared, each.residual[:, None]], axis=1)
+        white = whitened(noise[each.key], each.times, columns, each.weights)
         scores = white[:, :-1] * white[:, -1:]
         count += len(scores)
         lags = min(int(4 * (len(scores) / 100) ** (2 / 9)), len(scores) - 1)
@@ -44,10 +45,22 @@ def score_covariance(
     return covariance @ meat @ covariance * count / max(count - size, 1)
 
 
-def _whitened(cells: Cells, noise: ChannelNoise) -> np.ndarray:
-    """Columns and residual, made independent."""
-    columns = np.concatenate([cells.shared, cells.residual[:, None]], axis=1)
-    keep, gain, deviation = gains(noise, cells.times, cells.weights)
+def whitened(
+    noise: ChannelNoise,
+    times: Float[np.ndarray, " cell"] | None,
+    columns: Float[np.ndarray, "cell column"],
+    weights: Float[np.ndarray, " cell"] | None = None,
+) -> Float[np.ndarray, "cell column"]:
+    """Columns over the cells of a channel, made independent and of unit variance.
+
+    Arguments:
+        noise: of the channel.
+        times: of the cells, s; None for a run without time.
+        columns: in the unit of the channel.
+        weights: of the cells, all 1 by default.
+    """
+    weights = np.ones(len(columns)) if weights is None else weights
+    keep, gain, deviation = gains(noise, times, weights)
     if not np.any(gain):
         return columns / deviation[:, None]
     result = np.empty_like(columns)

@@ -117,6 +117,10 @@ class Fit(Section):
     loss: Literal["linear", "huber", "soft_l1"] | None = key(
         '"linear", "huber" or "soft_l1"', "how a large residual counts"
     )
+    noise_model: Literal["correlated", "white"] | None = key(
+        '"correlated" or "white"', "whether noise may have a memory"
+    )
+    noise_per_run: bool | None = key("true or false", "estimate noise in each run by itself")
     solver: Name | None = key("the name of a solver", "of the simulation")
     tolerance: Positive | None = key(
         "a positive number", "relative and absolute tolerance of the simulation"
