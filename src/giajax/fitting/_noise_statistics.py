@@ -64,7 +64,8 @@ def noise_statistics(
     if noise.is_white:
         return NoiseStatistics(spread.covariance, spread.freedom, sandwich, None)
     rows = [each.shared / by_key[each.key].deviation for each in dense]
-    white = np.sqrt(np.diag(inverse_gram(np.linalg.qr(np.concatenate(rows), mode="r"))))
+    triangle = np.asarray(np.linalg.qr(np.concatenate(rows), mode="r"))
+    white = np.sqrt(np.diag(inverse_gram(triangle)))
     with np.errstate(divide="ignore", invalid="ignore"):
         widening = np.sqrt(np.diag(spread.covariance)) / white
     return NoiseStatistics(spread.covariance, spread.freedom, sandwich, widening)

@@ -48,7 +48,8 @@ class Whitening(eqx.Module):
             keep, gain, deviation = gains(of_channel, times, weights[name])
             scale = np.where(weights[name] > 0, of_channel.deviation / deviation, 0.0)
             parts.append((keep, gain, scale))
-        return cls(*(np.stack(part, axis=-1) for part in zip(*parts, strict=True)))
+        keep, gain, scale = zip(*parts, strict=True)
+        return cls(*(jnp.stack(part, axis=-1) for part in (keep, gain, scale)))
 
     def of_run(self, row: int) -> Self:
         """The gains of one of several runs."""
@@ -56,7 +57,7 @@ class Whitening(eqx.Module):
 
     def padded(self, length: int) -> Self:
         """With further samples, which are not measured."""
-        return jax.tree.map(lambda leaf: np.pad(leaf, ((0, length - len(leaf)), (0, 0))), self)
+        return jax.tree.map(lambda leaf: jnp.pad(leaf, ((0, length - len(leaf)), (0, 0))), self)
 
     def apply(self, rows: Float[Array, "residual column"]) -> Float[Array, "residual column"]:
         """Columns over the cells of a run, sample by sample, made independent."""

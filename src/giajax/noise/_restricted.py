@@ -105,13 +105,10 @@ class Restricted:
         """-2 log L where the cells of one key have another noise."""
         grams = self._grams(key, noise)
         determinant = sum(log for _, log in grams)
-        shared = 0.0
-        for gram, width in _by_run(self.cells, grams).values():
-            rest, log = _eliminated(gram, width)
-            determinant += log
-            shared = shared + rest
-        rest, log = _eliminated(np.asarray(shared), len(np.asarray(shared)) - 1)
-        return determinant + log + float(rest[0, 0])
+        of_runs = [_eliminated(*of_run) for of_run in _by_run(self.cells, grams).values()]
+        shared = np.sum([rest for rest, _ in of_runs], axis=0)
+        rest, log = _eliminated(shared, len(shared) - 1)
+        return determinant + sum(log for _, log in of_runs) + log + float(rest[0, 0])
 
     def _grams(self, key: str, noise: ChannelNoise) -> tuple[tuple[np.ndarray, float], ...]:
         return tuple(
@@ -130,7 +127,7 @@ def conditioned(cells: Sequence[Cells], noise: Mapping[str, ChannelNoise]) -> tu
     triangles = []
     for run in runs:
         at = [i for i, each in enumerate(cells) if each.run == run]
-        gram = sum(np.asarray(cells[i].gram(_marginal(noise[cells[i].key]))[0]) for i in at)
+        gram = np.sum([cells[i].gram(_marginal(noise[cells[i].key]))[0] for i in at], axis=0)
         width = cells[at[0]].own.shape[1]
         own = _orthonormal(gram[:width, :width])
         across = own.T @ gram[:width, width:-1]

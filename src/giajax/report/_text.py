@@ -1,4 +1,7 @@
-"""A result as text: the parameter table and what else a reader must know."""
+"""A result as text: the parameter table and what else a reader must know.
+
+The file is longer than 200 lines because the summary's lines are read together.
+"""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,7 @@
-"""A run: what was recorded and commanded in one experiment, and its sidecar, in SI units."""
+"""A run: what was recorded and commanded in one experiment, and its sidecar, in SI units.
+
+The file is longer than 200 lines because all that is asked of a run is asked here.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

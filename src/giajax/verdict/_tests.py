@@ -38,13 +38,13 @@ def beyond_stated(series: Sequence[Series]) -> Reason | None:
     channels = sorted({each.channel for each in known})
     looks = len(channels) + 1 if len(channels) > 1 else 1
     best: tuple[float, float, tuple[str, ...]] | None = None
-    for names in [channels] if looks == 1 else [channels, *([name] for name in channels)]:
+    for names in _alone_and_together(channels):
         chosen = [each.channel in names for each in known]
         total, freedom = float(np.sum(squares[chosen])), float(np.sum(freedoms[chosen]))
         p = min(looks * float(chdtrc(freedom, total)), 1.0)
         size = float(np.sqrt(total / freedom))
         if p < LEVEL and size > SIZE and (best is None or size > best[1]):
-            best = (p, size, tuple(names))
+            best = (p, size, names)
     if best is None:
         return None
     p, size, names = best
@@ -64,9 +64,8 @@ def correlated(series: Sequence[Series]) -> Reason | None:
         return None
     channels = sorted({each.channel for each in usable})
     looks = len(_BLOCKS) * (len(channels) + (len(channels) > 1))
-    groups = [channels, *([name] for name in channels)] if len(channels) > 1 else [channels]
     best: tuple[float, float, tuple[str, ...], int] | None = None
-    for names in groups:
+    for names in _alone_and_together(channels):
         chosen = [each for each in usable if each.channel in names]
         for length in _BLOCKS:
             means = [_block_means(each, length) for each in chosen]
@@ -80,7 +79,7 @@ def correlated(series: Sequence[Series]) -> Reason | None:
             share = max(squares / count - 1 / length, 0.0) / (1 - 1 / length)
             size = float(np.sqrt(1 + share))
             if p < LEVEL and size > SIZE and (best is None or size > best[1]):
-                best = (p, size, tuple(names), length)
+                best = (p, size, names, length)
     if best is None:
         return None
     p, size, names, _ = best
@@ -174,6 +173,12 @@ def runs_disagree(series: Sequence[Series]) -> Reason | None:
         f"{each.run} as in the others"
     )
     return Reason("runs", sentence, p, size, (each.channel,))
+
+
+def _alone_and_together(channels: Sequence[str]) -> list[tuple[str, ...]]:
+    """All channels, and each of several by itself."""
+    alone: list[tuple[str, ...]] = [(name,) for name in channels]
+    return [tuple(channels), *alone] if len(alone) > 1 else alone
 
 
 def _tail(above: float, below: float, ratio: float) -> float:
