@@ -1,4 +1,7 @@
-"""What a fit is asked: checked and resolved before anything is evaluated."""
+"""What a fit is asked: checked and resolved before anything is evaluated.
+
+The file is longer than 200 lines because every argument of a fit is checked in one place.
+"""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -21,6 +24,7 @@ from ..parameters import (
 )
 from ..runs import Run, run_keys
 from ._loss import check_loss
+from ._noise import NOISE_MODELS, NoiseModel
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,6 +37,8 @@ class Setup:
         parameters: the scalar parameters to fit, apart from those of single runs.
         unstarted: paths of those that have no start of the caller's.
         loss: how a large residual counts.
+        noise_model: "correlated" or "white".
+        noise_per_run: whether each run has noise of its own.
         config: the same as plain data, `config` of the result: two fits of the same data with
             the same one have the same result.
     """
@@ -42,6 +48,8 @@ class Setup:
     parameters: tuple[Parameter, ...]
     unstarted: tuple[str, ...]
     loss: str
+    noise_model: NoiseModel
+    noise_per_run: bool
     config: dict[str, Any]
 
     def at_start(self) -> Self:
@@ -62,13 +70,16 @@ def set_up(
     start: Mapping[str, npt.ArrayLike] | None = None,
     fix: Mapping[str, npt.ArrayLike] | None = None,
     loss: str = "linear",
+    noise_model: NoiseModel = "correlated",
+    noise_per_run: bool = False,
     solver: str | None = None,
     tolerance: float | None = None,
 ) -> Setup:
     """Check and resolve the arguments of a fit, without evaluating the model.
 
     Arguments:
-        model, runs, free, start, fix, loss, solver, tolerance: as of `fit`.
+        model, runs, free, start, fix, loss, noise_model, noise_per_run, solver, tolerance: as of
+            `fit`.
 
     Returns:
         What `solve` fits.
@@ -79,6 +90,10 @@ def set_up(
     runs = (runs,) if isinstance(runs, Run) else tuple(runs)
     start, fix = _plain(start or {}), _plain(fix or {})
     check_loss(loss)
+    if noise_model not in NOISE_MODELS:
+        raise InputError(
+            f"there is no noise model '{noise_model}': use one of: {', '.join(NOISE_MODELS)}"
+        )
     if not runs:
         raise InputError("there is no run: give at least one")
     for run in runs:
@@ -95,6 +110,8 @@ def set_up(
         parameters=tuple(parameters),
         unstarted=tuple(p.path for p in parameters if p.path not in begun),
         loss=loss,
+        noise_model=noise_model,
+        noise_per_run=noise_per_run,
         config={
             "definition": model.definition(),
             "runs": [_about(run) for run in runs],
@@ -102,6 +119,8 @@ def set_up(
             "start": start,
             "fix": fix,
             "loss": loss,
+            "noise_model": noise_model,
+            "noise_per_run": noise_per_run,
             **_integration(model),
         },
     )

@@ -8,9 +8,8 @@ import numpy as np
 
 from .._errors import InputError
 from ._identifiability import responds
-from ._noise import Noise
-from ._problem import predictions_by_run
 from ._records import Iteration
+from ._reestimate import reestimate
 from ._state import FitState
 from ._transitions import release, reweight, step, trial
 
@@ -75,8 +74,8 @@ def _states(state: FitState, max_iterations: int) -> Iterator[FitState]:
         # The last word is always an optimum with the noise that it was fitted with.
         if state.ending is not None or rounds_left == 0:
             break
-        noise = _noise_after(state)
-        settled = noise.values == state.noise.values
+        noise = reestimate(state)
+        settled = noise.values == state.noise.values and noise.weights is state.noise.weights
         state = dataclasses.replace(state, noise=noise)
         if settled:
             break
@@ -120,14 +119,3 @@ def _to_optimum(state: FitState, max_iterations: int) -> Iterator[FitState]:
             "no step lowers the cost any further, and the optimum is not reached: "
             "start elsewhere or free fewer parameters",
         )
-
-
-def _noise_after(state: FitState) -> Noise:
-    """The noise that the residuals show, where no sidecar states it."""
-    runs = state.setup.runs
-    return state.noise.reestimated(
-        runs,
-        predictions_by_run(state.problem, state.inner.aux, runs),
-        parameters=int(np.sum(np.asarray(state.active))),
-        robust=state.problem.loss != "linear",
-    )

@@ -103,6 +103,8 @@ def prepare(definition: Definition, runs: Sequence[Run], validation: Sequence[Ru
         start=settings.start,
         fix=settings.fix,
         loss=settings.loss or "linear",
+        noise_model=settings.noise_model or "correlated",
+        noise_per_run=bool(settings.noise_per_run),
         solver=settings.solver,
         tolerance=settings.tolerance,
     )
