@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -85,6 +85,25 @@ class Noise:
             for run, noise in zip(runs, declared, strict=True)
         )
         return cls(declared, values)
+
+    @classmethod
+    def of_plain(cls, runs: Sequence[Run], plain: Mapping[str, Any]) -> Self:
+        """The noise of these runs that `to_plain` gave.
+
+        Raises:
+            ValueError, LookupError, TypeError: it is not that of these runs.
+        """
+        begun = cls.of(runs)
+        values = tuple(
+            {name: float(row[name]) for name in before}
+            for before, row in zip(begun.values, plain["values"], strict=True)
+        )
+        return dataclasses.replace(begun, values=values, estimated=bool(plain["estimated"]))
+
+    def to_plain(self) -> dict[str, Any]:
+        """All that a fit has changed of it, as numbers by name."""
+        values = [{name: float(value) for name, value in row.items()} for row in self.values]
+        return {"values": values, "estimated": self.estimated}
 
     @property
     def complete(self) -> bool:
