@@ -62,6 +62,8 @@ class FitResult:
             one start.
         validation: errors of prediction of runs that were not fitted.
         derived: `Estimate` by name of what follows from the parameters (`AbstractModel.derived`).
+        task: how `giajax.FitTask.again` fits it again: files with their checksums, and settings;
+            empty for a fit of runs without a task.
         predictions: predicted channels (SI) of each run, by name; empty after `load_result`.
     """
 
@@ -84,6 +86,7 @@ class FitResult:
     starts: tuple[Start, ...] = ()
     validation: tuple[PredictionErrors, ...] = ()
     derived: dict[str, Estimate] = dataclasses.field(default_factory=dict)
+    task: dict[str, Any] = dataclasses.field(default_factory=dict)
     predictions: tuple[dict[str, np.ndarray], ...] = ()
 
     @property
