@@ -1,7 +1,7 @@
 """Least squares over chosen parameters of any model that predicts channels."""
 
 from ._beginning import Beginning as Beginning, between as between
-from ._budget import Budget as Budget, in_words as in_words
+from ._budget import Budget as Budget
 from ._conclude import versions as versions
 from ._configuration import Setup as Setup, set_up as set_up
 from ._fit import MAX_ITERATIONS as MAX_ITERATIONS, fit as fit, solve as solve

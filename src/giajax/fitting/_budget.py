@@ -3,6 +3,8 @@
 import dataclasses
 import time
 
+from .._text import time_in_words
+
 
 @dataclasses.dataclass(frozen=True)
 class Budget:
@@ -23,17 +25,4 @@ class Budget:
     @property
     def ended_it(self) -> str:
         """Words for a message."""
-        return f"the budget of {in_words(self.seconds)} ended the fit"
-
-
-def in_words(seconds: float) -> str:
-    """A time as a person says it: 45 s, 10 min, 1.5 h.
-
-    Example:
-        >>> in_words(600.0), in_words(5400.0)
-        ('10 min', '1.5 h')
-    """
-    for unit, length in (("h", 3600.0), ("min", 60.0)):
-        if seconds >= length:
-            return f"{seconds / length:.2g} {unit}"
-    return f"{seconds:.2g} s"
+        return f"the budget of {time_in_words(self.seconds)} ended the fit"

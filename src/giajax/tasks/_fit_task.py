@@ -4,7 +4,6 @@ The file is longer than 200 lines because `on_top` says of each setting what it 
 """
 
 import dataclasses
-import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self

@@ -80,6 +80,28 @@ def check_config(before: Mapping[str, Any], now: Mapping[str, Any], where: Path)
         )
 
 
+def compared(result: "FitResult", before: Mapping[str, Any]) -> str:
+    """A sentence on whether a fit that was done again gave the same numbers.
+
+    Arguments:
+        result: of now.
+        before: the stored one, as plain data.
+    """
+    now = json.loads(result.to_json())
+    keys = ("parameters", "correlation", "runs", "cost", "reduced_chi_square", "history")
+    if all(now[key] == before[key] for key in keys):
+        return "the numbers are the same, bit for bit"
+    moved = {}
+    for path, estimate in now["parameters"].items():
+        value, other = estimate["value"], before["parameters"].get(path, {}).get("value")
+        if estimate["free"] and value != other and other:
+            moved[path] = abs(value / other - 1)
+    if not moved:
+        return "the estimates are the same bit for bit, and what follows from them is not"
+    path = max(moved, key=lambda path: moved[path])
+    return f"the numbers are not the same: {path} differs by {moved[path]:.1e} of its value"
+
+
 def reached_by(result: "str | Path | FitResult") -> dict[str, Any]:
     """Where a fit ended, as another one begins: `giajax.fitting.Beginning` as plain data.
 
