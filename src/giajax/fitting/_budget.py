@@ -16,7 +16,7 @@ class Budget:
     """
 
     seconds: float
-    began: float = dataclasses.field(default_factory=time.monotonic)
+    began: float = dataclasses.field(default_factory=lambda: time.monotonic())
 
     def left(self) -> float:
         """What is left of it, s; negative where it is overdrawn."""
