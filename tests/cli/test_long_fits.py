@@ -58,9 +58,9 @@ def ended(running):
 
 
 def wait_for(running, word):
-    """Until a line of the progress begins with a word, or holds it."""
+    """Until a line of the progress begins with a word."""
     for line in running.stderr:
-        if line.split()[:1] == [word] or word in line:
+        if line.split()[:1] == [word]:
             return
     pytest.fail(f"{word} never came")
 
@@ -225,17 +225,13 @@ def small_disk(folder):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("room", [0, 4096, 16_384, 40_000])
+@pytest.mark.parametrize("room", [0, 8_192, 40_960])
 def test_a_small_disk_loses_no_number(small_disk, plain, room):
     """What its files cannot take goes to standard output, and where that is a file there, too."""
-    (small_disk / "filler").write_bytes(bytes(48 * 1024 - room - 4096))
+    (small_disk / "filler").write_bytes(bytes(48 * 1024 - room))
     words = [*FIT[:-1], str(small_disk / "out")]
     status, out, err = ended(process(*words))
     assert "Traceback" not in err
-    if room < 4096:
-        # Nothing was computed, because nothing could have been kept.
-        assert (status, out) == (2, "")
-        return
     if status == 0:
         result = json.loads((small_disk / "out" / "result.json").read_text())
     else:
@@ -248,14 +244,14 @@ def test_a_small_disk_loses_no_number(small_disk, plain, room):
 
 @pytest.mark.slow
 def test_a_budget_ends_with_the_best_so_far(folder, plain):
-    status, out, err = ended(process(*FIT, "--budget", "1.2s", seconds=0.4))
+    status, out, _ = ended(process(*FIT, "--budget", "1.2s", seconds=0.4))
     assert status == 1
     assert "NOT CONVERGED: the budget of 1.2 s ended the fit after" in out
     assert "giajax fit --resume out" in out
     result = load_result("out")
-    assert 1 <= result.iterations <= 4
-    status, out, err = ended(process("fit", "--resume", "out", "--budget", "10m", "--no-figures"))
-    assert status == 0
+    assert result.iterations < plain[0]["iterations"]
+    words = ["fit", "--resume", "out", "--budget", "10m", "--no-figures"]
+    assert ended(process(*words))[0] == 0
     after, (expected, _) = numbers("out"), plain
     assert after["config"].pop("budget_s") == 600.0
     assert after == expected

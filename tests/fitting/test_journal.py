@@ -1,4 +1,4 @@
-"""A fit goes on from any line of its journal to the same end, bit for bit; and what a budget does."""
+"""A fit goes on from any line of its journal to the same end, bit for bit; and budgets."""
 
 import dataclasses
 import json

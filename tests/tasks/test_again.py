@@ -96,7 +96,7 @@ def append(name, text):
 def test_what_cannot_be_fitted_again_says_so(path):
     task = FitTask.load(path)
     written(task.on_top(budget="0s", out="short"), check=False)
-    with pytest.raises(InputError, match="stopped when its time was up.*--resume short"):
+    with pytest.raises(InputError, match=r"stopped when its time was up.*--resume short"):
         FitTask.again("short")
     earlier = Path(__file__).parents[1] / "fitting" / "earlier"
     with pytest.raises(InputError, match="earlier version wrote it"):
@@ -151,14 +151,14 @@ def test_from_python_a_journal_is_gone_on_with(path):
 def test_a_journal_of_a_fit_that_was_cut_off_is_not_written_over(path):
     ready = FitTask.load(path).prepare()
 
-    class Crash(Exception):
+    class CrashError(Exception):
         pass
 
     def crash(iteration):
         if iteration.number == 2:
-            raise Crash
+            raise CrashError
 
-    with pytest.raises(Crash), ready.kept_in(_folder(ready)) as journal:
+    with pytest.raises(CrashError), ready.kept_in(_folder(ready)) as journal:
         ready.run(crash, journal=journal.of)
     assert len(read_journal(_folder(ready)).lines_of(1)) == 3
     with (

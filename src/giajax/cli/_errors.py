@@ -1,8 +1,10 @@
 """How every command ends: one sentence on standard error, and an exit status."""
 
+import contextlib
 import os
 import re
 import sys
+from collections.abc import Iterator
 from typing import Any
 
 import typer
@@ -31,14 +33,25 @@ class Ended(Exception):  # noqa: N818
 class Commands(TyperGroup):
     """Typer's group, without its own endings for Ctrl-C and a closed pipe."""
 
+    def make_context(self, *args: Any, **kwargs: Any) -> Any:
+        """Read the words; typer would end Ctrl-C here without one of its own."""
+        with _endings():
+            return super().make_context(*args, **kwargs)
+
     def invoke(self, ctx: Any) -> Any:
         """Run the command that the context names."""
-        try:
+        with _endings():
             return super().invoke(ctx)
-        except KeyboardInterrupt:
-            raise Ended(stopped_status()) from None
-        except BrokenPipeError:
-            raise Ended(BROKEN_PIPE) from None
+
+
+@contextlib.contextmanager
+def _endings() -> Iterator[None]:
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise Ended(stopped_status()) from None
+    except BrokenPipeError:
+        raise Ended(BROKEN_PIPE) from None
 
 
 def run(command: Any, arguments: list[str]) -> int:
