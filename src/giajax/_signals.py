@@ -27,7 +27,7 @@ def listen() -> None:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _stop)
             taken.append(number)
-    if not taken:
+    if not taken or os.name != "posix":
         return
     reader, writer = os.pipe()
     os.set_blocking(writer, False)

@@ -118,21 +118,26 @@ def test_the_journal_of_another_fit_is_one_sentence(tmp_path):
         journalled(tmp_path, set_up(Decay(), run(), start=START, free=["decay"]))
 
 
+def disk_with(state):
+    """`os.write` of a disk where a file has some room, which it fills before it refuses more."""
+    write = os.write
+
+    def limited(descriptor, data):
+        part = state["room"] - os.lseek(descriptor, 0, os.SEEK_CUR)
+        if part <= 0:
+            raise OSError(28, "No space left on device")
+        return write(descriptor, data[:part])
+
+    return limited
+
+
 @pytest.mark.parametrize("room", [0, 900, 1_500])
 def test_a_full_disk_ends_no_fit_and_loses_no_line(tmp_path, monkeypatch, room):
     """The system takes some bytes and then no more, until somebody makes room."""
     setup = set_up(Decay(), run(), start=START)
     plain = numbers(solve(setup))
-    write, state = os.pwrite, {"room": room}
-
-    def limited(descriptor, data, offset):
-        if offset + len(data) <= state["room"]:
-            return write(descriptor, data, offset)
-        if (part := state["room"] - offset) > 0:
-            return write(descriptor, data[:part], offset)
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(os, "pwrite", limited)
+    state = {"room": room}
+    monkeypatch.setattr(os, "write", disk_with(state))
     complaints = []
     journal = Journal(tmp_path / JOURNAL, HEAD, complain=complaints.append)
 
@@ -153,16 +158,8 @@ def test_a_full_disk_ends_no_fit_and_loses_no_line(tmp_path, monkeypatch, room):
 
 def test_a_disk_that_stays_full_leaves_what_it_took(tmp_path, monkeypatch):
     setup = set_up(Decay(), run(), start=START)
-    write = os.pwrite
-
-    def limited(descriptor, data, offset):
-        part = 2_000 - offset
-        if part <= 0:
-            raise OSError(28, "No space left on device")
-        return write(descriptor, data[:part], offset)
-
     with monkeypatch.context() as patched:
-        patched.setattr(os, "pwrite", limited)
+        patched.setattr(os, "write", disk_with({"room": 2_000}))
         plain = numbers(journalled(tmp_path, setup))
     assert (tmp_path / JOURNAL).stat().st_size <= 2_000
     assert len(read_journal(tmp_path).lines_of(1)) >= 1

@@ -109,7 +109,7 @@ class Journal:
 
     def _write(self) -> None:
         if self._descriptor is None:
-            flags = os.O_WRONLY | os.O_NOFOLLOW
+            flags = os.O_WRONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
             if not self._size:
                 # A new one is made, never through what somebody has put there.
                 self.path.unlink(missing_ok=True)
@@ -117,9 +117,10 @@ class Journal:
             self._descriptor = os.open(self.path, flags, 0o666)
         # What is behind the last whole line was torn, by the end of a process or of the disk.
         os.ftruncate(self._descriptor, self._size)
+        os.lseek(self._descriptor, self._size, os.SEEK_SET)
         done = 0
         while done < len(self._waiting):
-            done += os.pwrite(self._descriptor, self._waiting[done:], self._size + done)
+            done += os.write(self._descriptor, self._waiting[done:])
         os.fsync(self._descriptor)
         self._size += done
         self._waiting = b""

@@ -40,7 +40,8 @@ def locked(folder: Path) -> Iterator[None]:
             yield
         finally:
             # While it is held: whoever has opened the file meanwhile sees that it is gone.
-            path.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):
+                path.unlink()
             os.close(descriptor)
     finally:
         for empty in made:
@@ -53,7 +54,8 @@ def _taken(path: Path) -> int:
     while True:
         try:
             # Never through a link that somebody has put there.
-            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+            flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0)
+            descriptor = os.open(path, flags, 0o666)
         except OSError as error:
             raise InputError(
                 f"{path} cannot be written ({error.strerror}): give another folder"
@@ -77,7 +79,7 @@ def _taken(path: Path) -> int:
         os.close(descriptor)  # of a fit that has just ended, and removed it
     with contextlib.suppress(OSError):  # the words are for people; the lock holds without them
         os.ftruncate(descriptor, 0)
-        os.pwrite(descriptor, f"process {os.getpid()} on {socket.gethostname()}\n".encode(), 0)
+        os.write(descriptor, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
     return descriptor
 
 
@@ -90,7 +92,7 @@ def _is_there(path: Path, descriptor: int) -> bool:
 
 def _holder(descriptor: int) -> str:
     try:
-        words = os.pread(descriptor, 200, 0).decode(errors="replace").strip()
+        words = os.read(descriptor, 200).decode(errors="replace").strip()
     except OSError:
         words = ""
     return words or "its process is not known"
