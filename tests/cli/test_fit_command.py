@@ -70,7 +70,7 @@ def test_numbers_without_figures(data):
     }
     assert "wrote out: result.json, prediction.csv, prediction.toml\n" in out
     # It ended early, and can go on.
-    assert out.endswith("to go on with it: giajax fit --resume out\n")
+    assert out.endswith("to go on with it: giajax fit --resume out --max-iterations 2\n")
 
 
 def test_it_finds_the_truth(fitted):

@@ -32,12 +32,12 @@ The table and the summary go to standard output, progress to standard error.
 
 \b
 Exit status: 0 converged; 1 ended without convergence (the result is
-written and says so); 2 bad input or usage; 130 interrupted, 143 by SIGTERM (the
-best point so far is written). A second Ctrl-C ends at once.
+written and says so); 2 bad input or usage; 130 interrupted, 143 by SIGTERM
+(the best point so far is written). A second Ctrl-C ends at once.
 
-
-While it runs, DIR/journal.jsonl has every step: after a crash, Ctrl-C or the
-end of a budget, --resume DIR goes on from there, to the same numbers."""
+\b
+While it runs, DIR/journal.jsonl has every step. After a crash, Ctrl-C or the
+end of a budget, --resume DIR goes on from there to the same numbers."""
 
 
 def fit(

@@ -11,6 +11,7 @@ from ._progress import Progress, stop_if_asked
 from ._time_left import TimeLeft
 
 if TYPE_CHECKING:
+    from ..fitting import FitResult
     from ..tasks import FitTask
 
 _STATUS = {"converged": 0, "not_converged": 1}
@@ -101,7 +102,7 @@ def run_fit(
     if not (as_json or quiet):
         show_files(files)
         if goes_on:
-            print(f"\n{_go_on(task)}")
+            print(f"\n{_go_on(task)}{_with_more(result)}")
         if hint := choice_hint(ready.runs, [str(path) for path in task.data]):
             print(f"\n{hint}")
     return _STATUS.get(result.status, stopped_status())
@@ -112,6 +113,13 @@ def _go_on(task: "FitTask") -> str:
     import shlex
 
     return f"to go on with it: giajax fit --resume {shlex.quote(str(task.out))}"
+
+
+def _with_more(result: "FitResult") -> str:
+    """The option without which a fit that had its iterations would end again at once."""
+    if result.status != "not_converged" or "budget_s" in result.config:
+        return ""
+    return f" --max-iterations {2 * result.config['max_iterations']}"
 
 
 def _complain(sentence: str) -> None:

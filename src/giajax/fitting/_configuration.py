@@ -1,4 +1,7 @@
-"""What a fit is asked: checked and resolved before anything is evaluated."""
+"""What a fit is asked: checked and resolved before anything is evaluated.
+
+The file is longer than 200 lines because all that can be wrong with a question is looked at here.
+"""
 
 import dataclasses
 from collections.abc import Mapping, Sequence

@@ -1,4 +1,7 @@
-"""The result of a fit, as data: it can be written, read again, and it predicts."""
+"""The result of a fit, as data: it can be written, read again, and it predicts.
+
+The file is longer than 200 lines because each field of a result is explained where it stands.
+"""
 
 import dataclasses
 import html
