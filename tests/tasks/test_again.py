@@ -63,7 +63,18 @@ def test_it_is_found_beside_its_result(path, tmp_path, monkeypatch):
     try:
         again = FitTask.again(here / "giajax-out" / "loops_fit")
         assert [file.exists() for file in again.data] == [True]
-        assert again.run(check=False).parameters == first.parameters
+        second = again.run(check=False)
+        assert second.parameters == first.parameters
+        stored = stored_result(here / "giajax-out" / "loops_fit")[1]
+        assert compared(second, stored).endswith("bit for bit")
+        # Another file of that name, where the command is given, is not taken for it.
+        other = here / "other"
+        other.mkdir()
+        for file in here.glob("*.*"):
+            (other / file.name).write_text("input,output\n0,0\n1,1\n")
+        monkeypatch.chdir(other)
+        assert FitTask.again(here / "giajax-out" / "loops_fit").data == again.data
+        monkeypatch.chdir("/")
     finally:
         here.rename(tmp_path)
 
@@ -253,12 +264,11 @@ def test_a_fit_begins_where_another_one_ended(path):
     assert FitTask.again("held").run(check=False).parameters == held.parameters
 
 
-def test_a_fit_of_another_kind_is_no_beginning(path, tmp_path):
-    (tmp_path / "arm").mkdir()
-    arm = make_run(tmp_path / "arm")
-    first = written(FitTask.load(path).on_top(max_iterations=1), check=False)
-    with pytest.raises(InputError, match="is of the hysteresis model and the runs are of the arm"):
-        FitTask.of(arm).on_top(begin=first).prepare()
+def test_a_fit_of_another_kind_is_no_beginning():
+    earlier = Path(__file__).parents[1] / "fitting" / "earlier"
+    begin = FitTask.of("any.csv").on_top(begin=earlier).begin
+    with pytest.raises(InputError, match="is of the hysteresis model and the runs are of the dec"):
+        set_up(Decay(), [run()], begin=Beginning(**begin))
 
 
 def test_an_end_on_a_bound_can_be_begun_from():

@@ -94,9 +94,9 @@ class Journal:
 
     def settle(self, result: "FitResult") -> None:
         """Put it away, whose result is written: removed, if nothing is left to go on with."""
-        whole = result.status != "interrupted"
-        whole = whole and len(result.starts) == result.config.get("starts", 0)
-        if whole and self.is_complete:
+        whole = len(result.starts) == result.config.get("starts", 0)
+        ended = result.status == "not_converged" and self.is_complete
+        if whole and (ended or result.status == "converged"):
             self.remove()
         else:
             self.append({"written": True})

@@ -69,49 +69,39 @@ def _base_of(record: Mapping[str, Any], folder: Path) -> Path:
         folder: that has its result or its journal now.
 
     Raises:
-        InputError: a file is at neither place.
+        InputError: naming the first file that is missing or has changed.
     """
     out = Path(record["out"])
     bases = [Path()]
     if not out.is_absolute():
         bases.append(folder / os.path.relpath(Path(), out))
     names = [name for name, digits in record["inputs"].items() if digits is not None]
-    for base in bases:
-        if all((base / name).exists() for name in names):
-            return base
-    missing = next(name for name in names if not (bases[0] / name).exists())
-    raise InputError(
-        f"{missing}, which {folder} was fitted to, is not there: run this where it is, or put it "
-        "back"
-    )
+    there = [base for base in bases if all((base / name).exists() for name in names)]
+    if not there:
+        missing = next(name for name in names if not (bases[0] / name).exists())
+        raise InputError(
+            f"{missing}, which {folder} was fitted to, is not there: run this where it is, or put "
+            "it back"
+        )
+    # Another file of the same name may be here.
+    complaints = [_change(record, base) for base in there]
+    if None not in complaints:
+        raise InputError(f"{complaints[0]} since the fit began: put it back as it was, or fit anew")
+    return there[complaints.index(None)]
 
 
-def _check_inputs(record: Mapping[str, Any], base: Path) -> None:
-    """Refuse files that have changed.
-
-    Arguments:
-        record: of a task.
-        base: where its relative paths begin.
-
-    Raises:
-        InputError: naming the first file that differs.
-    """
+def _change(record: Mapping[str, Any], base: Path) -> str | None:
+    """The first file of a task that is not as it was, and how; None where there is none."""
     for name, before in record["inputs"].items():
         path = base / name
-        now = _checksum(path, needed=before is not None)
-        if now != before:
-            how = "is new" if before is None else "has changed"
-            raise InputError(
-                f"{path} {how} since the fit began: put it back as it was, or fit anew"
-            )
+        if _checksum(path, needed=before is not None) != before:
+            return f"{path} {'is new' if before is None else 'has changed'}"
+    return None
 
 
 def differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
     """What differs between the settings of two records, by the names of their keys."""
-    names = []
-    for key in ("data", "validation", "rename", "begin"):
-        if one[key] != other[key]:
-            names.append(key)
+    names = [key for key in ("data", "validation", "rename", "begin") if one[key] != other[key]]
     before, after = (record["definition"] for record in (one, other))
     for section in sorted({*before, *after} - {"fit", "truth", "figures"}):
         if before.get(section) != after.get(section):
@@ -135,7 +125,6 @@ def unchanged(record: Mapping[str, Any], folder: Path) -> dict[str, Any]:
         InputError: a file is missing or has changed.
     """
     base = _base_of(record, folder)
-    _check_inputs(record, base)
     source = record["source"]
     return {
         "definition": Definition.parse(record["definition"], "the stored task"),
