@@ -41,6 +41,7 @@ ROOMS = [
         "_maths",
         "_files",
         "_limits",
+        "_signals",
         "_syntax",
         "_text",
         "_typing",

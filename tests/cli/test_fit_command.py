@@ -65,9 +65,12 @@ def test_numbers_without_figures(data):
     options = ["--max-iterations", "1", "--out", "out", "--no-figures"]
     _, out, _ = giajax("fit", "--data", data, *STARTS, *options)
     assert {path.name for path in (data.parent / "out").iterdir()} == {
-        name for name in FILES if not name.endswith(".png")
+        "journal.jsonl",
+        *(name for name in FILES if not name.endswith(".png")),
     }
-    assert out.endswith("wrote out: result.json, prediction.csv, prediction.toml\n")
+    assert "wrote out: result.json, prediction.csv, prediction.toml\n" in out
+    # It ended early, and can go on.
+    assert out.endswith("to go on with it: giajax fit --resume out --max-iterations 2\n")
 
 
 def test_it_finds_the_truth(fitted):

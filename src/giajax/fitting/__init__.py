@@ -1,5 +1,8 @@
 """Least squares over chosen parameters of any model that predicts channels."""
 
+from ._beginning import Beginning as Beginning, between as between
+from ._budget import Budget as Budget
+from ._conclude import versions as versions
 from ._configuration import Setup as Setup, set_up as set_up
 from ._fit import MAX_ITERATIONS as MAX_ITERATIONS, fit as fit, solve as solve
 from ._noise import NOISE_MODELS as NOISE_MODELS
@@ -25,6 +28,7 @@ from ._records import (
     ToleranceEffect as ToleranceEffect,
 )
 from ._result import FitResult as FitResult, load_result as load_result
+from ._snapshot import FitJournal as FitJournal
 from ._solver import Marquardt as Marquardt
 from ._table import estimate_table as estimate_table
 from ._units import (

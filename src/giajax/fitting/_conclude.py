@@ -88,7 +88,7 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
         tolerance_effect=done.tolerance,
         conditions=tuple(model.conditions(moved, setup.runs)),
         seconds=Seconds(compile=compiling, run=elapsed - compiling),
-        versions=_versions(),
+        versions=versions(),
         config={**setup.config, "max_iterations": max_iterations},
         history=state.history,
         predictions=tuple(predictions),
@@ -165,6 +165,7 @@ def _noise(state: FitState, known: Statistics) -> NoiseFit:
     return NoiseFit(state.setup.noise_model, state.noise.estimated, widening)
 
 
-def _versions() -> dict[str, str]:
+def versions() -> dict[str, str]:
+    """Of Python, of giajax and of the libraries that compute, by name."""
     names = ("giajax", "jax", "jaxlib", "equinox", "diffrax", "optimistix", "lineax", "numpy")
     return {"python": platform.python_version(), **{name: version(name) for name in names}}

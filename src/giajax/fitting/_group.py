@@ -1,6 +1,6 @@
 """Runs as arrays: those with the same channels stacked, so that they share a program."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -140,15 +140,25 @@ def _whitening(
     return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves), dtype=dtype), *parts)
 
 
-def own_start(groups: Sequence[Group]) -> np.ndarray:
-    """Where the coordinates of the single runs start: as their runs were prepared."""
-    values = [
-        np.asarray(get(group.inputs, path)[row], dtype=float).ravel()
-        for group in groups
-        for row in range(len(group.members))
-        for path, _ in group.own
-    ]
-    return np.concatenate([np.empty(0), *values])
+def own_start(
+    groups: Sequence[Group], runs: Sequence[Run], begun: Mapping[str, Mapping[str, float]]
+) -> np.ndarray:
+    """Where the coordinates of the single runs start: as their runs were prepared, or as begun.
+
+    Arguments:
+        groups: of the runs.
+        runs: what is fitted to.
+        begun: other values, by the run's name and the name of the coordinate.
+    """
+    values = [np.empty(0)]
+    for group in groups:
+        for row, member in enumerate(group.members):
+            parts = [np.asarray(get(group.inputs, path)[row]).ravel() for path, _ in group.own]
+            prepared = np.concatenate([np.empty(0), *parts]).astype(float)
+            other = begun.get(runs[member].name, {})
+            pairs = zip(group.own_labels(), prepared, strict=True)
+            values.append(np.asarray([other.get(label, value) for label, value in pairs]))
+    return np.concatenate(values)
 
 
 def _padded(arrays: Sequence[np.ndarray], length: int) -> Array:

@@ -1,6 +1,6 @@
 """The result of a fit, as data: it can be written, read again, and it predicts.
 
-The file is longer than 200 lines because the fields of a result and their reading belong together.
+The file is longer than 200 lines because each field of a result is explained where it stands.
 """
 
 import dataclasses
@@ -69,6 +69,8 @@ class FitResult:
         noise: what was taken for noise; None from a file without it.
         verdict: whether the model describes the data, apart from convergence.
         derived: `Estimate` by name of what follows from the parameters (`AbstractModel.derived`).
+        task: how `giajax.FitTask.again` fits it again: files with their checksums, and settings;
+            empty for a fit of runs without a task.
         predictions: predicted channels (SI) of each run, by name; empty after `load_result`.
     """
 
@@ -93,6 +95,7 @@ class FitResult:
     noise: NoiseFit | None = None
     verdict: Verdict = dataclasses.field(default_factory=Verdict.missing)
     derived: dict[str, Estimate] = dataclasses.field(default_factory=dict)
+    task: dict[str, Any] = dataclasses.field(default_factory=dict)
     predictions: tuple[dict[str, np.ndarray], ...] = ()
 
     @property

@@ -34,7 +34,7 @@ def begin(setup: Setup) -> FitState:
     model, parameters = setup.model, setup.parameters
     noise = Noise.of(setup.runs, setup.noise_model, per_run=setup.noise_per_run)
     groups = build_groups(model, setup.runs, noise, len(parameters))
-    own = own_start(groups)
+    own = own_start(groups, setup.runs, setup.own)
     bijector = Bijector(
         (*(p.declaration.lower for p in parameters), *(-np.inf for _ in own)),
         (*(p.declaration.upper for p in parameters), *(np.inf for _ in own)),

@@ -9,6 +9,7 @@ from .._errors import InputError
 from .._limits import STARTS
 from ..kinds import Finite, Name, Positive, Section, flat, key
 from ._channels import parse_column
+from ._duration import DURATION
 
 _NOISE = "a positive number, the standard deviation"
 _TIME = "a positive number of seconds"
@@ -127,6 +128,9 @@ class Fit(Section):
     )
     max_iterations: Annotated[int, Field(ge=1)] | None = key(
         "a whole number of at least 1", "trial steps before the fit gives up"
+    )
+    budget: Annotated[str, Field(pattern=DURATION)] | None = key(
+        'a time such as "90s", "10m" or "2h"', "wall time that the fit may take"
     )
     out: Name | None = key("the name of a folder", "where the result goes")
 

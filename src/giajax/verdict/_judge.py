@@ -35,4 +35,6 @@ def judge(series: Sequence[Series], *, robust: bool) -> Verdict:
     reasons = [reason for test in _TESTS if (reason := test(series)) is not None]
     if not reasons:
         return Verdict("adequate")
-    return Verdict("inadequate", tuple(sorted(reasons, key=lambda reason: (reason.p_value, -reason.size))))
+    return Verdict(
+        "inadequate", tuple(sorted(reasons, key=lambda reason: (reason.p_value, -reason.size)))
+    )
