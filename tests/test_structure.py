@@ -32,6 +32,8 @@ ROOMS = [
     ("simulation", "joint", "arm", "hysteresis"),
     ("runs",),
     ("kinds",),
+    ("verdict",),
+    ("noise",),
     (
         "parameters",
         "quantities",
@@ -39,6 +41,7 @@ ROOMS = [
         "_maths",
         "_files",
         "_limits",
+        "_signals",
         "_syntax",
         "_text",
         "_typing",

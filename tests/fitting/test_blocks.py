@@ -18,6 +18,7 @@ from giajax.fitting._group import build_groups, own_start
 from giajax.fitting._jacobian import BlockJacobian
 from giajax.fitting._layout import Layout
 from giajax.fitting._linearise import linearise
+from giajax.fitting._noise import Noise
 from giajax.fitting._problem import Problem, residual
 from giajax.kinds import InitialSection
 from giajax.models import AbstractModel, ArmModel
@@ -86,9 +87,9 @@ def recording(index, *, free=True, samples=40):
 
 def problem_of(runs, loss="linear"):
     model = OwnHeights()
-    sigmas = [dict.fromkeys(run.observations, SIGMA) for run in runs]
-    groups = build_groups(model, runs, sigmas, Layout.of(["decay"], {}, len(runs)))
-    own = own_start(groups)
+    layout = Layout.of(["decay"], {}, len(runs))
+    groups = build_groups(model, runs, Noise.of(runs, "correlated", per_run=False), layout)
+    own = own_start(groups, runs, {})
     bijector = Bijector((0.0, *(-np.inf for _ in own)), (9.0, *(np.inf for _ in own)))
     problem = Problem(model, groups, bijector, ("decay",), loss)
     coordinate = jnp.asarray(bijector.inverse(np.array([1.5, *own])))

@@ -54,7 +54,14 @@ def joint_fit(owners):
 def test_a_group_of_runs_has_a_value_of_its_own(options, owners):
     values, covariance = joint_fit(owners)
     errors = np.sqrt(np.diag(covariance))
-    result = fit(Decay(decay=DECAY), RUNS, free=["amplitude"], start={"amplitude": 1.0}, **options)
+    result = fit(
+        Decay(decay=DECAY),
+        RUNS,
+        free=["amplitude"],
+        start={"amplitude": 1.0},
+        noise_model="white",
+        **options,
+    )
     assert result.status == "converged"
     assert result.gradient_check.relative_difference < 1e-6
     amplitude = result.parameters["amplitude"]
@@ -77,9 +84,11 @@ def test_a_group_of_runs_has_a_value_of_its_own(options, owners):
 
 
 def test_all_values_by_run_are_fits_of_single_runs():
-    together = fit(Decay(), RUNS, free=[], per_run=["amplitude", "decay", "offset"])
+    together = fit(
+        Decay(), RUNS, free=[], per_run=["amplitude", "decay", "offset"], noise_model="white"
+    )
     for one, record in zip(RUNS, together.runs, strict=True):
-        alone = fit(Decay(), one)
+        alone = fit(Decay(), one, noise_model="white")
         for path, own in record.parameters.items():
             estimate = alone.parameters[path]
             assert own.value == pytest.approx(estimate.value, abs=0.02 * estimate.standard_error)

@@ -55,6 +55,7 @@ def test_a_normal_prior_is_a_ridge(noise):
         free=["amplitude", "offset"],
         start={"amplitude": 1.0, "offset": 0.0},
         priors={"amplitude": Prior(1.9, deviation=0.02)},
+        noise_model="white",
     )
     assert result.status == "converged"
     estimates = [result.parameters[path] for path in ("amplitude", "offset")]
@@ -84,6 +85,7 @@ def test_a_log_normal_prior_is_normal_in_the_logarithm():
         free=["amplitude", "offset"],
         start={"amplitude": 1.0},
         priors={"amplitude": {"value": 1.9, "factor": 1.01}},
+        noise_model="white",
     )
     estimates = [result.parameters[path] for path in ("amplitude", "offset")]
     assert_allclose([e.value for e in estimates], reference.x, atol=1e-4)

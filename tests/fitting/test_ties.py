@@ -80,6 +80,7 @@ def test_a_tie_is_a_reparametrised_model():
         free=["offset"],
         start={"offset": 0.1},
         ties={"amplitude": "6 * offset"},
+        noise_model="white",
     )
     offset, amplitude = result.parameters["offset"], result.parameters["amplitude"]
     assert result.status == "converged"

@@ -17,11 +17,23 @@ if TYPE_CHECKING:
 
 
 def write_or_print(result: "FitResult", write: Callable[[], list[Path]]) -> list[Path]:
-    """What `write` writes; where it cannot (a full disk), the result goes to standard output."""
+    """What `write` writes; where it cannot (a full disk), the result goes to standard output.
+
+    Where that cannot take it either, such as a file on the same disk, it goes to standard error.
+    """
     try:
-        return write()
+        try:
+            return write()
+        except KeyboardInterrupt:  # once more, because this is what the fit was for
+            write()
+            raise
     except InputError:
-        typer.echo(result.to_json(), nl=False)
+        for stream in (sys.stdout, sys.stderr):
+            try:
+                print(result.to_json(), end="", file=stream, flush=True)
+            except OSError:
+                continue
+            break
         typer.echo("the fit is above, because its files could not all be written:", err=True)
         raise
 

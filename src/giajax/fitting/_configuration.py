@@ -15,9 +15,11 @@ from ..models import AbstractModel
 from ..parameters import Parameter, get, replace
 from ..quantities import Prior
 from ..runs import Run, run_keys
+from ._beginning import Beginning
 from ._free import Free, resolve
 from ._layout import Layout, sharing
 from ._loss import check_loss
+from ._noise import NOISE_MODELS, NoiseModel
 from ._priors import checked_priors
 from ._ties import Tie, tied
 
@@ -33,6 +35,10 @@ class Setup:
             the bounds of this fit.
         unstarted: paths of those that have no start of the caller's.
         loss: how a large residual counts.
+        noise_model: "correlated" or "white".
+        noise_per_run: whether each run has noise of its own.
+        own: where the parameters of single runs start, by the run's name and their path, where
+            that is not as the run is prepared.
         config: the same as plain data, `config` of the result: two fits of the same data with
             the same one have the same result.
         priors: what is known of parameters before, by the path of an element.
@@ -46,7 +52,10 @@ class Setup:
     parameters: tuple[Parameter, ...]
     unstarted: tuple[str, ...]
     loss: str
+    noise_model: NoiseModel
+    noise_per_run: bool
     config: dict[str, Any]
+    own: Mapping[str, Mapping[str, float]] = dataclasses.field(default_factory=dict)
     priors: Mapping[str, Prior] = dataclasses.field(default_factory=dict)
     ties: tuple[Tie, ...] = ()
     groups: Mapping[str, tuple[tuple[int, ...], ...]] = dataclasses.field(default_factory=dict)
@@ -75,6 +84,8 @@ def set_up(
     start: Mapping[str, npt.ArrayLike] | None = None,
     fix: Mapping[str, npt.ArrayLike] | None = None,
     loss: str = "linear",
+    noise_model: NoiseModel = "correlated",
+    noise_per_run: bool = False,
     solver: str | None = None,
     tolerance: float | None = None,
     priors: Mapping[str, Prior] | None = None,
@@ -82,12 +93,15 @@ def set_up(
     ties: Mapping[str, str] | None = None,
     per_run: Sequence[str] = (),
     groups: Mapping[str, Sequence[Sequence[str]]] | None = None,
+    begin: Beginning | None = None,
 ) -> Setup:
     """Check and resolve the arguments of a fit, without evaluating the model.
 
     Arguments:
-        model, runs, free, start, fix, loss, solver, tolerance: as of `fit`.
+        model, runs, free, start, fix, loss, noise_model, noise_per_run, solver, tolerance: as of
+            `fit`.
         priors, bounds, ties, per_run, groups: as of `fit`.
+        begin: where another fit ended, which goes before `start`; `fix` goes before both.
 
     Returns:
         What `solve` fits.
@@ -98,6 +112,10 @@ def set_up(
     runs = (runs,) if isinstance(runs, Run) else tuple(runs)
     start, fix = _plain(start or {}), _plain(fix or {})
     check_loss(loss)
+    if noise_model not in NOISE_MODELS:
+        raise InputError(
+            f"there is no noise model '{noise_model}': use one of: {', '.join(NOISE_MODELS)}"
+        )
     if not runs:
         raise InputError("there is no run: give at least one")
     for run in runs:
@@ -113,6 +131,7 @@ def set_up(
         free,
         start,
         fix,
+        reached={} if begin is None else begin.values_for(model),
         priors=known,
         bounds=bounds or {},
         ties=ties or {},
@@ -131,6 +150,8 @@ def set_up(
         parameters=asked.parameters,
         unstarted=tuple(p.path for p in asked.parameters if p.path not in asked.begun),
         loss=loss,
+        noise_model=noise_model,
+        noise_per_run=noise_per_run,
         config={
             "definition": asked.model.definition(),
             "runs": [_about(run) for run in runs],
@@ -138,10 +159,14 @@ def set_up(
             "start": start,
             "fix": fix,
             "loss": loss,
+            "noise_model": noise_model,
+            "noise_per_run": noise_per_run,
             **_integration(asked.model),
             # What a fit does not have, its configuration does not mention.
             **{name: value for name, value in limits.items() if value},
+            **({} if begin is None else {"begin": dataclasses.asdict(begin)}),
         },
+        own={} if begin is None else begin.own,
         priors=asked.priors,
         ties=asked.ties,
         groups=asked.groups,

@@ -2,8 +2,10 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
+from scipy.special import stdtrit
 
 from ..models import AbstractModel, parameter_values
 from ..parameters import Parameter, declared
@@ -18,6 +20,10 @@ _NEARLY_THE_SAME = 0.98
 
 # A prior that says more than this of a parameter is worth a remark.
 _MOSTLY = 0.5
+_LEVEL = 0.95
+
+# Degrees of freedom from which Student's t is a normal distribution.
+_NORMAL = 1e9
 
 
 def estimates(state: FitState, statistics: Statistics, model: AbstractModel) -> dict[str, Estimate]:
@@ -39,23 +45,30 @@ def _free(
     state: FitState, statistics: Statistics, parameter: Parameter, places: tuple[int, ...]
 ) -> Estimate:
     """The estimate of a parameter; of one with a value for each group of runs, their mean."""
-    index = places[0]
-    error = statistics.standard_errors.get(index)
-    share = statistics.prior_shares.get(index)
-    said = _remark(state, statistics, index)
+    index, declaration = places[0], parameter.declaration
+    common: dict[str, Any] = {
+        "unit": declaration.unit,
+        "lower": finite_or_none(declaration.lower),
+        "upper": finite_or_none(declaration.upper),
+        "free": True,
+    }
     if len(places) > 1:
-        error, share = _error_of_mean(statistics, places), None
         runs = "run" if len(places) == len(state.setup.runs) else "group of runs"
-        said = f"mean of {len(places)} values, one for each {runs}; result.json has them"
+        return Estimate(
+            value=float(np.mean(statistics.values[list(places)])),
+            standard_error=_error_of_mean(statistics, places),
+            remark=f"mean of {len(places)} values, one for each {runs}; result.json has them",
+            **common,
+        )
     return Estimate(
-        value=float(np.mean(statistics.values[list(places)])),
-        standard_error=finite_or_none(error),
-        unit=parameter.declaration.unit,
-        lower=finite_or_none(parameter.declaration.lower),
-        upper=finite_or_none(parameter.declaration.upper),
-        free=True,
-        remark=said,
-        prior_share=finite_or_none(share),
+        value=float(statistics.values[index]),
+        standard_error=finite_or_none(statistics.standard_errors.get(index)),
+        remark=_remark(state, statistics, index),
+        interval=interval(statistics, index, parameter),
+        freedom=finite_or_none(statistics.freedom.get(index)),
+        sandwich_error=finite_or_none(statistics.sandwich.get(index)),
+        prior_share=finite_or_none(statistics.prior_shares.get(index)),
+        **common,
     )
 
 
@@ -63,7 +76,29 @@ def _error_of_mean(statistics: Statistics, places: tuple[int, ...]) -> float | N
     if not set(places) <= set(statistics.determined):
         return None
     weights = np.isin(statistics.alive, places) / len(places)
-    return float(np.sqrt(weights @ statistics.covariance @ weights))
+    return finite_or_none(float(np.sqrt(weights @ statistics.covariance @ weights)))
+
+
+def interval(
+    statistics: Statistics, index: int, parameter: Parameter
+) -> tuple[float, float] | None:
+    """The interval that holds a parameter by 95 %; None without a standard error.
+
+    By Student's t with the degrees of freedom that the estimated noise leaves, and within the
+    bounds: an interval that a bound cuts is one-sided.
+
+    Arguments:
+        statistics: of the fit.
+        index: position of the parameter.
+        parameter: its declaration.
+    """
+    error = finite_or_none(statistics.standard_errors.get(index))
+    if error is None:
+        return None
+    reach = float(stdtrit(min(statistics.freedom[index], _NORMAL), 1 - (1 - _LEVEL) / 2)) * error
+    value = float(statistics.values[index])
+    declaration = parameter.declaration
+    return max(value - reach, declaration.lower), min(value + reach, declaration.upper)
 
 
 def own_estimates(state: FitState, statistics: Statistics) -> list[dict[str, OwnEstimate]]:

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +22,7 @@ from ..parameters import (
 )
 from ..quantities import Prior
 from ..runs import Run
+from ._beginning import inside_bounds
 from ._layout import members
 from ._ties import Tie, check_tied, resolved_ties, tied
 
@@ -55,6 +56,7 @@ def resolve(
     start: Start,
     fix: Start,
     *,
+    reached: Mapping[str, Any],
     priors: Mapping[str, Prior],
     bounds: Mapping[str, Sequence[float]],
     ties: Mapping[str, str],
@@ -67,14 +69,16 @@ def resolve(
             its bounds.
     """
     asked = [*(free or ()), *groups]
-    model = switched_on(model, (*start, *fix, *asked, *ties))
+    model = switched_on(model, (*reached, *start, *fix, *asked, *ties))
     for path, value in (*start.items(), *fix.items()):
         check_count(model, path, value)
     for path in set(start) & set(fix):
         raise InputError(f"'{path}' has a start and a fixed value: give one of them")
     chosen = [*(default_free(model, start) if free is None else free), *groups]
     fixed = {element.path for path in fix for element in elements(model, path)}
-    order = resolved_ties(replace(model, {**start, **fix}), ties)
+    for values in (start, reached, fix):
+        model = replace(model, values)
+    order = resolved_ties(model, ties)
     following = {path for tie in order for path in tie.elements}
     for path in (*asked, *fix, *start):
         if following.issuperset(element.path for element in elements(model, path)):
@@ -90,14 +94,17 @@ def resolve(
                 parameters[element.path] = element
     parameters |= _bounded(model, parameters, bounds)
     known = _element_priors(model, runs, parameters, priors)
-    begun = {element.path for path in start for element in elements(model, path)}
+    begun = {element.path for path in (*reached, *start) for element in elements(model, path)}
     # What is known of a parameter is the best place to begin.
     expected = {path: p.value for path, p in known.items() if path in parameters}
     expected = {path: value for path, value in expected.items() if path not in begun}
-    model = replace(model, {**start, **fix, **expected})
+    model = replace(model, expected)
     for path in fix:
         for element in elements(model, path):
             check_within_bounds(element, float(element.value(model)), free=False)
+    if reached:
+        # A fit may end on a bound, where none can start.
+        model = replace(model, inside_bounds(model, reached, parameters))
     for element in parameters.values():
         check_within_bounds(element, float(element.value(model)), free=True)
     for path in start:

@@ -15,6 +15,7 @@ import optimistix as optx
 
 from .._program import program
 from .._typing import Array
+from ._beginning import between
 from ._bijector import Bijector
 from ._configuration import Setup
 from ._group import build_groups, own_start
@@ -34,10 +35,10 @@ def begin(setup: Setup) -> FitState:
     """The state before anything is evaluated."""
     setup = setup.at_start()
     model, parameters = setup.model, setup.parameters
-    noise = Noise.of(setup.runs)
+    noise = Noise.of(setup.runs, setup.noise_model, per_run=setup.noise_per_run)
     layout = setup.layout
-    groups = build_groups(model, setup.runs, noise.values, layout)
-    own = own_start(groups)
+    groups = build_groups(model, setup.runs, noise, layout)
+    own = own_start(groups, setup.runs, setup.own)
     # Each value of a parameter, of which there is one for all runs or one for each group of them.
     each = [p for p, places in zip(parameters, layout.places, strict=True) for _ in places]
     bijector = Bijector(
@@ -55,7 +56,7 @@ def begin(setup: Setup) -> FitState:
     )
     priors = Priors.of(setup.priors, coordinate_paths(problem))
     problem = dataclasses.replace(problem, priors=priors)
-    start = np.asarray([*(float(p.value(model)) for p in each), *own])
+    start = np.asarray([*_starts(setup), *own])
     # A parameter whose start and default are zero has no size of its own: one unit.
     defaults = np.asarray([*(p.declaration.default for p in each), *(0.0 for _ in own)])
     sizes = np.maximum(np.abs(start), np.abs(defaults))
@@ -79,6 +80,18 @@ def begin(setup: Setup) -> FitState:
         inner=_blank(solver, problem, coordinate),
         active=jnp.ones(problem.size, bool),
     )
+
+
+def _starts(setup: Setup) -> list[float]:
+    """Start values of the model's parameters; those of groups of runs as they were begun."""
+    starts = [0.0] * setup.layout.size
+    for column, parameter in enumerate(setup.parameters):
+        value, path = float(parameter.value(setup.model)), parameter.path
+        bounds = parameter.declaration.lower, parameter.declaration.upper
+        for run, places in zip(setup.runs, setup.layout.of_runs, strict=True):
+            known = setup.own.get(run.name, {}) if path in setup.groups else {}
+            starts[places[column]] = between(known[path], *bounds) if path in known else value
+    return starts
 
 
 def step(state: FitState) -> FitState:
@@ -114,8 +127,10 @@ def move(state: FitState, coordinate: Any) -> FitState:
 
 def reweight(state: FitState, noise: Noise) -> FitState:
     """Go on from the same point with another noise; not evaluated yet."""
-    groups = build_groups(state.problem.model, state.setup.runs, noise.values, state.setup.layout)
-    problem = dataclasses.replace(state.problem, groups=groups)
+    groups = build_groups(state.problem.model, state.setup.runs, noise, state.setup.layout)
+    # Weights of cells take the place of a robust loss: whitened residuals are no single cells.
+    loss = state.setup.loss if noise.weights is None else "linear"
+    problem = dataclasses.replace(state.problem, groups=groups, loss=loss)
     return move(dataclasses.replace(state, problem=problem, noise=noise), state.coordinate)
 
 

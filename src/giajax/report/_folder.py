@@ -14,7 +14,7 @@ from ._files import RESULT
 
 # What makes two fits the same fit; the iterations allowed and the folder do not.
 _SAME = (
-    *("definition", "runs", "free", "start", "fix", "loss"),
+    *("definition", "runs", "free", "start", "fix", "loss", "begin"),
     *("priors", "bounds", "ties", "groups"),
 )
 _WORDS = {"definition": "the model's constants", "runs": "what the sidecar states", "loss": "loss"}

@@ -6,20 +6,21 @@ The file is longer than 200 lines because `on_top` says of each setting what it 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy.typing as npt
 
 from .._errors import InputError
 from ..quantities import Prior
 from ..runs import Definition, read_runs
-from ._override import overridden
+from ._journal import read_journal
+from ._record import differences, plain_of, record_of, unchanged
+from ._settings import Paths, overridden, paths_of
+from ._stored import check_config, reached_by, repeatable, without
 
 if TYPE_CHECKING:
     from ..fitting import FitResult, Iteration
     from ._preparation import Preparation
-
-Paths = str | Path | Sequence[str | Path]
 
 # Where results go by default.
 _OUT = Path("giajax-out")
@@ -35,6 +36,9 @@ class FitTask:
         validation: files of the runs that the result must predict and is not fitted to.
         rename: the files' column name -> the name it has in the column table.
         source: the fit definition; None where there is none.
+        begin: where another fit ended, as plain data (`fitting.Beginning`); None for a start as
+            the settings say.
+        resolved: `config` of the result whose numbers are to come again; None for a new fit.
 
     Example:
         >>> import giajax
@@ -49,6 +53,8 @@ class FitTask:
     validation: tuple[Path, ...] = ()
     rename: Mapping[str, str] = dataclasses.field(default_factory=dict)
     source: Path | None = None
+    begin: Mapping[str, Any] | None = None
+    resolved: Mapping[str, Any] | None = None
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -82,7 +88,48 @@ class FitTask:
         Returns:
             The task; none of its runs is read yet.
         """
-        return cls(Definition(), data=_paths(data))
+        return cls(Definition(), data=paths_of(data))
+
+    @classmethod
+    def again(cls, path: str | Path) -> Self:
+        """The task of a result: the same data, settings and starts, and so the same numbers.
+
+        On the same machine and with the same versions they are the same bit for bit. The result
+        goes beside the other one, into a folder whose name ends in `-again`.
+
+        Arguments:
+            path: a `result.json`, or its folder.
+
+        Returns:
+            The task. As long as no setting is changed, `prepare` refuses what has become of them
+            in another version of giajax.
+
+        Raises:
+            InputError: no such result, one that was stopped when its time was up, or a file that
+                it was fitted to has changed.
+        """
+        folder, stored = repeatable(path)
+        task = cls(**unchanged(stored["task"], folder), resolved=stored["config"])
+        out = folder.with_name(f"{folder.resolve().name}-again")
+        most = stored["config"]["max_iterations"]
+        return task.on_top(max_iterations=most, budget="", out=out)
+
+    @classmethod
+    def resumed(cls, folder: str | Path) -> Self:
+        """The task of a fit that was stopped or cut off; `run(journal=folder)` of it goes on.
+
+        Arguments:
+            folder: that has the journal.
+
+        Raises:
+            InputError: no journal there, one that cannot be read, or a file that was fitted to
+                has changed.
+        """
+        folder = Path(folder)
+        journal = read_journal(folder)
+        if journal is None:
+            raise InputError(f"{folder} has no journal of a fit: give the folder of one")
+        return cls(**unchanged(journal.head["task"], folder)).on_top(out=folder)
 
     def on_top(
         self,
@@ -103,9 +150,13 @@ class FitTask:
         spread: float | None = None,
         seed: int | None = None,
         loss: str | None = None,
+        noise_model: str | None = None,
+        noise_per_run: bool | None = None,
         solver: str | None = None,
         tolerance: float | None = None,
         max_iterations: int | None = None,
+        budget: str | None = None,
+        begin: "str | Path | FitResult | None" = None,
         out: str | Path | None = None,
         rename: Mapping[str, str] | None = None,
         origin: str = "the arguments",
@@ -129,9 +180,16 @@ class FitTask:
             spread: how far the other starts are from the first, relative; 0.3 by default.
             seed: of the other starts; 0 by default.
             loss: "linear" (the default), "huber" or "soft_l1".
+            noise_model: "correlated" (the default) or "white".
+            noise_per_run: estimate the noise in each run by itself.
             solver: of the simulation, one of `giajax.SOLVERS`.
             tolerance: relative and absolute tolerance of the simulation.
             max_iterations: trial steps before the fit gives up; 50 by default.
+            budget: wall time that the fit may take: "90s", "10m", "2h"; "" for no end.
+            begin: a result, or its file or folder: the fit starts where that one ended, with
+                the initial states of runs of the same name. Parameters that were free or fixed
+                there and are held here are held at their values there. What `start` or `fix`
+                says with it or later goes before.
             out: where the result goes (`giajax-out/` and the name of the definition or run).
             rename: the files' column name -> the name it has in the column table.
             origin: what an error calls the origin of these settings.
@@ -149,9 +207,12 @@ class FitTask:
             "spread": spread,
             "seed": seed,
             "loss": loss,
+            "noise_model": noise_model,
+            "noise_per_run": noise_per_run,
             "solver": solver,
             "tolerance": tolerance,
             "max_iterations": max_iterations,
+            "budget": budget,
             "out": None if out is None else str(out),
         }
         settings = {
@@ -170,13 +231,19 @@ class FitTask:
         }
         whole = self.definition.contents()
         whole["fit"] = {**whole.get("fit", {}), **settings}
-        return dataclasses.replace(
+        if budget == "":
+            del whole["fit"]["budget"]
+        reached = self.begin if begin is None else reached_by(begin)
+        task = dataclasses.replace(
             self,
             definition=Definition.parse(whole, origin),
-            data=self.data if data is None else _paths(data),
-            validation=self.validation if validation is None else _paths(validation),
+            data=self.data if data is None else paths_of(data),
+            validation=self.validation if validation is None else paths_of(validation),
             rename=self.rename if rename is None else dict(rename),
+            begin=reached and without(reached, (*(start or ()), *(fix or ()))),
         )
+        same = not differences(plain_of(self), plain_of(task))
+        return dataclasses.replace(task, resolved=self.resolved if same else None)
 
     @property
     def out(self) -> Path:
@@ -199,9 +266,13 @@ class FitTask:
             raise InputError("the task has no data: give at least one run")
         runs = read_runs(self.data, self.definition, rename=self.rename)
         validation = read_runs(self.validation, self.definition, rename=self.rename)
+        record = record_of(self)
         from ._preparation import prepare
 
-        return prepare(self.definition, runs, validation)
+        ready = prepare(self.definition, runs, validation, record)
+        if self.resolved is not None:
+            check_config(self.resolved, ready.setup.config, Path("the result"))
+        return ready
 
     def run(
         self,
@@ -209,6 +280,7 @@ class FitTask:
         announce: Callable[[int, Mapping[str, float]], None] | None = None,
         *,
         check: bool = True,
+        journal: str | Path | None = None,
     ) -> "FitResult":
         """Fit, and predict the runs of the validation.
 
@@ -219,16 +291,20 @@ class FitTask:
             progress: called after each step with an `Iteration`.
             announce: with several starts, called before each with its number and values.
             check: compute the gradient check and the effect of the solver tolerance at the end.
+            journal: a folder for a journal, `journal.jsonl`, which has every step. Where it has
+                one of this fit already, the fit goes on from there, and one that has ended gives
+                its result again.
 
         Returns:
             The result; `giajax.write_result` writes it. Ctrl-C returns the best so far.
 
         Raises:
-            InputError: as `prepare`, or a start from which the model cannot be evaluated.
+            InputError: as `prepare`, a start from which the model cannot be evaluated, or a
+                journal of another fit.
         """
-        return self.prepare().run(progress, announce, check=check)
-
-
-def _paths(files: Paths) -> tuple[Path, ...]:
-    """One file, or several."""
-    return (Path(files),) if isinstance(files, str | Path) else tuple(map(Path, files))
+        ready = self.prepare()
+        if journal is None:
+            return ready.run(progress, announce, check=check)
+        folder = Path(journal)
+        with ready.kept_in(folder, resume=read_journal(folder) is not None) as steps:
+            return ready.run(progress, announce, check=check, journal=steps.of)

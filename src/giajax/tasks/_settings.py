@@ -1,6 +1,7 @@
-"""What a definition says of parameters, with other settings on top. Imports no JAX."""
+"""Settings of a task that are changed: the last word on a parameter counts. Imports no JAX."""
 
 from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy.typing as npt
@@ -8,8 +9,14 @@ import numpy.typing as npt
 from ..quantities import Prior
 from ..runs import Definition
 
+Paths = str | Path | Sequence[str | Path]
 Item = TypeVar("Item")
 Values = Mapping[str, npt.ArrayLike]
+
+
+def paths_of(files: Paths) -> tuple[Path, ...]:
+    """One file, or several."""
+    return (Path(files),) if isinstance(files, str | Path) else tuple(map(Path, files))
 
 
 def overridden(
