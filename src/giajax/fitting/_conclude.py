@@ -10,8 +10,8 @@ import numpy as np
 from ..noise import ChannelNoise, gains
 from ..runs import Run
 from ._checks import Checks, checks
-from ._derived import derived_estimates
-from ._estimates import estimates, own_estimates, with_tied
+from ._derived import derived_estimates, with_tied
+from ._estimates import estimates, own_estimates
 from ._findings import findings
 from ._problem import Problem, predictions_by_run
 from ._records import (

@@ -15,7 +15,7 @@ from ..models import AbstractModel
 from ..parameters import Parameter, get, replace
 from ..quantities import Prior
 from ..runs import Run, run_keys
-from ._beginning import Beginning
+from ._beginning import Beginning, between
 from ._free import Free, resolve
 from ._layout import Layout, sharing
 from ._loss import check_loss
@@ -64,6 +64,18 @@ class Setup:
     def layout(self) -> Layout:
         """Where the values of the parameters stand in the free coordinate."""
         return Layout.of([p.path for p in self.parameters], self.groups, len(self.runs))
+
+    def starts(self) -> list[float]:
+        """Start values of the parameters, where they stand in the free coordinate."""
+        starts = [0.0] * self.layout.size
+        for column, parameter in enumerate(self.parameters):
+            value, path = float(parameter.value(self.model)), parameter.path
+            bounds = parameter.declaration.lower, parameter.declaration.upper
+            for run, places in zip(self.runs, self.layout.of_runs, strict=True):
+                # Where another fit had a value for each group of runs, each begins at its own.
+                known = self.own.get(run.name, {}) if path in self.groups else {}
+                starts[places[column]] = between(known[path], *bounds) if path in known else value
+        return starts
 
     def at_start(self) -> Self:
         """With the model where the fit may start (`AbstractModel.at_start`)."""

@@ -6,7 +6,8 @@ that leave every residual unchanged; then any generalised inverse of J^T J gives
 (C. R. Rao, "Linear Statistical Inference", 2nd ed., 1973, section 4a).
 """
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Mapping, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -79,6 +80,29 @@ def derived_estimates(problem: Problem, statistics: Statistics) -> dict[str, Est
             remark=said,
         )
     return estimates
+
+
+def with_tied(
+    estimates: dict[str, Estimate], derived: Mapping[str, Estimate], ties: Sequence[Tie]
+) -> dict[str, Estimate]:
+    """The estimates of parameters, in which the tied ones have the errors that follow for them.
+
+    Arguments:
+        estimates: by path.
+        derived: what follows from the free parameters, the tied ones among it.
+        ties: of the fit.
+    """
+    tied = {tie.path: tie.expression.text for tie in ties if tie.path in estimates}
+    remarked = {
+        path: dataclasses.replace(estimates[path], remark=f"tied: {text}")
+        for path, text in tied.items()
+    }
+    single = {
+        path: dataclasses.replace(derived[path], free=False)
+        for path in tied
+        if path in derived and not isinstance(estimates[path].value, list)
+    }
+    return {**estimates, **remarked, **single}
 
 
 def _loose(root: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

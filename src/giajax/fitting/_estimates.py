@@ -1,7 +1,5 @@
 """Estimates of the parameters: value, standard error, and what a reader must know of them."""
 
-import dataclasses
-from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +11,6 @@ from ._identifiability import largest_correlations
 from ._records import Estimate, OwnEstimate, finite_or_none
 from ._state import FitState
 from ._statistics import Statistics
-from ._ties import Tie
 
 # Parameters that are more correlated than this are worth a remark.
 _NEARLY_THE_SAME = 0.98
@@ -167,29 +164,6 @@ def remark(statistics: Statistics, index: int, *, moves: bool) -> str:
         other = statistics.labels[statistics.determined[partner]]
         return f"correlation {correlation:+.3f} with {other}"
     return ""
-
-
-def with_tied(
-    estimates: dict[str, Estimate], derived: Mapping[str, Estimate], ties: Sequence[Tie]
-) -> dict[str, Estimate]:
-    """The estimates of parameters, in which the tied ones have the errors that follow for them.
-
-    Arguments:
-        estimates: by path.
-        derived: what follows from the free parameters, the tied ones among it.
-        ties: of the fit.
-    """
-    tied = {tie.path: tie.expression.text for tie in ties if tie.path in estimates}
-    remarked = {
-        path: dataclasses.replace(estimates[path], remark=f"tied: {text}")
-        for path, text in tied.items()
-    }
-    single = {
-        path: dataclasses.replace(derived[path], free=False)
-        for path in tied
-        if path in derived and not isinstance(estimates[path].value, list)
-    }
-    return {**estimates, **remarked, **single}
 
 
 def _held(model: AbstractModel, free: tuple[str, ...]) -> dict[str, Estimate]:

@@ -75,13 +75,7 @@ class Estimate:
 
 @dataclasses.dataclass(frozen=True)
 class OwnEstimate:
-    """What one run has for itself, such as an initial angle, or shares with some others.
-
-    Attributes:
-        value: SI.
-        standard_error: one standard deviation, SI; None if there is none.
-        remark: what a reader must know before using the value; may be empty.
-    """
+    """What one run has for itself, such as an initial angle, or with its group: as `Estimate`."""
 
     value: float
     standard_error: float | None

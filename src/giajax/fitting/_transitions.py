@@ -15,7 +15,6 @@ import optimistix as optx
 
 from .._program import program
 from .._typing import Array
-from ._beginning import between
 from ._bijector import Bijector
 from ._configuration import Setup
 from ._group import build_groups, own_start
@@ -34,9 +33,8 @@ _LARGEST_STEP = 1.5
 def begin(setup: Setup) -> FitState:
     """The state before anything is evaluated."""
     setup = setup.at_start()
-    model, parameters = setup.model, setup.parameters
+    model, parameters, layout = setup.model, setup.parameters, setup.layout
     noise = Noise.of(setup.runs, setup.noise_model, per_run=setup.noise_per_run)
-    layout = setup.layout
     groups = build_groups(model, setup.runs, noise, layout)
     own = own_start(groups, setup.runs, setup.own)
     # Each value of a parameter, of which there is one for all runs or one for each group of them.
@@ -54,9 +52,9 @@ def begin(setup: Setup) -> FitState:
         places=layout.places,
         ties=setup.ties,
     )
-    priors = Priors.of(setup.priors, coordinate_paths(problem))
-    problem = dataclasses.replace(problem, priors=priors)
-    start = np.asarray([*_starts(setup), *own])
+    known = Priors.of(setup.priors, coordinate_paths(problem))
+    problem = dataclasses.replace(problem, priors=known)
+    start = np.asarray([*setup.starts(), *own])
     # A parameter whose start and default are zero has no size of its own: one unit.
     defaults = np.asarray([*(p.declaration.default for p in each), *(0.0 for _ in own)])
     sizes = np.maximum(np.abs(start), np.abs(defaults))
@@ -80,18 +78,6 @@ def begin(setup: Setup) -> FitState:
         inner=_blank(solver, problem, coordinate),
         active=jnp.ones(problem.size, bool),
     )
-
-
-def _starts(setup: Setup) -> list[float]:
-    """Start values of the model's parameters; those of groups of runs as they were begun."""
-    starts = [0.0] * setup.layout.size
-    for column, parameter in enumerate(setup.parameters):
-        value, path = float(parameter.value(setup.model)), parameter.path
-        bounds = parameter.declaration.lower, parameter.declaration.upper
-        for run, places in zip(setup.runs, setup.layout.of_runs, strict=True):
-            known = setup.own.get(run.name, {}) if path in setup.groups else {}
-            starts[places[column]] = between(known[path], *bounds) if path in known else value
-    return starts
 
 
 def step(state: FitState) -> FitState:
@@ -196,9 +182,8 @@ def _blank(solver: Marquardt, problem: Problem, coordinate: Array) -> MarquardtS
         jax.ShapeDtypeStruct((), bool),
     )
     shape = jax.ShapeDtypeStruct((count,), dtype)
-    shared = len(problem.paths)
     blocks = tuple(
-        jnp.zeros((len(g.members), g.observed[0].size, shared + g.width), dtype) for g in groups
+        jnp.zeros((len(g.members), g.observed[0].size, g.columns().shape[1]), dtype) for g in groups
     )
     options = {"jacobian": (*blocks, jnp.zeros(len(problem.priors), dtype))}
     return solver.init(residual, coordinate, problem, options, shape, prediction, frozenset())

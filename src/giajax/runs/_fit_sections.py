@@ -1,4 +1,7 @@
-"""The sections of measuring and fitting: noise, a fit, and the figures that it must reach."""
+"""The sections of measuring and fitting: noise, a fit, and the figures that it must reach.
+
+The file is longer than 200 lines because the keys of one vocabulary are read together.
+"""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal

@@ -172,13 +172,11 @@ class FitTask:
             free: paths of the parameters to fit, in place of those before.
             start: start values by path, SI.
             fix: values by path that are held, SI.
-            priors, bounds, ties, groups: by path, as of `giajax.fit`.
-            per_run: paths, as of `giajax.fit`, in place of those before.
+            priors, bounds, ties, groups, per_run: as of `giajax.fit`; the last in place of before.
             channels: names without unit of the channels to fit; all that were measured by default.
             window_s: cut each run into windows of this length, s, each with its own start.
             starts: how many starts (1 by default); the best end is the result.
-            spread: how far the other starts are from the first, relative; 0.3 by default.
-            seed: of the other starts; 0 by default.
+            spread, seed: of the other starts: relative distance from the first (0.3), and 0.
             loss: "linear" (the default), "huber" or "soft_l1".
             noise_model: "correlated" (the default) or "white".
             noise_per_run: estimate the noise in each run by itself.
@@ -215,18 +213,10 @@ class FitTask:
             "budget": budget,
             "out": None if out is None else str(out),
         }
+        above = {"free": free, "start": start, "fix": fix, "priors": priors, "bounds": bounds}
+        above |= {"ties": ties, "per_run": per_run, "groups": groups}
         settings = {
-            **overridden(
-                self.definition,
-                free=free,
-                start=start or {},
-                fix=fix or {},
-                priors=priors or {},
-                bounds=bounds or {},
-                ties=ties or {},
-                per_run=per_run,
-                groups=groups or {},
-            ),
+            **overridden(self.definition, above),
             **{key: value for key, value in values.items() if value is not None},
         }
         whole = self.definition.contents()

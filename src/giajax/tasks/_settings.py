@@ -4,14 +4,10 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy.typing as npt
-
-from ..quantities import Prior
 from ..runs import Definition
 
 Paths = str | Path | Sequence[str | Path]
 Item = TypeVar("Item")
-Values = Mapping[str, npt.ArrayLike]
 
 
 def paths_of(files: Paths) -> tuple[Path, ...]:
@@ -19,27 +15,20 @@ def paths_of(files: Paths) -> tuple[Path, ...]:
     return (Path(files),) if isinstance(files, str | Path) else tuple(map(Path, files))
 
 
-def overridden(
-    definition: Definition,
-    *,
-    free: Sequence[str] | None,
-    start: Values,
-    fix: Values,
-    priors: Mapping[str, Prior],
-    bounds: Mapping[str, Sequence[float]],
-    ties: Mapping[str, str],
-    per_run: Sequence[str] | None,
-    groups: Mapping[str, Sequence[Sequence[str]]],
-) -> dict[str, Any]:
+def overridden(definition: Definition, above: Mapping[str, Any]) -> dict[str, Any]:
     """The keys of `[fit]` about parameters, path by path; the last word on one counts.
 
     Arguments:
         definition: what was said before.
-        free, start, fix, priors, bounds, ties, per_run, groups: as of `FitTask.on_top`.
+        above: `free`, `start`, `fix`, `priors`, `bounds`, `ties`, `per_run` and `groups` of
+            `FitTask.on_top`; None for what is not said.
 
     Returns:
         Values by key, of those keys that say anything now or before.
     """
+    free, per_run = above["free"], above["per_run"]
+    start, fix, bounds = above["start"] or {}, above["fix"] or {}, above["bounds"] or {}
+    priors, ties, groups = above["priors"] or {}, above["ties"] or {}, above["groups"] or {}
     below = definition.fit
     held, following = set(fix), set(ties)
     apart = {*(per_run or ()), *groups}
