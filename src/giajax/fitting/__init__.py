@@ -2,6 +2,7 @@
 
 from ._configuration import Setup as Setup, set_up as set_up
 from ._fit import MAX_ITERATIONS as MAX_ITERATIONS, fit as fit, solve as solve
+from ._loss import influence as influence
 from ._predict import (
     errors_of as errors_of,
     predict as predict,
@@ -22,8 +23,17 @@ from ._records import (
     Start as Start,
     ToleranceEffect as ToleranceEffect,
 )
+from ._responses import (
+    Direction as Direction,
+    Response as Response,
+    responses as responses,
+)
 from ._result import FitResult as FitResult, load_result as load_result
 from ._solver import Marquardt as Marquardt
+from ._suspect import (
+    Suspect as Suspect,
+    SystematicError as SystematicError,
+)
 from ._table import estimate_table as estimate_table
 from ._units import (
     column_factors as column_factors,

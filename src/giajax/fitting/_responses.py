@@ -1,0 +1,161 @@
+"""How the predictions of a fitted model respond to any of its parameters, free or held.
+
+One compiled program gives the columns of all directions together, without the loss and the noise
+of the fit: whoever asks weighs them. A direction changes a whole parameter by a unit, one element
+of it, or all of its elements in proportion.
+"""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .._errors import InputError
+from .._program import program
+from .._typing import Array
+from ..models import AbstractModel
+from ..parameters import get, replace
+from ..runs import Run
+from ._group import Group, build_groups
+
+
+@dataclasses.dataclass(frozen=True)
+class Direction:
+    """A change of a parameter of a model.
+
+    Attributes:
+        path: of the parameter, without an index.
+        step: its change for a unit, in its SI unit and of its shape.
+    """
+
+    path: str
+    step: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True)
+class Response:
+    """What a model predicts for one run, and how that responds; all SI.
+
+    Attributes:
+        channels: names, in the order of the columns of the tables.
+        predicted: shape (sample, channel).
+        observed: NaN where not measured, shape (sample, channel).
+        columns: predictions by the amounts of the directions, shape (sample, channel, direction).
+        own: predictions by what is free in this run alone, shape (sample, channel, own).
+    """
+
+    channels: tuple[str, ...]
+    predicted: np.ndarray
+    observed: np.ndarray
+    columns: np.ndarray
+    own: np.ndarray
+
+
+def responses(
+    model: AbstractModel,
+    runs: Sequence[Run],
+    directions: Sequence[Direction],
+    own: Sequence[Mapping[str, float]] = (),
+) -> list[Response]:
+    """Predictions and their derivatives at one point.
+
+    Arguments:
+        model: at the point; it has all parameters of the directions.
+        runs: what was recorded.
+        directions: what to differentiate by. Without any there are predictions alone, and no
+            columns of what is free in one run either.
+        own: of each run, values of what is free in it alone, by label; others start as prepared.
+
+    Returns:
+        A response for each run, in their order.
+
+    Raises:
+        InputError: the model cannot be evaluated at the point.
+    """
+    ones = [dict.fromkeys(run.observations, 1.0) for run in runs]
+    answers: dict[int, Response] = {}
+    paths = tuple(direction.path for direction in directions)
+    steps = tuple(jnp.asarray(direction.step, jnp.result_type(float)) for direction in directions)
+    for group in build_groups(model, runs, ones, 0):
+        inputs = _with_own(group, own)
+        tables, blocks, successful = _respond(model, paths, steps, group.channels, group.own, inputs)
+        if not bool(np.all(np.asarray(successful))):
+            first = jax.tree.map(lambda leaf: leaf[0], inputs)
+            raise InputError(f"the fitted model cannot be evaluated: {model.failure(first)}")
+        rows = zip(group.members, np.asarray(tables), np.asarray(blocks), strict=True)
+        for member, table, block in rows:
+            observed = np.stack([runs[member].observations[c] for c in group.channels], axis=-1)
+            count = len(observed)
+            answers[member] = Response(
+                channels=group.channels,
+                predicted=table[:count],
+                observed=observed,
+                columns=np.moveaxis(block[: len(paths), :count], 0, -1),
+                own=np.moveaxis(block[len(paths) :, :count], 0, -1),
+            )
+    return [answers[index] for index in range(len(runs))]
+
+
+def _with_own(group: Group, own: Sequence[Mapping[str, float]]) -> Any:
+    """The prepared inputs of a group's runs with their own values."""
+    inputs = group.inputs
+    for path, _ in group.own:
+        values = np.array(get(inputs, path), dtype=float)
+        for row, member in enumerate(group.members):
+            flat = values[row].reshape(-1)
+            known = own[member] if own else {}
+            for index in range(flat.size):
+                label = f"{path}[{index}]" if flat.size > 1 else path
+                flat[index] = known.get(label, flat[index])
+        inputs = replace(inputs, {path: values})
+    return inputs
+
+
+@program
+def _respond(
+    model: AbstractModel,
+    paths: tuple[str, ...],
+    steps: tuple[Array, ...],
+    channels: tuple[str, ...],
+    own: tuple[tuple[str, int], ...],
+    inputs: Any,
+) -> tuple[Array, Array, Array]:
+    """Tables (run, sample, channel), their derivatives (run, amount, sample, channel), success."""
+    count = len(paths) + sum(size for _, size in own) if paths else 0
+    differentiated = (*dict.fromkeys(paths), *(path for path, _ in own))
+    ready = model.for_derivatives(differentiated) if count else model
+    held = {path: get(ready, path) for path in paths}
+
+    def one(prepared: Any) -> tuple[Array, Array, Array]:
+        def predicted(amounts: Array) -> tuple[Array, Array]:
+            values = dict(held)
+            for index, path in enumerate(paths):
+                values[path] = values[path] + amounts[index] * steps[index]
+            moved, start = prepared, len(paths)
+            for path, size in own if count else ():
+                value = get(prepared, path)
+                change = amounts[start : start + size].reshape(value.shape)
+                moved = replace(moved, {path: value + change})
+                start += size
+            table, successful = replace(ready, values).predict(moved, channels)
+            return jnp.stack([table[name] for name in channels], axis=-1), successful
+
+        def push(tangent: Array) -> tuple[Array, Array, Array]:
+            return jax.jvp(predicted, (still,), (tangent,), has_aux=True)
+
+        if not count:
+            table, successful = predicted(jnp.zeros(0))
+            return table, jnp.zeros((0, *table.shape), table.dtype), successful
+        still = jnp.zeros(count, jnp.result_type(float))
+        basis = jnp.eye(count, dtype=still.dtype)
+        table, block, successful = jax.vmap(push, out_axes=(None, 0, None))(basis)
+        return table, block, successful
+
+    if jax.tree.leaves(inputs)[0].shape[0] == 1:
+        result = one(jax.tree.map(lambda leaf: leaf[0], inputs))
+        return jax.tree.map(lambda leaf: leaf[None], result)
+    # One run after the other: each keeps its own steps; the program is compiled once.
+    return jax.lax.map(one, inputs)
