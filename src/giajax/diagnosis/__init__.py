@@ -1,4 +1,14 @@
 """What a fit leaves over, and what of it the model holds, switches off or leaves out."""
 
+from ._diagnosed import (
+    with_suspects as with_suspects,
+    with_systematic_errors as with_systematic_errors,
+)
+from ._ladder import Ladder as Ladder, Rung as Rung, ladder as ladder
 from ._records import LEVEL as LEVEL, Suspects as Suspects
 from ._suspects import suspects as suspects
+from ._systematic import (
+    deciding_conditions as deciding_conditions,
+    systematic_errors as systematic_errors,
+    together as together,
+)

@@ -1,5 +1,6 @@
 """Whether a recording has its axes in another order, or turned round: all 48 ways, directly."""
 
+import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence
 
@@ -90,3 +91,32 @@ def seen_as(
         other, sign = way[channel.component]
         columns.append(sign * predicted[f"{point}_{_AXES[other]}"])
     return np.stack(columns, axis=-1)
+
+
+def turned_back(run: Run, way: Axes) -> Run:
+    """The run as it would be with the axes of the model.
+
+    Arguments:
+        run: with recorded points.
+        way: how its axes are those of the model.
+    """
+    values, channels = dict(run.values), dict(run.channels)
+    moved: dict[str, tuple[np.ndarray, Channel]] = {}
+    for name in run.observations:
+        channel = run.channels[name]
+        point = point_of(channel)
+        if point is None or channel.component is None:
+            continue
+        other, sign = way[channel.component]
+        new = f"{point}_{_AXES[other]}"
+        moved[new] = sign * values.pop(name), Channel.named(new, channel.unit)
+        del channels[name]
+    observed = None if run.observed is None else tuple(
+        name for name in (*moved, *run.observed) if name in moved or name in values
+    )
+    return dataclasses.replace(
+        run,
+        values={**values, **{name: value for name, (value, _) in moved.items()}},
+        channels={**channels, **{name: channel for name, (_, channel) in moved.items()}},
+        observed=observed,
+    )

@@ -31,12 +31,16 @@ class Suspects:
     def promising(self) -> tuple[Suspect, ...]:
         """Of each quantity that is testable its best row, the most promising first.
 
-        The elements of a vector and the whole of it are one quantity.
+        The elements of a vector and the whole of it are one quantity; and what the data can
+        hardly tell from a row above is named there, in `alike`, and has no row of its own.
         """
         best: dict[str, Suspect] = {}
+        covered: set[str] = set()
         for row in self.rows:
-            if row.testable:
-                best.setdefault(row.path.partition("[")[0], row)
+            name = row.path.partition("[")[0]
+            if row.testable and name not in best and row.path not in covered:
+                best[name] = row
+                covered |= set(row.alike)
         return tuple(best.values())
 
     @property

@@ -29,6 +29,7 @@ from ._records import (
     ToleranceEffect,
     finite_or_none,
 )
+from ._suspect import Suspect, SystematicError
 from ._table import estimate_html, estimate_table
 from ._units import in_column_units
 
@@ -62,6 +63,9 @@ class FitResult:
             one start.
         validation: errors of prediction of runs that were not fitted.
         derived: `Estimate` by name of what follows from the parameters (`AbstractModel.derived`).
+        suspects: what the residuals ask for (`giajax.suspects`), the most promising first; empty
+            where that was not asked.
+        systematic: what held numbers do to the fitted ones (`giajax.systematic_errors`); likewise.
         predictions: predicted channels (SI) of each run, by name; empty after `load_result`.
     """
 
@@ -84,6 +88,8 @@ class FitResult:
     starts: tuple[Start, ...] = ()
     validation: tuple[PredictionErrors, ...] = ()
     derived: dict[str, Estimate] = dataclasses.field(default_factory=dict)
+    suspects: tuple[Suspect, ...] = ()
+    systematic: tuple[SystematicError, ...] = ()
     predictions: tuple[dict[str, np.ndarray], ...] = ()
 
     @property
@@ -183,6 +189,10 @@ def _records(record: Mapping[str, Any]) -> dict[str, Any]:
         "starts": tuple(Start(**item) for item in record.get("starts", ())),
         "validation": tuple(
             PredictionErrors.of_json(item) for item in record.get("validation", ())
+        ),
+        "suspects": tuple(Suspect.of_json(item) for item in record.get("suspects", ())),
+        "systematic": tuple(
+            SystematicError.of_json(item) for item in record.get("systematic", ())
         ),
     }
 

@@ -3,8 +3,25 @@
 import dataclasses
 from collections.abc import Iterator
 
+import jax.numpy as jnp
+
 from .._errors import InputError
-from ..arm import STANDARD_GRAVITY, Arm, Buoyancy, trimmed
+from ..arm import STANDARD_GRAVITY, Arm, Buoyancy, bodies, trimmed
+from ..parameters import declared, get, replace
+from ..quantities import BUOYANCY
+
+# What moves an arm, beside its masses.
+SCALED = (
+    "joints.pitch_stiffness",
+    "joints.yaw_stiffness",
+    "joints.damping",
+    "joints.friction",
+    "joints.armature",
+    "air.drag_coefficient",
+    "air.axial_coefficient",
+    "air.added_mass_coefficient",
+    "point_masses.drag_area",
+)
 
 
 def arm_variants(arm: Arm) -> dict[str, Arm]:
@@ -30,16 +47,31 @@ def _variants(arm: Arm) -> Iterator[tuple[str, Arm]]:
     curve = "cylinder" if air.drag_curve == "constant" else "constant"
     yield f"arm.drag_curve = {curve}", _in(arm, dataclasses.replace(air, drag_curve=curve))
     if arm.buoyancy is None:
-        still = float(arm.gravity) == 0
-        floating = dataclasses.replace(
-            arm,
-            buoyancy=Buoyancy(trim_position=arm.links.length / 2),
-            gravity=STANDARD_GRAVITY if still else arm.gravity,
-        )
-        try:
-            yield "arm.trim = true", trimmed(floating, level=True)
-        except InputError:  # It is too heavy to float, as the rods of a pendulum are.
-            return
+        for depth in (None, BUOYANCY.trim_depth.default):
+            try:
+                floating = _floating(arm, depth)
+            except InputError:  # It is too heavy to float, as the rods of a pendulum are.
+                return
+            below = "" if depth is None else f", trim_depth = {depth:g} m"
+            yield f"arm.trim = true{below}", floating
+
+
+def _floating(arm: Arm, depth: float | None) -> Arm:
+    """The arm with trim weights that make each link float.
+
+    It is heavier then. Positions do not show that: all that moves it grows by as much, so that
+    only what floats and hangs is different. Without buoyancy nothing fixes the scale of an arm.
+    """
+    still = float(arm.gravity) == 0
+    other = dataclasses.replace(
+        arm,
+        buoyancy=Buoyancy(trim_position=arm.links.length / 2, trim_depth=depth),
+        gravity=jnp.asarray(STANDARD_GRAVITY) if still else arm.gravity,
+    )
+    other = trimmed(other, level=True)
+    ratio = float(jnp.sum(bodies(other).mass) / jnp.sum(bodies(arm).mass))
+    paths = [path for path in SCALED if path in declared(arm)] if still else []
+    return replace(other, {path: ratio * get(arm, path) for path in paths})
 
 
 def _in(arm: Arm, air: object) -> Arm:

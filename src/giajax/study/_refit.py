@@ -64,7 +64,7 @@ def refit(
         runs: what it was fitted to.
         model: in place of the fitted model; it must have the free parameters.
         free: paths of further parameters to free; those that are left out are switched on.
-        start: start values by path, SI, in place of where the fit ended.
+        start: start values by path, SI, in place of those that the model has.
         fix: values by path, SI, that are set and held.
         max_iterations, check: as of `giajax.fit`.
 
@@ -76,8 +76,7 @@ def refit(
     """
     model = switched_on(result.model if model is None else model, free)
     paths = [*result.free, *free]
-    begin: dict[str, Any] = {path: estimate.value for path, estimate in result.free.items()}
-    begin |= {path: value for path, value in (start or {}).items()}
+    begin: dict[str, Any] = dict(start or {})
     values: dict[str, float] = {}
     for path in paths:
         parts = elements(model, path)

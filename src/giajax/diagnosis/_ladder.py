@@ -1,0 +1,191 @@
+"""The ladder: what the residuals ask for is fitted in turn, from where the last fit ended."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from .._errors import InputError
+from ..fitting import FitResult, Suspect, predict, responses
+from ..models import AbstractModel
+from ..parameters import elements, switched_on
+from ..runs import Run
+from ..study import refit
+from ._axes import all_axes, name_of, turned_back
+from ._records import LEVEL, Suspects
+from ._suspects import suspects
+from ._weights import Weighing, matching_runs, own_values, robust_weights, white_noise
+
+MOST = 6
+"""Steps of a ladder."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Rung:
+    """One fit of a ladder.
+
+    Attributes:
+        suspect: what was added to the fit below; None for the first.
+        chi_square: sum of squared residuals in units of white noise, the same for all rungs.
+        parameters: number of fitted parameters.
+        values: number of measured values.
+        held_out: root mean square error of the runs that were held out, in units of their noise
+            or, where none is stated, of the white noise of the fitted ones; None without any.
+        result: the fit.
+        suspects: what its residuals ask for; None where that was not asked.
+    """
+
+    suspect: Suspect | None
+    chi_square: float
+    parameters: int
+    values: int
+    held_out: float | None
+    result: FitResult
+    suspects: Suspects | None = None
+
+    @property
+    def aic(self) -> float:
+        """Akaike's criterion, with known noise: chi-square + 2 k."""
+        return self.chi_square + 2 * self.parameters
+
+    @property
+    def bic(self) -> float:
+        """Schwarz' criterion, with known noise: chi-square + k log n."""
+        return self.chi_square + self.parameters * float(np.log(self.values))
+
+
+@dataclasses.dataclass(frozen=True)
+class Ladder:
+    """The fits, from the first to the last that was better, and why there is no other.
+
+    Attributes:
+        rungs: the first is the fit that was asked about.
+        ending: one sentence.
+    """
+
+    rungs: tuple[Rung, ...]
+    ending: str
+
+    @property
+    def result(self) -> FitResult:
+        """The last fit."""
+        return self.rungs[-1].result
+
+
+def ladder(
+    result: FitResult,
+    runs: Run | Sequence[Run],
+    *,
+    held_out: Sequence[Run] = (),
+    most: int = MOST,
+    progress: Callable[[Rung], None] | None = None,
+) -> Ladder:
+    """Fit the most promising suspect, ask again, and so on.
+
+    A parameter is freed, a choice of the model is made the other way, and recorded axes are
+    exchanged; each fit begins where the last one ended. It ends where no suspect is significant,
+    or where what is tried makes BIC larger. A suspect that is one number for many elements
+    (the mass of all links) is no single parameter of a fit, and is passed over.
+
+    Arguments:
+        result: of `giajax.fit` or `giajax.load_result`.
+        runs: the runs that were fitted, in their order.
+        held_out: further runs, which no rung is fitted to.
+        most: how many steps.
+        progress: called with each rung as soon as it is there.
+
+    Returns:
+        The rungs, side by side.
+
+    Raises:
+        InputError: as `giajax.suspects`.
+    """
+    now, several = result, matching_runs(result, runs)
+    at = responses(now.model, several, (), own_values(now))
+    noise = white_noise(now, several, at)
+    rungs: list[Rung] = []
+
+    def added(one: FitResult, own: Sequence[Run], suspect: Suspect | None) -> Rung:
+        near = responses(one.model, own, (), own_values(one))
+        weighing = Weighing.of(near, noise, robust_weights(one, own, near))
+        values = sum(int(np.sum(~np.isnan(each.observed))) for each in near)
+        return Rung(
+            suspect=suspect,
+            chi_square=weighing.chi_square(near, [each.predicted for each in near]),
+            parameters=len(one.free) + sum(len(record.parameters) for record in one.runs),
+            values=values,
+            held_out=_error_of(one.model, held_out, noise[0]),
+            result=one,
+        )
+
+    def climb(rung: Rung) -> None:
+        rungs.append(rung)
+        if progress is not None:
+            progress(rung)
+
+    climb(added(now, several, None))
+    ending = f"{most} steps were allowed"
+    for _ in range(most):
+        asked = suspects(now, several)
+        rungs[-1] = dataclasses.replace(rungs[-1], suspects=asked)
+        step: tuple[FitResult, list[Run], Suspect] | None = None
+        for suspect in asked.significant:
+            try:
+                step = (*_with(now, several, suspect), suspect)
+                break
+            except (InputError, _NotOne):
+                continue
+        if step is None:
+            ending = "no suspect that could be freed is significant"
+            break
+        rung = added(*step)
+        if not rung.bic < rungs[-1].bic:
+            ending = f"{step[2].path} was tried, and makes BIC larger"
+            break
+        now, several = step[0], step[1]
+        climb(rung)
+    return Ladder(tuple(rungs), ending)
+
+
+class _NotOne(Exception):
+    """A suspect that is not one parameter of a fit."""
+
+
+def _with(
+    result: FitResult, runs: Sequence[Run], suspect: Suspect
+) -> tuple[FitResult, list[Run]]:
+    """A fit with what a suspect asks for, and the runs as it sees them."""
+    if suspect.kind == "switch":
+        return refit(result, runs, model=result.model.variants()[suspect.path]), list(runs)
+    if suspect.kind == "axes":
+        way = next(way for way in all_axes() if name_of(way) == suspect.path)
+        turned = [turned_back(run, way) for run in runs]
+        start = result.history[0].parameters
+        return refit(result, turned, start=start), turned
+    model = _neutrally(result.model, suspect.path)
+    if len(elements(model, suspect.path)) != suspect.degrees_of_freedom:
+        raise _NotOne
+    start = {suspect.path: suspect.estimate}
+    return refit(result, runs, model=model, free=[suspect.path], start=start), list(runs)
+
+
+def _neutrally(model: AbstractModel, path: str) -> AbstractModel:
+    """The model with a part on that it leaves out, which changes nothing yet."""
+    from ..parameters import left_out
+
+    absent = left_out(model).get(path.partition("[")[0])
+    if absent is None:
+        return switched_on(model, [path])
+    return absent.set(model, absent.declaration.neutral)
+
+
+def _error_of(
+    model: AbstractModel, runs: Sequence[Run], noise: dict[str, float]
+) -> float | None:
+    squares = []
+    for run in runs:
+        for name, predicted in predict(model, run).items():
+            sigma = run.noise(name) or noise.get(name) or float(np.mean(list(noise.values())))
+            rest = (predicted - run.observations[name]) / sigma
+            squares.append(rest[~np.isnan(rest)] ** 2)
+    return float(np.sqrt(np.mean(np.concatenate(squares)))) if squares else None
