@@ -111,8 +111,10 @@ def turned_back(run: Run, way: Axes) -> Run:
         new = f"{point}_{_AXES[other]}"
         moved[new] = sign * values.pop(name), Channel.named(new, channel.unit)
         del channels[name]
-    observed = None if run.observed is None else tuple(
-        name for name in (*moved, *run.observed) if name in moved or name in values
+    observed = (
+        None
+        if run.observed is None
+        else tuple(name for name in (*moved, *run.observed) if name in moved or name in values)
     )
     return dataclasses.replace(
         run,

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from .._errors import InputError
-from ..fitting import Direction
+from ..fitting import Direction, SuspectKind
 from ..models import AbstractModel
 from ..parameters import Parameter, declared, left_out
 
@@ -27,7 +27,7 @@ class Candidate:
     """
 
     path: str
-    kind: str
+    kind: SuspectKind
     unit: str
     value: float
     lower: float

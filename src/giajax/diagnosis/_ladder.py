@@ -8,11 +8,11 @@ import numpy as np
 from .._errors import InputError
 from ..fitting import FitResult, Suspect, predict, responses
 from ..models import AbstractModel
-from ..parameters import elements, switched_on
+from ..parameters import elements, left_out, switched_on
 from ..runs import Run
 from ..study import refit
 from ._axes import all_axes, name_of, turned_back
-from ._records import LEVEL, Suspects
+from ._records import Suspects
 from ._suspects import suspects
 from ._weights import Weighing, matching_runs, own_values, robust_weights, white_noise
 
@@ -130,10 +130,12 @@ def ladder(
         rungs[-1] = dataclasses.replace(rungs[-1], suspects=asked)
         step: tuple[FitResult, list[Run], Suspect] | None = None
         for suspect in asked.significant:
+            if not _is_one(now.model, suspect):
+                continue
             try:
                 step = (*_with(now, several, suspect), suspect)
                 break
-            except (InputError, _NotOne):
+            except InputError:  # It cannot be evaluated so; the next one may be.
                 continue
         if step is None:
             ending = "no suspect that could be freed is significant"
@@ -147,13 +149,15 @@ def ladder(
     return Ladder(tuple(rungs), ending)
 
 
-class _NotOne(Exception):
-    """A suspect that is not one parameter of a fit."""
+def _is_one(model: AbstractModel, suspect: Suspect) -> bool:
+    """Whether a suspect is what a fit can free as it was tested."""
+    if suspect.kind in ("switch", "axes"):
+        return True
+    parts = elements(_neutrally(model, suspect.path), suspect.path)
+    return suspect.kind != "factor" and len(parts) == suspect.degrees_of_freedom
 
 
-def _with(
-    result: FitResult, runs: Sequence[Run], suspect: Suspect
-) -> tuple[FitResult, list[Run]]:
+def _with(result: FitResult, runs: Sequence[Run], suspect: Suspect) -> tuple[FitResult, list[Run]]:
     """A fit with what a suspect asks for, and the runs as it sees them."""
     if suspect.kind == "switch":
         return refit(result, runs, model=result.model.variants()[suspect.path]), list(runs)
@@ -163,25 +167,20 @@ def _with(
         start = result.history[0].parameters
         return refit(result, turned, start=start), turned
     model = _neutrally(result.model, suspect.path)
-    if len(elements(model, suspect.path)) != suspect.degrees_of_freedom:
-        raise _NotOne
-    start = {suspect.path: suspect.estimate}
-    return refit(result, runs, model=model, free=[suspect.path], start=start), list(runs)
+    assert suspect.estimate is not None
+    begin = {suspect.path: suspect.estimate}
+    return refit(result, runs, model=model, free=[suspect.path], start=begin), list(runs)
 
 
 def _neutrally(model: AbstractModel, path: str) -> AbstractModel:
     """The model with a part on that it leaves out, which changes nothing yet."""
-    from ..parameters import left_out
-
     absent = left_out(model).get(path.partition("[")[0])
     if absent is None:
         return switched_on(model, [path])
     return absent.set(model, absent.declaration.neutral)
 
 
-def _error_of(
-    model: AbstractModel, runs: Sequence[Run], noise: dict[str, float]
-) -> float | None:
+def _error_of(model: AbstractModel, runs: Sequence[Run], noise: dict[str, float]) -> float | None:
     squares = []
     for run in runs:
         for name, predicted in predict(model, run).items():

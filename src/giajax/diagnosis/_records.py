@@ -38,9 +38,9 @@ class Suspects:
         covered: set[str] = set()
         for row in self.rows:
             name = row.path.partition("[")[0]
-            if row.testable and name not in best and row.path not in covered:
+            if row.testable and name not in best and name not in covered:
                 best[name] = row
-                covered |= set(row.alike)
+                covered |= {path.partition("[")[0] for path in row.alike}
         return tuple(best.values())
 
     @property

@@ -1,35 +1,22 @@
 """Systematic errors: what a held number that is a little wrong does to the fitted ones."""
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from .._errors import InputError
-from ..fitting import Direction, FitResult, Response, SystematicError, influence, responses
-from ..parameters import elements, get, switched_on
+from ..fitting import FitResult, Response, SystematicError, influence, responses
 from ..runs import Run
-from ._candidates import Candidate, Inquiry, inquiry
+from ._candidates import inquiry
+from ._doubts import Doubt, is_doubtful, one_percent, stated_doubts
 from ._weights import Weighing, fitted_noise, matching_runs, own_values
 
 FRACTION = 0.01
 """Of a held number, where its uncertainty is not stated."""
 
 _RANK = 1e-9
-
-
-@dataclasses.dataclass(frozen=True)
-class _Doubt:
-    """One held number, or several that move together, and by how much it may be wrong."""
-
-    path: str
-    unit: str
-    value: float | list[float]
-    uncertainty: float
-    stated: bool
-    direction: Direction
+_NOTHING = 1e-6
 
 
 def systematic_errors(
@@ -52,7 +39,8 @@ def systematic_errors(
             `links.mass[1]`.
 
     Returns:
-        Those that were stated, then what 1 % of each other held number that is not zero does.
+        Those that were stated, then what 1 % of each other held number that is not zero does, the
+        largest shift in standard errors first; what moves nothing is left out.
 
     Raises:
         InputError: other runs, an unknown path, one that was fitted, or an uncertainty that is
@@ -62,9 +50,9 @@ def systematic_errors(
     if uncertainty is None:
         uncertainty = result.config.get("uncertainty") or {}
     asked = inquiry(result.model, list(result.free))
-    stated = _stated(result, asked, uncertainty)
+    stated = stated_doubts(result, asked, uncertainty)
     known = {doubt.path.partition("[")[0] for doubt in stated}
-    doubts = [*stated, *(_one_percent(one) for one in asked.candidates if _counts(one, known))]
+    doubts = [*stated, *(one_percent(one) for one in asked.candidates if is_doubtful(one, known))]
     # Beside the columns of all candidates, so that the program is the one that tests them.
     directions = [*asked.free, *(one.direction for one in asked.candidates)]
     places = {id(direction): place for place, direction in enumerate(directions)}
@@ -75,9 +63,11 @@ def systematic_errors(
     at = responses(asked.model, several, directions, own_values(result))
     columns = [places[id(doubt.direction)] for doubt in doubts]
     slopes = _slopes(result, several, at, len(asked.free), columns)
-    return tuple(
-        _error(result, doubt, slopes[:, index]) for index, doubt in enumerate(doubts)
-    )
+    errors = [_error(result, doubt, slopes[:, index]) for index, doubt in enumerate(doubts)]
+    kept = [(error, _weight(result, error)) for error in errors]
+    # The stated ones first, then what decides most; what moves nothing is not worth a row.
+    kept.sort(key=lambda each: (not each[0].stated, -each[1]))
+    return tuple(error for error, weight in kept if error.stated or weight > _NOTHING)
 
 
 def deciding_conditions(errors: Sequence[SystematicError]) -> list[str]:
@@ -104,15 +94,13 @@ def together(errors: Sequence[SystematicError]) -> dict[str, float]:
     return {path: float(np.sqrt(square)) for path, square in squares.items()}
 
 
-def _error(result: FitResult, doubt: _Doubt, slopes: np.ndarray) -> SystematicError:
+def _error(result: FitResult, doubt: Doubt, slopes: np.ndarray) -> SystematicError:
     shifts = {
         path: float(slope) * doubt.uncertainty
         for path, slope in zip(result.free, slopes, strict=True)
     }
     errors = {path: estimate.standard_error for path, estimate in result.free.items()}
-    decides = tuple(
-        path for path, shift in shifts.items() if abs(shift) > (errors[path] or np.inf)
-    )
+    decides = tuple(path for path, shift in shifts.items() if abs(shift) > (errors[path] or np.inf))
     return SystematicError(
         path=doubt.path,
         unit=doubt.unit,
@@ -124,64 +112,13 @@ def _error(result: FitResult, doubt: _Doubt, slopes: np.ndarray) -> SystematicEr
     )
 
 
-def _counts(one: Candidate, known: set[str]) -> bool:
-    return one.value != 0 and one.direction.path not in known
-
-
-def _one_percent(one: Candidate) -> _Doubt:
-    size = FRACTION * abs(one.value)
-    return _Doubt(one.path, one.unit, one.value, size, False, one.direction)
-
-
-def _stated(
-    result: FitResult, asked: Inquiry, uncertainty: Mapping[str, npt.ArrayLike]
-) -> list[_Doubt]:
-    doubts = []
-    free = set(result.free)
-    for path, deviation in uncertainty.items():
-        model = switched_on(asked.model, [path])
-        parts = elements(model, path)
-        about = parts[0].declaration
-        numbers = np.asarray(deviation, dtype=float)
-        if numbers.size not in (1, len(parts)):
-            raise InputError(
-                f"the uncertainty of {path} has {numbers.size} values, and it has {len(parts)}: "
-                "give one, or one for each"
-            )
-        if not np.all(np.isfinite(numbers)) or not np.all(numbers > 0):
-            raise InputError(f"the uncertainty of {path} is not positive: give a positive number")
-        fitted = [part.path for part in parts if part.path in free]
-        if fitted:
-            raise InputError(
-                f"{fitted[0]} is fitted, and its uncertainty is what the fit finds: hold it, or "
-                "leave its uncertainty out"
-            )
-        name = path.partition("[")[0]
-        whole = np.asarray(get(model, name), dtype=float)
-        each = np.broadcast_to(numbers, (len(parts),))
-        alone = bool(about.shape) or len(parts) == 1
-        for index, part in enumerate(parts):
-            step = np.zeros(whole.shape)
-            if alone:
-                step[... if part.index is None else part.index] = 1.0
-                value, size = float(part.value(model)), float(each[index])
-                doubts.append(_Doubt(part.path, about.unit, value, size, True, Direction(name, step)))
-        if not alone:
-            size = float(np.max(each))
-            same = np.all(whole == whole[0])
-            shown = float(whole[0]) if same else [float(number) for number in whole]
-            step = each / size
-            doubts.append(_Doubt(name, about.unit, shown, size, True, Direction(name, step)))
-    return [_shared(doubt, asked) for doubt in doubts]
-
-
-def _shared(doubt: _Doubt, asked: Inquiry) -> _Doubt:
-    """With the direction of a candidate, where one is the same."""
-    for one in asked.candidates:
-        same = one.direction.path == doubt.direction.path
-        if same and np.array_equal(one.direction.step, doubt.direction.step):
-            return dataclasses.replace(doubt, direction=one.direction)
-    return doubt
+def _weight(result: FitResult, error: SystematicError) -> float:
+    """The largest shift, in standard errors; of a parameter without one, relative to it."""
+    sizes = {
+        path: estimate.standard_error or abs(float(estimate.value)) or 1.0
+        for path, estimate in result.free.items()
+    }
+    return max((abs(shift) / sizes[path] for path, shift in error.shifts.items()), default=0.0)
 
 
 def _slopes(

@@ -139,9 +139,7 @@ class Weighing:
                 they are tested after the other columns.
         """
         tables = []
-        for index, (response, run, factor) in enumerate(
-            zip(at, runs, self.factors, strict=True)
-        ):
+        for index, (response, run, factor) in enumerate(zip(at, runs, self.factors, strict=True)):
             rest = np.where(factor > 0, response.predicted - np.nan_to_num(response.observed), 0.0)
             changes = np.stack(
                 [response.columns[..., i] for i in range(fitted, response.columns.shape[2])]

@@ -32,6 +32,7 @@ from ._result import FitResult as FitResult, load_result as load_result
 from ._solver import Marquardt as Marquardt
 from ._suspect import (
     Suspect as Suspect,
+    SuspectKind as SuspectKind,
     SystematicError as SystematicError,
 )
 from ._table import estimate_table as estimate_table

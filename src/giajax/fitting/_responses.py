@@ -81,12 +81,12 @@ def responses(
     steps = tuple(jnp.asarray(direction.step, jnp.result_type(float)) for direction in directions)
     for group in build_groups(model, runs, ones, 0):
         inputs = _with_own(group, own)
-        tables, blocks, successful = _respond(model, paths, steps, group.channels, group.own, inputs)
-        if not bool(np.all(np.asarray(successful))):
+        answer = _respond(model, paths, steps, group.channels, group.own, inputs)
+        tables, blocks, successful = map(np.asarray, answer)
+        if not np.all(successful):
             first = jax.tree.map(lambda leaf: leaf[0], inputs)
             raise InputError(f"the fitted model cannot be evaluated: {model.failure(first)}")
-        rows = zip(group.members, np.asarray(tables), np.asarray(blocks), strict=True)
-        for member, table, block in rows:
+        for member, table, block in zip(group.members, tables, blocks, strict=True):
             observed = np.stack([runs[member].observations[c] for c in group.channels], axis=-1)
             count = len(observed)
             answers[member] = Response(

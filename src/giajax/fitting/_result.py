@@ -191,9 +191,7 @@ def _records(record: Mapping[str, Any]) -> dict[str, Any]:
             PredictionErrors.of_json(item) for item in record.get("validation", ())
         ),
         "suspects": tuple(Suspect.of_json(item) for item in record.get("suspects", ())),
-        "systematic": tuple(
-            SystematicError.of_json(item) for item in record.get("systematic", ())
-        ),
+        "systematic": tuple(SystematicError.of_json(item) for item in record.get("systematic", ())),
     }
 
 

@@ -185,8 +185,7 @@ class ArmModel(AbstractModel):
     def variants(self) -> dict[str, Self]:
         """With drag elsewhere, with C_D by Reynolds number or without, and floating."""
         return {
-            name: dataclasses.replace(self, arm=arm)
-            for name, arm in arm_variants(self.arm).items()
+            name: dataclasses.replace(self, arm=arm) for name, arm in arm_variants(self.arm).items()
         }
 
     def integration(self) -> Integration:

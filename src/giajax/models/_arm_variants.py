@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import jax.numpy as jnp
 
 from .._errors import InputError
-from ..arm import STANDARD_GRAVITY, Arm, Buoyancy, bodies, trimmed
+from ..arm import STANDARD_GRAVITY, Air, Arm, Buoyancy, bodies, trimmed
 from ..parameters import declared, get, replace
 from ..quantities import BUOYANCY
 
@@ -63,9 +63,10 @@ def _floating(arm: Arm, depth: float | None) -> Arm:
     only what floats and hangs is different. Without buoyancy nothing fixes the scale of an arm.
     """
     still = float(arm.gravity) == 0
+    below = None if depth is None else jnp.asarray(depth, jnp.result_type(float))
     other = dataclasses.replace(
         arm,
-        buoyancy=Buoyancy(trim_position=arm.links.length / 2, trim_depth=depth),
+        buoyancy=Buoyancy(trim_position=arm.links.length / 2, trim_depth=below),
         gravity=jnp.asarray(STANDARD_GRAVITY) if still else arm.gravity,
     )
     other = trimmed(other, level=True)
@@ -74,5 +75,5 @@ def _floating(arm: Arm, depth: float | None) -> Arm:
     return replace(other, {path: ratio * get(arm, path) for path in paths})
 
 
-def _in(arm: Arm, air: object) -> Arm:
+def _in(arm: Arm, air: Air) -> Arm:
     return dataclasses.replace(arm, air=air)

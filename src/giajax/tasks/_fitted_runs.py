@@ -42,9 +42,7 @@ def fitted_runs(
         if path is None:
             raise InputError(_missing(record, data))
         if not data and not Path(path).exists():
-            raise InputError(
-                f"{path}, which was fitted, does not exist: give the file with --data"
-            )
+            raise InputError(f"{path}, which was fitted, does not exist: give the file with --data")
         known = {key: item for key, item in about.items() if key in run_keys(model=False)}
         definition = Definition.parse({"model": result.model.kind, **known}, str(path))
         key = str(path), definition.to_toml()
