@@ -9,7 +9,7 @@ from ..parameters import replace
 from ..runs import Run
 from ..study import begun_where_it_ended
 from ._axes import IDENTITY, Axes, coordinates, distinct_axes, name_of, seen_as
-from ._score import Projected
+from ._projection import Projected
 from ._weights import Weighing
 
 

@@ -6,7 +6,8 @@ import numpy as np
 
 from ..fitting import Suspect
 from ._candidates import Candidate, Inquiry
-from ._score import IMITATED, Projected, Score, alike, score
+from ._projection import Projected
+from ._score import IMITATED, Score, alike, score
 
 # A change by so many times its own size that would still not show makes a parameter not testable.
 _NOT_SHOWN = 3.0

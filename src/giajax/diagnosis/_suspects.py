@@ -12,9 +12,9 @@ from ..parameters import declared
 from ..runs import Run
 from ._axes_test import axes_row
 from ._candidates import Inquiry, inquiry
+from ._projection import projected
 from ._records import Suspects
 from ._rows import impossible_row, parameter_rows, switch_row
-from ._score import projected
 from ._weights import Weighing, matching_runs, own_values, robust_weights, white_noise
 
 

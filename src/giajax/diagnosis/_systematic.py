@@ -12,10 +12,8 @@ from ._candidates import inquiry
 from ._doubts import Doubt, is_doubtful, one_percent, stated_doubts
 from ._weights import Weighing, fitted_noise, matching_runs, own_values
 
-FRACTION = 0.01
-"""Of a held number, where its uncertainty is not stated."""
-
 _RANK = 1e-9
+# Standard errors; what is moved by less is not moved.
 _NOTHING = 1e-6
 
 

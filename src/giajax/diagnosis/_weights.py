@@ -8,7 +8,7 @@ import numpy as np
 from .._errors import InputError
 from ..fitting import FitResult, Response, influence
 from ..runs import Run
-from ._score import Table
+from ._projection import Table
 
 Array = np.ndarray
 

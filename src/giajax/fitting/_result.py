@@ -1,4 +1,7 @@
-"""The result of a fit, as data: it can be written, read again, and it predicts."""
+"""The result of a fit, as data: it can be written, read again, and it predicts.
+
+Longer than 200 lines because every attribute of a result is described where it is declared.
+"""
 
 import dataclasses
 import html
