@@ -62,6 +62,13 @@ def fit(
         list[str] | None,
         typer.Option(metavar="PATH=VALUE", help="Start a parameter at a value. Repeatable."),
     ] = None,
+    uncertainty: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PATH=VALUE",
+            help="Standard deviation of a held parameter, for the systematic errors. Repeatable.",
+        ),
+    ] = None,
     channels: Annotated[
         list[str] | None,
         typer.Option(
@@ -118,6 +125,13 @@ def fit(
         bool, typer.Option("--json", help="Print result.json instead of the tables.")
     ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
+    suspects: Annotated[
+        bool,
+        typer.Option(
+            "--suspects/--no-suspects",
+            help="Where the model is inadequate, ask what the residuals ask for.",
+        ),
+    ] = True,
     figures: Annotated[
         bool, typer.Option("--figures/--no-figures", help="Draw pictures of the result.")
     ] = True,
@@ -134,6 +148,7 @@ def fit(
         free=free or None,
         start=plain_settings(start, "--start"),
         fix=plain_settings(fix, "--fix"),
+        uncertainty=plain_settings(uncertainty, "--uncertainty"),
         channels=channels or None,
         window_s=window,
         starts=starts,
@@ -162,7 +177,8 @@ def fit(
     check_figures(ready.setup.model, task.definition)
     check_folder(task.out, ready.runs, ready.setup.config, force=force)
     progress = None if quiet else Progress(column_factors(ready.setup.model))
-    result = ready.run(progress, None if progress is None else progress.announce)
+    announce = None if progress is None else progress.announce
+    result = ready.run(progress, announce, suspects=suspects)
     if progress is not None:
         progress.end()
     files = write_or_print(

@@ -193,6 +193,7 @@ class FitTask:
         announce: Callable[[int, Mapping[str, float]], None] | None = None,
         *,
         check: bool = True,
+        suspects: bool = True,
     ) -> "FitResult":
         """Fit, and predict the runs of the validation.
 
@@ -203,6 +204,7 @@ class FitTask:
             progress: called after each step with an `Iteration`.
             announce: with several starts, called before each with its number and values.
             check: compute the gradient check and the effect of the solver tolerance at the end.
+            suspects: where the model is inadequate, ask what the residuals ask for.
 
         Returns:
             The result; `giajax.write_result` writes it. Ctrl-C returns the best so far.
@@ -210,7 +212,7 @@ class FitTask:
         Raises:
             InputError: as `prepare`, or a start from which the model cannot be evaluated.
         """
-        return self.prepare().run(progress, announce, check=check)
+        return self.prepare().run(progress, announce, check=check, suspects=suspects)
 
 
 def _paths(files: Paths) -> tuple[Path, ...]:

@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 
+from ..diagnosis import with_suspects, with_systematic_errors
 from ..fitting import (
     MAX_ITERATIONS,
     FitResult,
@@ -43,11 +44,12 @@ class Preparation:
         announce: Callable[[int, Mapping[str, float]], None] | None = None,
         *,
         check: bool = True,
+        suspects: bool = True,
     ) -> FitResult:
         """Fit, and predict the runs of the validation.
 
         Arguments:
-            progress, announce, check: as of `FitTask.run`.
+            progress, announce, check, suspects: as of `FitTask.run`.
 
         Returns:
             As `FitTask.run`.
@@ -78,7 +80,24 @@ class Preparation:
         except KeyboardInterrupt:  # The fit is done, and took longer.
             message = f"{result.message}; interrupted before its validation was complete"
             result = dataclasses.replace(result, status="interrupted", message=message)
-        return dataclasses.replace(result, validation=tuple(errors))
+        result = dataclasses.replace(result, validation=tuple(errors))
+        return self._diagnosed(result, suspects=suspects)
+
+    def _diagnosed(self, result: FitResult, *, suspects: bool) -> FitResult:
+        """With systematic errors, where uncertainties are stated, and with suspects."""
+        if result.status == "interrupted":
+            return result
+        if self.definition.fit.uncertainty:
+            result = with_systematic_errors(result, self.runs, self.definition.fit.uncertainty)
+        if suspects and is_inadequate(result):
+            result = with_suspects(result, self.runs)
+        return result
+
+
+def is_inadequate(result: FitResult) -> bool:
+    """Whether the verdict on a fit is that its model does not describe the data."""
+    verdict = getattr(result, "verdict", None)
+    return verdict is not None and verdict.status == "inadequate"
 
 
 def prepare(definition: Definition, runs: Sequence[Run], validation: Sequence[Run]) -> Preparation:
