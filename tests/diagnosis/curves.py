@@ -6,12 +6,12 @@ from typing import Any, Self
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from toy_model import Decay
 
 from giajax._typing import Array, Float, Scalar
 from giajax.models import Channels
 from giajax.parameters import parameter, replace
 from giajax.runs import Run
+from toy_model import Decay
 
 NOISE = 0.01
 WAVE = 0.05
@@ -45,7 +45,10 @@ def curve(**values: Any) -> Curve:
     return replace(Curve(weights=jnp.ones(2)), {**TRUTH, **values})
 
 
-def recorded(*, channels=("tip_x", "tip_y", "tip_z"), seed=0, noise=True, wave=0.0, **values: Any) -> Run:
+AXES = ("tip_x", "tip_y", "tip_z")
+
+
+def recorded(*, channels=AXES, seed=0, noise=True, wave=0.0, **values: Any) -> Run:
     """A noisy recording of the model with these values."""
     times = np.linspace(0.0, 4.0, 120)
     predicted, _ = curve(**values).predict(jnp.asarray(times), tuple(channels))
@@ -53,7 +56,10 @@ def recorded(*, channels=("tip_x", "tip_y", "tip_z"), seed=0, noise=True, wave=0
     random = np.random.default_rng(seed)
     return Run.from_arrays(
         times,
-        {name: np.asarray(row) + NOISE * random.normal(size=120) for name, row in predicted.items()},
+        {
+            name: np.asarray(row) + NOISE * random.normal(size=len(times))
+            for name, row in predicted.items()
+        },
         name=f"curve{seed}",
         noise={"position": NOISE} if noise else None,
         definition={"free_motion": True},

@@ -6,10 +6,10 @@ import json
 import numpy as np
 import pytest
 from curves import NOISE, TRUTH, curve, recorded
-from toy_model import Decay, run
 
 from giajax import InputError, fit, suspects
 from giajax.diagnosis import with_suspects
+from toy_model import Decay, run
 
 FREE = ["amplitude", "decay"]
 
@@ -24,9 +24,7 @@ def chi_square(result):
     return sum(c.n * (c.rmse / NOISE) ** 2 for r in result.runs for c in r.channels.values())
 
 
-@pytest.mark.parametrize(
-    ("path", "value"), [("offset", 0.105), ("shift[1]", 0.004), ("rub", 0.01)]
-)
+@pytest.mark.parametrize(("path", "value"), [("offset", 0.105), ("shift[1]", 0.004), ("rub", 0.01)])
 def test_drop_and_estimate_are_those_of_a_refit(path, value):
     name = path.partition("[")[0]
     whole = [0.0, value, 0.0] if "[" in path else value

@@ -77,8 +77,12 @@ def responses(
     """
     ones = [dict.fromkeys(run.observations, 1.0) for run in runs]
     answers: dict[int, Response] = {}
-    paths = tuple(direction.path for direction in directions)
-    steps = tuple(jnp.asarray(direction.step, jnp.result_type(float)) for direction in directions)
+    # In an order of their own: what is fitted and what is held changes from fit to fit, and the
+    # same directions in another order would be another program.
+    order = sorted(range(len(directions)), key=lambda index: _name(directions[index]))
+    place = np.argsort(np.asarray(order, dtype=int))
+    paths = tuple(directions[index].path for index in order)
+    steps = tuple(jnp.asarray(directions[index].step, jnp.result_type(float)) for index in order)
     for group in build_groups(model, runs, ones, 0):
         inputs = _with_own(group, own)
         answer = _respond(model, paths, steps, group.channels, group.own, inputs)
@@ -93,10 +97,14 @@ def responses(
                 channels=group.channels,
                 predicted=table[:count],
                 observed=observed,
-                columns=np.moveaxis(block[: len(paths), :count], 0, -1),
+                columns=np.moveaxis(block[place, :count], 0, -1),
                 own=np.moveaxis(block[len(paths) :, :count], 0, -1),
             )
     return [answers[index] for index in range(len(runs))]
+
+
+def _name(direction: Direction) -> tuple[str, tuple[float, ...]]:
+    return direction.path, tuple(np.ravel(direction.step).tolist())
 
 
 def _with_own(group: Group, own: Sequence[Mapping[str, float]]) -> Any:
