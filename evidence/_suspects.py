@@ -176,7 +176,7 @@ SUSPECTS = Study(
         "fitted by a model that leaves out one thing: how often that, or what the data can hardly "
         "tell from it, is among the first three suspects. A random walk has no right answer."
     ),
-    size=10,
+    size=2,
     seed=1,
     run=run,
     disagreements=disagreements,

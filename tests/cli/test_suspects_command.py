@@ -41,7 +41,7 @@ def test_tables_of_suspects_systematic_errors_and_the_ladder(folder, capsys):
     assert len(rung.split("+-")) > 2
     assert "BIC" in printed.out
     assert "the fit: chi-square" in printed.err
-    assert "with muscle.end_correction: chi-square" in printed.err
+    assert "muscle.end_correction: chi-square" in printed.err
     assert "no suspect that could be freed is significant" in lines or "BIC larger" in printed.out
 
 

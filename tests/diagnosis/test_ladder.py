@@ -5,10 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 from curves import curve, recorded
-from test_suspects import fitted
+from test_suspects import FREE, fitted
 
-from giajax import fit, ladder
+from giajax import fit, ladder, suspects
+from giajax.diagnosis import Rung
 from giajax.diagnosis._axes import all_axes, name_of, turned_back
+from giajax.diagnosis._ladder import _spare
 from giajax.study import refit
 
 TIGHT = 4
@@ -35,6 +37,26 @@ def test_two_omissions_one_after_the_other():
     assert last.chi_square == pytest.approx(last.values, rel=0.2)
     assert last.held_out == pytest.approx(1, rel=0.15)
     assert last.bic - last.aic == pytest.approx(4 * (np.log(360) - 2))
+
+
+def test_what_is_no_longer_needed_is_taken_out_again():
+    """A shift of z imitates a wrong offset and a delay together, until those are there."""
+    recording = recorded(late=0.03, rub=0.05, seed=4)
+    first = fitted(recording, free=[*FREE, "shift[2]"])
+    step = suspects(first, recording).of("late")
+    assert step.p_value < 1e-3
+    rungs = [
+        Rung(None, 9e9, 2, 360, None, fitted(recording)),
+        Rung(suspects(fitted(recording), recording).of("shift[2]"), 8e9, 3, 360, None, first),
+        Rung(step, 7e9, 4, 360, None, refit(first, [recording], free=["late", "rub"])),
+    ]
+    assert [suspect.path for suspect in _spare(rungs)] == ["shift[2]"]
+    assert _spare(rungs[:2]) == []
+    removed = dataclasses.replace(rungs[2], suspect=rungs[1].suspect, removed=True)
+    assert removed.change == "without shift[2]"
+    assert _spare([*rungs, removed, rungs[2]]) == []
+    held = refit(rungs[2].result, [recording], fix={"shift[2]": 0.0})
+    assert set(held.free) == {"amplitude", "decay", "late", "rub"}
 
 
 def test_a_choice_is_made_the_other_way_and_axes_are_exchanged():

@@ -113,7 +113,7 @@ def suspects(
 
 
 def _say(rung: "Rung") -> None:
-    added = "the fit" if rung.suspect is None else f"with {rung.suspect.path}"
+    added = "the fit" if rung.suspect is None else rung.change
     typer.echo(f"{added}: chi-square {rung.chi_square:.5g}", err=True)
 
 
@@ -161,7 +161,8 @@ def _facts(result: "FitResult", found: "Suspects", steps: "Ladder | None") -> di
             "ending": steps.ending,
             "rungs": [
                 {
-                    "added": None if rung.suspect is None else rung.suspect.path,
+                    "path": None if rung.suspect is None else rung.suspect.path,
+                    "removed": rung.removed,
                     "chi_square": rung.chi_square,
                     "aic": rung.aic,
                     "bic": rung.bic,

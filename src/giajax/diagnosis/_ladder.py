@@ -12,64 +12,15 @@ from ..parameters import elements, left_out, switched_on
 from ..runs import Run
 from ..study import refit
 from ._axes import all_axes, name_of, turned_back
-from ._records import Suspects
+from ._rung import Ladder, Rung
 from ._suspects import suspects
 from ._weights import Weighing, matching_runs, own_values, robust_weights, white_noise
 
 MOST = 6
 """Steps of a ladder."""
 
-
-@dataclasses.dataclass(frozen=True)
-class Rung:
-    """One fit of a ladder.
-
-    Attributes:
-        suspect: what was added to the fit below; None for the first.
-        chi_square: sum of squared residuals in units of white noise, the same for all rungs.
-        parameters: number of fitted parameters.
-        values: number of measured values.
-        held_out: root mean square error of the runs that were held out, in units of their noise
-            or, where none is stated, of the white noise of the fitted ones; None without any.
-        result: the fit.
-        suspects: what its residuals ask for; None where that was not asked.
-    """
-
-    suspect: Suspect | None
-    chi_square: float
-    parameters: int
-    values: int
-    held_out: float | None
-    result: FitResult
-    suspects: Suspects | None = None
-
-    @property
-    def aic(self) -> float:
-        """Akaike's criterion, with known noise: chi-square + 2 k."""
-        return self.chi_square + 2 * self.parameters
-
-    @property
-    def bic(self) -> float:
-        """Schwarz' criterion, with known noise: chi-square + k log n."""
-        return self.chi_square + self.parameters * float(np.log(self.values))
-
-
-@dataclasses.dataclass(frozen=True)
-class Ladder:
-    """The fits, from the first to the last that was better, and why there is no other.
-
-    Attributes:
-        rungs: the first is the fit that was asked about.
-        ending: one sentence.
-    """
-
-    rungs: tuple[Rung, ...]
-    ending: str
-
-    @property
-    def result(self) -> FitResult:
-        """The last fit."""
-        return self.rungs[-1].result
+# Standard errors. BIC decides; what is further away need not be tried.
+_NEAR = 4.0
 
 
 def ladder(
@@ -83,7 +34,8 @@ def ladder(
     """Fit the most promising suspect, ask again, and so on.
 
     A parameter is freed, a choice of the model is made the other way, and recorded axes are
-    exchanged; each fit begins where the last one ended. It ends where no suspect is significant,
+    exchanged; each fit begins where the last one ended. What was freed before and has come
+    back to the value that it was held at is held again. It ends where no suspect is significant,
     or where what is tried makes BIC larger. A suspect that is one number for many elements
     (the mass of all links) is no single parameter of a fit, and is passed over.
 
@@ -146,7 +98,33 @@ def ladder(
             break
         now, several = step[0], step[1]
         climb(rung)
+        for spare in _spare(rungs):
+            assert spare.value is not None
+            again = refit(now, several, fix={spare.path: spare.value})
+            fewer = dataclasses.replace(added(again, several, spare), removed=True)
+            if fewer.bic < rungs[-1].bic:
+                now = fewer.result
+                climb(fewer)
     return Ladder(tuple(rungs), ending)
+
+
+def _spare(rungs: Sequence[Rung]) -> list[Suspect]:
+    """What was freed before the last rung, and is near the value that it was held at again."""
+    last = rungs[-1].result.free
+    taken = {rung.suspect.path for rung in rungs if rung.removed and rung.suspect is not None}
+    spare = []
+    for rung in rungs[1:-1]:
+        suspect = rung.suspect
+        if suspect is None or suspect.path in taken or suspect.kind not in ("parameter", "group"):
+            continue
+        paths = [p for p in last if suspect.path in (p, p.partition("[")[0])]
+        values = np.broadcast_to(np.asarray(suspect.value, dtype=float), (len(paths),))
+        if paths and all(
+            abs(last[path].value - value) < _NEAR * (last[path].standard_error or np.inf)
+            for path, value in zip(paths, values, strict=True)
+        ):
+            spare.append(suspect)
+    return spare
 
 
 def _is_one(model: AbstractModel, suspect: Suspect) -> bool:

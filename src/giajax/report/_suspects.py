@@ -77,9 +77,8 @@ def ladder_table(steps: Ladder) -> tuple[list[str], Rows]:
 
 
 def _rung(rung: Rung, paths: Sequence[str], *, held_out: bool) -> list[str]:
-    added = "-" if rung.suspect is None else rung.suspect.path
     numbers = [rung.chi_square, rung.aic, rung.bic]
-    cells = [added, *(f"{number:.5g}" for number in numbers)]
+    cells = [rung.change, *(f"{number:.5g}" for number in numbers)]
     if held_out:
         cells.append("-" if rung.held_out is None else f"{rung.held_out:.3g}")
     for path in paths:

@@ -65,7 +65,7 @@ def refit(
         model: in place of the fitted model; it must have the free parameters.
         free: paths of further parameters to free; those that are left out are switched on.
         start: start values by path, SI, in place of those that the model has.
-        fix: values by path, SI, that are set and held.
+        fix: values by path, SI, that are set and held; what was free of it no longer is.
         max_iterations, check: as of `giajax.fit`.
 
     Returns:
@@ -75,7 +75,12 @@ def refit(
         InputError: as `giajax.fit`.
     """
     model = switched_on(result.model if model is None else model, free)
-    paths = [*result.free, *free]
+    held = set(fix or {})
+    paths = [
+        path
+        for path in (*result.free, *free)
+        if path not in held and path.partition("[")[0] not in held
+    ]
     begin: dict[str, Any] = dict(start or {})
     values: dict[str, float] = {}
     for path in paths:
