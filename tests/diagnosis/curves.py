@@ -1,15 +1,15 @@
 """A model with everything that a suspect may be; it compiles in a moment."""
 
 import dataclasses
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from giajax._typing import Array, Float, Scalar
-from giajax.models import Channels
-from giajax.parameters import parameter, replace
+from giajax.models import AbstractModel, Channels
+from giajax.parameters import inline, parameter, replace
 from giajax.runs import Run
 from toy_model import Decay
 
@@ -39,6 +39,36 @@ class Curve(Decay):
 
     def variants(self) -> dict[str, Self]:
         return {} if self.wavy else {"wavy = true": dataclasses.replace(self, wavy=True)}
+
+
+class Begun(eqx.Module):
+    """Times of a run, and a height that is its own."""
+
+    times: Array
+    height: Scalar = parameter(0.0, unit="m", doc="of one run")
+
+
+class OwnHeights(AbstractModel):
+    """tip_z and tip_y of the curve, with a height of z that is free in each run."""
+
+    kind: ClassVar[str] = "own"
+    curve: Curve = inline()
+
+    for_runs = from_definition = classmethod(lambda cls, _: cls(curve()))
+    scene = failure = integration = lambda self, *_: None
+    refined = with_integration = at_start = for_derivatives = lambda self, *_, **__: self
+    derived = definition = variants = initial_section = lambda self, *_: {}
+    conditions = lambda self, *_: []  # noqa: E731
+    free_inputs = lambda self, run: ("height",)  # noqa: E731
+
+    def prepare(self, run: Run) -> Begun:
+        return Begun(jnp.asarray(run.times))
+
+    def predict(self, inputs: Begun, channels: tuple[str, ...]) -> tuple[Channels, Array]:
+        predicted, fine = self.curve.predict(inputs.times, channels)
+        return {
+            name: row + inputs.height if name == "tip_z" else row for name, row in predicted.items()
+        }, fine
 
 
 def curve(**values: Any) -> Curve:

@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from curves import NOISE, TRUTH, curve, recorded
+from curves import NOISE, TRUTH, OwnHeights, curve, recorded
 
 from giajax import InputError, fit, suspects
 from giajax.diagnosis import with_suspects
@@ -139,6 +139,29 @@ def test_a_robust_loss_and_an_outlier():
     assert found.promising[0].path == "late"
 
 
+def test_several_runs_with_states_of_their_own():
+    """What each run has for itself imitates a part of what is asked for, as in a refit."""
+    short = recorded(late=0.05, seed=1, channels=("tip_y", "tip_z"))
+    rows = {name: values[:70] for name, values in short.values.items()}
+    runs = [
+        recorded(late=0.05, seed=2, offset=0.5, channels=("tip_y", "tip_z")),
+        dataclasses.replace(short, times=short.times[:70], values=rows),
+    ]
+    model = OwnHeights(curve())
+    start = {"amplitude": 1.5, "decay": 0.9}
+    result = fit(model, runs, free=FREE, start=start, check=False)
+    found = suspects(result, runs)
+    assert found.of("offset").note == "what was fitted imitates it: only a ratio shows"
+    assert found.promising[0].path == "late"
+    assert found.parameters == 4
+    freed = fit(
+        model, runs, free=[*FREE, "late"], start={**start, "late": 0.02}, check=False
+    )  # fmt: skip
+    row = found.promising[0]
+    assert row.chi_square_drop == pytest.approx(chi_square(result) - chi_square(freed), rel=0.05)
+    assert row.estimate == pytest.approx(freed.parameters["late"].value, rel=0.05)
+
+
 def test_a_result_carries_its_suspects_as_json():
     recording = recorded(late=0.05)
     asked = with_suspects(fitted(recording), recording)
@@ -156,6 +179,9 @@ def test_bad_input():
     result = fitted(recording)
     with pytest.raises(InputError, match=r"not those of the result: give"):
         suspects(result, other)
+    tied = dataclasses.replace(result, config={**result.config, "ties": {"offset": "twin"}})
+    with pytest.raises(InputError, match=r"the fit has ties, .*: fit without"):
+        suspects(tied, recording)
     with pytest.raises(InputError, match=r"'offset' has no elements .*: name"):
         suspects(result, recording, each=["offset"])
     with pytest.raises(InputError, match=r"'wrong' has no elements .*: name"):

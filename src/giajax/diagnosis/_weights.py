@@ -22,8 +22,15 @@ def matching_runs(result: FitResult, runs: Run | Sequence[Run]) -> list[Run]:
     """The runs of a result, checked to be those.
 
     Raises:
-        InputError: they are others, or in another order.
+        InputError: they are others, or in another order; or the fit tied parameters to others, or
+            had values of them for single runs, of which these tests know nothing.
     """
+    beyond = [key for key in ("ties", "per_run", "groups", "priors") if result.config.get(key)]
+    if beyond:
+        raise InputError(
+            f"the fit has {', '.join(beyond)}, which its suspects would not see: fit without them "
+            "to ask for suspects"
+        )
     several = [runs] if isinstance(runs, Run) else list(runs)
     if [run.sha256 for run in several] != [record.sha256 for record in result.runs] or [
         list(run.observations) for run in several

@@ -26,6 +26,7 @@ from ._records import (
 from ._responses import (
     Direction as Direction,
     Response as Response,
+    prepared_with as prepared_with,
     responses as responses,
 )
 from ._result import FitResult as FitResult, load_result as load_result

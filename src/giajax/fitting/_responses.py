@@ -19,7 +19,7 @@ from .._typing import Array
 from ..models import AbstractModel
 from ..parameters import get, replace
 from ..runs import Run
-from ._group import Group, build_groups
+from ._stack import stacked
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,7 +75,6 @@ def responses(
     Raises:
         InputError: the model cannot be evaluated at the point.
     """
-    ones = [dict.fromkeys(run.observations, 1.0) for run in runs]
     answers: dict[int, Response] = {}
     # In an order of their own: what is fitted and what is held changes from fit to fit, and the
     # same directions in another order would be another program.
@@ -83,18 +82,22 @@ def responses(
     place = np.argsort(np.asarray(order, dtype=int))
     paths = tuple(directions[index].path for index in order)
     steps = tuple(jnp.asarray(directions[index].step, jnp.result_type(float)) for index in order)
-    for group in build_groups(model, runs, ones, 0):
-        inputs = _with_own(group, own)
-        answer = _respond(model, paths, steps, group.channels, group.own, inputs)
+    for members in _together(model, runs):
+        like = runs[members[0]]
+        channels = tuple(like.observations)
+        free = model.free_inputs(like)
+        inputs = stacked([prepared_with(model, runs[i], own[i] if own else {}) for i in members])
+        sizes = tuple((path, get(inputs, path)[0].size) for path in free)
+        answer = _respond(model, paths, steps, channels, sizes, inputs)
         tables, blocks, successful = map(np.asarray, answer)
         if not np.all(successful):
             first = jax.tree.map(lambda leaf: leaf[0], inputs)
             raise InputError(f"the fitted model cannot be evaluated: {model.failure(first)}")
-        for member, table, block in zip(group.members, tables, blocks, strict=True):
-            observed = np.stack([runs[member].observations[c] for c in group.channels], axis=-1)
+        for member, table, block in zip(members, tables, blocks, strict=True):
+            observed = np.stack([runs[member].observations[c] for c in channels], axis=-1)
             count = len(observed)
             answers[member] = Response(
-                channels=group.channels,
+                channels=channels,
                 predicted=table[:count],
                 observed=observed,
                 columns=np.moveaxis(block[place, :count], 0, -1),
@@ -107,17 +110,30 @@ def _name(direction: Direction) -> tuple[str, tuple[float, ...]]:
     return direction.path, tuple(np.ravel(direction.step).tolist())
 
 
-def _with_own(group: Group, own: Sequence[Mapping[str, float]]) -> Any:
-    """The prepared inputs of a group's runs with their own values."""
-    inputs = group.inputs
-    for path, _ in group.own:
+def _together(model: AbstractModel, runs: Sequence[Run]) -> list[list[int]]:
+    """Positions of the runs that share a program: of the same channels, and prepared alike."""
+    groups: dict[Any, list[int]] = {}
+    for index, run in enumerate(runs):
+        structure = jax.tree.structure(model.prepare(run))
+        key = tuple(run.observations), structure, model.free_inputs(run)
+        groups.setdefault(key, []).append(index)
+    return list(groups.values())
+
+
+def prepared_with(model: AbstractModel, run: Run, own: Mapping[str, float]) -> Any:
+    """A prepared run with the values of what is free in it alone.
+
+    Arguments:
+        model: prepares the run.
+        run: what was recorded.
+        own: values by label (`initial.angle[0]`); the others are as the run was prepared.
+    """
+    inputs = model.prepare(run)
+    for path in model.free_inputs(run):
         values = np.array(get(inputs, path), dtype=float)
-        for row, member in enumerate(group.members):
-            flat = values[row].reshape(-1)
-            known = own[member] if own else {}
-            for index in range(flat.size):
-                label = f"{path}[{index}]" if flat.size > 1 else path
-                flat[index] = known.get(label, flat[index])
+        for index in range(values.size):
+            label = f"{path}[{index}]" if values.size > 1 else path
+            values.reshape(-1)[index] = own.get(label, values.reshape(-1)[index])
         inputs = replace(inputs, {path: values})
     return inputs
 

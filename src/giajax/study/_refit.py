@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from ..fitting import MAX_ITERATIONS, FitResult, fit
+from ..fitting import MAX_ITERATIONS, FitResult, fit, prepared_with
 from ..models import AbstractModel
-from ..parameters import elements, get, replace, switched_on
+from ..parameters import elements, get, switched_on
 from ..runs import Definition, Run
 
 # Of the way from a bound to the value, for a start that would lie on the bound.
@@ -34,13 +34,7 @@ def begun_where_it_ended(result: FitResult, runs: Sequence[Run]) -> list[Run]:
 def _begun(model: AbstractModel, run: Run, own: Mapping[str, float]) -> Run:
     if not own:
         return run
-    inputs = model.prepare(run)
-    for path in model.free_inputs(run):
-        values = np.array(get(inputs, path), dtype=float)
-        for index in range(values.size):
-            label = f"{path}[{index}]" if values.size > 1 else path
-            values.reshape(-1)[index] = own.get(label, values.reshape(-1)[index])
-        inputs = replace(inputs, {path: values})
+    inputs = prepared_with(model, run, own)
     contents = run.definition.contents()
     contents["initial"] = {**model.initial_section(inputs), "free": True}
     return dataclasses.replace(run, definition=Definition.parse(contents, run.name))
