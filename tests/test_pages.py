@@ -15,12 +15,15 @@ def page(name):
     return (DOCS / name).read_text(encoding="utf-8")
 
 
-def test_the_python_of_the_physics_runs():
-    blocks = re.findall(r"```python\n(.*?)```", page("physics.md"), re.DOTALL)
+@pytest.mark.parametrize(
+    "name", ["physics.md", pytest.param("long_fits.md", marks=pytest.mark.slow)]
+)
+def test_the_python_of_a_page_runs(name):
+    blocks = re.findall(r"```python\n(.*?)```", page(name), re.DOTALL)
     assert blocks
     for block in blocks:
         assert "assert" in block
-        exec(compile(block, "physics.md", "exec"), {})
+        exec(compile(block, name, "exec"), {})
 
 
 def channel_rows():

@@ -33,6 +33,8 @@ ROOMS = [
     ("simulation", "joint", "arm", "hysteresis"),
     ("runs",),
     ("kinds",),
+    ("verdict",),
+    ("noise",),
     (
         "parameters",
         "quantities",
@@ -40,6 +42,7 @@ ROOMS = [
         "_maths",
         "_files",
         "_limits",
+        "_signals",
         "_syntax",
         "_text",
         "_typing",

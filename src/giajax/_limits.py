@@ -13,6 +13,9 @@ TEXT_BYTES = 1 << 20
 RESULT_BYTES = 1 << 26
 """Size of a `result.json`."""
 
+JOURNAL_BYTES = 1 << 30
+"""Size of the journal of a fit."""
+
 DEPTH = 32
 """Tables and lists within each other, and parts of a dotted key, in TOML and JSON."""
 

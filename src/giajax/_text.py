@@ -43,6 +43,19 @@ def format_estimate(value: Any, standard_error: float | None) -> tuple[str, str]
     return f"{value:.{min(max(digits, 0), 15)}e}", f"{standard_error:.1e}"
 
 
+def time_in_words(seconds: float) -> str:
+    """A time as a person says it.
+
+    Example:
+        >>> time_in_words(45.2), time_in_words(600.0), time_in_words(5400.0)
+        ('45 s', '10 min', '1.5 h')
+    """
+    for unit, length in (("h", 3600.0), ("min", 60.0)):
+        if seconds >= length:
+            return f"{seconds / length:.2g} {unit}"
+    return f"{seconds:.2g} s"
+
+
 def wrapped(text: str, width: int | None, first: str, others: str) -> Sequence[str]:
     """Lines of a text; none where it is empty.
 

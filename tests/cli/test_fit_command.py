@@ -65,9 +65,12 @@ def test_numbers_without_figures(data):
     options = ["--max-iterations", "1", "--out", "out", "--no-figures"]
     _, out, _ = giajax("fit", "--data", data, *STARTS, *options)
     assert {path.name for path in (data.parent / "out").iterdir()} == {
-        name for name in FILES if not name.endswith(".png")
+        "journal.jsonl",
+        *(name for name in FILES if not name.endswith(".png")),
     }
-    assert out.endswith("wrote out: result.json, prediction.csv, prediction.toml\n")
+    assert "wrote out: result.json, prediction.csv, prediction.toml\n" in out
+    # It ended early, and can go on.
+    assert out.endswith("to go on with it: giajax fit --resume out --max-iterations 2\n")
 
 
 def test_it_finds_the_truth(fitted):
@@ -91,6 +94,7 @@ def test_every_key_of_the_result(fitted):
     for path, estimate in record["parameters"].items():
         assert set(estimate) == {
             "value", "standard_error", "unit", "lower", "upper", "free", "remark",
+            "interval", "freedom", "sandwich_error",
         }  # fmt: skip
         assert estimate["free"] == (path in TRUTH)
         assert isinstance(estimate["unit"], str)
@@ -99,6 +103,9 @@ def test_every_key_of_the_result(fitted):
             assert isinstance(estimate["value"], float)
             assert isinstance(estimate["standard_error"], float)
             assert estimate["lower"] < estimate["value"] < estimate["upper"]
+            low, high = estimate["interval"]
+            assert low < estimate["value"] < high
+            assert estimate["sandwich_error"] > 0
         else:
             assert estimate["standard_error"] is None
             assert estimate["remark"]

@@ -22,6 +22,7 @@ def written(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_it_draws_and_writes_the_numbers(written):
     for name in PICTURES:
         assert (written / name).read_bytes().startswith(b"\x89PNG")
@@ -35,6 +36,7 @@ def test_it_draws_and_writes_the_numbers(written):
     assert at[-60]["branch"] == "outer, wrapped"
 
 
+@pytest.mark.slow
 def test_the_points_are_where_they_should_be(written):
     points = {}
     for row in rows(written / "points.csv"):
@@ -58,6 +60,7 @@ def test_the_points_are_where_they_should_be(written):
         assert np.linalg.norm(inner[point]) == pytest.approx(size, abs=1e-8)
 
 
+@pytest.mark.slow
 def test_corrections_are_those_of_the_joint(tmp_path, written, capsys):
     out = tmp_path / "out"
     assert main(["joint", "--out", str(out), "--set", "alpha.offset=0.05"]) == 0
@@ -92,6 +95,7 @@ def test_stops_and_branches_that_are_never_reached_are_told(tmp_path, capsys):
     assert "nan" not in out
 
 
+@pytest.mark.slow
 def test_the_equilibria_hold_the_target(written):
     table = rows(written / "equilibria.csv")
     target = {float(row["target_deg"]) for row in table}

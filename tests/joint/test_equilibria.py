@@ -85,6 +85,7 @@ def test_a_dense_scan_confirms_every_equilibrium(name):
     "name",
     [pytest.param(name, marks=[pytest.mark.slow] * (name != "corrected")) for name in PAIRS],
 )
+@pytest.mark.slow
 def test_an_angle_gives_pressures_that_give_the_angle_back(name):
     """To 1e-9 rad wherever it is stable; where it is not, the solver lists it as unstable."""
     pair = PAIRS[name]
@@ -164,6 +165,7 @@ def test_the_pair_is_bistable_about_0():
         assert item.stiffness < 0
 
 
+@pytest.mark.slow
 def test_0_itself():
     # Without corrections 0 is one unstable equilibrium between two stable ones that mirror.
     found = equilibria(PLAIN, [26e3, 26e3]).every

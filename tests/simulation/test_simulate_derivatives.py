@@ -146,6 +146,7 @@ def test_the_default_tolerance_is_enough_for_a_fit():
     assert np.all(np.abs(found - tight) < 1e-3 * np.abs(tight).max(axis=0))
 
 
+@pytest.mark.slow
 def test_nothing_has_moved_before_the_command():
     """At rest until 0.5 s nothing has an influence, and a wind of zero has no slope."""
     jacobian = np.asarray(forward_jacobian(flat(AT_REST), TIGHT))

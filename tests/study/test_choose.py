@@ -32,6 +32,7 @@ def choice():
     return choose_hysteresis([recording()], candidates=["play", "preisach", "bouc_wen"])
 
 
+@pytest.mark.slow
 def test_the_operator_behind_the_data_is_chosen(choice):
     assert choice.best.name == "preisach"
     held_out = {candidate.name: candidate.held_out_rmse for candidate in choice.candidates}
@@ -42,6 +43,7 @@ def test_the_operator_behind_the_data_is_chosen(choice):
     assert min(choice.candidates, key=lambda c: c.bic).name == "preisach"
 
 
+@pytest.mark.slow
 def test_the_criteria_are_what_they_say(choice):
     for candidate in choice.candidates:
         record = candidate.result.runs[0].channels["output"]

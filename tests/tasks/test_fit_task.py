@@ -1,6 +1,5 @@
 """A fit as data: what goes before what, and that it is what a fit by hand is."""
 
-import itertools
 import subprocess
 import sys
 from pathlib import Path
@@ -20,45 +19,15 @@ from giajax import (
 )
 from giajax.runs import Definition
 from giajax.tasks import _preparation
+from small_loops import write_task
 
 # Any finished fit will do where none is run.
 FINISHED = Path(__file__).parents[1] / "fitting" / "earlier"
 
-DEFINITION = """
-model = "hysteresis"
-[hysteresis]
-operator = "prandtl_ishlinskii"
-thresholds = [0.2]
-[fit]
-data = ["loops.csv"]
-validation = ["other.csv"]
-free = ["elastic", "weights[0]"]
-loss = "soft_l1"
-[fit.start]
-"weights[0]" = 0.3
-[fit.fix]
-offset = 0.1
-"""
-
-
-def write_loops(path, turns, seed):
-    """A play of threshold 0.2 beside a spring: 0.5 u + 0.8 play(u) + 0.1, with noise."""
-    inputs = np.concatenate([np.linspace(a, b, 12)[1:] for a, b in itertools.pairwise(turns)])
-    play, outputs = 0.0, []
-    for value in inputs:
-        play = min(max(play, value - 0.2), value + 0.2)
-        outputs.append(0.5 * value + 0.8 * play + 0.1)
-    noise = 0.005 * np.random.default_rng(seed).normal(size=len(inputs))
-    rows = [f"{a:.9g},{b:.9g}" for a, b in zip(inputs, np.asarray(outputs) + noise, strict=True)]
-    path.write_text("\n".join(["input,output", *rows]) + "\n")
-
 
 @pytest.fixture
 def path(tmp_path):
-    write_loops(tmp_path / "loops.csv", (0, 1, -0.8, 0.7, -0.4, 0.5), seed=4)
-    write_loops(tmp_path / "other.csv", (0, -0.9, 0.9, -0.2, 0.6), seed=5)
-    (tmp_path / "loops_fit.toml").write_text(DEFINITION)
-    return tmp_path / "loops_fit.toml"
+    return write_task(tmp_path)
 
 
 def test_a_task_is_made_without_jax(path):

@@ -77,7 +77,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run `giajax` with these arguments (those of the process by default).
 
     Returns:
-        The exit status: 0, 2 for bad input or usage, 130 when interrupted, else the command's own.
+        The exit status: 0, 2 for bad input or usage, 130 when interrupted (143 by SIGTERM), else
+        the command's own.
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
     return run(typer.main.get_command(_app_for(words)), words)

@@ -1,18 +1,20 @@
 """How every command ends: one sentence on standard error, and an exit status."""
 
+import contextlib
 import os
 import re
 import sys
+from collections.abc import Iterator
 from typing import Any
 
 import typer
 from typer.core import TyperGroup
 
 from .._errors import InputError
+from .._signals import stopped_status
 from .._text import abridged
 
 BAD_INPUT = 2
-INTERRUPTED = 130
 BROKEN_PIPE = 141
 
 # Typer brings its own click since 0.16 or so, and used the installed one before: what it raises
@@ -31,14 +33,25 @@ class Ended(Exception):  # noqa: N818
 class Commands(TyperGroup):
     """Typer's group, without its own endings for Ctrl-C and a closed pipe."""
 
+    def make_context(self, *args: Any, **kwargs: Any) -> Any:
+        """Read the words; typer would end Ctrl-C here without one of its own."""
+        with _endings():
+            return super().make_context(*args, **kwargs)
+
     def invoke(self, ctx: Any) -> Any:
         """Run the command that the context names."""
-        try:
+        with _endings():
             return super().invoke(ctx)
-        except KeyboardInterrupt:
-            raise Ended(INTERRUPTED) from None
-        except BrokenPipeError:
-            raise Ended(BROKEN_PIPE) from None
+
+
+@contextlib.contextmanager
+def _endings() -> Iterator[None]:
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise Ended(stopped_status()) from None
+    except BrokenPipeError:
+        raise Ended(BROKEN_PIPE) from None
 
 
 def run(command: Any, arguments: list[str]) -> int:
@@ -46,7 +59,7 @@ def run(command: Any, arguments: list[str]) -> int:
 
     Returns:
         The exit status: 0, or that of the command's `typer.Exit(status)`; 2 for bad input or
-        usage; 130 when interrupted.
+        usage; 130 when interrupted, 143 when terminated.
     """
     try:
         result = command.main(args=arguments, prog_name="giajax", standalone_mode=False)
@@ -56,11 +69,11 @@ def run(command: Any, arguments: list[str]) -> int:
     except UsageError as error:
         return _say(_usage(error), BAD_INPUT)
     except Ended as ended:
-        if ended.status == INTERRUPTED:
-            return _say("interrupted", INTERRUPTED)
-        return _close_quietly()
+        if ended.status == BROKEN_PIPE:
+            return _close_quietly()
+        return _say("interrupted", ended.status)
     except (KeyboardInterrupt, typer.Abort):
-        return _say("interrupted", INTERRUPTED)
+        return _say("interrupted", stopped_status())
     except BrokenPipeError:
         return _close_quietly()
     # Without standalone mode typer returns the status of `typer.Exit`, else what the command did.

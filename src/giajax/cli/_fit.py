@@ -8,14 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ._fit_output import show_files, show_result, write_or_print
-from ._progress import Progress
+from ._fit_run import finished, run_fit
 from ._values import plain_settings
 
 if TYPE_CHECKING:
     from ..tasks import FitTask
-
-STATUS = {"converged": 0, "not_converged": 1, "interrupted": 130}
 
 EXAMPLES = """\b
 Examples:
@@ -24,6 +21,10 @@ Examples:
   giajax fit --data a.csv --data b.csv --fix joints.damping=0.05 --out both
   giajax fit --data run.csv --free joints.damping --free "links.mass[19]"
   giajax fit definition.toml --force
+  giajax fit long.toml --budget 2h
+  giajax fit --resume giajax-out/long
+  giajax fit --again giajax-out/run/result.json
+  giajax fit --data other.csv --from giajax-out/run
 
 Parameters are called as `giajax parameters` lists them, in the units that it lists;
 one with several elements has one VALUE for all, or one for each: camera.origin=0.1,0,0.
@@ -31,8 +32,13 @@ The table and the summary go to standard output, progress to standard error.
 
 \b
 Exit status: 0 converged; 1 ended without convergence (the result is
-written and says so); 2 bad input or usage; 130 interrupted (the best point
-so far is written)."""
+written and says so); 2 bad input or usage; 3 with --strict, where the model
+does not describe the data; 130 interrupted, 143 by SIGTERM (the best point so
+far is written). A second Ctrl-C ends at once.
+
+\b
+While it runs, DIR/journal.jsonl has every step. After a crash, Ctrl-C or the
+end of a budget, --resume DIR goes on from there to the same numbers."""
 
 
 def fit(
@@ -65,8 +71,7 @@ def fit(
     uncertainty: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="PATH=VALUE",
-            help="Standard deviation of a held parameter, for the systematic errors. Repeatable.",
+            metavar="PATH=VALUE", help="Standard deviation of a held parameter. Repeatable."
         ),
     ] = None,
     channels: Annotated[
@@ -96,6 +101,20 @@ def fit(
         str | None,
         typer.Option(metavar="NAME", help="linear (default), or huber or soft_l1 for outliers."),
     ] = None,
+    noise_model: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME", help="correlated (default: looks for a memory of the noise), or white."
+        ),
+    ] = None,
+    noise_per_run: Annotated[
+        bool | None,
+        typer.Option(
+            "--noise-per-run/--noise-pooled",
+            show_default=False,
+            help="Estimate the noise in each run by itself, or (default) in all together.",
+        ),
+    ] = None,
     rename: Annotated[
         list[str] | None,
         typer.Option(metavar="OLD=NEW", help="Read column OLD of the runs as NEW. Repeatable."),
@@ -112,6 +131,26 @@ def fit(
         int | None,
         typer.Option(metavar="N", min=1, help="Trial steps before the fit gives up (50)."),
     ] = None,
+    budget: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TIME", help="End with the best so far when it is over: 90s, 10m, 2h."
+        ),
+    ] = None,
+    begin: Annotated[
+        Path | None,
+        typer.Option("--from", metavar="RESULT", help="Start where another fit ended."),
+    ] = None,
+    again: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="RESULT", help="The fit of a result once more: same data, same numbers."
+        ),
+    ] = None,
+    resume: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Go on with the fit whose journal is in this folder."),
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -124,12 +163,15 @@ def fit(
     as_json: Annotated[
         bool, typer.Option("--json", help="Print result.json instead of the tables.")
     ] = False,
+    strict: Annotated[
+        bool,
+        typer.Option("--strict", help="End with status 3 where the model does not fit the data."),
+    ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
     suspects: Annotated[
         bool,
         typer.Option(
-            "--suspects/--no-suspects",
-            help="Where the model is inadequate, ask what the residuals ask for.",
+            "--suspects/--no-suspects", help="Of an inadequate model, ask what it leaves out."
         ),
     ] = True,
     figures: Annotated[
@@ -143,7 +185,11 @@ def fit(
     """
     from ..runs import parse_rename
 
-    task = _task(definition, config).on_top(
+    if resume is not None and (ended := finished(resume)) is not None:
+        sentence, status = ended
+        typer.echo(sentence, err=not quiet and as_json)
+        raise typer.Exit(status)
+    task = _task(definition, config, again, resume, bool(data)).on_top(
         data=data or None,
         free=free or None,
         start=plain_settings(start, "--start"),
@@ -155,9 +201,13 @@ def fit(
         spread=spread,
         seed=seed,
         loss=loss,
+        noise_model=noise_model,
+        noise_per_run=noise_per_run,
         solver=solver,
         tolerance=tolerance,
         max_iterations=max_iterations,
+        budget=budget,
+        begin=begin,
         out=out,
         rename=parse_rename(rename or []),
         origin="the command line",
@@ -166,39 +216,33 @@ def fit(
         where = f"{task.source} names no data" if task.source else "there is no data"
         raise typer.BadParameter(f"{where}: give at least one run with --data RUN.csv")
 
-    from ._jax import configure
-
-    configure()
-    from ..fitting import column_factors
-    from ..report import check_figures, check_folder, write_figures, write_result
-    from ..study import choice_hint
-
-    ready = task.prepare()
-    check_figures(ready.setup.model, task.definition)
-    check_folder(task.out, ready.runs, ready.setup.config, force=force)
-    progress = None if quiet else Progress(column_factors(ready.setup.model))
-    announce = None if progress is None else progress.announce
-    result = ready.run(progress, announce, suspects=suspects)
-    if progress is not None:
-        progress.end()
-    files = write_or_print(
-        result, lambda: write_result(result, ready.runs, task.out, figures=False)
+    if resume is not None and task.out.resolve() != resume.resolve():
+        if out is not None:
+            raise typer.BadParameter("a fit that is resumed goes on in its folder: leave out --out")
+        task = task.on_top(out=resume)
+    raise typer.Exit(
+        run_fit(
+            task,
+            again=again,
+            resume=resume is not None,
+            force=force,
+            as_json=as_json,
+            quiet=quiet,
+            figures=figures,
+            strict=strict,
+            suspects=suspects,
+        )
     )
-    if as_json:
-        typer.echo(result.to_json(), nl=False)
-    elif not quiet:
-        show_result(result, task.definition)
-    # What a person waits for is there; drawing takes a second or two.
-    if figures:
-        files += write_figures(result, ready.runs, task.out)
-    if not (as_json or quiet):
-        show_files(files)
-        if hint := choice_hint(ready.runs, [str(path) for path in task.data]):
-            print(f"\n{hint}")
-    raise typer.Exit(STATUS[result.status])
 
 
-def _task(definition: Path | None, config: Path | None) -> "FitTask":
+def _task(
+    definition: Path | None,
+    config: Path | None,
+    again: Path | None,
+    resume: Path | None,
+    has_data: bool,
+) -> "FitTask":
+    """The task that the command names, before its options are put on top."""
     from ..runs import Definition
     from ..tasks import FitTask
 
@@ -207,4 +251,14 @@ def _task(definition: Path | None, config: Path | None) -> "FitTask":
             "there are two fit definitions: give one, as argument or by --config, not both"
         )
     source = definition or config
-    return FitTask(Definition()) if source is None else FitTask.load(source)
+    if again is not None:
+        if source is not None or has_data or resume is not None:
+            raise typer.BadParameter(
+                "--again takes data and settings from the result: leave out the others"
+            )
+        return FitTask.again(again)
+    if source is not None:
+        return FitTask.load(source)
+    if resume is not None and not has_data:
+        return FitTask.resumed(resume)
+    return FitTask(Definition())

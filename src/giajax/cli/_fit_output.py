@@ -17,11 +17,23 @@ if TYPE_CHECKING:
 
 
 def write_or_print(result: "FitResult", write: Callable[[], list[Path]]) -> list[Path]:
-    """What `write` writes; where it cannot (a full disk), the result goes to standard output."""
+    """What `write` writes; where it cannot (a full disk), the result goes to standard output.
+
+    Where that cannot take it either, such as a file on the same disk, it goes to standard error.
+    """
     try:
-        return write()
+        try:
+            return write()
+        except KeyboardInterrupt:  # once more, because this is what the fit was for
+            write()
+            raise
     except InputError:
-        typer.echo(result.to_json(), nl=False)
+        for stream in (sys.stdout, sys.stderr):
+            try:
+                print(result.to_json(), end="", file=stream, flush=True)
+            except OSError:
+                continue
+            break
         typer.echo("the fit is above, because its files could not all be written:", err=True)
         raise
 
@@ -45,6 +57,19 @@ def show_result(result: "FitResult", definition: "Definition") -> None:
     for figure in figures:
         print(f"{'reached' if figure.reached else 'MISSED':<9}{figure.path} {figure.sentence}")
     sys.stdout.flush()
+
+
+def show_diagnosis(result: "FitResult") -> None:
+    """Print the first suspects, and what stated uncertainties of held numbers do."""
+    from ..report import SUSPECT_HEADINGS, first_suspects, systematic_table
+    from ._output import print_table
+
+    if rows := first_suspects(result):
+        print("\nwhat the residuals ask for (giajax suspects shows all of it):")
+        print_table(SUSPECT_HEADINGS, rows)
+    if any(error.stated for error in result.systematic):
+        print("\nwhat a held number moves, in standard errors:")
+        print_table(*systematic_table(result))
 
 
 def show_files(files: list[Path]) -> None:

@@ -7,8 +7,17 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from .._signals import is_stopped
+from ._time_left import TimeLeft
+
 if TYPE_CHECKING:
     from ..fitting import Iteration
+
+
+def stop_if_asked(iteration: "Iteration") -> None:
+    """Stop a fit after a signal whose exception was lost, as in a callback of a library."""
+    if is_stopped():
+        raise KeyboardInterrupt
 
 
 class Progress:
@@ -17,10 +26,12 @@ class Progress:
     Arguments:
         factors: what the value of each parameter (SI) is multiplied by, by path: its unit is
             then that of the table at the end. 1 for others.
+        left: says how long it may still take; None for no word about it.
     """
 
-    def __init__(self, factors: Mapping[str, float]) -> None:
+    def __init__(self, factors: Mapping[str, float], left: TimeLeft | None = None) -> None:
         self._factors = factors
+        self._left = left
         self._say("compiling ...")
         self._headed = False
 
@@ -36,9 +47,14 @@ class Progress:
         taken = "yes" if iteration.accepted else "no"
         first = iteration.number == 0
         self._row([cells[0], cells[1], "" if first else cells[2], "" if first else taken, *values])
+        if self._left is not None and (sentence := self._left.after(iteration.number)):
+            self._say(sentence)
+        stop_if_asked(iteration)
 
     def announce(self, number: int, start: Mapping[str, float]) -> None:
         """Say which of several starts is next."""
+        if self._left is not None:
+            self._left.start()
         self._say(f"start {number}")
 
     def end(self) -> None:

@@ -1,15 +1,16 @@
 """Held numbers that may be a little wrong: those whose uncertainty is stated, and all others."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from .._errors import InputError
-from ..fitting import Direction, FitResult
+from ..fitting import Direction
+from ..models import AbstractModel
 from ..parameters import elements, get, switched_on
-from ._candidates import Candidate, Inquiry
+from ._candidates import Candidate, Inquiry, inquiry
 
 FRACTION = 0.01
 """Of a held number, where its uncertainty is not stated."""
@@ -27,6 +28,23 @@ class Doubt:
     direction: Direction
 
 
+def check_uncertainty(
+    model: AbstractModel, free: Sequence[str], uncertainty: Mapping[str, npt.ArrayLike]
+) -> None:
+    """Refuse uncertainties that `systematic_errors` would refuse, before anything is fitted.
+
+    Arguments:
+        model: to be fitted.
+        free: paths of the parameters to fit.
+        uncertainty: standard deviations of held numbers, SI, by path.
+
+    Raises:
+        InputError: an unknown path, one that is fitted, or an uncertainty that is not positive.
+    """
+    if uncertainty:
+        stated_doubts(free, inquiry(model, free), uncertainty)
+
+
 def is_doubtful(one: Candidate, known: set[str]) -> bool:
     return one.value != 0 and one.direction.path not in known
 
@@ -37,10 +55,10 @@ def one_percent(one: Candidate) -> Doubt:
 
 
 def stated_doubts(
-    result: FitResult, asked: Inquiry, uncertainty: Mapping[str, npt.ArrayLike]
+    paths: Sequence[str], asked: Inquiry, uncertainty: Mapping[str, npt.ArrayLike]
 ) -> list[Doubt]:
     doubts = []
-    free = set(result.free)
+    free = set(paths)
     for path, deviation in uncertainty.items():
         model = switched_on(asked.model, [path])
         parts = elements(model, path)

@@ -2,11 +2,31 @@
 
 import dataclasses
 import json
+from collections.abc import Sequence
 
 from ..fitting import Suspect
 
 LEVEL = 0.05
 """A corrected p-value below this is significant."""
+
+
+def promising(rows: Sequence[Suspect]) -> tuple[Suspect, ...]:
+    """Of each quantity that is testable its best row, the most promising first.
+
+    The elements of a vector and the whole of it are one quantity; and what the data can hardly
+    tell from a row above is named there, in `alike`, and has no row of its own.
+
+    Arguments:
+        rows: in the order of `Suspects.rows`.
+    """
+    best: dict[str, Suspect] = {}
+    covered: set[str] = set()
+    for row in rows:
+        name = row.path.partition("[")[0]
+        if row.testable and name not in best and name not in covered:
+            best[name] = row
+            covered |= {path.partition("[")[0] for path in row.alike}
+    return tuple(best.values())
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,19 +49,8 @@ class Suspects:
 
     @property
     def promising(self) -> tuple[Suspect, ...]:
-        """Of each quantity that is testable its best row, the most promising first.
-
-        The elements of a vector and the whole of it are one quantity; and what the data can
-        hardly tell from a row above is named there, in `alike`, and has no row of its own.
-        """
-        best: dict[str, Suspect] = {}
-        covered: set[str] = set()
-        for row in self.rows:
-            name = row.path.partition("[")[0]
-            if row.testable and name not in best and name not in covered:
-                best[name] = row
-                covered |= {path.partition("[")[0] for path in row.alike}
-        return tuple(best.values())
+        """Of each quantity that is testable its best row, the most promising first."""
+        return promising(self.rows)
 
     @property
     def significant(self) -> tuple[Suspect, ...]:

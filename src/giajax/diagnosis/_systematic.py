@@ -48,7 +48,7 @@ def systematic_errors(
     if uncertainty is None:
         uncertainty = result.config.get("uncertainty") or {}
     asked = inquiry(result.model, list(result.free))
-    stated = stated_doubts(result, asked, uncertainty)
+    stated = stated_doubts(list(result.free), asked, uncertainty)
     known = {doubt.path.partition("[")[0] for doubt in stated}
     doubts = [*stated, *(one_percent(one) for one in asked.candidates if is_doubtful(one, known))]
     # Beside the columns of all candidates, so that the program is the one that tests them.

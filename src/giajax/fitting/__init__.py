@@ -1,8 +1,12 @@
 """Least squares over chosen parameters of any model that predicts channels."""
 
+from ._beginning import Beginning as Beginning, between as between
+from ._budget import Budget as Budget
+from ._conclude import versions as versions
 from ._configuration import Setup as Setup, set_up as set_up
 from ._fit import MAX_ITERATIONS as MAX_ITERATIONS, fit as fit, solve as solve
 from ._loss import influence as influence
+from ._noise import NOISE_MODELS as NOISE_MODELS
 from ._predict import (
     errors_of as errors_of,
     predict as predict,
@@ -15,6 +19,7 @@ from ._records import (
     Estimate as Estimate,
     GradientCheck as GradientCheck,
     Iteration as Iteration,
+    NoiseFit as NoiseFit,
     OwnEstimate as OwnEstimate,
     PredictionErrors as PredictionErrors,
     RunFit as RunFit,
@@ -30,6 +35,7 @@ from ._responses import (
     responses as responses,
 )
 from ._result import FitResult as FitResult, load_result as load_result
+from ._snapshot import FitJournal as FitJournal
 from ._solver import Marquardt as Marquardt
 from ._suspect import (
     Suspect as Suspect,

@@ -1,4 +1,7 @@
-"""What a fit is asked: checked and resolved before anything is evaluated."""
+"""What a fit is asked: checked and resolved before anything is evaluated.
+
+The file is longer than 200 lines because all that can be wrong with a question is looked at here.
+"""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -20,7 +23,9 @@ from ..parameters import (
     switched_on,
 )
 from ..runs import Run, run_keys
+from ._beginning import Beginning, inside_bounds
 from ._loss import check_loss
+from ._noise import NOISE_MODELS, NoiseModel
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,6 +38,10 @@ class Setup:
         parameters: the scalar parameters to fit, apart from those of single runs.
         unstarted: paths of those that have no start of the caller's.
         loss: how a large residual counts.
+        noise_model: "correlated" or "white".
+        noise_per_run: whether each run has noise of its own.
+        own: where the parameters of single runs start, by the run's name and their path, where
+            that is not as the run is prepared.
         config: the same as plain data, `config` of the result: two fits of the same data with
             the same one have the same result.
     """
@@ -42,7 +51,10 @@ class Setup:
     parameters: tuple[Parameter, ...]
     unstarted: tuple[str, ...]
     loss: str
+    noise_model: NoiseModel
+    noise_per_run: bool
     config: dict[str, Any]
+    own: Mapping[str, Mapping[str, float]] = dataclasses.field(default_factory=dict)
 
     def at_start(self) -> Self:
         """With the model where the fit may start (`AbstractModel.at_start`)."""
@@ -62,13 +74,18 @@ def set_up(
     start: Mapping[str, npt.ArrayLike] | None = None,
     fix: Mapping[str, npt.ArrayLike] | None = None,
     loss: str = "linear",
+    noise_model: NoiseModel = "correlated",
+    noise_per_run: bool = False,
     solver: str | None = None,
     tolerance: float | None = None,
+    begin: Beginning | None = None,
 ) -> Setup:
     """Check and resolve the arguments of a fit, without evaluating the model.
 
     Arguments:
-        model, runs, free, start, fix, loss, solver, tolerance: as of `fit`.
+        model, runs, free, start, fix, loss, noise_model, noise_per_run, solver, tolerance: as of
+            `fit`.
+        begin: where another fit ended, which goes before `start`; `fix` goes before both.
 
     Returns:
         What `solve` fits.
@@ -79,6 +96,10 @@ def set_up(
     runs = (runs,) if isinstance(runs, Run) else tuple(runs)
     start, fix = _plain(start or {}), _plain(fix or {})
     check_loss(loss)
+    if noise_model not in NOISE_MODELS:
+        raise InputError(
+            f"there is no noise model '{noise_model}': use one of: {', '.join(NOISE_MODELS)}"
+        )
     if not runs:
         raise InputError("there is no run: give at least one")
     for run in runs:
@@ -86,15 +107,18 @@ def set_up(
     _check_doubles(runs)
     if solver is not None or tolerance is not None:
         model = model.with_integration(solver=solver, tolerance=tolerance)
-    model, parameters = _resolved(model, free, start, fix)
+    reached = {} if begin is None else begin.values_for(model)
+    model, parameters = _resolved(model, free, start, fix, reached)
     _check_determined(model, runs, parameters)
-    begun = {element.path for path in start for element in elements(model, path)}
+    begun = {e.path for path in (*reached, *start) for e in elements(model, path)}
     return Setup(
         model=model,
         runs=runs,
         parameters=tuple(parameters),
         unstarted=tuple(p.path for p in parameters if p.path not in begun),
         loss=loss,
+        noise_model=noise_model,
+        noise_per_run=noise_per_run,
         config={
             "definition": model.definition(),
             "runs": [_about(run) for run in runs],
@@ -102,8 +126,12 @@ def set_up(
             "start": start,
             "fix": fix,
             "loss": loss,
+            "noise_model": noise_model,
+            "noise_per_run": noise_per_run,
             **_integration(model),
+            **({} if begin is None else {"begin": dataclasses.asdict(begin)}),
         },
+        own={} if begin is None else begin.own,
     )
 
 
@@ -170,15 +198,17 @@ def _resolved(
     free: Sequence[str] | None,
     start: Mapping[str, npt.ArrayLike],
     fix: Mapping[str, npt.ArrayLike],
+    reached: Mapping[str, Any],
 ) -> tuple[AbstractModel, list[Parameter]]:
     """The model with starts and fixed values, and the scalar parameters to fit."""
-    model = switched_on(model, (*start, *fix, *(free or ())))
+    model = switched_on(model, (*reached, *start, *fix, *(free or ())))
     for path, value in (*start.items(), *fix.items()):
         check_count(model, path, value)
     for path in set(start) & set(fix):
         raise InputError(f"'{path}' has a start and a fixed value: give one of them")
     chosen = default_free(model, start) if free is None else free
-    model = replace(model, {**start, **fix})
+    for values in (start, reached, fix):
+        model = replace(model, values)
     fixed = {element.path for path in fix for element in elements(model, path)}
     parameters: dict[str, Parameter] = {}
     for path in chosen:
@@ -190,6 +220,9 @@ def _resolved(
     for path in fix:
         for element in elements(model, path):
             check_within_bounds(element, float(element.value(model)), free=False)
+    if reached:
+        # A fit may end on a bound, where none can start.
+        model = replace(model, inside_bounds(model, reached, parameters))
     for element in parameters.values():
         check_within_bounds(element, float(element.value(model)), free=True)
     for path in start:

@@ -1,35 +1,38 @@
 """The host loop of a fit: step until the optimum, and estimate the noise that no sidecar states."""
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from .._errors import InputError
+from ._budget import Budget
 from ._identifiability import responds
-from ._noise import Noise
-from ._problem import predictions_by_run
 from ._records import Iteration
+from ._reestimate import reestimate
 from ._state import FitState
 from ._transitions import release, reweight, step, trial
 
-# How often the noise is estimated anew, unless it settles before.
-_NOISE_ROUNDS = 4
-
-# How often parameters may be moved off their bounds before the bound is believed.
-_RELEASES = 3
-
 
 def descend(
-    state: FitState, max_iterations: int, progress: Callable[[Iteration], None] | None
+    state: FitState,
+    max_iterations: int,
+    progress: Callable[[Iteration], None] | None,
+    *,
+    budget: Budget | None = None,
+    keep: Callable[[FitState], None] | None = None,
 ) -> FitState:
     """Step until converged.
 
     Arguments:
-        state: where to begin.
+        state: where to begin, or to go on.
         max_iterations: trial steps before the fit gives up.
         progress: called after each trial step.
+        budget: ends the fit before a step that it has no time for.
+        keep: called with each state on the way. Whoever goes on from one of them reaches the
+            same end. What only ends the fit early (iterations, budget, Ctrl-C) is no part of them.
 
     Returns:
         The last state; its `ending` says how it ended. After Ctrl-C the best one so far.
@@ -40,13 +43,20 @@ def descend(
     """
     reached = state
     try:
-        for after in _states(state, max_iterations):
-            shown, reached = len(reached.history), after
+        while reached.ending is None:
+            if (reason := _limit(reached, max_iterations, budget)) is not None:
+                return reached.ended("not_converged", reason)
+            shown, reached = len(reached.history), advance(reached)
+            if keep is not None:
+                keep(reached)
             if progress is not None and len(reached.history) > shown:
                 progress(reached.history[-1])
     except KeyboardInterrupt:
         if not reached.evaluated:
             raise
+        # An optimum that was reached in this very moment is one.
+        if reached.ending is not None:
+            return reached
         return reached.ended(
             "interrupted",
             f"interrupted after {reached.trials} iterations; this is the best so far",
@@ -54,8 +64,47 @@ def descend(
     return reached
 
 
-def _states(state: FitState, max_iterations: int) -> Iterator[FitState]:
-    """Each evaluated state on the way, the last one with its ending."""
+def _limit(state: FitState, max_iterations: int, budget: Budget | None) -> str | None:
+    """Why no further step may be tried; None where one may."""
+    if not state.evaluated or state.done:
+        return None
+    if state.trials >= max_iterations:
+        return (
+            f"no optimum after {state.trials} iterations: start nearer, free fewer "
+            "parameters or allow more iterations"
+        )
+    if budget is not None and budget.left() < float(np.median(state.step_seconds[1:] or [0.0])):
+        return (
+            f"{budget.ended_it} after {state.trials} iterations; this is the best so far: go on "
+            "from there, or allow more time"
+        )
+    return None
+
+
+def advance(state: FitState) -> FitState:
+    """The state after this one: a trial step, or what there is to do once none is left.
+
+    Raises:
+        InputError: the model cannot be evaluated at the start.
+    """
+    if not state.evaluated:
+        return _at_start(state)
+    if not state.done:
+        return trial(state)
+    there = release(state) if state.releases_left else None
+    if there is not None:
+        return _released(state, there)
+    if not state.converged:
+        return state.ended(
+            "not_converged",
+            "no step lowers the cost any further, and the optimum is not reached: "
+            "start elsewhere or free fewer parameters",
+        )
+    return _next_round(state)
+
+
+def _at_start(state: FitState) -> FitState:
+    """With the start evaluated, and what does not respond there held."""
     state = step(state)
     if not state.evaluated:
         raise InputError(
@@ -63,71 +112,40 @@ def _states(state: FitState, max_iterations: int) -> Iterator[FitState]:
             "choose others, for an arm softer or less damped joints, or a shorter run"
         )
     moves = responds(state.natural_jacobian().norms(), state.sizes)
-    state = dataclasses.replace(state, active=jnp.asarray(moves)).recorded(accepted=True)
-    yield state
-    if not np.any(moves):
-        yield state.ended("not_converged", "no channel responds to any of the free parameters")
-        return
-    for rounds_left in reversed(range(_NOISE_ROUNDS)):
-        for reached in _to_optimum(state, max_iterations):
-            yield reached
-            state = reached
-        # The last word is always an optimum with the noise that it was fitted with.
-        if state.ending is not None or rounds_left == 0:
-            break
-        noise = _noise_after(state)
-        settled = noise.values == state.noise.values
-        state = dataclasses.replace(state, noise=noise)
-        if settled:
-            break
-        state = step(reweight(state, noise))
-    if state.ending is None:
-        state = state.ended("converged", f"converged in {state.trials} iterations")
-    yield state
-
-
-def _to_optimum(state: FitState, max_iterations: int) -> Iterator[FitState]:
-    """Each state until the solver is done; the last one has an ending unless it is an optimum."""
-    for releases_left in reversed(range(_RELEASES + 1)):
-        state = dataclasses.replace(state, done=False)
-        while not state.done:
-            if state.trials >= max_iterations:
-                yield state.ended(
-                    "not_converged",
-                    f"no optimum after {state.trials} iterations: start nearer, free fewer "
-                    "parameters or allow more iterations",
-                )
-                return
-            state = trial(state)
-            yield state
-        there = release(state) if releases_left else None
-        if there is None:
-            break
-        tried = dataclasses.replace(step(there), trials=state.trials + 1)
-        if tried.cost < state.cost:
-            state = tried.recorded(accepted=True)
-            yield state
-            continue
-        # Back to the bound, which is now believed.
-        state = dataclasses.replace(
-            state, trials=tried.trials, step_seconds=tried.step_seconds
-        ).recorded(accepted=False)
-        yield state
-        break
-    if not state.converged:
-        yield state.ended(
-            "not_converged",
-            "no step lowers the cost any further, and the optimum is not reached: "
-            "start elsewhere or free fewer parameters",
-        )
-
-
-def _noise_after(state: FitState) -> Noise:
-    """The noise that the residuals show, where no sidecar states it."""
-    runs = state.setup.runs
-    return state.noise.reestimated(
-        runs,
-        predictions_by_run(state.problem, state.inner.aux, runs),
-        parameters=int(np.sum(np.asarray(state.active))),
-        robust=state.problem.loss != "linear",
+    # As every later evaluation gives the factor, so that a fit that goes on from here is the same.
+    factor = jnp.where(jnp.asarray(moves)[None], state.inner.factor, 0)
+    inner = eqx.tree_at(lambda inner: inner.factor, state.inner, factor)
+    state = dataclasses.replace(state, active=jnp.asarray(moves), inner=inner, done=False).recorded(
+        accepted=True
     )
+    if np.any(moves):
+        return state
+    return state.ended("not_converged", "no channel responds to any of the free parameters")
+
+
+def _released(state: FitState, there: FitState) -> FitState:
+    """From a point off the bounds where that is better, or else back and believing the bound."""
+    tried = dataclasses.replace(step(there), trials=state.trials + 1)
+    if tried.cost < state.cost:
+        tried = tried.recorded(accepted=True)
+        return dataclasses.replace(tried, releases_left=state.releases_left - 1, done=False)
+    back = dataclasses.replace(
+        state, trials=tried.trials, step_seconds=tried.step_seconds, releases_left=0
+    )
+    return back.recorded(accepted=False)
+
+
+def _next_round(state: FitState) -> FitState:
+    """From an optimum to the next one with another noise; where the noise is settled, the end.
+
+    The last word is always an optimum with the noise that it was fitted with.
+    """
+    end = f"converged in {state.trials} iterations"
+    if not state.rounds_left:
+        return state.ended("converged", end)
+    noise = reestimate(state)
+    settled = noise.values == state.noise.values and noise.weights is state.noise.weights
+    state = dataclasses.replace(state, noise=noise)
+    if settled:
+        return state.ended("converged", end)
+    return step(reweight(state, noise)).next_round()

@@ -1,5 +1,6 @@
 """Fit a model to runs: a host loop around one jitted trust-region step."""
 
+import dataclasses
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -7,13 +8,18 @@ from collections.abc import Callable, Mapping, Sequence
 import jax
 import numpy.typing as npt
 
+from .._errors import InputError
 from ..models import AbstractModel
 from ..runs import Run
+from ._budget import Budget
 from ._conclude import conclude
 from ._configuration import Setup, set_up
 from ._descend import descend
+from ._noise import NoiseModel
 from ._records import Iteration
 from ._result import FitResult
+from ._snapshot import FitJournal, keeper, restored
+from ._state import FitState
 from ._transitions import begin
 
 MAX_ITERATIONS = 50
@@ -27,16 +33,21 @@ def fit(
     start: Mapping[str, npt.ArrayLike] | None = None,
     fix: Mapping[str, npt.ArrayLike] | None = None,
     loss: str = "linear",
+    noise_model: NoiseModel = "correlated",
+    noise_per_run: bool = False,
     solver: str | None = None,
     tolerance: float | None = None,
     max_iterations: int = MAX_ITERATIONS,
+    budget: float | None = None,
     progress: Callable[[Iteration], None] | None = None,
     check: bool = True,
 ) -> FitResult:
     """Fit parameters of a model to recorded runs by weighted least squares.
 
     Each recorded cell counts with the noise that the run states for its channel; where it states
-    none, the noise is estimated per channel from the residuals. Empty cells do not count.
+    none, the noise is estimated per channel from the residuals of all runs. Where noise is
+    correlated in time, that is estimated, too, and the residuals are made independent (generalised
+    least squares). Empty cells do not count.
 
     Arguments:
         model: the model with its constants; its values are where the fit starts.
@@ -46,9 +57,14 @@ def fit(
         start: start values by path, in SI units: one, or one for each element.
         fix: values by path that are set and not fitted, as `start`.
         loss: "linear", or "huber" or "soft_l1" where a few cells are outliers.
+        noise_model: "correlated" finds out whether the noise of a channel has a memory (white
+            noise plus an AR(1) in continuous time), and how large and long it is where the runs
+            do not state it; "white" takes every cell for independent of the others.
+        noise_per_run: estimate the noise of a channel in each run by itself, not in all together.
         solver: of the simulation, one of `giajax.SOLVERS`; by default that of the model.
         tolerance: relative and absolute tolerance of the simulation; by default the model's.
         max_iterations: trial steps before the fit gives up.
+        budget: wall time that the fit may take, s; it then ends with the best so far.
         progress: called after each step with an `Iteration`.
         check: compute the gradient check and the effect of the solver tolerance at the end.
 
@@ -74,10 +90,18 @@ def fit(
         start=start,
         fix=fix,
         loss=loss,
+        noise_model=noise_model,
+        noise_per_run=noise_per_run,
         solver=solver,
         tolerance=tolerance,
     )
-    return solve(setup, max_iterations=max_iterations, progress=progress, check=check)
+    return solve(
+        setup,
+        max_iterations=max_iterations,
+        progress=progress,
+        check=check,
+        budget=None if budget is None else Budget(budget),
+    )
 
 
 def solve(
@@ -86,24 +110,55 @@ def solve(
     max_iterations: int = MAX_ITERATIONS,
     progress: Callable[[Iteration], None] | None = None,
     check: bool = True,
+    budget: Budget | None = None,
+    journal: FitJournal | None = None,
 ) -> FitResult:
     """Fit what `set_up` resolved.
 
     Arguments:
         setup: what to fit to what.
         max_iterations, progress, check: as of `fit`.
+        budget: wall time that the fit may take.
+        journal: what the fit keeps while it runs, and goes on from where it holds something.
 
     Returns:
         As `fit`.
 
     Raises:
-        InputError: the model cannot be evaluated at the start.
+        InputError: the model cannot be evaluated at the start, or the journal is of another fit.
     """
     _warn_once_in_32_bit()
-    state = begin(setup)
     began = time.perf_counter()
-    state = descend(state, max_iterations, progress)
-    return conclude(state, check=check, max_iterations=max_iterations, began=began)
+    state, keep = begin(setup), None
+    if journal is not None:
+        state, before = _gone_on(state, journal)
+        began -= before
+        keep = keeper(state, journal, lambda: time.perf_counter() - began)
+    state = descend(state, max_iterations, progress, budget=budget, keep=keep)
+    # Checking takes a few evaluations, for which there is no time left.
+    check = check and (budget is None or budget.left() > 0)
+    try:
+        result = conclude(state, check=check, max_iterations=max_iterations, began=began)
+    except KeyboardInterrupt:
+        # What was computed is worth keeping; all but the checks takes little.
+        if state.ending is not None and state.ending[0] != "interrupted":
+            message = f"{state.ending[1]}, then interrupted before its result was checked"
+            state = state.ended("interrupted", message)
+        result = conclude(state, check=False, max_iterations=max_iterations, began=began)
+    if budget is None:
+        return result
+    return dataclasses.replace(result, config={**result.config, "budget_s": budget.seconds})
+
+
+def _gone_on(begun: FitState, journal: FitJournal) -> tuple[FitState, float]:
+    """As `restored`."""
+    try:
+        return restored(begun, journal)
+    except (ValueError, LookupError, TypeError):
+        raise InputError(
+            "the journal is not that of this fit, or a line of it was changed: begin again "
+            "without it"
+        ) from None
 
 
 _warned = False

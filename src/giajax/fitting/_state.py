@@ -13,6 +13,12 @@ from ._problem import Problem
 from ._records import Iteration, Status
 from ._solver import Marquardt, MarquardtState
 
+# How often the noise is estimated anew, unless it settles before.
+_NOISE_ROUNDS = 3
+
+# How often parameters may be moved off their bounds before the bound is believed.
+_RELEASES = 3
+
 
 @dataclasses.dataclass(frozen=True)
 class FitState:
@@ -31,6 +37,8 @@ class FitState:
         done: whether the solver wants no further step.
         converged: whether it stopped at an optimum.
         trials: steps that were tried.
+        rounds_left: how often the noise may still be estimated anew.
+        releases_left: how often parameters may still be moved off their bounds.
         history: the start and each trial.
         step_seconds: wall time of each evaluation; the first one compiles.
         ending: how the fit ended and one sentence about it; None while it goes on.
@@ -48,6 +56,8 @@ class FitState:
     done: bool = False
     converged: bool = False
     trials: int = 0
+    rounds_left: int = _NOISE_ROUNDS
+    releases_left: int = _RELEASES
     history: tuple[Iteration, ...] = ()
     step_seconds: tuple[float, ...] = ()
     ending: tuple[Status, str] | None = None
@@ -94,6 +104,12 @@ class FitState:
             parameters=self.parameters(),
         )
         return dataclasses.replace(self, history=(*self.history, iteration))
+
+    def next_round(self) -> Self:
+        """With one estimation of the noise less, and the bounds to be believed anew."""
+        return dataclasses.replace(
+            self, rounds_left=self.rounds_left - 1, releases_left=_RELEASES, done=False
+        )
 
     def ended(self, status: Status, message: str) -> Self:
         """The end of the fit."""

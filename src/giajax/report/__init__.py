@@ -36,6 +36,7 @@ from ._style import (
 )
 from ._suspects import (
     SUSPECT_HEADINGS as SUSPECT_HEADINGS,
+    first_suspects as first_suspects,
     ladder_table as ladder_table,
     suspect_rows as suspect_rows,
     suspect_summary as suspect_summary,

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from .._text import format_estimate
-from ..diagnosis import Ladder, Rung, Suspects, together
+from ..diagnosis import LEVEL, Ladder, Rung, Suspects, promising, together
 from ..fitting import FitResult, Suspect, SystematicError
 
 Rows = list[list[str]]
@@ -23,6 +23,12 @@ def suspect_rows(found: Suspects, most: int = 10) -> Rows:
     """
     shown = found.promising[: max(most, len(found.significant))]
     return [_cells(row) for row in shown if row.chi_square_drop]
+
+
+def first_suspects(result: FitResult, most: int = 3) -> Rows:
+    """The first suspects that a result carries, as `suspect_rows`."""
+    shown = [row for row in promising(result.suspects) if (row.p_value or 0.0) < LEVEL]
+    return [_cells(row) for row in shown[:most]]
 
 
 def _cells(row: Suspect) -> list[str]:

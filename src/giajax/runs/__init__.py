@@ -7,6 +7,7 @@ from ._definition import (
     upgraded as upgraded,
 )
 from ._describe import describe as describe
+from ._duration import seconds_of as seconds_of
 from ._fit_sections import Figure as Figure
 from ._noise import deviation_of as deviation_of
 from ._output import (

@@ -1,4 +1,7 @@
-"""A fit from several starts: long motions have valleys that lead nowhere."""
+"""A fit from several starts: long motions have valleys that lead nowhere.
+
+The file is longer than 200 lines because it has each argument of a fit twice, with its meaning.
+"""
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
@@ -7,7 +10,18 @@ import numpy as np
 import numpy.typing as npt
 
 from .._errors import InputError
-from ..fitting import MAX_ITERATIONS, FitResult, Iteration, Seconds, Setup, Start, set_up, solve
+from ..fitting import (
+    MAX_ITERATIONS,
+    Budget,
+    FitJournal,
+    FitResult,
+    Iteration,
+    Seconds,
+    Setup,
+    Start,
+    set_up,
+    solve,
+)
 from ..models import AbstractModel
 from ..runs import Run
 from ._starts import inside_bounds, start_values
@@ -32,6 +46,7 @@ def multi_start(
     solver: str | None = None,
     tolerance: float | None = None,
     max_iterations: int = MAX_ITERATIONS,
+    budget: float | None = None,
     progress: Callable[[Iteration], None] | None = None,
     announce: Callable[[int, Mapping[str, float]], None] | None = None,
     check: bool = True,
@@ -49,6 +64,7 @@ def multi_start(
         spread: relative distance of the other starts.
         seed: of the other starts.
         max_iterations, progress, check: as of `giajax.fit`.
+        budget: wall time that all of them together may take, s.
         announce: called before each fit with its number, from 1, and its start.
 
     Returns:
@@ -77,6 +93,7 @@ def multi_start(
         progress=progress,
         announce=announce,
         check=check,
+        budget=None if budget is None else Budget(budget),
     )
 
 
@@ -90,12 +107,17 @@ def solve_from_starts(
     progress: Callable[[Iteration], None] | None = None,
     announce: Callable[[int, Mapping[str, float]], None] | None = None,
     check: bool = True,
+    budget: Budget | None = None,
+    journal: Callable[[int], FitJournal] | None = None,
 ) -> FitResult:
     """Fit what `giajax.fitting.set_up` resolved from several starts.
 
     Arguments:
         setup: what to fit to what.
         starts, spread, seed, max_iterations, progress, announce, check: as of `multi_start`.
+        budget: wall time that all of them together may take.
+        journal: the journal of each fit, by its number: the starts from 1, then the one that
+            checks the result. A start that has ended there is evaluated where it ended.
 
     Returns:
         As `multi_start`.
@@ -107,8 +129,12 @@ def solve_from_starts(
     random = np.random.default_rng(seed)
     results: list[FitResult] = []
     ends: list[Start] = []
+    in_time = True
     for number in range(1, starts + 1):
         values = start_values(setup, spread, random if number > 1 else None)
+        in_time = number == 1 or budget is None or budget.left() > 0
+        if not in_time:
+            break
         try:
             if announce is not None:
                 announce(number, values)
@@ -117,6 +143,8 @@ def solve_from_starts(
                 max_iterations=max_iterations,
                 progress=progress,
                 check=False,
+                budget=budget,
+                journal=None if journal is None else journal(number),
             )
         except InputError as error:
             if number == 1:
@@ -131,7 +159,8 @@ def solve_from_starts(
             break
         ends.append(Start(values, result.status, misfit(result), _end(result)))
         results.append(result)
-        if result.status == "interrupted":
+        in_time = budget is None or budget.ended_it not in result.message
+        if result.status == "interrupted" or not in_time:
             break
     best = min(results, key=misfit)
     seconds = Seconds(
@@ -141,8 +170,12 @@ def solve_from_starts(
     stopped = ends[-1].status == "interrupted"
     if stopped and best.status == "converged":
         best = _interrupted(best, f"at start {len(ends)} of {starts}")
+    if budget is not None and not in_time and budget.ended_it not in best.message:
+        message = f"{best.message}; {budget.ended_it} after {len(ends)} of {starts} starts"
+        best = dataclasses.replace(best, status="not_converged", message=message)
     if check and best.status == "converged":
-        best = _checked(setup, best, max_iterations, progress)
+        last = None if journal is None else journal(starts + 1)
+        best = _checked(setup, best, max_iterations, progress, budget, last)
     config = {**best.config, "starts": starts, "spread": spread, "seed": seed}
     return dataclasses.replace(best, starts=tuple(ends), config=config, seconds=seconds)
 
@@ -152,11 +185,19 @@ def _checked(
     best: FitResult,
     max_iterations: int,
     progress: Callable[[Iteration], None] | None,
+    budget: Budget | None,
+    journal: FitJournal | None,
 ) -> FitResult:
     """The best end fitted again from where it is, with the checks that were left out before."""
     try:
         inside = setup.started_at(inside_bounds(setup, _end(best)))
-        again = solve(inside, max_iterations=max_iterations, progress=progress)
+        again = solve(
+            inside,
+            max_iterations=max_iterations,
+            progress=progress,
+            budget=budget,
+            journal=journal,
+        )
     except KeyboardInterrupt:
         return _interrupted(best, "before its result was checked")
     if again.status == "interrupted":
@@ -178,7 +219,7 @@ def misfit(result: FitResult) -> float:
     """Minus the logarithm of the likelihood of a fit, up to a constant."""
     channels = [channel for run in result.runs for channel in run.channels.values()]
     cost = np.inf if result.cost is None else result.cost
-    return float(cost + sum(channel.n * np.log(channel.noise) for channel in channels))
+    return float(cost + sum(c.n * np.log(c.innovation or c.noise) for c in channels))
 
 
 def _end(result: FitResult) -> dict[str, float]:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..fitting import Setup
+from ..fitting import Setup, between
 
 
 def start_values(
@@ -30,7 +30,7 @@ def start_values(
             else:
                 size = abs(value) or abs(declaration.default) or 1.0
                 value += random.uniform(-1, 1) * spread * size
-            value = _between(value, lower, upper)
+            value = between(value, lower, upper)
         values[parameter.path] = value
     return values
 
@@ -38,16 +38,8 @@ def start_values(
 def inside_bounds(setup: Setup, values: Mapping[str, float]) -> dict[str, float]:
     """Values strictly between the bounds, at which a fit may start."""
     return {
-        parameter.path: _between(
+        parameter.path: between(
             values[parameter.path], parameter.declaration.lower, parameter.declaration.upper
         )
         for parameter in setup.parameters
     }
-
-
-def _between(value: float, lower: float, upper: float) -> float:
-    if np.isfinite(lower) and np.isfinite(upper):
-        margin = 1e-9 * (upper - lower)
-        return float(np.clip(value, lower + margin, upper - margin))
-    tiny = np.finfo(float).tiny
-    return max(value, lower + tiny) if np.isfinite(lower) else min(value, upper)

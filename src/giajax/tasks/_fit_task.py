@@ -12,12 +12,14 @@ import numpy.typing as npt
 
 from .._errors import InputError
 from ..runs import Definition, read_runs
+from ._journal import read_journal
+from ._record import differences, plain_of, record_of, unchanged
+from ._settings import Paths, parameters_of, paths_of
+from ._stored import check_config, reached_by, repeatable, without
 
 if TYPE_CHECKING:
     from ..fitting import FitResult, Iteration
     from ._preparation import Preparation
-
-Paths = str | Path | Sequence[str | Path]
 
 # Where results go by default.
 _OUT = Path("giajax-out")
@@ -33,6 +35,9 @@ class FitTask:
         validation: files of the runs that the result must predict and is not fitted to.
         rename: the files' column name -> the name it has in the column table.
         source: the fit definition; None where there is none.
+        begin: where another fit ended, as plain data (`fitting.Beginning`); None for a start as
+            the settings say.
+        resolved: `config` of the result whose numbers are to come again; None for a new fit.
 
     Example:
         >>> import giajax
@@ -47,6 +52,8 @@ class FitTask:
     validation: tuple[Path, ...] = ()
     rename: Mapping[str, str] = dataclasses.field(default_factory=dict)
     source: Path | None = None
+    begin: Mapping[str, Any] | None = None
+    resolved: Mapping[str, Any] | None = None
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -80,7 +87,48 @@ class FitTask:
         Returns:
             The task; none of its runs is read yet.
         """
-        return cls(Definition(), data=_paths(data))
+        return cls(Definition(), data=paths_of(data))
+
+    @classmethod
+    def again(cls, path: str | Path) -> Self:
+        """The task of a result: the same data, settings and starts, and so the same numbers.
+
+        On the same machine and with the same versions they are the same bit for bit. The result
+        goes beside the other one, into a folder whose name ends in `-again`.
+
+        Arguments:
+            path: a `result.json`, or its folder.
+
+        Returns:
+            The task. As long as no setting is changed, `prepare` refuses what has become of them
+            in another version of giajax.
+
+        Raises:
+            InputError: no such result, one that was stopped when its time was up, or a file that
+                it was fitted to has changed.
+        """
+        folder, stored = repeatable(path)
+        task = cls(**unchanged(stored["task"], folder), resolved=stored["config"])
+        out = folder.with_name(f"{folder.resolve().name}-again")
+        most = stored["config"]["max_iterations"]
+        return task.on_top(max_iterations=most, budget="", out=out)
+
+    @classmethod
+    def resumed(cls, folder: str | Path) -> Self:
+        """The task of a fit that was stopped or cut off; `run(journal=folder)` of it goes on.
+
+        Arguments:
+            folder: that has the journal.
+
+        Raises:
+            InputError: no journal there, one that cannot be read, or a file that was fitted to
+                has changed.
+        """
+        folder = Path(folder)
+        journal = read_journal(folder)
+        if journal is None:
+            raise InputError(f"{folder} has no journal of a fit: give the folder of one")
+        return cls(**unchanged(journal.head["task"], folder)).on_top(out=folder)
 
     def on_top(
         self,
@@ -97,9 +145,13 @@ class FitTask:
         spread: float | None = None,
         seed: int | None = None,
         loss: str | None = None,
+        noise_model: str | None = None,
+        noise_per_run: bool | None = None,
         solver: str | None = None,
         tolerance: float | None = None,
         max_iterations: int | None = None,
+        budget: str | None = None,
+        begin: "str | Path | FitResult | None" = None,
         out: str | Path | None = None,
         rename: Mapping[str, str] | None = None,
         origin: str = "the arguments",
@@ -115,16 +167,23 @@ class FitTask:
             free: paths of the parameters to fit, in place of those before.
             start: start values by path, SI.
             fix: values by path that are held, SI.
-            uncertainty: standard deviations by path of what is held, SI, in place of those before.
+            uncertainty: standard deviations of what is held, SI, by path.
             channels: names without unit of the channels to fit; all that were measured by default.
             window_s: cut each run into windows of this length, s, each with its own start.
             starts: how many starts (1 by default); the best end is the result.
             spread: how far the other starts are from the first, relative; 0.3 by default.
             seed: of the other starts; 0 by default.
             loss: "linear" (the default), "huber" or "soft_l1".
+            noise_model: "correlated" (the default) or "white".
+            noise_per_run: estimate the noise in each run by itself.
             solver: of the simulation, one of `giajax.SOLVERS`.
             tolerance: relative and absolute tolerance of the simulation.
             max_iterations: trial steps before the fit gives up; 50 by default.
+            budget: wall time that the fit may take: "90s", "10m", "2h"; "" for no end.
+            begin: a result, or its file or folder: the fit starts where that one ended, with
+                the initial states of runs of the same name. Parameters that were free or fixed
+                there and are held here are held at their values there. What `start` or `fix`
+                says with it or later goes before.
             out: where the result goes (`giajax-out/` and the name of the definition or run).
             rename: the files' column name -> the name it has in the column table.
             origin: what an error calls the origin of these settings.
@@ -143,24 +202,33 @@ class FitTask:
             "spread": spread,
             "seed": seed,
             "loss": loss,
+            "noise_model": noise_model,
+            "noise_per_run": noise_per_run,
             "solver": solver,
             "tolerance": tolerance,
             "max_iterations": max_iterations,
+            "budget": budget,
             "out": None if out is None else str(out),
         }
         settings = {
-            **_parameters(self.definition, free, start or {}, fix or {}),
+            **parameters_of(self.definition, free, start or {}, fix or {}),
             **{key: value for key, value in values.items() if value is not None},
         }
         whole = self.definition.contents()
         whole["fit"] = {**whole.get("fit", {}), **settings}
-        return dataclasses.replace(
+        if budget == "":
+            del whole["fit"]["budget"]
+        reached = self.begin if begin is None else reached_by(begin)
+        task = dataclasses.replace(
             self,
             definition=Definition.parse(whole, origin),
-            data=self.data if data is None else _paths(data),
-            validation=self.validation if validation is None else _paths(validation),
+            data=self.data if data is None else paths_of(data),
+            validation=self.validation if validation is None else paths_of(validation),
             rename=self.rename if rename is None else dict(rename),
+            begin=reached and without(reached, (*(start or ()), *(fix or ()))),
         )
+        same = not differences(plain_of(self), plain_of(task))
+        return dataclasses.replace(task, resolved=self.resolved if same else None)
 
     @property
     def out(self) -> Path:
@@ -183,9 +251,13 @@ class FitTask:
             raise InputError("the task has no data: give at least one run")
         runs = read_runs(self.data, self.definition, rename=self.rename)
         validation = read_runs(self.validation, self.definition, rename=self.rename)
+        record = record_of(self)
         from ._preparation import prepare
 
-        return prepare(self.definition, runs, validation)
+        ready = prepare(self.definition, runs, validation, record)
+        if self.resolved is not None:
+            check_config(self.resolved, ready.setup.config, Path("the result"))
+        return ready
 
     def run(
         self,
@@ -193,7 +265,7 @@ class FitTask:
         announce: Callable[[int, Mapping[str, float]], None] | None = None,
         *,
         check: bool = True,
-        suspects: bool = True,
+        journal: str | Path | None = None,
     ) -> "FitResult":
         """Fit, and predict the runs of the validation.
 
@@ -204,36 +276,20 @@ class FitTask:
             progress: called after each step with an `Iteration`.
             announce: with several starts, called before each with its number and values.
             check: compute the gradient check and the effect of the solver tolerance at the end.
-            suspects: where the model is inadequate, ask what the residuals ask for.
+            journal: a folder for a journal, `journal.jsonl`, which has every step. Where it has
+                one of this fit already, the fit goes on from there, and one that has ended gives
+                its result again.
 
         Returns:
             The result; `giajax.write_result` writes it. Ctrl-C returns the best so far.
 
         Raises:
-            InputError: as `prepare`, or a start from which the model cannot be evaluated.
+            InputError: as `prepare`, a start from which the model cannot be evaluated, or a
+                journal of another fit.
         """
-        return self.prepare().run(progress, announce, check=check, suspects=suspects)
-
-
-def _paths(files: Paths) -> tuple[Path, ...]:
-    """One file, or several."""
-    return (Path(files),) if isinstance(files, str | Path) else tuple(map(Path, files))
-
-
-def _parameters(
-    definition: Definition,
-    free: Sequence[str] | None,
-    start: Mapping[str, npt.ArrayLike],
-    fix: Mapping[str, npt.ArrayLike],
-) -> dict[str, Any]:
-    """`free`, `start` and `fix` of a definition with others on top, path by path."""
-    below = definition.fit
-    freed = below.free if free is None else list(free)
-    starts, fixes = dict(below.start or {}), dict(below.fix or {})
-    for path in fix:
-        starts.pop(path, None)
-        if not free and freed is not None:
-            freed = [name for name in freed if name != path]
-    for path in (*start, *(free or ())):
-        fixes.pop(path, None)
-    return {"free": freed, "start": {**starts, **start}, "fix": {**fixes, **fix}}
+        ready = self.prepare()
+        if journal is None:
+            return ready.run(progress, announce, check=check)
+        folder = Path(journal)
+        with ready.kept_in(folder, resume=read_journal(folder) is not None) as steps:
+            return ready.run(progress, announce, check=check, journal=steps.of)

@@ -2,10 +2,17 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
 
-from ..diagnosis import with_suspects, with_systematic_errors
+from .._errors import InputError
+from ..diagnosis import check_uncertainty, with_suspects, with_systematic_errors
 from ..fitting import (
     MAX_ITERATIONS,
+    Beginning,
+    Budget,
+    FitJournal,
     FitResult,
     Iteration,
     PredictionErrors,
@@ -15,8 +22,10 @@ from ..fitting import (
     solve,
 )
 from ..models import model_for
-from ..runs import Definition, Run
+from ..runs import Definition, Run, seconds_of
 from ..study import SEED, SPREAD, solve_from_starts
+from ._journal import Journal
+from ._keeping import kept, warn
 
 
 @dataclasses.dataclass(frozen=True)
@@ -27,16 +36,42 @@ class Preparation:
         definition: all settings.
         setup: the model, the runs to fit, and what is free.
         validation: runs that the result must predict.
+        record: the task as plain data, which the result keeps.
     """
 
     definition: Definition
     setup: Setup
     validation: tuple[Run, ...]
+    record: Mapping[str, Any]
 
     @property
     def runs(self) -> tuple[Run, ...]:
         """The runs to fit, or their windows."""
         return self.setup.runs
+
+    def kept_in(
+        self,
+        folder: Path,
+        *,
+        resume: bool = False,
+        force: bool = False,
+        complain: Callable[[str], None] = warn,
+    ) -> AbstractContextManager[Journal]:
+        """The journal of this fit in a folder, which no other fit may write to meanwhile.
+
+        Arguments:
+            folder: where the journal and the result are.
+            resume: go on where the journal ends, in place of beginning it anew.
+            force: begin anew over the journal of a fit that was cut off.
+            complain: called with a sentence where a line cannot be written.
+
+        Raises:
+            InputError: another fit is writing there, the journal cannot be read or is of another
+                fit, or (without `resume` and `force`) is that of a fit that was cut off.
+        """
+        return kept(
+            self.record, self.setup.config, folder, resume=resume, force=force, complain=complain
+        )
 
     def run(
         self,
@@ -44,12 +79,13 @@ class Preparation:
         announce: Callable[[int, Mapping[str, float]], None] | None = None,
         *,
         check: bool = True,
-        suspects: bool = True,
+        journal: Callable[[int], FitJournal] | None = None,
     ) -> FitResult:
         """Fit, and predict the runs of the validation.
 
         Arguments:
-            progress, announce, check, suspects: as of `FitTask.run`.
+            progress, announce, check: as of `FitTask.run`.
+            journal: the journal of each fit, by its number; see `study.solve_from_starts`.
 
         Returns:
             As `FitTask.run`.
@@ -60,8 +96,16 @@ class Preparation:
         settings = self.definition.fit
         most = settings.max_iterations or MAX_ITERATIONS
         starts = settings.starts or 1
+        budget = None if settings.budget is None else Budget(seconds_of(settings.budget))
         if starts == 1:
-            result = solve(self.setup, max_iterations=most, progress=progress, check=check)
+            result = solve(
+                self.setup,
+                max_iterations=most,
+                progress=progress,
+                check=check,
+                budget=budget,
+                journal=None if journal is None else journal(1),
+            )
         else:
             result = solve_from_starts(
                 self.setup,
@@ -72,6 +116,8 @@ class Preparation:
                 progress=progress,
                 announce=announce,
                 check=check,
+                budget=budget,
+                journal=journal,
             )
         errors: list[PredictionErrors] = []
         try:
@@ -80,33 +126,43 @@ class Preparation:
         except KeyboardInterrupt:  # The fit is done, and took longer.
             message = f"{result.message}; interrupted before its validation was complete"
             result = dataclasses.replace(result, status="interrupted", message=message)
-        result = dataclasses.replace(result, validation=tuple(errors))
-        return self._diagnosed(result, suspects=suspects)
+        return dataclasses.replace(result, validation=tuple(errors), task=dict(self.record))
 
-    def _diagnosed(self, result: FitResult, *, suspects: bool) -> FitResult:
-        """With systematic errors, where uncertainties are stated, and with suspects."""
-        if result.status == "interrupted":
+    def diagnosed(self, result: FitResult, *, suspects: bool = True) -> FitResult:
+        """The result with what is asked of a fit once it has ended.
+
+        Arguments:
+            result: of `run`.
+            suspects: where its model is inadequate, ask what the residuals ask for.
+
+        Returns:
+            With systematic errors, where uncertainties are stated, and with suspects. The same
+            result where nothing is asked, or where Ctrl-C ends it, or the fit is of a kind that cannot be asked.
+        """
+        doubted = self.definition.fit.uncertainty
+        try:
+            if result.status != "interrupted" and doubted:
+                result = with_systematic_errors(result, self.runs, doubted)
+            if suspects and result.verdict.status == "inadequate":
+                result = with_suspects(result, self.runs)
+        except (KeyboardInterrupt, InputError):
             return result
-        if self.definition.fit.uncertainty:
-            result = with_systematic_errors(result, self.runs, self.definition.fit.uncertainty)
-        if suspects and is_inadequate(result):
-            result = with_suspects(result, self.runs)
         return result
 
 
-def is_inadequate(result: FitResult) -> bool:
-    """Whether the verdict on a fit is that its model does not describe the data."""
-    verdict = getattr(result, "verdict", None)
-    return verdict is not None and verdict.status == "inadequate"
-
-
-def prepare(definition: Definition, runs: Sequence[Run], validation: Sequence[Run]) -> Preparation:
+def prepare(
+    definition: Definition,
+    runs: Sequence[Run],
+    validation: Sequence[Run],
+    record: Mapping[str, Any],
+) -> Preparation:
     """Build the model of the runs and resolve the settings of the definition.
 
     Arguments:
         definition: all settings.
         runs: what to fit to.
         validation: runs that the result must predict.
+        record: the task as plain data; `begin` of it says where another fit ended.
 
     Returns:
         All that a fit needs.
@@ -122,7 +178,12 @@ def prepare(definition: Definition, runs: Sequence[Run], validation: Sequence[Ru
         start=settings.start,
         fix=settings.fix,
         loss=settings.loss or "linear",
+        noise_model=settings.noise_model or "correlated",
+        noise_per_run=bool(settings.noise_per_run),
         solver=settings.solver,
         tolerance=settings.tolerance,
+        begin=None if record["begin"] is None else Beginning(**record["begin"]),
     )
-    return Preparation(definition, setup, tuple(validation))
+    free = [parameter.path for parameter in setup.parameters]
+    check_uncertainty(setup.model, free, settings.uncertainty or {})
+    return Preparation(definition, setup, tuple(validation), record)

@@ -1,0 +1,210 @@
+"""The journal of a fit: a file that grows by a line with each step, and from which it goes on.
+
+The first line says what is fitted to what; each other one is a state of a fit. A line that was
+being written when the process ended is left out: the file is readable at every moment.
+
+The file is longer than 200 lines because who reads a journal must know how it is written.
+"""
+
+import contextlib
+import json
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .._errors import InputError
+from .._files import read_bytes
+from .._limits import JOURNAL_BYTES
+
+if TYPE_CHECKING:
+    from ..fitting import FitResult
+
+JOURNAL = "journal.jsonl"
+_FORMAT = 1
+
+Line = Mapping[str, Any]
+
+
+class Journal:
+    """The journal of a fit, which may have several starts.
+
+    A line that cannot be written (the disk is full) does not end the fit: it is written with the
+    next one, if there is room again.
+
+    Arguments:
+        path: of the file.
+        head: its first line.
+        lines: those that it holds after that.
+        size: of the file up to the end of its last whole line, bytes; 0 where there is none yet.
+        complain: called with a sentence where a line cannot be written, once.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        head: Line,
+        lines: Sequence[Line] = (),
+        size: int = 0,
+        complain: Callable[[str], None] = lambda sentence: None,
+    ) -> None:
+        self.path, self.head, self.complain = path, head, complain
+        self._lines = list(lines)
+        self._size = size
+        self._waiting = b"" if size else _encoded({"giajax_journal": _FORMAT, **head})
+        self._descriptor: int | None = None
+        self._complained: set[str] = set()
+
+    @property
+    def is_begun(self) -> bool:
+        """Whether it holds a state of a fit."""
+        return any("fit" in line for line in self._lines)
+
+    @property
+    def is_written(self) -> bool:
+        """Whether the result of its last state was written."""
+        return bool(self._lines) and bool(self._lines[-1].get("written"))
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether each fit in it has ended by itself, so that none can go on."""
+        last = {line["fit"]: line for line in self._lines if "fit" in line}
+        return bool(last) and all(line["ending"] is not None for line in last.values())
+
+    def of(self, number: int) -> "Part":
+        """The journal of one fit, by its number from 1."""
+        return Part(self, number)
+
+    def lines_of(self, number: int) -> list[Line]:
+        """The states of one fit, oldest first."""
+        return [line for line in self._lines if line.get("fit") == number]
+
+    def append(self, line: Line) -> None:
+        """Write a line, and have it on the disk before this returns."""
+        # What a fit has reached is in its state; here only how each of them ended counts.
+        self._lines.append({key: line[key] for key in ("fit", "ending", "written") if key in line})
+        self._waiting += _encoded(line)
+        try:
+            self._write()
+        except OSError as error:
+            self.warn(
+                f"{self.path} cannot be written ({error.strerror}): the fit goes on, and can not "
+                "be resumed unless that is mended"
+            )
+
+    def settle(self, result: "FitResult") -> None:
+        """Put it away, whose result is written: removed, if nothing is left to go on with."""
+        whole = len(result.starts) == result.config.get("starts", 0)
+        ended = result.status == "not_converged" and self.is_complete
+        if whole and (ended or result.status == "converged"):
+            self.remove()
+        else:
+            self.append({"written": True})
+
+    def warn(self, sentence: str) -> None:
+        """Complain, about each thing once."""
+        if sentence not in self._complained:
+            self._complained.add(sentence)
+            self.complain(sentence)
+
+    def _write(self) -> None:
+        if self._descriptor is None:
+            flags = os.O_WRONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
+            if not self._size:
+                # A new one is made, never through what somebody has put there.
+                self.path.unlink(missing_ok=True)
+                flags |= os.O_CREAT | os.O_EXCL
+            self._descriptor = os.open(self.path, flags, 0o666)
+        # What is behind the last whole line was torn, by the end of a process or of the disk.
+        os.ftruncate(self._descriptor, self._size)
+        os.lseek(self._descriptor, self._size, os.SEEK_SET)
+        done = 0
+        while done < len(self._waiting):
+            done += os.write(self._descriptor, self._waiting[done:])
+        os.fsync(self._descriptor)
+        self._size += done
+        self._waiting = b""
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._descriptor is not None:
+            os.close(self._descriptor)
+            self._descriptor = None
+
+    def remove(self) -> None:
+        """Close and remove the file."""
+        self.close()
+        with contextlib.suppress(OSError):
+            self.path.unlink(missing_ok=True)
+
+
+class Part:
+    """The journal of one fit; what `giajax.fitting.FitJournal` describes."""
+
+    def __init__(self, journal: Journal, number: int) -> None:
+        self.journal, self.number = journal, number
+        self.kept: Sequence[Line] = journal.lines_of(number)
+
+    def append(self, line: Line) -> None:
+        """Keep one more line."""
+        self.journal.append({"fit": self.number, **line})
+
+    def other_bits(self) -> None:
+        """Say that this machine computes other bits."""
+        self.journal.warn(
+            "this machine or its libraries compute other last digits than those of the journal: "
+            "the fit goes on, and may end in other last digits, too"
+        )
+
+
+def read_journal(folder: Path, complain: Callable[[str], None] = lambda _: None) -> Journal | None:
+    """The journal in a folder; None where there is none, or none that holds a state of a fit.
+
+    Raises:
+        InputError: it cannot be read, or was written by another version of giajax.
+    """
+    path = folder / JOURNAL
+    try:
+        data = read_bytes(path, JOURNAL_BYTES)
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror}): mend that") from None
+    lines, size = [], 0
+    whole = data.split(b"\n")[:-1]
+    for number, text in enumerate(whole, 1):
+        try:
+            line = json.loads(text)
+            lines.append(_checked(line, first=number == 1))
+        except (ValueError, LookupError, TypeError, RecursionError):
+            # The last one may have its length on the disk, and not yet its content.
+            if number == len(whole) > 1:
+                break
+            raise InputError(
+                f"{path} is damaged in line {number}, or is no journal of giajax: remove it, and "
+                "fit anew"
+            ) from None
+        size += len(text) + 1
+    if not lines:
+        return None
+    if lines[0]["giajax_journal"] != _FORMAT:
+        raise InputError(
+            f"{path} was written by another version of giajax: go on with that one, or fit anew"
+        )
+    journal = Journal(path, lines[0], lines[1:], size, complain)
+    return journal if journal.is_begun else None
+
+
+def _checked(line: Any, *, first: bool) -> Line:
+    """A line that has what this file asks of it."""
+    if first:
+        for key in ("versions", "task", "config"):
+            line[key].items()
+        line["giajax_journal"]
+    elif not line.get("written"):
+        line["fit"], line["ending"]
+    return dict(line)
+
+
+def _encoded(line: Line) -> bytes:
+    return json.dumps(line).encode() + b"\n"

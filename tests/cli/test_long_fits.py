@@ -1,0 +1,331 @@
+"""Long fits as processes: signals, kills, full disks, budgets, and two at a time."""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from giajax import load_result
+from giajax.cli import main
+from giajax.cli._time_left import TimeLeft
+from giajax.tasks import read_journal
+from small_loops import write_task
+
+FIT = ("fit", "loops_fit.toml", "--no-figures", "--out", "out")
+
+# A fit whose steps take as long as those of a long arm, so that there is a moment to stop it.
+SLOWLY = """
+import sys, time
+import giajax.cli._progress as command
+from giajax.__main__ import main
+shown = command.Progress.__call__
+def slowly(self, iteration):
+    shown(self, iteration)
+    time.sleep({seconds})
+command.Progress.__call__ = slowly
+sys.exit(main())
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_task(tmp_path)
+    return tmp_path
+
+
+def process(*words, seconds=0.0, **options):
+    code = ["-c", SLOWLY.format(seconds=seconds)] if seconds else ["-m", "giajax"]
+    return subprocess.Popen(
+        [sys.executable, *code, *words],
+        stdout=options.pop("stdout", subprocess.PIPE),
+        stderr=subprocess.PIPE,
+        text=True,
+        **options,
+    )
+
+
+def ended(running):
+    """Exit status, standard output, standard error."""
+    out, err = running.communicate(timeout=120)
+    return running.returncode, out, err
+
+
+def wait_for(running, word):
+    """Until a line of the progress begins with a word."""
+    for line in running.stderr:
+        if line.split()[:1] == [word]:
+            return
+    pytest.fail(f"{word} never came")
+
+
+def numbers(path):
+    """All numbers of a result; not how long it took, nor where it is."""
+    record = json.loads((Path(path) / "result.json").read_text())
+    del record["seconds"], record["task"]
+    return record
+
+
+def killed_and_resumed(moments, seconds):
+    """Kill a fit at each of these moments and go on with it, until it ends; how often it was."""
+    kills = 0
+    words = list(FIT)
+    for moment in moments:
+        running = process(*words, seconds=seconds)
+        try:
+            running.wait(timeout=moment)
+        except subprocess.TimeoutExpired:
+            running.send_signal(signal.SIGKILL)
+            kills += 1
+        running.communicate()
+        journal = read_journal(Path("out"))  # or raises
+        if journal is not None:
+            words = ["fit", "--resume", "out", "--no-figures"]
+        elif Path("out/result.json").exists():
+            return kills
+    status, _, err = ended(process(*words))
+    assert status == 0, err
+    return kills
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    """The result of a fit that nothing happens to, and how long its process takes to begin."""
+    home = tmp_path_factory.mktemp("plain")
+    write_task(home)
+    began = time.monotonic()
+    running = process(*FIT, cwd=home)
+    wait_for(running, "0")
+    begins = time.monotonic() - began
+    status, _, err = ended(running)
+    assert status == 0, err
+    assert sorted(os.listdir(home / "out")) == ["prediction.csv", "prediction.toml", "result.json"]
+    return numbers(home / "out"), begins
+
+
+def test_a_killed_fit_ends_at_the_same_numbers(folder, plain):
+    """Four times, at random moments in its steps."""
+    expected, begins = plain
+    moments = [begins + random.Random(1).uniform(0.2, 0.8) for _ in range(4)]
+    assert killed_and_resumed(moments, seconds=0.3) >= 1
+    assert numbers("out") == expected
+    assert not Path("out/journal.jsonl").exists()
+
+
+@pytest.mark.slow
+def test_a_fit_killed_twenty_times_ends_at_the_same_numbers(folder, plain):
+    """At random moments from the start of the process on, of fits with one start and with three."""
+    expected, begins = plain
+    moments, kills = random.Random(2), 0
+    for _ in range(3):
+        kills += killed_and_resumed([moments.uniform(0.5, begins + 2) for _ in range(4)], 0.3)
+        assert numbers("out") == expected
+        for file in Path("out").iterdir():
+            file.unlink()
+    several = [*FIT, "--starts", "3"]
+    assert ended(process(*several, "--out", "whole"))[0] == 0
+    while kills < 20:
+        running = process(*several, "--force", seconds=0.1)
+        for _ in range(4):
+            try:
+                running.wait(timeout=moments.uniform(begins, begins + 4))
+                break
+            except subprocess.TimeoutExpired:
+                running.kill()
+                running.communicate()
+                kills += 1
+            begun = read_journal(Path("out")) is not None
+            words = ["fit", "--resume", "out", "--no-figures"] if begun else [*several, "--force"]
+            running = process(*words, seconds=0.1)
+        status, _, err = ended(running)
+        assert status == 0, err
+        assert numbers("out") == numbers("whole")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
+def test_a_signal_writes_the_best_so_far(folder, plain, number, status):
+    running = process(*FIT, seconds=0.5)
+    wait_for(running, "5")
+    running.send_signal(number)
+    code, out, err = ended(running)
+    assert (code, "Traceback" in err) == (status, False)
+    assert "interrupted after" in out
+    assert "to go on with it: giajax fit --resume out" in out
+    result = load_result("out")
+    assert (result.status, result.iterations) in [("interrupted", 5), ("interrupted", 6)]
+    assert "fit.lock" not in os.listdir("out")
+    code, out, err = ended(process("fit", "--resume", "out", "--no-figures"))
+    assert (code, "going on where out/journal.jsonl ends" in err) == (0, True)
+    assert numbers("out") == plain[0]
+    assert not Path("out/journal.jsonl").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("after", [0.15, 0.4, 1.0])
+def test_a_signal_before_anything_is_computed_is_one_line(folder, after):
+    """From the first import on."""
+    before = sorted(os.listdir())
+    running = process(*FIT)
+    time.sleep(after)
+    running.send_signal(signal.SIGTERM)
+    assert ended(running) == (143, "", "giajax: interrupted\n")
+    assert sorted(os.listdir()) == before
+
+
+@pytest.mark.slow
+def test_a_second_signal_ends_it_at_once(folder):
+    """Also where the first one is held up, here by a writer that takes its time."""
+    code = SLOWLY.format(seconds=0.5).replace(
+        "sys.exit",
+        "import giajax.report\n"
+        "giajax.report.write_result = lambda *a, **k: time.sleep(100)\n"
+        "sys.exit",
+    )
+    running = subprocess.Popen(
+        [sys.executable, "-c", code, *FIT], stderr=subprocess.PIPE, text=True
+    )
+    wait_for(running, "3")
+    running.send_signal(signal.SIGINT)
+    time.sleep(2.0)
+    assert running.poll() is None
+    running.send_signal(signal.SIGINT)
+    running.communicate(timeout=5)
+    assert running.returncode == 130
+    assert len(read_journal(Path("out")).lines_of(1)) >= 4
+
+
+@pytest.mark.slow
+def test_two_fits_in_one_folder_do_not_mix(folder, plain):
+    first = process(*FIT, seconds=0.5)
+    wait_for(first, "1")
+    status, out, err = ended(process(*FIT))
+    assert (status, out, err.count("\n")) == (2, "", 1)
+    assert f"another fit is writing to out (process {first.pid} on " in err
+    assert ended(first)[0] == 0
+    assert numbers("out") == plain[0]
+
+
+@pytest.fixture
+def small_disk(folder):
+    """A disk of 48 kB, where this user may have one."""
+    home = folder / "disk"
+    home.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=48k", "none", str(home)]
+    if os.name != "posix" or subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("no disk may be mounted here")
+    yield home
+    subprocess.run(["umount", str(home)], check=True)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("room", [0, 8_192, 40_960])
+def test_a_small_disk_loses_no_number(small_disk, plain, room):
+    """What its files cannot take goes to standard output, and where that is a file there, too."""
+    (small_disk / "filler").write_bytes(bytes(48 * 1024 - room))
+    words = [*FIT[:-1], str(small_disk / "out")]
+    status, out, err = ended(process(*words))
+    assert "Traceback" not in err
+    if status == 0:
+        result = json.loads((small_disk / "out" / "result.json").read_text())
+    else:
+        assert status == 2
+        assert "No space left on device" in err
+        result = json.loads(out)
+    for key in ("parameters", "history", "cost", "correlation"):
+        assert result[key] == plain[0][key], key
+
+
+@pytest.mark.slow
+def test_a_budget_ends_with_the_best_so_far(folder, plain):
+    status, out, _ = ended(process(*FIT, "--budget", "1.2s", seconds=0.4))
+    assert status == 1
+    assert "NOT CONVERGED: the budget of 1.2 s ended the fit after" in out
+    assert "giajax fit --resume out" in out
+    result = load_result("out")
+    assert result.iterations < plain[0]["iterations"]
+    words = ["fit", "--resume", "out", "--budget", "10m", "--no-figures"]
+    assert ended(process(*words))[0] == 0
+    after, (expected, _) = numbers("out"), plain
+    assert after["config"].pop("budget_s") == 600.0
+    assert after == expected
+
+
+@pytest.mark.slow
+def test_a_budget_in_a_definition(folder):
+    path = folder / "loops_fit.toml"
+    path.write_text(path.read_text().replace("[fit]", '[fit]\nbudget = "0s"'))
+    status, out, _ = ended(process(*FIT))
+    assert (status, "the budget of 0 s ended the fit after 0 iterations" in out) == (1, True)
+
+
+@pytest.mark.slow
+def test_again_and_from(folder, plain):
+    assert ended(process(*FIT))[0] == 0
+    status, out, err = ended(process("fit", "--again", "out/result.json", "--no-figures"))
+    assert (status, "the numbers are the same, bit for bit" in out) == (0, True), err
+    assert numbers("out-again") == plain[0]
+    words = [*FIT[:-1], "on", "--from", "out", "--free", "elastic"]
+    status, out, _ = ended(process(*words))
+    assert status == 0
+    assert load_result("on").parameters["weights"].value == [
+        plain[0]["parameters"]["weights[0]"]["value"]
+    ]
+    status, out, _ = ended(process("fit", "--resume", "out"))
+    assert (status, out.startswith("the fit in out has ended, and there is nothing")) == (0, True)
+
+
+WRONG = {
+    "no journal": (["--resume", "nowhere"], "nowhere has no journal"),
+    "no result": (["--again", "nowhere"], "does not exist: give"),
+    "no beginning": (["--data", "loops.csv", "--from", "nowhere"], "does not exist: give"),
+    "no unit": (["loops_fit.toml", "--budget", "10"], 'such as "90s", "10m" or "2h"'),
+    "again and data": (["--again", "out", "--data", "loops.csv"], "leave out the others"),
+    "again and resume": (["--again", "out", "--resume", "out"], "leave out the others"),
+    "a journal of words": (["--resume", "words"], "is damaged in line 1, or is no journal"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_wrong_question_is_one_line(folder, capsys, case):
+    words, part = WRONG[case]
+    (folder / "words").mkdir()
+    (folder / "words" / "journal.jsonl").write_text("not a journal\n")
+    before = sorted(os.listdir())
+    assert main(["fit", *words]) == 2
+    out, err = capsys.readouterr()
+    assert (out, err.count("\n")) == ("", 1)
+    assert part in err
+    assert sorted(os.listdir()) == before
+
+
+def test_the_time_left_is_said_as_far_as_it_is_known(monkeypatch):
+    clock = [0.0]
+    monkeypatch.setattr(time, "monotonic", lambda: clock[0])
+
+    def told(left, seconds, numbers):
+        said = []
+        for number in numbers:
+            clock[0] += seconds
+            said.append(left.after(number))
+        return [sentence for sentence in said if sentence]
+
+    assert told(TimeLeft(50), 0.2, range(20)) == []
+    sentences = told(TimeLeft(50), 10.0, range(12))
+    assert len(sentences) == 2
+    assert sentences[0] == ("at most 8 min left: 48 steps of 10 s, of which most fits need few")
+    (sentence,) = told(TimeLeft(50, budget_s=100.0), 10.0, range(5))
+    assert sentence == "at most 1.2 min left: then its budget ends the fit"
+    several = TimeLeft(50, starts=8)
+    several.start()
+    told(several, 10.0, range(10))
+    several.start()
+    (sentence, *_) = told(several, 10.0, range(8))
+    assert sentence.startswith("about ")
+    assert sentence.endswith("left for the starts up to 8, at the pace of those before")

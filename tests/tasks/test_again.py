@@ -1,0 +1,322 @@
+"""A fit once more, gone on with, and begun where another one ended."""
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from giajax import FitTask, InputError, Run, fit, read_runs, write_result
+from giajax.fitting import Beginning, load_result, set_up, solve
+from giajax.tasks import JOURNAL, compared, read_journal, stored_result, version_note
+from small_arm import START, TRUTH, make_run, small_run
+from small_loops import write_task
+from toy_model import Decay, run
+
+
+@pytest.fixture
+def path(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_task(tmp_path)
+    return "loops_fit.toml"
+
+
+def numbers(result):
+    """All that a result has, apart from how long it took and where it is."""
+    record = json.loads(result.to_json())
+    del record["seconds"], record["task"]["out"]
+    return record
+
+
+def written(task, **options):
+    """The result of a task, which is written where it belongs."""
+    result = task.run(**options)
+    runs = read_runs(task.data, task.definition, rename=task.rename)
+    write_result(result, runs, task.out, figures=False)
+    return result
+
+
+def test_the_same_fit_again_has_the_same_numbers(path):
+    task = FitTask.load(path).on_top(starts=2, seed=3, max_iterations=40)
+    first = written(task)
+    assert first.config["starts"] == 2
+    again = FitTask.again("giajax-out/loops_fit")
+    assert str(again.out) == "giajax-out/loops_fit-again"
+    second = again.run()
+    before = numbers(first)
+    after = numbers(second)
+    # The settings of the one are in a definition, those of the other in its result.
+    assert after.pop("task")["inputs"] == before.pop("task")["inputs"]
+    assert after == before
+    stored = stored_result("giajax-out/loops_fit/result.json")[1]
+    assert compared(second, stored) == "the numbers are the same, bit for bit"
+    stored["parameters"]["elastic"]["value"] *= 1 + 1e-9
+    assert "elastic differs by 1.0e-09 of its value" in compared(second, stored)
+
+
+def test_it_is_found_beside_its_result(path, tmp_path, monkeypatch):
+    """The whole folder may move, and whoever fits again may be elsewhere."""
+    first = written(FitTask.load(path), check=False)
+    here = tmp_path.rename(tmp_path.with_name("moved"))
+    monkeypatch.chdir("/")
+    try:
+        again = FitTask.again(here / "giajax-out" / "loops_fit")
+        assert [file.exists() for file in again.data] == [True]
+        second = again.run(check=False)
+        assert second.parameters == first.parameters
+        stored = stored_result(here / "giajax-out" / "loops_fit")[1]
+        assert compared(second, stored).endswith("bit for bit")
+        # Another file of that name, where the command is given, is not taken for it.
+        other = here / "other"
+        other.mkdir()
+        for file in here.glob("*.*"):
+            (other / file.name).write_text("input,output\n0,0\n1,1\n")
+        monkeypatch.chdir(other)
+        assert FitTask.again(here / "giajax-out" / "loops_fit").data == again.data
+        monkeypatch.chdir("/")
+    finally:
+        here.rename(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (lambda: os.rename("loops.csv", "gone.csv"), "loops.csv, which .* is not there"),
+        (lambda: append("loops.csv", "0.5,0.4\n"), "loops.csv has changed"),
+        (lambda: append("other.csv", "0.5,0.4\n"), "other.csv has changed"),
+        (lambda: append("loops_fit.toml", "# more\n"), "loops_fit.toml has changed"),
+        (lambda: append("loops.toml", "[noise]\noutput = 0.01\n"), "loops.toml is new"),
+    ],
+)
+@pytest.mark.parametrize("door", ["again", "resumed"])
+def test_a_file_that_has_changed_is_named(path, change, sentence, door):
+    task = FitTask.load(path).on_top(out="out", max_iterations=1)
+    result = written(task, check=False, journal="out")
+    assert result.status == "not_converged"
+    change()
+    with pytest.raises(InputError, match=sentence):
+        getattr(FitTask, door)("out")
+
+
+def append(name, text):
+    with open(name, "a") as file:
+        file.write(text)
+
+
+def test_what_cannot_be_fitted_again_says_so(path):
+    task = FitTask.load(path)
+    written(task.on_top(budget="0s", out="short"), check=False)
+    with pytest.raises(InputError, match=r"stopped when its time was up.*--resume short"):
+        FitTask.again("short")
+    earlier = Path(__file__).parents[1] / "fitting" / "earlier"
+    with pytest.raises(InputError, match="earlier version wrote it"):
+        FitTask.again(earlier)
+    with pytest.raises(InputError, match="does not exist"):
+        FitTask.again("nowhere")
+    written(task.on_top(out="changed"), check=False)
+    stored = Path("changed/result.json")
+    record = json.loads(stored.read_text())
+    record["config"]["loss"] = "linear"
+    stored.write_text(json.dumps(record))
+    with pytest.raises(InputError, match=r"differently \(in loss\)"):
+        FitTask.again("changed").prepare()
+    # What is put on top is another fit, which nothing is expected of.
+    assert FitTask.again("changed").on_top(loss="huber").prepare().setup.loss == "huber"
+
+
+def test_a_result_without_what_is_new_is_read(path):
+    """Files of before have neither a task nor a budget."""
+    written(FitTask.load(path), check=False)
+    stored = Path("giajax-out/loops_fit/result.json")
+    record = json.loads(stored.read_text())
+    del record["task"]
+    stored.write_text(json.dumps(record))
+    assert load_result("giajax-out/loops_fit").task == {}
+
+
+def test_from_python_a_journal_is_gone_on_with(path):
+    task = FitTask.load(path)
+    plain = numbers(task.run(check=False))
+    told = []
+    short = task.on_top(max_iterations=3)
+    assert short.run(check=False, journal="kept").status == "not_converged"
+    assert os.listdir("kept") == [JOURNAL]
+    result = (
+        FitTask.resumed("kept")
+        .on_top(max_iterations=50)
+        .run(told.append, check=False, journal="kept")
+    )
+    assert told[0].number == 4
+    after = numbers(result)
+    assert {key: after[key] for key in after if key != "task"} == {
+        key: plain[key] for key in plain if key != "task"
+    }
+    with pytest.raises(InputError, match=r"other settings \(it differs in loss, start\)"):
+        task.on_top(loss="huber", start={"elastic": 0.4}).run(journal="kept")
+    # The same files by other names are the same files.
+    named = task.on_top(data=os.path.abspath("loops.csv"))
+    assert named.run(check=False, journal="kept").parameters == result.parameters
+
+
+def test_a_journal_of_a_fit_that_was_cut_off_is_not_written_over(path):
+    ready = FitTask.load(path).prepare()
+
+    class CrashError(Exception):
+        pass
+
+    def crash(iteration):
+        if iteration.number == 2:
+            raise CrashError
+
+    with pytest.raises(CrashError), ready.kept_in(_folder(ready)) as journal:
+        ready.run(crash, journal=journal.of)
+    assert len(read_journal(_folder(ready)).lines_of(1)) == 3
+    with (
+        pytest.raises(InputError, match="cut off: go on with giajax fit --resume"),
+        ready.kept_in(_folder(ready)),
+    ):
+        pass
+    with ready.kept_in(_folder(ready), force=True) as journal:
+        assert not journal.is_begun
+    # Nothing was written, so the one before is still there.
+    with ready.kept_in(_folder(ready), resume=True) as journal:
+        assert journal.is_begun
+
+
+def _folder(ready):
+    return Path(ready.record["out"])
+
+
+def test_one_fit_at_a_time_in_a_folder(path):
+    ready = FitTask.load(path).prepare()
+    folder = _folder(ready)
+    with ready.kept_in(folder):
+        assert os.listdir(folder) == ["fit.lock"]
+        words = f"process {os.getpid()} on "
+        with pytest.raises(InputError, match=rf"another fit is writing .*\({words}"):
+            ready.kept_in(folder).__enter__()
+        assert os.listdir(folder) == ["fit.lock"]
+    # What was made for it is gone, because nothing was computed.
+    assert not folder.exists()
+    assert not folder.parent.exists()
+    # What a killed process leaves is no lock, whatever its number.
+    folder.mkdir(parents=True)
+    (folder / "fit.lock").write_text(f"process {os.getppid()} on elsewhere\n")
+    with ready.kept_in(folder):
+        assert "elsewhere" not in (folder / "fit.lock").read_text()
+    assert os.listdir(folder) == []
+
+
+def test_nothing_is_written_through_a_planted_link(path, tmp_path):
+    ready = FitTask.load(path).prepare()
+    folder = _folder(ready)
+    folder.mkdir(parents=True)
+    target = tmp_path / "precious"
+    target.write_text("precious")
+    (folder / "fit.lock").symlink_to(target)
+    with pytest.raises(InputError, match=r"fit.lock cannot be written"):
+        ready.kept_in(folder).__enter__()
+    (folder / "fit.lock").unlink()
+    (folder / JOURNAL).symlink_to(tmp_path / "other")
+    with ready.kept_in(folder) as journal:
+        ready.run(check=False, journal=journal.of)
+    assert target.read_text() == "precious"
+    assert not (tmp_path / "other").exists()
+    assert not (folder / JOURNAL).is_symlink()
+
+
+def test_versions_that_differ_are_said():
+    from giajax.fitting import versions
+
+    assert version_note(versions()) == ""
+    note = version_note({**versions(), "jax": "0.1"})
+    assert "jax 0.1 then" in note
+    assert "last digits" in note
+
+
+START_OF_DECAY = {"amplitude": 0.5, "decay": 3.0}
+
+
+def test_a_fit_begins_where_another_one_ended(path):
+    task = FitTask.load(path)
+    first = written(task, check=False)
+    # From there nothing is left to do; the start of the definition no longer counts.
+    same = task.on_top(begin="giajax-out/loops_fit").prepare().setup
+    assert float(same.model.operator.weights[0]) == first.parameters["weights[0]"].value
+    assert same.config["begin"]["values"]["elastic"] == first.parameters["elastic"].value
+    assert task.on_top(begin=first).begin == task.on_top(begin="giajax-out/loops_fit").begin
+    # Another list: what is held has the value of the other fit.
+    held = task.on_top(begin=first, free=["elastic"]).run(check=False)
+    assert held.parameters["weights"].value == [first.parameters["weights[0]"].value]
+    assert held.parameters["elastic"].value == pytest.approx(
+        first.parameters["elastic"].value, rel=1e-3
+    )
+    # What is said with it or later goes before.
+    setup = task.on_top(begin=first, start={"weights": 0.6}).prepare().setup
+    assert float(setup.model.operator.weights[0]) == 0.6
+    setup = task.on_top(begin=first).on_top(fix={"elastic": 0.3}).prepare().setup
+    assert float(setup.model.operator.elastic) == 0.3
+    # It stays a fit that can be done again, also when the other one is gone.
+    os.rename("giajax-out/loops_fit", "elsewhere")
+    held_task = task.on_top(begin=first, free=["elastic"], out="held")
+    written(held_task, check=False)
+    assert FitTask.again("held").run(check=False).parameters == held.parameters
+
+
+def test_a_fit_of_another_kind_is_no_beginning():
+    earlier = Path(__file__).parents[1] / "fitting" / "earlier"
+    begin = FitTask.of("any.csv").on_top(begin=earlier).begin
+    with pytest.raises(InputError, match="is of the hysteresis model and the runs are of the dec"):
+        set_up(Decay(), [run()], begin=Beginning(**begin))
+
+
+def test_an_end_on_a_bound_can_be_begun_from():
+    times = np.linspace(0.0, 4.0, 60)
+    rising = 2.0 + 0.01 * times
+    recording = Run.from_arrays(
+        times, {"tip_z": rising}, noise={"position": 0.01}, definition={"free_motion": True}
+    )
+    values = {"amplitude": 2.0, "decay": 0.0, "offset": 0.1}
+    setup = set_up(Decay(), recording, begin=Beginning("decay", values))
+    assert 0 < float(setup.model.decay) < 1e-6
+    assert float(setup.model.amplitude) == 2.0
+    assert solve(setup, check=False).cost is not None
+    # One that is held stays on it.
+    held = set_up(Decay(), recording, free=["amplitude"], begin=Beginning("decay", values))
+    assert float(held.model.decay) == 0.0
+    with pytest.raises(InputError, match="other parameters: there is no parameter 'mass'"):
+        set_up(Decay(), recording, begin=Beginning("decay", {"mass": 1.0}))
+
+
+def test_a_fit_from_an_end_is_there_at_once():
+    first = fit(Decay(), run(), start=START_OF_DECAY, check=False)
+    values = {path: estimate.value for path, estimate in first.free.items()}
+    again = solve(set_up(Decay(), run(), begin=Beginning("decay", values)), check=False)
+    assert again.iterations <= 1 < first.iterations
+    assert again.history[0].cost == pytest.approx(first.cost, rel=1e-12)
+
+
+@pytest.mark.slow
+def test_initial_states_of_runs_are_begun_from_by_name(tmp_path):
+    """Windows of a run, each with its own start, in another order and beside a new one."""
+    make_run(tmp_path, channels=("link02_y", "link02_z", "link04_y", "link04_z"))
+    task = FitTask.of(tmp_path / "run.csv").on_top(start=START)
+    whole = task.definition.contents()
+    whole["initial"] = {"free": True}
+    task = FitTask(type(task.definition).parse(whole), data=task.data)
+    first = task.run(check=False)
+    assert first.runs[0].parameters
+    again = task.on_top(begin=first)
+    setup = again.prepare().setup
+    assert setup.own == {
+        "run": {path: item.value for path, item in first.runs[0].parameters.items()}
+    }
+    second = again.run(check=False)
+    assert second.history[0].cost == pytest.approx(first.cost, rel=1e-6)
+    for path in TRUTH:
+        before, after = first.parameters[path], second.parameters[path]
+        assert abs(after.value - before.value) < 0.1 * before.standard_error
+    other = small_run(tmp_path, "other", seed=3)
+    fresh = set_up(setup.model, [other], begin=Beginning(**again.begin))
+    assert solve(fresh, check=False, max_iterations=1).cost is not None
