@@ -76,8 +76,7 @@ def fit(
         list[str] | None,
         typer.Option(
             metavar="PATH=VALUE+-DEVIATION",
-            help="What is known of a parameter before; PATH=VALUEx/FACTOR is log-normal. "
-            "Repeatable.",
+            help="What is known of it before; PATH=VALUEx/FACTOR is log-normal. Repeatable.",
         ),
     ] = None,
     bounds: Annotated[
@@ -97,9 +96,12 @@ def fit(
     ] = None,
     group: Annotated[
         list[str] | None,
+        typer.Option(metavar="PATH=RUN,RUN", help="Fit a value that these share. Repeatable."),
+    ] = None,
+    uncertainty: Annotated[
+        list[str] | None,
         typer.Option(
-            metavar="PATH=RUN,RUN",
-            help="Fit a value of it that these runs share. Repeat it for each group.",
+            metavar="PATH=VALUE", help="Standard deviation of a held parameter. Repeatable."
         ),
     ] = None,
     channels: Annotated[
@@ -196,6 +198,12 @@ def fit(
         typer.Option("--strict", help="End with status 3 where the model does not fit the data."),
     ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
+    suspects: Annotated[
+        bool,
+        typer.Option(
+            "--suspects/--no-suspects", help="Of an inadequate model, ask what it leaves out."
+        ),
+    ] = True,
     figures: Annotated[
         bool, typer.Option("--figures/--no-figures", help="Draw pictures of the result.")
     ] = True,
@@ -221,6 +229,7 @@ def fit(
         ties=ties(tie),
         per_run=per_run or None,
         groups=groups(group),
+        uncertainty=plain_settings(uncertainty, "--uncertainty"),
         channels=channels or None,
         window_s=window,
         starts=starts,
@@ -256,6 +265,7 @@ def fit(
             quiet=quiet,
             figures=figures,
             strict=strict,
+            suspects=suspects,
         )
     )
 

@@ -14,6 +14,7 @@ from ..parameters import get
 from ..runs import Run
 from ._layout import Layout
 from ._noise import Noise
+from ._stack import stacked as _stack
 from ._whitening import Whitening
 
 
@@ -167,20 +168,3 @@ def own_start(
 def _padded(arrays: Sequence[np.ndarray], length: int) -> Array:
     rows = [np.pad(a, ((0, length - len(a)), (0, 0))) for a in arrays]
     return jnp.asarray(np.stack(rows), dtype=jnp.result_type(float))
-
-
-def _stack(trees: Sequence[Any]) -> Any:
-    """Stack pytrees, repeating last rows where the first axes differ (see `prepare`)."""
-
-    def stack(*leaves: Array) -> Array:
-        length = max(leaf.shape[0] if leaf.ndim else 0 for leaf in leaves)
-        return jnp.stack(
-            [
-                jnp.concatenate([leaf, jnp.repeat(leaf[-1:], length - leaf.shape[0], axis=0)])
-                if leaf.ndim and leaf.shape[0] < length
-                else leaf
-                for leaf in leaves
-            ]
-        )
-
-    return jax.tree.map(stack, *trees)

@@ -36,6 +36,7 @@ from ._records import (
     ToleranceEffect,
     finite_or_none,
 )
+from ._suspect import Suspect, SystematicError
 from ._table import estimate_html, estimate_table
 from ._units import in_column_units
 
@@ -73,6 +74,9 @@ class FitResult:
         derived: `Estimate` by name of what follows from the free parameters: the tied ones, and
             what the model derives (`AbstractModel.derived`).
         findings: what the data cannot tell, each with advice (`docs/findings.md`).
+        suspects: what the residuals ask for (`giajax.suspects`), the most promising first; empty
+            where that was not asked.
+        systematic: what held numbers do to the fitted ones (`giajax.systematic_errors`); likewise.
         task: how `giajax.FitTask.again` fits it again: files with their checksums, and settings;
             empty for a fit of runs without a task.
         predictions: predicted channels (SI) of each run, by name; empty after `load_result`.
@@ -100,6 +104,8 @@ class FitResult:
     verdict: Verdict = dataclasses.field(default_factory=Verdict.missing)
     derived: dict[str, Estimate] = dataclasses.field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
+    suspects: tuple[Suspect, ...] = ()
+    systematic: tuple[SystematicError, ...] = ()
     task: dict[str, Any] = dataclasses.field(default_factory=dict)
     predictions: tuple[dict[str, np.ndarray], ...] = ()
 
@@ -218,6 +224,8 @@ def _records(record: Mapping[str, Any]) -> dict[str, Any]:
         "conditions": tuple(record["conditions"]),
         "history": tuple(Iteration(**item) for item in record["history"]),
         "starts": tuple(Start(**item) for item in record.get("starts", ())),
+        "suspects": tuple(Suspect.of_json(item) for item in record.get("suspects", ())),
+        "systematic": tuple(SystematicError.of_json(item) for item in record.get("systematic", ())),
         "validation": tuple(
             PredictionErrors.of_json(item) for item in record.get("validation", ())
         ),

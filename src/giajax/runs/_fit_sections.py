@@ -147,6 +147,10 @@ class Fit(Section):
         "free parameters with a value of their own in each group of runs",
         entry='a list of lists of run names, such as [["a", "b"], ["c"]]',
     )
+    uncertainty: dict[Name, Finite | list[Finite]] | None = key(
+        "a table of parameter paths and positive numbers",
+        "standard deviations of held parameters, for the systematic errors",
+    )
     channels: list[Name] | None = key(
         "a list of channel names, without unit", "channels to fit; all that were measured"
     )
@@ -184,7 +188,9 @@ class Fit(Section):
     )
     out: Name | None = key("the name of a folder", "where the result goes")
 
-    @field_validator("start", "fix", "priors", "bounds", "ties", "groups", mode="before")
+    @field_validator(
+        *("start", "fix", "uncertainty", "priors", "bounds", "ties", "groups"), mode="before"
+    )
     @classmethod
     def _unquoted_paths_are_paths(cls, table: Any) -> Any:
         # `air.drag_coefficient = 1.2` without quotes is a nested table in TOML, and means the same.
