@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose
 from giajax import InputError, Prior, RunFit, fit
 from giajax.fitting import set_up
 from giajax.fitting._layout import Layout, members, sharing
+from giajax.study._refit import refit
 from toy_model import TRUTH, Decay, height, run
 
 DECAY, SIGMA = TRUTH["decay"], 0.01
@@ -207,3 +208,21 @@ def test_bounds_of_a_fit_hold():
 def test_what_cannot_be_is_refused(options, sentence):
     with pytest.raises(InputError, match=sentence.replace("?", r"\?")):
         set_up(Decay(), RUNS, **options)
+
+
+def test_a_fit_again_keeps_what_was_known():
+    """A refit of a tied fit by groups with a prior and bounds ends where it began."""
+    options = {
+        "free": ["amplitude", "decay"],
+        "priors": {"decay": Prior(0.8, deviation=0.01)},
+        "bounds": {"amplitude": (0.1, 1.9)},
+        "ties": {"twin": "1 + 0.1 * decay"},
+        "per_run": ["offset"],
+    }
+    first = fit(Decay(), RUNS, **options)
+    again = refit(first, RUNS)
+    assert again.config["groups"] == first.config["groups"]
+    for path, estimate in first.free.items():
+        error = estimate.standard_error
+        assert again.parameters[path].value == pytest.approx(estimate.value, abs=0.05 * error)
+    assert again.parameters["amplitude"].upper == 1.9

@@ -85,7 +85,7 @@ def refit(
         )
         for part, value in zip(parts, wanted, strict=True):
             values[part.path] = _inside(part.declaration, float(value))
-    limits = {
+    limits: dict[str, Any] = {
         key: {path: item for path, item in result.config.get(key, {}).items() if path not in held}
         for key in ("priors", "bounds", "ties", "groups")
     }
