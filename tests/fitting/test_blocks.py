@@ -53,6 +53,7 @@ class OwnHeights(AbstractModel):
     derived = Decay.derived
     scene = Decay.scene
     conditions = Decay.conditions
+    variants = Decay.variants
     definition = Decay.definition
     initial_section = Decay.initial_section
     scene = Decay.scene
