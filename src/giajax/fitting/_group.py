@@ -12,6 +12,8 @@ from .._typing import Array, Float
 from ..models import AbstractModel
 from ..parameters import get
 from ..runs import Run
+from ._noise import Noise
+from ._whitening import Whitening
 
 
 class Group(eqx.Module):
@@ -21,6 +23,7 @@ class Group(eqx.Module):
         inputs: what the model prepared, each leaf with a leading run axis.
         observed: recorded values, 0 where not measured.
         weight: 1 / standard deviation, 0 where not measured.
+        whitening: of correlated noise; None where there can be none.
         channels: names, in the order of the third axis of `observed`.
         members: positions of the runs in the list that was fitted.
         own: paths and sizes of the prepared inputs' parameters that are free in each run.
@@ -30,6 +33,7 @@ class Group(eqx.Module):
     inputs: Any
     observed: Float[Array, "run sample channel"]
     weight: Float[Array, "run sample channel"]
+    whitening: Whitening | None
     channels: tuple[str, ...] = eqx.field(static=True)
     members: tuple[int, ...] = eqx.field(static=True)
     own: tuple[tuple[str, int], ...] = eqx.field(static=True)
@@ -60,14 +64,14 @@ class Group(eqx.Module):
 
 
 def build_groups(
-    model: AbstractModel, runs: Sequence[Run], sigmas: Sequence[Mapping[str, float]], shared: int
+    model: AbstractModel, runs: Sequence[Run], noise: Noise, shared: int
 ) -> tuple[Group, ...]:
     """Prepare runs and stack those with the same channels, padded to the longest of them.
 
     Arguments:
         model: prepares the runs.
         runs: what was recorded.
-        sigmas: standard deviations of the channels.
+        noise: of the channels.
         shared: number of free parameters of the model itself.
 
     Returns:
@@ -88,7 +92,7 @@ def build_groups(
     for (channels, _, own), indices in members.items():
         observed = [np.stack([runs[i].observations[c] for c in channels], -1) for i in indices]
         weight = [
-            np.where(np.isnan(cells), 0.0, 1 / np.asarray([sigmas[i][c] for c in channels]))
+            np.where(np.isnan(cells), 0.0, 1 / np.asarray(_deviations(noise, i, channels)))
             for i, cells in zip(indices, observed, strict=True)
         ]
         length = max(len(cells) for cells in observed)
@@ -96,6 +100,7 @@ def build_groups(
             inputs=_stack([prepared[i] for i in indices]),
             observed=_padded([np.nan_to_num(cells) for cells in observed], length),
             weight=_padded(weight, length),
+            whitening=_whitening(runs, noise, indices, channels, length),
             channels=channels,
             members=tuple(indices),
             own=own,
@@ -104,6 +109,35 @@ def build_groups(
         first += len(indices) * group.width
         groups.append(group)
     return tuple(groups)
+
+
+def _deviations(noise: Noise, index: int, channels: Sequence[str]) -> list[float]:
+    return [noise.values[index][channel].deviation for channel in channels]
+
+
+def _whitening(
+    runs: Sequence[Run], noise: Noise, indices: Sequence[int], channels: Sequence[str], length: int
+) -> Whitening | None:
+    """That of the runs of a group, stacked; None where noise has no memory for sure."""
+    if not noise.memory:
+        return None
+    parts = []
+    for i in indices:
+        times = runs[i].times
+        if times is None:
+            return None
+        measured = {
+            name: np.where(np.isnan(values), 0.0, 1.0)
+            for name, values in runs[i].observations.items()
+        }
+        weights = {
+            name: cells if noise.weights is None else cells * noise.weights[i][name]
+            for name, cells in measured.items()
+        }
+        of_run = {name: noise.values[i][name] for name in channels}
+        parts.append(Whitening.of(of_run, times, weights).padded(length))
+    dtype = jnp.result_type(float)
+    return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves), dtype=dtype), *parts)
 
 
 def own_start(
@@ -125,6 +159,28 @@ def own_start(
             pairs = zip(group.own_labels(), prepared, strict=True)
             values.append(np.asarray([other.get(label, value) for label, value in pairs]))
     return np.concatenate(values)
+
+
+def own_begun(
+    groups: Sequence[Group],
+    runs: Sequence[Run],
+    begun: Mapping[str, Mapping[str, float]],
+) -> np.ndarray:
+    """Where the coordinates of the single runs start, after those that begin elsewhere.
+
+    Arguments:
+        groups: of the runs.
+        runs: what is fitted to.
+        begun: values in place of those of `own_start`, by the run's name and that of the coordinate.
+    """
+    own = own_start(groups)
+    shared = groups[0].first if groups else 0
+    for group in groups:
+        for member, columns in zip(group.members, group.own_columns(), strict=True):
+            values = begun.get(runs[member].name, {})
+            for label, column in zip(group.own_labels(), columns.tolist(), strict=True):
+                own[column - shared] = values.get(label, own[column - shared])
+    return own
 
 
 def _padded(arrays: Sequence[np.ndarray], length: int) -> Array:
