@@ -32,6 +32,8 @@ ROOMS = [
     ("simulation", "joint", "arm", "hysteresis"),
     ("runs",),
     ("kinds",),
+    ("verdict",),
+    ("noise",),
     (
         "parameters",
         "quantities",

@@ -94,6 +94,7 @@ def test_every_key_of_the_result(fitted):
     for path, estimate in record["parameters"].items():
         assert set(estimate) == {
             "value", "standard_error", "unit", "lower", "upper", "free", "remark",
+            "interval", "freedom", "sandwich_error",
         }  # fmt: skip
         assert estimate["free"] == (path in TRUTH)
         assert isinstance(estimate["unit"], str)
@@ -102,6 +103,9 @@ def test_every_key_of_the_result(fitted):
             assert isinstance(estimate["value"], float)
             assert isinstance(estimate["standard_error"], float)
             assert estimate["lower"] < estimate["value"] < estimate["upper"]
+            low, high = estimate["interval"]
+            assert low < estimate["value"] < high
+            assert estimate["sandwich_error"] > 0
         else:
             assert estimate["standard_error"] is None
             assert estimate["remark"]

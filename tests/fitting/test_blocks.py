@@ -17,6 +17,7 @@ from giajax.fitting._bijector import Bijector
 from giajax.fitting._group import build_groups, own_start
 from giajax.fitting._jacobian import BlockJacobian
 from giajax.fitting._linearise import linearise
+from giajax.fitting._noise import Noise
 from giajax.fitting._problem import Problem, residual
 from giajax.kinds import InitialSection
 from giajax.models import AbstractModel, ArmModel
@@ -85,8 +86,7 @@ def recording(index, *, free=True, samples=40):
 
 def problem_of(runs, loss="linear"):
     model = OwnHeights()
-    sigmas = [dict.fromkeys(run.observations, SIGMA) for run in runs]
-    groups = build_groups(model, runs, sigmas, 1)
+    groups = build_groups(model, runs, Noise.of(runs, "correlated", per_run=False), 1)
     own = own_start(groups)
     bijector = Bijector((0.0, *(-np.inf for _ in own)), (9.0, *(np.inf for _ in own)))
     problem = Problem(model, groups, bijector, ("decay",), loss)

@@ -141,13 +141,13 @@ def test_nothing_responds_is_no_convergence():
 
 
 def test_parameters_that_only_count_together_have_no_error_of_their_own():
-    result = fit(Decay(), run(), free=["amplitude", "twin", "decay", "offset"])
+    result = fit(Decay(), run(), free=["amplitude", "twin", "decay", "offset"], noise_model="white")
     for path, other in (("amplitude", "twin"), ("twin", "amplitude")):
         assert result.parameters[path].standard_error is None
         assert other in result.parameters[path].remark
     product = result.parameters["amplitude"].value * result.parameters["twin"].value
     assert product == pytest.approx(2.0, rel=0.02)
-    alone = fit(Decay(), run())
+    alone = fit(Decay(), run(), noise_model="white")
     assert result.parameters["decay"].standard_error == pytest.approx(
         alone.parameters["decay"].standard_error, rel=1e-6
     )
@@ -179,7 +179,7 @@ def test_an_optimum_at_a_bound_has_an_error_and_says_so():
         noise={"position": 0.01},
         definition={"free_motion": True},
     )
-    result = fit(Decay(), recording, fix={"offset": 0.0})
+    result = fit(Decay(), recording, fix={"offset": 0.0}, noise_model="white")
     decay = result.parameters["decay"]
     assert result.status == "converged"
     assert result.iterations <= 20

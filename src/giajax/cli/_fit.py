@@ -32,8 +32,9 @@ The table and the summary go to standard output, progress to standard error.
 
 \b
 Exit status: 0 converged; 1 ended without convergence (the result is
-written and says so); 2 bad input or usage; 130 interrupted, 143 by SIGTERM
-(the best point so far is written). A second Ctrl-C ends at once.
+written and says so); 2 bad input or usage; 3 with --strict, where the model
+does not describe the data; 130 interrupted, 143 by SIGTERM (the best point so
+far is written). A second Ctrl-C ends at once.
 
 \b
 While it runs, DIR/journal.jsonl has every step. After a crash, Ctrl-C or the
@@ -94,6 +95,20 @@ def fit(
         str | None,
         typer.Option(metavar="NAME", help="linear (default), or huber or soft_l1 for outliers."),
     ] = None,
+    noise_model: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME", help="correlated (default: looks for a memory of the noise), or white."
+        ),
+    ] = None,
+    noise_per_run: Annotated[
+        bool | None,
+        typer.Option(
+            "--noise-per-run/--noise-pooled",
+            show_default=False,
+            help="Estimate the noise in each run by itself, or (default) in all together.",
+        ),
+    ] = None,
     rename: Annotated[
         list[str] | None,
         typer.Option(metavar="OLD=NEW", help="Read column OLD of the runs as NEW. Repeatable."),
@@ -142,6 +157,10 @@ def fit(
     as_json: Annotated[
         bool, typer.Option("--json", help="Print result.json instead of the tables.")
     ] = False,
+    strict: Annotated[
+        bool,
+        typer.Option("--strict", help="End with status 3 where the model does not fit the data."),
+    ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
     figures: Annotated[
         bool, typer.Option("--figures/--no-figures", help="Draw pictures of the result.")
@@ -167,6 +186,8 @@ def fit(
         spread=spread,
         seed=seed,
         loss=loss,
+        noise_model=noise_model,
+        noise_per_run=noise_per_run,
         solver=solver,
         tolerance=tolerance,
         max_iterations=max_iterations,
@@ -193,6 +214,7 @@ def fit(
             as_json=as_json,
             quiet=quiet,
             figures=figures,
+            strict=strict,
         )
     )
 

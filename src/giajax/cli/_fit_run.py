@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 
 _STATUS = {"converged": 0, "not_converged": 1}
 
+# With --strict, of a fit whose model does not describe the data.
+_INADEQUATE = 3
+
 
 def finished(folder: Path, as_json: bool, quiet: bool) -> int | None:
     """Say of a fit that has ended that there is nothing to go on with.
@@ -55,6 +58,7 @@ def run_fit(
     as_json: bool,
     quiet: bool,
     figures: bool,
+    strict: bool,
 ) -> int:
     """Fit a task, write its result and show it.
 
@@ -62,7 +66,7 @@ def run_fit(
         task: what to fit to what.
         again: the result whose numbers are to come again.
         resume: go on with the journal in the task's folder.
-        force, as_json, quiet, figures: the options of these names.
+        force, as_json, quiet, figures, strict: the options of these names.
 
     Returns:
         The exit status.
@@ -118,6 +122,8 @@ def run_fit(
             print(f"\n{_go_on(task)}{_with_more(result)}")
         if hint := choice_hint(ready.runs, [str(path) for path in task.data]):
             print(f"\n{hint}")
+    if strict and result.verdict.status == "inadequate":
+        return _INADEQUATE
     return _STATUS.get(result.status, stopped_status())
 
 

@@ -5,6 +5,7 @@ from ._budget import Budget as Budget
 from ._conclude import versions as versions
 from ._configuration import Setup as Setup, set_up as set_up
 from ._fit import MAX_ITERATIONS as MAX_ITERATIONS, fit as fit, solve as solve
+from ._noise import NOISE_MODELS as NOISE_MODELS
 from ._predict import (
     errors_of as errors_of,
     predict as predict,
@@ -17,6 +18,7 @@ from ._records import (
     Estimate as Estimate,
     GradientCheck as GradientCheck,
     Iteration as Iteration,
+    NoiseFit as NoiseFit,
     OwnEstimate as OwnEstimate,
     PredictionErrors as PredictionErrors,
     RunFit as RunFit,

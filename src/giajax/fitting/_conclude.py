@@ -7,16 +7,26 @@ from importlib.metadata import version
 
 import numpy as np
 
+from ..noise import ChannelNoise, gains
 from ..parameters import replace
 from ..runs import Run
 from ._checks import Checks, checks
 from ._derived import derived_estimates
 from ._estimates import estimates, own_estimates
 from ._problem import predictions_by_run
-from ._records import ChannelFit, Correlation, OwnEstimate, RunFit, Seconds, finite_or_none
+from ._records import (
+    ChannelFit,
+    Correlation,
+    NoiseFit,
+    OwnEstimate,
+    RunFit,
+    Seconds,
+    finite_or_none,
+)
 from ._result import FitResult
 from ._state import FitState
 from ._statistics import Statistics, statistics
+from ._verdict import verdict
 
 # Residuals of this many times the noise are worth a word.
 _NOTABLE = 1.15
@@ -57,11 +67,13 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
         message=message + _note(state, known),
         model=model,
         parameters=estimates(state, known, model),
+        noise=_noise(state, known),
+        verdict=verdict(state, status),
         derived=derived_estimates(model, paths, known.alive, known.root, known.covariance),
         correlation=_correlation(known, paths),
         runs=tuple(
-            _run_fit(run, predicted, sigmas, own)
-            for run, predicted, sigmas, own in zip(
+            _run_fit(run, predicted, noise, own)
+            for run, predicted, noise, own in zip(
                 setup.runs,
                 predictions,
                 state.noise.values,
@@ -102,6 +114,8 @@ def _note(state: FitState, known: Statistics) -> str:
             "; the noise that was not stated is guessed from the differences of neighbouring "
             "samples, and the standard errors with it"
         )
+    if not state.noise.is_white:
+        note += "; the noise is correlated in time, and the standard errors allow for it"
     ratio = np.sqrt(known.reduced_chi_square)
     if ratio > _NOTABLE:
         note += f"; the residuals are {ratio:.3g} times the noise"
@@ -113,7 +127,7 @@ def _note(state: FitState, known: Statistics) -> str:
 def _run_fit(
     run: Run,
     predicted: Mapping[str, np.ndarray],
-    sigmas: Mapping[str, float],
+    noise: Mapping[str, ChannelNoise],
     own: dict[str, OwnEstimate],
 ) -> RunFit:
     channels = {}
@@ -125,10 +139,30 @@ def _run_fit(
             unit=channel.unit,
             rmse=finite_or_none(float(channel.from_si(rmse))),
             n=len(difference),
-            noise=float(channel.from_si(sigmas[name])),
+            noise=float(channel.from_si(noise[name].deviation)),
+            correlated=float(channel.from_si(noise[name].correlated)),
+            correlation_time_s=noise[name].time_s,
+            innovation=float(channel.from_si(_innovation(noise[name], run, values))),
         )
     path = None if run.path is None else str(run.path)
     return RunFit(run.name, path, run.sha256, channels, own)
+
+
+def _innovation(noise: ChannelNoise, run: Run, values: np.ndarray) -> float:
+    """Geometric mean of the deviations of what the cells before do not foretell, SI."""
+    measured = ~np.isnan(values)
+    _, _, deviation = gains(noise, run.times, measured.astype(float))
+    return float(np.exp(np.mean(np.log(deviation[measured]))))
+
+
+def _noise(state: FitState, known: Statistics) -> NoiseFit:
+    """What was taken for noise."""
+    widening = {
+        path: finite_or_none(known.widening[index])
+        for index, path in enumerate(state.problem.paths)
+        if index in known.widening
+    }
+    return NoiseFit(state.setup.noise_model, state.noise.estimated, widening)
 
 
 def versions() -> dict[str, str]:

@@ -25,6 +25,7 @@ from ..parameters import (
 from ..runs import Run, run_keys
 from ._beginning import Beginning, inside_bounds
 from ._loss import check_loss
+from ._noise import NOISE_MODELS, NoiseModel
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,6 +38,8 @@ class Setup:
         parameters: the scalar parameters to fit, apart from those of single runs.
         unstarted: paths of those that have no start of the caller's.
         loss: how a large residual counts.
+        noise_model: "correlated" or "white".
+        noise_per_run: whether each run has noise of its own.
         own: where the parameters of single runs start, by the run's name and their path, where
             that is not as the run is prepared.
         config: the same as plain data, `config` of the result: two fits of the same data with
@@ -48,6 +51,8 @@ class Setup:
     parameters: tuple[Parameter, ...]
     unstarted: tuple[str, ...]
     loss: str
+    noise_model: NoiseModel
+    noise_per_run: bool
     config: dict[str, Any]
     own: Mapping[str, Mapping[str, float]] = dataclasses.field(default_factory=dict)
 
@@ -69,6 +74,8 @@ def set_up(
     start: Mapping[str, npt.ArrayLike] | None = None,
     fix: Mapping[str, npt.ArrayLike] | None = None,
     loss: str = "linear",
+    noise_model: NoiseModel = "correlated",
+    noise_per_run: bool = False,
     solver: str | None = None,
     tolerance: float | None = None,
     begin: Beginning | None = None,
@@ -76,7 +83,8 @@ def set_up(
     """Check and resolve the arguments of a fit, without evaluating the model.
 
     Arguments:
-        model, runs, free, start, fix, loss, solver, tolerance: as of `fit`.
+        model, runs, free, start, fix, loss, noise_model, noise_per_run, solver, tolerance: as of
+            `fit`.
         begin: where another fit ended, which goes before `start`; `fix` goes before both.
 
     Returns:
@@ -88,6 +96,10 @@ def set_up(
     runs = (runs,) if isinstance(runs, Run) else tuple(runs)
     start, fix = _plain(start or {}), _plain(fix or {})
     check_loss(loss)
+    if noise_model not in NOISE_MODELS:
+        raise InputError(
+            f"there is no noise model '{noise_model}': use one of: {', '.join(NOISE_MODELS)}"
+        )
     if not runs:
         raise InputError("there is no run: give at least one")
     for run in runs:
@@ -105,6 +117,8 @@ def set_up(
         parameters=tuple(parameters),
         unstarted=tuple(p.path for p in parameters if p.path not in begun),
         loss=loss,
+        noise_model=noise_model,
+        noise_per_run=noise_per_run,
         config={
             "definition": model.definition(),
             "runs": [_about(run) for run in runs],
@@ -112,6 +126,8 @@ def set_up(
             "start": start,
             "fix": fix,
             "loss": loss,
+            "noise_model": noise_model,
+            "noise_per_run": noise_per_run,
             **_integration(model),
             **({} if begin is None else {"begin": dataclasses.asdict(begin)}),
         },

@@ -10,9 +10,8 @@ import numpy as np
 from .._errors import InputError
 from ._budget import Budget
 from ._identifiability import responds
-from ._noise import Noise
-from ._problem import predictions_by_run
 from ._records import Iteration
+from ._reestimate import reestimate
 from ._state import FitState
 from ._transitions import release, reweight, step, trial
 
@@ -144,20 +143,9 @@ def _next_round(state: FitState) -> FitState:
     end = f"converged in {state.trials} iterations"
     if not state.rounds_left:
         return state.ended("converged", end)
-    noise = _noise_after(state)
-    settled = noise.values == state.noise.values
+    noise = reestimate(state)
+    settled = noise.values == state.noise.values and noise.weights is state.noise.weights
     state = dataclasses.replace(state, noise=noise)
     if settled:
         return state.ended("converged", end)
     return step(reweight(state, noise)).next_round()
-
-
-def _noise_after(state: FitState) -> Noise:
-    """The noise that the residuals show, where no sidecar states it."""
-    runs = state.setup.runs
-    return state.noise.reestimated(
-        runs,
-        predictions_by_run(state.problem, state.inner.aux, runs),
-        parameters=int(np.sum(np.asarray(state.active))),
-        robust=state.problem.loss != "linear",
-    )

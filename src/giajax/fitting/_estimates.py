@@ -1,6 +1,7 @@
 """Estimates of the parameters: value, standard error, and what a reader must know of them."""
 
 import numpy as np
+from scipy.special import stdtrit
 
 from ..models import AbstractModel, parameter_values
 from ..parameters import Parameter, declared
@@ -11,6 +12,11 @@ from ._statistics import Statistics
 
 # Parameters that are more correlated than this are worth a remark.
 _NEARLY_THE_SAME = 0.98
+
+_LEVEL = 0.95
+
+# Degrees of freedom from which Student's t is a normal distribution.
+_NORMAL = 1e9
 
 
 def estimates(state: FitState, statistics: Statistics, model: AbstractModel) -> dict[str, Estimate]:
@@ -31,10 +37,35 @@ def estimates(state: FitState, statistics: Statistics, model: AbstractModel) -> 
             upper=finite_or_none(parameter.declaration.upper),
             free=True,
             remark=remark(statistics, index, moves=bool(active[index])),
+            interval=interval(statistics, index, parameter),
+            freedom=finite_or_none(statistics.freedom.get(index)),
+            sandwich_error=finite_or_none(statistics.sandwich.get(index)),
         )
         for index, parameter in enumerate(state.setup.parameters)
     }
     return {**free, **_held(model, tuple(free))}
+
+
+def interval(
+    statistics: Statistics, index: int, parameter: Parameter
+) -> tuple[float, float] | None:
+    """The interval that holds a parameter by 95 %; None without a standard error.
+
+    By Student's t with the degrees of freedom that the estimated noise leaves, and within the
+    bounds: an interval that a bound cuts is one-sided.
+
+    Arguments:
+        statistics: of the fit.
+        index: position of the parameter.
+        parameter: its declaration.
+    """
+    error = finite_or_none(statistics.standard_errors.get(index))
+    if error is None:
+        return None
+    reach = float(stdtrit(min(statistics.freedom[index], _NORMAL), 1 - (1 - _LEVEL) / 2)) * error
+    value = float(statistics.values[index])
+    declaration = parameter.declaration
+    return max(value - reach, declaration.lower), min(value + reach, declaration.upper)
 
 
 def own_estimates(state: FitState, statistics: Statistics) -> list[dict[str, OwnEstimate]]:

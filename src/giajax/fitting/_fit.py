@@ -15,6 +15,7 @@ from ._budget import Budget
 from ._conclude import conclude
 from ._configuration import Setup, set_up
 from ._descend import descend
+from ._noise import NoiseModel
 from ._records import Iteration
 from ._result import FitResult
 from ._snapshot import FitJournal, keeper, restored
@@ -32,6 +33,8 @@ def fit(
     start: Mapping[str, npt.ArrayLike] | None = None,
     fix: Mapping[str, npt.ArrayLike] | None = None,
     loss: str = "linear",
+    noise_model: NoiseModel = "correlated",
+    noise_per_run: bool = False,
     solver: str | None = None,
     tolerance: float | None = None,
     max_iterations: int = MAX_ITERATIONS,
@@ -42,7 +45,9 @@ def fit(
     """Fit parameters of a model to recorded runs by weighted least squares.
 
     Each recorded cell counts with the noise that the run states for its channel; where it states
-    none, the noise is estimated per channel from the residuals. Empty cells do not count.
+    none, the noise is estimated per channel from the residuals of all runs. Where noise is
+    correlated in time, that is estimated, too, and the residuals are made independent (generalised
+    least squares). Empty cells do not count.
 
     Arguments:
         model: the model with its constants; its values are where the fit starts.
@@ -52,6 +57,10 @@ def fit(
         start: start values by path, in SI units: one, or one for each element.
         fix: values by path that are set and not fitted, as `start`.
         loss: "linear", or "huber" or "soft_l1" where a few cells are outliers.
+        noise_model: "correlated" finds out whether the noise of a channel has a memory (white
+            noise plus an AR(1) in continuous time), and how large and long it is where the runs
+            do not state it; "white" takes every cell for independent of the others.
+        noise_per_run: estimate the noise of a channel in each run by itself, not in all together.
         solver: of the simulation, one of `giajax.SOLVERS`; by default that of the model.
         tolerance: relative and absolute tolerance of the simulation; by default the model's.
         max_iterations: trial steps before the fit gives up.
@@ -81,6 +90,8 @@ def fit(
         start=start,
         fix=fix,
         loss=loss,
+        noise_model=noise_model,
+        noise_per_run=noise_per_run,
         solver=solver,
         tolerance=tolerance,
     )

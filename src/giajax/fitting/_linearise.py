@@ -8,7 +8,7 @@ import numpy as np
 
 from .._typing import Array, Float
 from ._group import Group
-from ._problem import Prediction, Problem, over_runs, run_residual
+from ._problem import Prediction, Problem, over_runs, run_residual, whitened
 
 
 def linearise(
@@ -30,7 +30,7 @@ def linearise(
     """
 
     def one(
-        values: Array, group: Group, inputs: Any, observed: Array, weight: Array
+        values: Array, group: Group, inputs: Any, observed: Array, weight: Array, whitening: Any
     ) -> tuple[Array, ...]:
         def push(tangent: Array) -> tuple[Array, Array, Any]:
             return jax.jvp(
@@ -42,7 +42,9 @@ def linearise(
 
         basis = jnp.eye(values.shape[0], dtype=values.dtype)
         row, block, aux = jax.vmap(push, out_axes=(None, 1, None))(basis)
-        whole = jnp.concatenate([block, row[:, None]], axis=1)
+        # Linear, so it comes after the derivatives, and costs one pass over all columns.
+        whole = whitened(jnp.concatenate([block, row[:, None]], axis=1), whitening)
+        block, row = whole[:, :-1], whole[:, -1]
         # A failed run has NaN here; its step is rejected, and nobody reads the triangle.
         triangle = jnp.linalg.qr(jnp.where(jnp.isfinite(whole), whole, 0), mode="r")
         missing = whole.shape[1] - triangle.shape[0]

@@ -23,6 +23,15 @@ def check_loss(loss: str) -> None:
         raise InputError(f"there is no loss '{loss}': use one of: {', '.join(LOSSES)}")
 
 
+def mean_square_of_influence(loss: str) -> float:
+    """The mean of psi^2 of normal noise of deviation 1, by which a robust chi-square is one."""
+    if loss == "linear":
+        return 1.0
+    r, step = np.linspace(-12.0, 12.0, 24_001, retstep=True)
+    density = np.exp(-(r**2) / 2) / np.sqrt(2 * np.pi)
+    return float(np.sum(influence(loss, r)[0] ** 2 * density) * step)
+
+
 def transform(loss: str, r: Float[Array, "*n"]) -> Float[Array, "*n"]:
     """t(r): `huber` is quadratic up to |r| = 1, `soft_l1` is 2 (sqrt(1 + r^2) - 1).
 

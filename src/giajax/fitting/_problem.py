@@ -15,6 +15,7 @@ from ..runs import Run
 from ._bijector import Bijector
 from ._group import Group
 from ._loss import transform
+from ._whitening import Whitening
 
 
 class Problem(eqx.Module):
@@ -74,7 +75,7 @@ def run_residual(
     observed: Array,
     weight: Array,
 ) -> tuple[Float[Array, " residual"], tuple[Array, Array]]:
-    """Residual of one run; its prediction and whether that succeeded come beside it."""
+    """Residual of one run, not whitened; beside it its prediction and whether that succeeded."""
     count = len(problem.paths)
     inputs = _with_own(inputs, group, shared_and_own[count:])
     model = problem.at(shared_and_own).for_derivatives(problem.free_paths(group))
@@ -83,6 +84,11 @@ def run_residual(
     # An unmeasured cell must not carry the NaN of a failed simulation times zero.
     difference = jnp.where(weight > 0, (table - observed) * weight, 0)
     return transform(problem.loss, difference.ravel()), (table, successful)
+
+
+def whitened(columns: Float[Array, "residual column"], whitening: Whitening | None) -> Array:
+    """Residuals of a run, or columns of their Jacobian, made independent of each other."""
+    return columns if whitening is None else whitening.apply(columns)
 
 
 def _with_own(inputs: Any, group: Group, values: Float[Array, " own"]) -> Any:
@@ -103,10 +109,10 @@ def residual(
     """
 
     def one(
-        values: Array, group: Group, inputs: Any, observed: Array, weight: Array
+        values: Array, group: Group, inputs: Any, observed: Array, weight: Array, whitening: Any
     ) -> tuple[Array, ...]:
         row, (table, successful) = run_residual(values, problem, group, inputs, observed, weight)
-        return row, table, successful
+        return whitened(row[:, None], whitening)[:, 0], table, successful
 
     rows, tables, successes = zip(*over_runs(one, coordinate, problem), strict=True)
     row = jnp.concatenate([part.ravel() for part in rows])
@@ -129,11 +135,12 @@ def over_runs(
             group.inputs,
             group.observed,
             group.weight,
+            group.whitening,
         )
 
         def each(row: Any, group: Group = group) -> tuple[Array, ...]:
-            values, inputs, observed, weight = row
-            return one(values, group, inputs, observed, weight)
+            values, inputs, observed, weight, whitening = row
+            return one(values, group, inputs, observed, weight, whitening)
 
         if len(group.members) == 1:
             result = each(jax.tree.map(lambda leaf: leaf[0], rows))

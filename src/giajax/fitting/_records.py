@@ -45,6 +45,11 @@ class Estimate:
         lower, upper: bounds; None where there is none.
         free: whether the fit was allowed to move it.
         remark: what a reader must know before using the value; may be empty.
+        interval: where the value is by 95 %, by Student's t, within the bounds; None without a
+            standard error.
+        freedom: degrees of freedom of it; None where they are infinite.
+        sandwich_error: standard error that does not trust the noise model (Newey and West); None
+            where there is none.
     """
 
     value: Any
@@ -54,6 +59,15 @@ class Estimate:
     upper: float | None
     free: bool
     remark: str = ""
+    interval: tuple[float, float] | None = None
+    freedom: float | None = None
+    sandwich_error: float | None = None
+
+    @classmethod
+    def of_json(cls, record: Mapping[str, Any]) -> Self:
+        """The record that an object of `result.json` holds."""
+        ends = record.get("interval")
+        return cls(**{**record, "interval": None if ends is None else (ends[0], ends[1])})
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,13 +86,20 @@ class ChannelFit:
         unit: of the recording.
         rmse: root mean square of recorded minus predicted; None where that is not finite.
         n: number of measured values.
-        noise: standard deviation that the values were weighted with.
+        noise: standard deviation of a cell that the values were weighted with.
+        correlated: standard deviation of the part of it that has a memory.
+        correlation_time_s: of that part, s; 0 where there is none.
+        innovation: deviation of what the cells before do not foretell, their geometric mean;
+            None from a file without it.
     """
 
     unit: str
     rmse: float | None
     n: int
     noise: float
+    correlated: float = 0.0
+    correlation_time_s: float = 0.0
+    innovation: float | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -220,6 +241,22 @@ class ToleranceEffect:
         """The record that an object of `result.json` holds."""
         shifts = {path: Shift(**item) for path, item in record["by_parameter"].items()}
         return cls(record["factor"], record["largest_in_standard_errors"], shifts)
+
+
+@dataclasses.dataclass(frozen=True)
+class NoiseFit:
+    """What a fit took for noise.
+
+    Attributes:
+        model: "correlated" where a memory was looked for, or "white".
+        estimated: whether the size of any of it comes from the residuals.
+        widening: standard error over that with white noise of the same size, by path; empty
+            where all noise is white.
+    """
+
+    model: str
+    estimated: bool
+    widening: dict[str, float | None] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True)

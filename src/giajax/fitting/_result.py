@@ -18,12 +18,14 @@ from .._limits import RESULT_BYTES
 from .._syntax import parse_json
 from ..models import AbstractModel, build_model
 from ..runs import Run
+from ..verdict import Verdict
 from ._predict import predict
 from ._records import (
     Correlation,
     Estimate,
     GradientCheck,
     Iteration,
+    NoiseFit,
     PredictionErrors,
     RunFit,
     Seconds,
@@ -64,6 +66,8 @@ class FitResult:
         starts: where the fit was started (`giajax.multi_start`), each with its end; empty for
             one start.
         validation: errors of prediction of runs that were not fitted.
+        noise: what was taken for noise; None from a file without it.
+        verdict: whether the model describes the data, apart from convergence.
         derived: `Estimate` by name of what follows from the parameters (`AbstractModel.derived`).
         task: how `giajax.FitTask.again` fits it again: files with their checksums, and settings;
             empty for a fit of runs without a task.
@@ -88,6 +92,8 @@ class FitResult:
     history: tuple[Iteration, ...]
     starts: tuple[Start, ...] = ()
     validation: tuple[PredictionErrors, ...] = ()
+    noise: NoiseFit | None = None
+    verdict: Verdict = dataclasses.field(default_factory=Verdict.missing)
     derived: dict[str, Estimate] = dataclasses.field(default_factory=dict)
     task: dict[str, Any] = dataclasses.field(default_factory=dict)
     predictions: tuple[dict[str, np.ndarray], ...] = ()
@@ -138,9 +144,16 @@ class FitResult:
 
     @property
     def headline(self) -> str:
-        """The message, and before it "NOT CONVERGED" where it did not."""
-        shouted = "NOT CONVERGED: " if self.status == "not_converged" else ""
-        return shouted + self.message
+        """The message; before it "NOT CONVERGED", or what is wrong with the model."""
+        if self.status == "not_converged":
+            return f"NOT CONVERGED: {self.message}"
+        if self.verdict.status == "inadequate":
+            reason = self.verdict.reasons[0].sentence
+            return (
+                f"INADEQUATE MODEL: {reason}; {self.message}; the standard errors are conditional "
+                "on a model that does not describe the data"
+            )
+        return self.message
 
 
 def load_result(path: str | Path) -> FitResult:
@@ -176,13 +189,18 @@ def load_result(path: str | Path) -> FitResult:
 def _records(record: Mapping[str, Any]) -> dict[str, Any]:
     """The typed fields of a stored result; earlier versions lack some of them."""
     check, effect = record["gradient_check"], record["tolerance_effect"]
+    noise, verdict = record.get("noise"), record.get("verdict")
     return {
-        "parameters": {path: Estimate(**item) for path, item in record["parameters"].items()},
-        "derived": {name: Estimate(**item) for name, item in record.get("derived", {}).items()},
+        "parameters": {path: Estimate.of_json(item) for path, item in record["parameters"].items()},
+        "derived": {
+            name: Estimate.of_json(item) for name, item in record.get("derived", {}).items()
+        },
         "correlation": Correlation.of_json(record["correlation"]),
         "runs": tuple(RunFit.of_json(item) for item in record["runs"]),
         "gradient_check": None if check is None else GradientCheck.of_json(check),
         "tolerance_effect": None if effect is None else ToleranceEffect.of_json(effect),
+        "noise": None if noise is None else NoiseFit(**noise),
+        "verdict": Verdict.missing() if verdict is None else Verdict.of_json(verdict),
         "seconds": Seconds(**record["seconds"]),
         "conditions": tuple(record["conditions"]),
         "history": tuple(Iteration(**item) for item in record["history"]),

@@ -12,7 +12,6 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from ._noise import Noise
 from ._records import Iteration
 from ._solver import MarquardtState
 from ._state import FitState
@@ -55,7 +54,7 @@ def restored(begun: FitState, journal: FitJournal) -> tuple[FitState, float]:
     if not journal.kept:
         return begun, 0.0
     last = journal.kept[-1]
-    noise = Noise.of_plain(begun.setup.runs, last["noise"])
+    noise = begun.noise.with_plain(last["noise"])
     coordinate = np.asarray(last["coordinate"], dtype=float)
     active = np.asarray(last["active"], dtype=bool)
     if coordinate.shape != begun.coordinate.shape or active.shape != coordinate.shape:

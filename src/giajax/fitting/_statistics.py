@@ -5,8 +5,9 @@ import dataclasses
 import numpy as np
 
 from ._identifiability import responds, undetermined_groups
+from ._noise_statistics import noise_statistics
 from ._state import FitState
-from ._uncertainty import correlation_matrix, uncertainty
+from ._uncertainty import correlation_matrix, reduced_chi_square, uncertainty
 
 # A parameter this close to its bound, in standard errors, is at it.
 _AT_BOUND = 0.1
@@ -23,6 +24,9 @@ class Statistics:
         together: groups of which only a combination is determined.
         determined: those that have a standard error of their own.
         standard_errors: of each determined one.
+        freedom: degrees of freedom of Student's t for its interval, likewise.
+        sandwich: standard error that does not trust the noise model, likewise; empty where none.
+        widening: its error over that with white noise of the same size; empty where it is white.
         correlation: of the determined ones, in their order.
         root: R of the QR factorisation of the Jacobian, columns of `alive`.
         covariance: of `alive`.
@@ -37,6 +41,9 @@ class Statistics:
     together: tuple[tuple[int, ...], ...]
     determined: tuple[int, ...]
     standard_errors: dict[int, float]
+    freedom: dict[int, float]
+    sandwich: dict[int, float]
+    widening: dict[int, float]
     correlation: np.ndarray
     root: np.ndarray
     covariance: np.ndarray
@@ -56,9 +63,11 @@ def statistics(state: FitState) -> Statistics:
     loose = {index for group in together for index in group}
     determined = tuple(int(i) for i in alive if i not in loose)
     residuals, measured = weighted_residuals(state)
-    spread = uncertainty(residuals, jacobian, loss=problem.loss, measured=measured, columns=alive)
+    white = np.asarray(state.inner.residual) if problem.loss == "linear" else residuals
+    spread = uncertainty(white, jacobian, loss=problem.loss, measured=measured, columns=alive)
+    by_noise = noise_statistics(state, alive, spread.covariance)
     rows = [int(np.flatnonzero(alive == i)[0]) for i in determined]
-    covariance = spread.covariance[np.ix_(rows, rows)]
+    covariance = by_noise.covariance[np.ix_(rows, rows)]
     errors = np.sqrt(np.diag(covariance))
     standard_errors = {i: float(error) for i, error in zip(determined, errors, strict=True)}
     return Statistics(
@@ -68,13 +77,45 @@ def statistics(state: FitState) -> Statistics:
         together=together,
         determined=determined,
         standard_errors=standard_errors,
+        freedom=_of_each(determined, rows, by_noise.freedom),
+        sandwich=_of_each(determined, rows, by_noise.sandwich),
+        widening=_of_each(determined, rows, by_noise.widening),
         correlation=correlation_matrix(covariance),
         root=root,
-        covariance=spread.covariance,
-        reduced_chi_square=spread.reduced_chi_square,
+        covariance=by_noise.covariance,
+        reduced_chi_square=reduced_chi_square(
+            residuals * _against_stated(state),
+            loss=state.setup.loss,
+            measured=measured,
+            parameters=len(alive),
+        ),
         scale=spread.scale,
         bounds=_at_bounds(state, standard_errors),
     )
+
+
+def _of_each(
+    determined: tuple[int, ...], rows: list[int], values: np.ndarray | None
+) -> dict[int, float]:
+    if values is None:
+        return {}
+    return {index: float(values[row]) for index, row in zip(determined, rows, strict=True)}
+
+
+def _against_stated(state: FitState) -> np.ndarray:
+    """The deviation in use over that which is stated, where one is; shape (residual,)."""
+    noise = state.noise
+    parts = []
+    for group in state.problem.groups:
+        for member in group.members:
+            ratios = [
+                noise.values[member][name].deviation / stated
+                if (stated := noise.stated[member][name].deviation) is not None
+                else 1.0
+                for name in group.channels
+            ]
+            parts.append(np.tile(ratios, group.observed.shape[1]))
+    return np.concatenate(parts)
 
 
 def weighted_residuals(state: FitState) -> tuple[np.ndarray, np.ndarray]:

@@ -32,8 +32,8 @@ def begin(setup: Setup) -> FitState:
     """The state before anything is evaluated."""
     setup = setup.at_start()
     model, parameters = setup.model, setup.parameters
-    noise = Noise.of(setup.runs)
-    groups = build_groups(model, setup.runs, noise.values, len(parameters))
+    noise = Noise.of(setup.runs, setup.noise_model, per_run=setup.noise_per_run)
+    groups = build_groups(model, setup.runs, noise, len(parameters))
     own = own_begun(groups, setup.runs, setup.own)
     bijector = Bijector(
         (*(p.declaration.lower for p in parameters), *(-np.inf for _ in own)),
@@ -105,10 +105,10 @@ def move(state: FitState, coordinate: Any) -> FitState:
 
 def reweight(state: FitState, noise: Noise) -> FitState:
     """Go on from the same point with another noise; not evaluated yet."""
-    groups = build_groups(
-        state.problem.model, state.setup.runs, noise.values, len(state.problem.paths)
-    )
-    problem = dataclasses.replace(state.problem, groups=groups)
+    groups = build_groups(state.problem.model, state.setup.runs, noise, len(state.problem.paths))
+    # Weights of cells take the place of a robust loss: whitened residuals are no single cells.
+    loss = state.setup.loss if noise.weights is None else "linear"
+    problem = dataclasses.replace(state.problem, groups=groups, loss=loss)
     return move(dataclasses.replace(state, problem=problem, noise=noise), state.coordinate)
 
 

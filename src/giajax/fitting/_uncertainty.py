@@ -6,7 +6,7 @@ import numpy as np
 
 from ._identifiability import COLLINEAR
 from ._jacobian import BlockJacobian
-from ._loss import influence
+from ._loss import influence, mean_square_of_influence
 
 # Fraction of residuals within the corner of a robust loss below which its covariance is noise.
 _FEW = 0.1
@@ -17,12 +17,10 @@ class Uncertainty(NamedTuple):
 
     Attributes:
         covariance: shape (parameter, parameter).
-        reduced_chi_square: sum of squared weighted residuals per degree of freedom.
         scale: factor on the covariance, 1 unless the residuals exceed the stated noise.
     """
 
     covariance: np.ndarray
-    reduced_chi_square: float
     scale: float
 
 
@@ -42,7 +40,7 @@ def uncertainty(
     (Huber 1981, ch. 6), which needs no further scale.
 
     Arguments:
-        residual: weighted residuals before the loss transforms them, shape (residual,).
+        residual: weighted, whitened residuals before the loss transforms them, shape (residual,).
         jacobian: derivative of the transformed residuals by the parameters.
         loss: name of the loss.
         measured: which residuals stand for a measured cell, shape (residual,).
@@ -65,11 +63,30 @@ def uncertainty(
     if loss == "linear" or mean_curvature < _FEW:
         # With a robust loss: almost every residual is an outlier, and the sandwich has no bread.
         scale = max(1.0, reduced)
-        return Uncertainty(_inverse_gram(plain) * scale, reduced, scale)
+        return Uncertainty(inverse_gram(plain) * scale, scale)
     # A residual beyond the corner of the loss has no curvature; the mean keeps A positive.
-    bread = _inverse_gram(plain * np.sqrt(mean_curvature))
+    bread = inverse_gram(plain * np.sqrt(mean_curvature))
     root = root_of_gram(psi)
-    return Uncertainty(bread @ (root.T @ root) @ bread * count / freedom, reduced, 1.0)
+    return Uncertainty(bread @ (root.T @ root) @ bread * count / freedom, 1.0)
+
+
+def reduced_chi_square(
+    residual: np.ndarray, *, loss: str, measured: np.ndarray, parameters: int
+) -> float:
+    """Squared residuals over the noise, per degree of freedom.
+
+    With a robust loss that of psi, whose mean square over normal noise is taken for 1, so that a
+    few outliers are not taken for more noise (Huber 1981, section 7.6).
+
+    Arguments:
+        residual: residuals over the deviation of their cell, shape (residual,).
+        loss: name of the loss.
+        measured: which of them stand for a measured cell.
+        parameters: number of fitted ones.
+    """
+    psi = influence(loss, residual[measured])[0]
+    freedom = max(int(np.sum(measured)) - parameters, 1)
+    return float(np.sum(psi**2) / freedom / mean_square_of_influence(loss))
 
 
 def correlation_matrix(covariance: np.ndarray) -> np.ndarray:
@@ -80,7 +97,7 @@ def correlation_matrix(covariance: np.ndarray) -> np.ndarray:
     return np.clip(correlation, -1, 1)
 
 
-def _inverse_gram(jacobian: np.ndarray) -> np.ndarray:
+def inverse_gram(jacobian: np.ndarray) -> np.ndarray:
     """(J^T J)^-1 through QR with scaled columns, which does not square the condition.
 
     Directions that leave the residuals unchanged are left out: what takes no part in them keeps

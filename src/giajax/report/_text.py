@@ -1,4 +1,7 @@
-"""A result as text: the parameter table and what else a reader must know."""
+"""A result as text: the parameter table and what else a reader must know.
+
+The file is longer than 200 lines because the summary's lines are read together.
+"""
 
 from collections.abc import Sequence
 
@@ -14,6 +17,7 @@ from ..fitting import (
     units_note,
 )
 from ..study import SAME_END, misfit
+from ._trust import noise_lines, verdict_lines
 
 # More lines of residuals than this are summed up.
 _MANY = 8
@@ -54,6 +58,8 @@ def summary_rows(result: FitResult) -> list[tuple[str, str]]:
     """The summary as pairs of a label (which may be empty) and a sentence."""
     rows = [("status", result.headline)]
     rows += _labelled("units", [note] if (note := units_note(result.shown, result.model)) else [])
+    rows += _labelled("verdict", verdict_lines(result))
+    rows += _labelled("noise", noise_lines(result))
     rows.append(("cost", _number(result.cost)))
     rows.append(("reduced chi-square", _number(result.reduced_chi_square)))
     rows += _labelled("starts", _starts(result))

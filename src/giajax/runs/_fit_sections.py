@@ -12,10 +12,14 @@ from ._channels import parse_column
 from ._duration import DURATION
 
 _NOISE = "a positive number, the standard deviation"
+_TIME = "a positive number of seconds"
 
 
 class Noise(Section):
-    """`[noise]`: standard deviations of white noise, by quantity or by column."""
+    """`[noise]`: standard deviations of a cell, by quantity or by column.
+
+    A part of it may be known to be correlated in time, by exp(-|dt| / time).
+    """
 
     model_config: ClassVar[ConfigDict] = ConfigDict(extra="allow", strict=True, frozen=True)
     __pydantic_extra__: dict[str, Positive] = Field(init=False)
@@ -25,11 +29,42 @@ class Noise(Section):
     rate_deg_per_s: Positive | None = key(
         _NOISE, "standard deviation of every joint rate", example=1.0
     )
+    position_correlated_m: Positive | None = key(_NOISE, "the correlated part of position_m")
+    position_correlation_s: Positive | None = key(_TIME, "how long that part is correlated")
+    angle_correlated_deg: Positive | None = key(_NOISE, "the correlated part of angle_deg")
+    angle_correlation_s: Positive | None = key(_TIME, "how long that part is correlated")
+    rate_correlated_deg_per_s: Positive | None = key(
+        _NOISE, "the correlated part of rate_deg_per_s"
+    )
+    rate_correlation_s: Positive | None = key(_TIME, "how long that part is correlated")
+
+    def correlated_part(self, name: str) -> tuple[float, float] | None:
+        """Deviation, in the unit of a key, and time of the part of it that has a memory."""
+        quantity, _, unit = name.partition("_")
+        deviation = getattr(self, f"{quantity}_correlated_{unit}")
+        time_s = getattr(self, f"{quantity}_correlation_s")
+        return None if deviation is None or time_s is None else (deviation, time_s)
 
     @property
     def columns(self) -> dict[str, float]:
         """The standard deviations by column name, in the column's unit."""
         return dict(self.__pydantic_extra__ or {})
+
+    @model_validator(mode="after")
+    def _a_correlated_part_is_whole(self) -> "Noise":
+        for name in ("position_m", "angle_deg", "rate_deg_per_s"):
+            quantity, _, unit = name.partition("_")
+            part, time = f"{quantity}_correlated_{unit}", f"{quantity}_correlation_s"
+            size, of_part = getattr(self, name), getattr(self, part)
+            if (of_part is None) != (getattr(self, time) is None):
+                raise ValueError(
+                    f"has one of {part} and {time}, which say one thing: add the other"
+                )
+            if of_part is not None and (size is None or of_part > size):
+                raise ValueError(
+                    f"key {part!r} is a part of {name}: state {name}, which is at least as large"
+                )
+        return self
 
     @model_validator(mode="after")
     def _extra_keys_are_columns(self) -> "Noise":
@@ -83,6 +118,10 @@ class Fit(Section):
     loss: Literal["linear", "huber", "soft_l1"] | None = key(
         '"linear", "huber" or "soft_l1"', "how a large residual counts"
     )
+    noise_model: Literal["correlated", "white"] | None = key(
+        '"correlated" or "white"', "whether noise may have a memory"
+    )
+    noise_per_run: bool | None = key("true or false", "estimate noise in each run by itself")
     solver: Name | None = key("the name of a solver", "of the simulation")
     tolerance: Positive | None = key(
         "a positive number", "relative and absolute tolerance of the simulation"

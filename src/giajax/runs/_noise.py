@@ -10,7 +10,9 @@ from ._fit_sections import Noise
 from ._units import QUANTITY_OF_SUFFIX, from_si, to_si
 
 # Noise of arrays goes by quantity, without the unit that ends the key in a file.
-_NOISE_QUANTITIES = {key.partition("_")[0]: key for key in Noise.model_fields}
+_NOISE_QUANTITIES = {
+    key.partition("_")[0]: key for key in Noise.model_fields if "_correlat" not in key
+}
 
 
 def deviation_of(noise: Noise, channel: Channel) -> float | None:
@@ -25,6 +27,16 @@ def deviation_of(noise: Noise, channel: Channel) -> float | None:
     if key is None or of_quantity is None:
         return None
     return float(to_si(*_unit_of(key), of_quantity))
+
+
+def correlated_part_of(noise: Noise, channel: Channel) -> tuple[float, float] | None:
+    """The deviation (SI) and the time (s) of the part with a memory, as `[noise]` states it."""
+    key = NOISE_KEYS.get(channel.kind)
+    part = None if key is None else noise.correlated_part(key)
+    if key is None or part is None:
+        return None
+    deviation, time_s = part
+    return float(to_si(*_unit_of(key), deviation)), time_s
 
 
 def _unit_of(key: str) -> tuple[str, str]:

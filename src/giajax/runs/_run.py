@@ -1,4 +1,7 @@
-"""A run: what was recorded and commanded in one experiment, and its sidecar, in SI units."""
+"""A run: what was recorded and commanded in one experiment, and its sidecar, in SI units.
+
+The file is longer than 200 lines because all that is asked of a run is asked here.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -15,7 +18,7 @@ from ._checks import check_content
 from ._column_table import TEXTS
 from ._definition import Definition
 from ._model import decide_model
-from ._noise import deviation_of, noise_section
+from ._noise import correlated_part_of, deviation_of, noise_section
 from ._wording import Wording
 
 
@@ -134,6 +137,13 @@ class Run:
         The key of the column wins over that of its quantity.
         """
         return deviation_of(self.definition.noise, self.channels[name])
+
+    def correlated_noise(self, name: str) -> tuple[float, float] | None:
+        """The part of a channel's noise that has a memory, as `[noise]` states it.
+
+        Its standard deviation, SI, and its correlation time, s; None where neither is stated.
+        """
+        return correlated_part_of(self.definition.noise, self.channels[name])
 
     def require_observations(self) -> None:
         """Raise `InputError` if the run holds nothing that a fit could compare."""

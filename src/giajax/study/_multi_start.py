@@ -219,7 +219,7 @@ def misfit(result: FitResult) -> float:
     """Minus the logarithm of the likelihood of a fit, up to a constant."""
     channels = [channel for run in result.runs for channel in run.channels.values()]
     cost = np.inf if result.cost is None else result.cost
-    return float(cost + sum(channel.n * np.log(channel.noise) for channel in channels))
+    return float(cost + sum(c.n * np.log(c.innovation or c.noise) for c in channels))
 
 
 def _end(result: FitResult) -> dict[str, float]:

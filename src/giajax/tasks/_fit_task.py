@@ -144,6 +144,8 @@ class FitTask:
         spread: float | None = None,
         seed: int | None = None,
         loss: str | None = None,
+        noise_model: str | None = None,
+        noise_per_run: bool | None = None,
         solver: str | None = None,
         tolerance: float | None = None,
         max_iterations: int | None = None,
@@ -170,6 +172,8 @@ class FitTask:
             spread: how far the other starts are from the first, relative; 0.3 by default.
             seed: of the other starts; 0 by default.
             loss: "linear" (the default), "huber" or "soft_l1".
+            noise_model: "correlated" (the default) or "white".
+            noise_per_run: estimate the noise in each run by itself.
             solver: of the simulation, one of `giajax.SOLVERS`.
             tolerance: relative and absolute tolerance of the simulation.
             max_iterations: trial steps before the fit gives up; 50 by default.
@@ -195,6 +199,8 @@ class FitTask:
             "spread": spread,
             "seed": seed,
             "loss": loss,
+            "noise_model": noise_model,
+            "noise_per_run": noise_per_run,
             "solver": solver,
             "tolerance": tolerance,
             "max_iterations": max_iterations,

@@ -155,6 +155,8 @@ def prepare(
         start=settings.start,
         fix=settings.fix,
         loss=settings.loss or "linear",
+        noise_model=settings.noise_model or "correlated",
+        noise_per_run=bool(settings.noise_per_run),
         solver=settings.solver,
         tolerance=settings.tolerance,
         begin=None if record["begin"] is None else Beginning(**record["begin"]),

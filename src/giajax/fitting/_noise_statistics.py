@@ -1,0 +1,85 @@
+"""What estimated and correlated noise make of standard errors."""
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+
+from .._typing import Float
+from ..noise import Cells, Restricted, score_covariance, small_sample
+from ._residual_cells import residual_cells
+from ._state import FitState
+from ._uncertainty import inverse_gram
+
+# With more parameters than this (the initial states of many windows) the noise is known well, and
+# what its errors add is not worth the time.
+_MANY = 120
+
+
+class NoiseStatistics(NamedTuple):
+    """What the noise makes of the errors of the parameters that respond.
+
+    Attributes:
+        covariance: with what the errors of the noise add.
+        freedom: of Student's t, shape (parameter,).
+        sandwich: standard errors that hold whatever the noise model leaves out.
+        widening: standard errors over those of white noise of the same size.
+    """
+
+    covariance: Float[np.ndarray, "parameter parameter"]
+    freedom: Float[np.ndarray, " parameter"]
+    sandwich: Float[np.ndarray, " parameter"] | None
+    widening: Float[np.ndarray, " parameter"] | None
+
+
+def noise_statistics(
+    state: FitState, alive: np.ndarray, covariance: Float[np.ndarray, "parameter parameter"]
+) -> NoiseStatistics:
+    """The statistics of a fit whose noise was estimated, or is correlated.
+
+    Arguments:
+        state: the last one.
+        alive: positions of the parameters that respond.
+        covariance: of them, as if the noise were known.
+
+    Returns:
+        Them; a covariance of the same shape.
+    """
+    known = np.full(len(alive), np.inf)
+    if state.problem.loss != "linear" or not 0 < len(alive) <= _MANY:
+        return NoiseStatistics(covariance, known, None, None)
+    noise = state.noise
+    by_key, stated = noise.by_key(), noise.stated_by_key()
+    cells = residual_cells(state)
+    if noise.weights is not None:
+        cells = {at: _weighted(state, at, each) for at, each in cells.items()}
+    slope = state.problem.bijector.slope(np.asarray(state.coordinate))
+    dense = [_dense(each, alive, slope) for each in residual_cells(state, together=True).values()]
+    dense = [
+        dataclasses.replace(each, weights=narrow.weights)
+        for each, narrow in zip(dense, cells.values(), strict=True)
+    ]
+    spread = small_sample(Restricted.of(list(cells.values()), by_key), dense, covariance, stated)
+    sandwich = np.sqrt(np.diag(score_covariance(dense, by_key, covariance)))
+    if noise.is_white:
+        return NoiseStatistics(spread.covariance, spread.freedom, sandwich, None)
+    rows = [each.shared / by_key[each.key].deviation for each in dense]
+    triangle = np.asarray(np.linalg.qr(np.concatenate(rows), mode="r"))
+    white = np.sqrt(np.diag(inverse_gram(triangle)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        widening = np.sqrt(np.diag(spread.covariance)) / white
+    return NoiseStatistics(spread.covariance, spread.freedom, sandwich, widening)
+
+
+def _weighted(state: FitState, at: tuple[int, str], cells: Cells) -> Cells:
+    """Cells with the weights that robust statistics left them."""
+    run, name = at
+    assert state.noise.weights is not None
+    measured = ~np.isnan(state.setup.runs[run].observations[name])
+    return dataclasses.replace(cells, weights=state.noise.weights[run][name][measured])
+
+
+def _dense(cells: Cells, alive: np.ndarray, slope: np.ndarray) -> Cells:
+    """With the columns of the parameters that respond, by the parameters themselves."""
+    columns = cells.shared[:, alive] / np.maximum(slope[alive], 1e-300)
+    return dataclasses.replace(cells, shared=columns)

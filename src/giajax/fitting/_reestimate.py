@@ -1,0 +1,108 @@
+"""The noise that the residuals of a fit show, where no sidecar states it."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..noise import (
+    Cells,
+    ChannelNoise,
+    Restricted,
+    estimate,
+    outlier_weights,
+    robust_deviation,
+)
+from ..runs import Run
+from ._noise import Noise
+from ._residual_cells import residual_cells
+from ._state import FitState
+
+# Twice the gain in log-likelihood below which another noise is the same one.
+_SETTLED = 0.1
+
+# Weight below which a cell is an outlier: three deviations off.
+_OUTLIER = 1 / 3
+
+# Change of a robust deviation, in its logarithm, and mean change of weights, likewise.
+_SAME_DEVIATION = 0.05
+_SAME_WEIGHT = 0.01
+
+
+def reestimate(state: FitState) -> Noise:
+    """The noise to fit with next.
+
+    It stays the same where no channel changes by as much as a fit would notice.
+
+    Arguments:
+        state: at an optimum with the noise in use.
+
+    Returns:
+        The noise in use, or a better one.
+    """
+    noise = state.noise
+    if noise.complete and not noise.memory:
+        return noise
+    cells = residual_cells(state)
+    if state.setup.loss != "linear":
+        return _among_outliers(noise, cells, state.setup.runs)
+    before = Restricted.of(list(cells.values()), noise.by_key())
+    after = estimate(before, noise.stated_by_key(), memory=noise.memory)
+    if _gain(before, after) < _SETTLED:
+        return dataclasses.replace(noise, estimated=not noise.complete)
+    return noise.with_values(after.noise)
+
+
+def _gain(before: Restricted, after: Restricted) -> float:
+    key = next(iter(before.noise))
+    return before.value(key, before.noise[key]) - after.value(key, after.noise[key])
+
+
+def _among_outliers(
+    noise: Noise, cells: dict[tuple[int, str], Cells], runs: Sequence[Run]
+) -> Noise:
+    """The noise by robust statistics; with a memory, each cell gets a weight of its own."""
+    stated, old = noise.stated_by_key(), noise.by_key()
+    sizes = {
+        key: _robust(each, [c.residual for c in cells.values() if c.key == key])
+        if each.is_white and stated[key].deviation is None
+        else each
+        for key, each in old.items()
+    }
+    if noise.memory:
+        weights = {at: outlier_weights(each, sizes[each.key]) for at, each in cells.items()}
+        # An outlier is no noise: it has no part in its size, only little in the fit.
+        inliers = [each.where(weights[at] > _OUTLIER) for at, each in cells.items()]
+        before = Restricted.of(inliers, sizes)
+        after = estimate(before, stated, memory=True)
+        if not all(each.is_white for each in after.noise.values()):
+            return _weighted(noise, weights, runs, _gain(before, after), after)
+    change = max(abs(np.log(sizes[key].deviation / old[key].deviation)) for key in old)
+    if change < _SAME_DEVIATION:
+        return dataclasses.replace(noise, estimated=not noise.complete)
+    return noise.with_values(sizes)
+
+
+def _robust(noise: ChannelNoise, residuals: list[np.ndarray]) -> ChannelNoise:
+    return noise.times(robust_deviation(np.concatenate(residuals)) / noise.deviation)
+
+
+def _weighted(
+    noise: Noise,
+    weights: dict[tuple[int, str], np.ndarray],
+    runs: Sequence[Run],
+    gain: float,
+    after: Restricted,
+) -> Noise:
+    """Noise with a memory, and with the weight of each cell at its sample."""
+    placed: list[dict[str, np.ndarray]] = [{} for _ in noise.keys]
+    changes = []
+    for (run, name), of_cells in weights.items():
+        measured = ~np.isnan(runs[run].observations[name])
+        placed[run][name] = np.ones(len(measured))
+        placed[run][name][measured] = of_cells
+        before = np.ones(1) if noise.weights is None else noise.weights[run][name][measured]
+        changes.append(np.mean(np.abs(of_cells - before)))
+    if noise.weights is not None and gain < _SETTLED and max(changes) < _SAME_WEIGHT:
+        return noise
+    return noise.with_values(after.noise, tuple(placed))

@@ -1,0 +1,59 @@
+"""What a fit left over, cell by cell, with derivatives: what the noise is estimated from."""
+
+from collections import Counter
+
+import numpy as np
+
+from ..noise import Cells
+from ._loss import influence
+from ._state import FitState
+
+
+def residual_cells(state: FitState, *, together: bool = False) -> dict[tuple[int, str], Cells]:
+    """The residuals of a state and their derivatives in SI, by run and channel.
+
+    Without weights and not whitened. Coordinates that are held have no columns; those that one
+    run alone responds to are its own.
+
+    Arguments:
+        state: evaluated.
+        together: every coordinate as a shared column, also those that are held.
+
+    Returns:
+        By the position of the run and the name of the channel.
+    """
+    jacobian, active = state.jacobian(), np.asarray(state.active)
+    count = Counter(int(column) for columns in jacobian.columns for column in columns)
+    several = len(state.setup.runs) > 1 and not together
+    mine = {column for column, uses in count.items() if several and uses == 1}
+    common = [c for c in range(state.problem.size) if (together or active[c]) and c not in mine]
+    cells = {}
+    at_block = iter(zip(jacobian.blocks, jacobian.columns, strict=True))
+    for group, tables in zip(state.problem.groups, state.inner.aux.channels, strict=True):
+        for row, member in enumerate(group.members):
+            block, columns = next(at_block)
+            weight = np.asarray(group.weight[row], dtype=float)
+            difference = np.asarray(tables[row], dtype=float) - np.asarray(group.observed[row])
+            if group.whitening is not None:
+                block = group.whitening.of_run(row).undone(block)
+            slope = influence(state.problem.loss, (difference * weight).ravel())[2]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                block = (block / (slope * weight.ravel())[:, None]).reshape(*weight.shape, -1)
+            where = {int(column): position for position, column in enumerate(columns)}
+            own = [where[c] for c in sorted(mine & set(where)) if active[c]]
+            shared = [where.get(c, -1) for c in common]
+            run = state.setup.runs[member]
+            for at, name in enumerate(group.channels):
+                measured = weight[:, at] > 0
+                # A last column of zeros stands for what the run does not respond to.
+                columns_at = np.pad(block[measured, at], ((0, 0), (0, 1)))
+                cells[member, name] = Cells(
+                    key=state.noise.keys[member][name],
+                    run=member,
+                    times=None if run.times is None else run.times[measured[: len(run.times)]],
+                    weights=np.ones(len(columns_at)),
+                    residual=difference[measured, at],
+                    shared=columns_at[:, shared],
+                    own=columns_at[:, own],
+                )
+    return cells

@@ -1,0 +1,54 @@
+"""The verdict on a fit: its residuals as they are, whatever they were weighted with."""
+
+import numpy as np
+
+from ..verdict import Reason, Series, Verdict, judge
+from ._problem import predictions_by_run
+from ._records import Status
+from ._state import FitState
+
+# Residuals below this part of the largest recorded value are what a solver's tolerance leaves.
+_TOLERANCE = 1e-5
+
+
+def verdict(state: FitState, status: Status) -> Verdict:
+    """Whether the model describes the data, at the end of a fit.
+
+    Arguments:
+        state: the last one.
+        status: how the fit ended; a fit that did not converge is not judged.
+    """
+    if status != "converged":
+        early = Reason("end", "the fit did not converge", 1.0, 1.0)
+        return Verdict("not evaluated", (early,))
+    series = residual_series(state)
+    return judge(series, robust=state.setup.loss != "linear")
+
+
+def residual_series(state: FitState) -> list[Series]:
+    """The residuals of each channel of each run; those of a perfect description are left out."""
+    runs, noise = state.setup.runs, state.noise
+    predictions = predictions_by_run(state.problem, state.inner.aux, runs)
+    cells = sum(int(np.sum(~np.isnan(v))) for run in runs for v in run.observations.values())
+    share = float(np.sum(np.asarray(state.active))) / max(cells, 1)
+    series = []
+    for number, (run, predicted) in enumerate(zip(runs, predictions, strict=True)):
+        for name, recorded in run.observations.items():
+            measured = ~np.isnan(recorded)
+            difference = (predicted[name] - recorded)[measured]
+            largest = float(np.max(np.abs(recorded[measured]), initial=0.0))
+            if not len(difference) or np.max(np.abs(difference)) < _TOLERANCE * largest:
+                continue
+            series.append(
+                Series(
+                    run=run.name,
+                    channel=name,
+                    residual=difference,
+                    times=None if run.times is None else run.times[measured],
+                    stated=noise.stated[number][name].noise,
+                    key=noise.keys[number][name],
+                    adopted=noise.values[number][name].deviation,
+                    lost=share * len(difference),
+                )
+            )
+    return series

@@ -1,0 +1,187 @@
+"""The restricted likelihood against its textbook form, and what is estimated by it."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from giajax.noise import (
+    Cells,
+    ChannelNoise,
+    Restricted,
+    Stated,
+    estimate,
+    outlier_weights,
+    small_sample,
+)
+
+
+def memory(times, time_s, rng):
+    """An Ornstein-Uhlenbeck process of unit variance."""
+    decay = np.exp(-np.diff(times) / time_s)
+    values = rng.normal(size=len(times))
+    for i in range(1, len(times)):
+        values[i] = decay[i - 1] * values[i - 1] + np.sqrt(1 - decay[i - 1] ** 2) * values[i]
+    return values
+
+
+def smooth(times):
+    """Four columns such as a fit of a slow motion has."""
+    u = times / times[-1]
+    return np.stack([np.exp(-3 * u), np.sin(3 * u), u, np.cos(7 * u)], axis=1)
+
+
+def of_run(times, values, columns, *, own=None, run=0, key="x"):
+    start = np.linalg.lstsq(columns, values, rcond=None)[0]
+    return Cells(
+        key=key,
+        run=run,
+        times=times,
+        weights=np.ones(len(values)),
+        residual=values - columns @ start,
+        shared=columns,
+        own=np.zeros((len(values), 0)) if own is None else own,
+    )
+
+
+@pytest.mark.quick
+def test_differences_of_it_are_those_of_the_textbook():
+    """Two runs with a column of their own each, and two channels that differ in noise."""
+    rng = np.random.default_rng(0)
+    times = np.sort(rng.uniform(0, 9, 25))
+    shared = smooth(times)[:, :2]
+    cells = [
+        of_run(
+            times,
+            rng.normal(size=25),
+            shared * (1 + run + i),
+            own=rng.normal(size=(25, 1)),
+            run=run,
+            key=key,
+        )
+        for run in range(2)
+        for i, key in enumerate(("x", "y"))
+    ]
+    noise = {"x": ChannelNoise(0.8, 0.5, 1.0), "y": ChannelNoise(1.2)}
+    problem = Restricted.of(cells, noise)
+
+    def textbook(of_x):
+        parts, columns, residual = [], [], []
+        for each in cells:
+            now = of_x if each.key == "x" else noise["y"]
+            v = now.white**2 * np.eye(25)
+            if not now.is_white:
+                v += now.correlated**2 * np.exp(-np.abs(times[:, None] - times) / now.time_s)
+            parts.append(v)
+            own = np.zeros((25, 2))
+            own[:, each.run] = each.own[:, 0]
+            columns.append(np.concatenate([each.shared, own], axis=1))
+            residual.append(each.residual)
+        x, e = np.concatenate(columns), np.concatenate(residual)
+        inverse = np.zeros((100, 100))
+        for i, v in enumerate(parts):
+            inverse[25 * i : 25 * i + 25, 25 * i : 25 * i + 25] = np.linalg.inv(v)
+        gram = x.T @ inverse @ x
+        left = inverse - inverse @ x @ np.linalg.solve(gram, x.T @ inverse)
+        logs = sum(np.linalg.slogdet(v)[1] for v in parts)
+        return logs + np.linalg.slogdet(gram)[1] + e @ left @ e
+
+    other = ChannelNoise(0.3, 1.0, 4.0)
+    ours = problem.value("x", other) - problem.value("x", noise["x"])
+    assert ours == pytest.approx(textbook(other) - textbook(noise["x"]), rel=1e-8)
+    assert problem.with_noise("x", other).value("y", noise["y"]) == pytest.approx(
+        problem.value("x", other)
+    )
+
+
+@pytest.mark.quick
+def test_white_and_correlated_parts_are_told_apart():
+    rng = np.random.default_rng(1)
+    times = np.cumsum(rng.uniform(0.02, 0.08, 3000))
+    values = 0.03 * rng.normal(size=3000) + 0.04 * memory(times, 0.7, rng)
+    cells = of_run(times, values, smooth(times))
+    problem = Restricted.of([cells], {"x": ChannelNoise(0.1)})
+    (noise,) = estimate(problem, {"x": Stated()}, memory=True).noise.values()
+    assert noise.white == pytest.approx(0.03, rel=0.06)
+    assert noise.correlated == pytest.approx(0.04, rel=0.15)
+    assert noise.time_s == pytest.approx(0.7, rel=0.4)
+    (white,) = estimate(problem, {"x": Stated()}, memory=False).noise.values()
+    assert white.is_white
+    assert white.deviation == pytest.approx(0.05, rel=0.1)
+
+
+@pytest.mark.quick
+def test_stated_noise_is_kept_where_the_residuals_allow_it():
+    rng = np.random.default_rng(2)
+    times = np.arange(250) * 0.1
+    values = 0.05 * memory(times, 1.0, rng)
+    problem = Restricted.of([of_run(times, values, smooth(times))], {"x": ChannelNoise(0.05)})
+    kept = estimate(problem, {"x": Stated(0.05)}, memory=True).noise["x"]
+    assert kept.deviation == pytest.approx(0.05)
+    assert not kept.is_white
+    left = estimate(problem, {"x": Stated(0.01)}, memory=True).noise["x"]
+    assert left.deviation > 0.03
+    known = Stated(0.05, correlated=0.03, time_s=2.0)
+    assert estimate(problem, {"x": known}, memory=True).noise["x"] == known.noise
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stated", [True, False])
+def test_intervals_hold_the_truth(stated):
+    """200 records of 26 correlation times: 95 % of 800 intervals, give or take."""
+    rng = np.random.default_rng(3)
+    times = np.arange(250) * 0.1
+    columns = smooth(times)
+    known = Stated(1.0) if stated else Stated()
+    within = naive = 0
+    for _ in range(200):
+        values = memory(times, 0.95, rng)
+        cells = of_run(times, values, columns)
+        start = np.linalg.lstsq(columns, values, rcond=None)[0]
+        problem = Restricted.of([cells], {"x": ChannelNoise(float(np.std(cells.residual)))})
+        problem = estimate(problem, {"x": known}, memory=True)
+        gram, _ = cells.gram(problem.noise["x"])
+        covariance = np.linalg.inv(gram[:-1, :-1])
+        off = start + covariance @ gram[:-1, -1]
+        spread = small_sample(problem, [cells], covariance, {"x": known})
+        reach = np.abs(off) / np.sqrt(np.diag(spread.covariance))
+        within += np.sum(reach < quantile(spread.freedom))
+        white = np.sqrt(np.diag(np.linalg.inv(columns.T @ columns)))
+        naive += np.sum(np.abs(start) < 1.96 * white)
+    # Four intervals of a record go together: as many as 300 independent ones, say.
+    assert abs(within / 800 - 0.95) < 3 * np.sqrt(0.95 * 0.05 / 300)
+    assert naive / 800 < 0.7
+
+
+def quantile(freedom):
+    from scipy.special import stdtrit
+
+    return stdtrit(np.minimum(freedom, 1e9), 0.975)
+
+
+@pytest.mark.quick
+def test_of_white_noise_the_degrees_of_freedom_are_those_of_students_t():
+    rng = np.random.default_rng(4)
+    times = np.arange(15) * 1.0
+    columns = smooth(times)[:, :2]
+    cells = of_run(times, rng.normal(size=15), columns)
+    problem = Restricted.of([cells], {"x": ChannelNoise(1.0)})
+    problem = estimate(problem, {"x": Stated()}, memory=False)
+    size = problem.noise["x"].deviation
+    assert size**2 == pytest.approx(np.sum(cells.residual**2) / 13, rel=1e-4)
+    covariance = size**2 * np.linalg.inv(columns.T @ columns)
+    spread = small_sample(problem, [cells], covariance, {"x": Stated()})
+    assert_allclose(spread.freedom, 13, rtol=0.01)
+    assert_allclose(spread.covariance, covariance, rtol=0.01)
+
+
+@pytest.mark.quick
+def test_an_outlier_is_no_memory():
+    rng = np.random.default_rng(5)
+    times = np.arange(200) * 0.1
+    noise = ChannelNoise(0.03, 0.04, 1.0)
+    values = 0.03 * rng.normal(size=200) + 0.04 * memory(times, 1.0, rng)
+    values[[50, 120]] += 1.0
+    weights = outlier_weights(of_run(times, values, smooth(times)), noise)
+    assert np.all(weights[[50, 120]] < 0.1)
+    assert np.all(weights[[49, 51, 119, 121]] > 0.3)
+    assert np.mean(weights == 1.0) > 0.6

@@ -1,0 +1,152 @@
+"""Verdicts on residuals whose origin is known."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from giajax.noise import ChannelNoise
+from giajax.verdict import Series, judge
+
+pytestmark = pytest.mark.quick
+
+SIGMA = 0.01
+
+
+def residuals(rng, *, samples=250, channels=3, runs=1, stated=True, memory=False, add=None):
+    """Series of white noise, or of noise whose memory is stated, after a fit of four columns."""
+    times = np.arange(samples) * 0.1
+    u = times / times[-1]
+    columns = np.stack([np.exp(-3 * u), np.sin(3 * u), u, np.ones(samples)], axis=1)
+    noise = ChannelNoise(SIGMA, SIGMA, 1.0) if memory else ChannelNoise(SIGMA)
+    series = []
+    for run in range(runs):
+        for channel in range(channels):
+            values = SIGMA * rng.normal(size=samples)
+            if memory:
+                decay = np.exp(-0.1)
+                slow = rng.normal(size=samples)
+                for i in range(1, samples):
+                    slow[i] = decay * slow[i - 1] + np.sqrt(1 - decay**2) * slow[i]
+                values = values + SIGMA * slow
+            if add is not None:
+                values = values + add(times, run, channel)
+            values = values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
+            adopted = float(np.sqrt(np.sum(values**2) / (samples - 4)))
+            series.append(
+                Series(
+                    run=f"run{run}",
+                    channel=f"link{channel:02d}_z",
+                    residual=values,
+                    times=times,
+                    stated=noise if stated else None,
+                    key=f"link{channel:02d}_z",
+                    adopted=noise.deviation if stated else adopted,
+                    lost=4.0,
+                )
+            )
+    return series
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        {"channels": 9},
+        {"channels": 9, "stated": False},
+        {"samples": 60, "channels": 1, "stated": False},
+        {"samples": 100, "runs": 4, "stated": False},
+        {"memory": True},
+    ],
+    ids=["stated", "not stated", "short", "runs", "with a memory"],
+)
+def test_noise_alone_is_seldom_accused(case):
+    """At most 2 % of 300: 14 or more of them have a chance below 1 %."""
+    rng = np.random.default_rng(0)
+    wrong = [judge(residuals(rng, **case), robust=False) for _ in range(300)]
+    codes = Counter(reason.code for verdict in wrong for reason in verdict.reasons)
+    assert sum(verdict.status != "adequate" for verdict in wrong) < 14, codes
+
+
+def wave(times, run, channel):
+    """Missing physics: slow, in one channel, as large as the noise."""
+    return SIGMA * np.sqrt(2) * np.sin(2 * np.pi * times / 6) * (channel == 0)
+
+
+@pytest.mark.parametrize("stated", [True, False])
+@pytest.mark.parametrize(
+    ("code", "add"),
+    [
+        ("correlation", wave),
+        ("runs", lambda times, run, channel: 2 * wave(times, run, channel) * (run == 1)),
+    ],
+)
+def test_missing_physics_is_seen(stated, code, add):
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        verdict = judge(residuals(rng, runs=2, stated=stated, add=add), robust=False)
+        assert verdict.status == "inadequate"
+        assert code in {reason.code for reason in verdict.reasons}
+        assert any("link00_z" in reason.channels for reason in verdict.reasons)
+
+
+def test_noise_that_the_residuals_adopt_does_not_hide_a_wrong_model():
+    """The deviation is estimated, chi-square is 1, and second differences tell."""
+    (found,) = [
+        reason
+        for reason in judge(
+            residuals(np.random.default_rng(2), stated=False, add=wave), robust=False
+        ).reasons
+        if reason.code == "differences"
+    ]
+    assert found.size == pytest.approx(np.sqrt(2), rel=0.15)
+    assert "link00_z" in found.sentence
+
+
+def test_more_white_noise_than_stated_is_a_reason():
+    rng = np.random.default_rng(3)
+    verdict = judge(
+        residuals(rng, samples=1004, add=lambda *_: 0.5 * SIGMA * rng.normal(size=1004)),
+        robust=False,
+    )
+    assert [reason.code for reason in verdict.reasons] == ["noise"]
+    assert verdict.reasons[0].size == pytest.approx(np.sqrt(1.25), rel=0.05)
+
+
+def test_significance_without_size_is_no_reason():
+    """One part in twenty more noise, in 40,000 cells: sure, and of no importance."""
+    rng = np.random.default_rng(4)
+    verdict = judge(
+        residuals(
+            rng, samples=40_000, channels=1, add=lambda *_: 0.3 * SIGMA * rng.normal(size=40_000)
+        ),
+        robust=False,
+    )
+    assert verdict.status == "adequate"
+
+
+def test_a_drift_is_a_reason():
+    series = residuals(np.random.default_rng(5), channels=1)
+    (each,) = series
+    drifting = each.where(np.ones(len(each), bool))
+    drifting.residual[:] += 0.04 * (each.times / each.times[-1] - 0.5)
+    codes = {reason.code for reason in judge([drifting], robust=False).reasons}
+    assert "drift" in codes
+
+
+def test_outliers_of_a_robust_fit_are_no_reason():
+    rng = np.random.default_rng(6)
+
+    def spoiled():
+        series = residuals(rng)
+        for each in series:
+            each.residual[::20] += 0.5
+        return series
+
+    assert judge(spoiled(), robust=True).status == "adequate"
+    assert judge(spoiled(), robust=False).status == "inadequate"
+
+
+def test_too_few_cells_are_not_judged():
+    (each, *_) = residuals(np.random.default_rng(7))
+    few = each.where(np.arange(len(each)) < 12)
+    assert judge([few], robust=False).status == "not evaluated"
