@@ -12,5 +12,6 @@ from ._coverage import COVERAGE
 from ._page import PAGE as PAGE, page as page
 from ._record import FOLDER as FOLDER, read as read, record as record, write as write
 from ._study import Study as Study
+from ._suspects import SUSPECTS
 
-STUDIES = {study.name: study for study in (COVERAGE,)}
+STUDIES = {study.name: study for study in (COVERAGE, SUSPECTS)}

@@ -5,9 +5,11 @@ import math
 import pytest
 from scipy.stats import binomtest
 
-from evidence import PAGE, STUDIES, page, read
+from evidence import FOLDER, PAGE, STUDIES, page, read
 
 SHARE = 0.02
+# A study that was never run has no figures yet, and no section on the page.
+STORED = {name: study for name, study in STUDIES.items() if (FOLDER / f"{name}.json").exists()}
 
 
 def parameters(figures):
@@ -17,7 +19,7 @@ def parameters(figures):
 
 
 @pytest.mark.quick
-@pytest.mark.parametrize("study", STUDIES.values(), ids=list(STUDIES))
+@pytest.mark.parametrize("study", STORED.values(), ids=list(STORED))
 def test_the_stored_run_can_be_had_again(study):
     """It has the size and the seed of the study, and a commit that holds what was run."""
     content = read(study)
@@ -45,7 +47,7 @@ def test_95_percent_intervals_hold_the_truth_as_often_as_they_say():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("study", STUDIES.values(), ids=list(STUDIES))
+@pytest.mark.parametrize("study", STORED.values(), ids=list(STORED))
 def test_a_part_of_a_study_run_again_agrees_with_what_is_stored(study):
     stored = read(study)
     size = math.ceil(SHARE * stored["size"])

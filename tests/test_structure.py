@@ -24,6 +24,7 @@ ROOMS = [
     ("experiments",),
     ("report",),
     ("tasks",),
+    ("diagnosis",),
     ("study",),
     ("fitting",),
     ("control",),

@@ -3,6 +3,7 @@
 from . import (
     arm as arm,
     control as control,
+    diagnosis as diagnosis,
     experiments as experiments,
     fitting as fitting,
     hysteresis as hysteresis,
@@ -54,6 +55,12 @@ from .control import (
     compensator_for_loop as compensator_for_loop,
     compensator_for_model as compensator_for_model,
 )
+from .diagnosis import (
+    Suspects as Suspects,
+    ladder as ladder,
+    suspects as suspects,
+    systematic_errors as systematic_errors,
+)
 from .fitting import (
     ChannelFit as ChannelFit,
     Estimate as Estimate,
@@ -62,6 +69,7 @@ from .fitting import (
     Marquardt as Marquardt,
     PredictionErrors as PredictionErrors,
     RunFit as RunFit,
+    Suspect as Suspect,
     fit as fit,
     load_result as load_result,
     predict as predict,

@@ -87,7 +87,7 @@ def recording(index, *, free=True, samples=40):
 def problem_of(runs, loss="linear"):
     model = OwnHeights()
     groups = build_groups(model, runs, Noise.of(runs, "correlated", per_run=False), 1)
-    own = own_start(groups)
+    own = own_start(groups, runs, {})
     bijector = Bijector((0.0, *(-np.inf for _ in own)), (9.0, *(np.inf for _ in own)))
     problem = Problem(model, groups, bijector, ("decay",), loss)
     coordinate = jnp.asarray(bijector.inverse(np.array([1.5, *own])))

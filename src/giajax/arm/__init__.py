@@ -32,6 +32,7 @@ from ._load import inverse_dynamics as inverse_dynamics
 from ._masses import Buoyancy as Buoyancy, PointMasses as PointMasses
 from ._presets import (
     PRESETS as PRESETS,
+    STANDARD_GRAVITY as STANDARD_GRAVITY,
     pendulum as pendulum,
     preset as preset,
     takeichi_20m as takeichi_20m,

@@ -23,6 +23,7 @@ from . import (
     _predict,
     _sensitivity,
     _simulate,
+    _suspects,
     _synth,
 )
 from ._errors import Commands, run
@@ -39,6 +40,8 @@ Examples:
   giajax joint --out DIR    one joint at rest: paths, forces, equilibria
   giajax fit --data run.csv
                             fit drag, stiffness and damping to it
+  giajax suspects giajax-out/run
+                            what of it the model leaves out
   giajax predict --model giajax-out/run --data other.csv
                             how well the fit predicts another run
   giajax choose --data loops.csv
@@ -64,6 +67,7 @@ _COMMANDS: tuple[tuple[Callable[..., None], str], ...] = (
     (_predict.predict, _predict.EXAMPLES),
     (_sensitivity.sensitivity, _sensitivity.EXAMPLES),
     (_simulate.simulate, _simulate.EXAMPLES),
+    (_suspects.suspects, _suspects.EXAMPLES),
     (_synth.synth, _synth.EXAMPLES),
     (_examples.examples, _examples.EXAMPLES),
 )

@@ -68,6 +68,12 @@ def fit(
         list[str] | None,
         typer.Option(metavar="PATH=VALUE", help="Start a parameter at a value. Repeatable."),
     ] = None,
+    uncertainty: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PATH=VALUE", help="Standard deviation of a held parameter. Repeatable."
+        ),
+    ] = None,
     channels: Annotated[
         list[str] | None,
         typer.Option(
@@ -162,6 +168,12 @@ def fit(
         typer.Option("--strict", help="End with status 3 where the model does not fit the data."),
     ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
+    suspects: Annotated[
+        bool,
+        typer.Option(
+            "--suspects/--no-suspects", help="Of an inadequate model, ask what it leaves out."
+        ),
+    ] = True,
     figures: Annotated[
         bool, typer.Option("--figures/--no-figures", help="Draw pictures of the result.")
     ] = True,
@@ -180,6 +192,7 @@ def fit(
         free=free or None,
         start=plain_settings(start, "--start"),
         fix=plain_settings(fix, "--fix"),
+        uncertainty=plain_settings(uncertainty, "--uncertainty"),
         channels=channels or None,
         window_s=window,
         starts=starts,
@@ -215,6 +228,7 @@ def fit(
             quiet=quiet,
             figures=figures,
             strict=strict,
+            suspects=suspects,
         )
     )
 

@@ -59,6 +59,19 @@ def show_result(result: "FitResult", definition: "Definition") -> None:
     sys.stdout.flush()
 
 
+def show_diagnosis(result: "FitResult") -> None:
+    """Print the first suspects, and what stated uncertainties of held numbers do."""
+    from ..report import SUSPECT_HEADINGS, first_suspects, systematic_table
+    from ._output import print_table
+
+    if rows := first_suspects(result):
+        print("\nwhat the residuals ask for (giajax suspects shows all of it):")
+        print_table(SUSPECT_HEADINGS, rows)
+    if any(error.stated for error in result.systematic):
+        print("\nwhat a held number moves, in standard errors:")
+        print_table(*systematic_table(result))
+
+
 def show_files(files: list[Path]) -> None:
     """Print where the files are."""
     width = _width()

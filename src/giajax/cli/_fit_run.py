@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from .._signals import stopped_status
-from ._fit_output import show_files, show_result, write_or_print
+from ._fit_output import show_diagnosis, show_files, show_result, write_or_print
 from ._progress import Progress, stop_if_asked
 from ._time_left import TimeLeft
 
@@ -59,6 +59,7 @@ def run_fit(
     quiet: bool,
     figures: bool,
     strict: bool,
+    suspects: bool,
 ) -> int:
     """Fit a task, write its result and show it.
 
@@ -66,7 +67,7 @@ def run_fit(
         task: what to fit to what.
         again: the result whose numbers are to come again.
         resume: go on with the journal in the task's folder.
-        force, as_json, quiet, figures, strict: the options of these names.
+        force, as_json, quiet, figures, strict, suspects: the options of these names.
 
     Returns:
         The exit status.
@@ -107,12 +108,20 @@ def run_fit(
         )
         journal.settle(result)
         goes_on = journal.path.exists()
-    if as_json:
-        typer.echo(result.to_json(), nl=False)
-    elif not quiet:
+    if not (as_json or quiet):
         show_result(result, task.definition)
         if before is not None:
             print(f"{'again':<20}{compared(result, before)}")
+    # The fit itself is shown and on disk by now: these tests compile a program of their own.
+    asked = ready.diagnosed(result, suspects=suspects)
+    if asked is not result:
+        files = write_or_print(
+            asked, lambda: write_result(asked, ready.runs, task.out, figures=False)
+        )
+    if as_json:
+        typer.echo(asked.to_json(), nl=False)
+    elif not quiet:
+        show_diagnosis(asked)
     # What a person waits for is there; drawing takes a second or two.
     if figures:
         files += write_figures(result, ready.runs, task.out)

@@ -5,6 +5,7 @@ from ._budget import Budget as Budget
 from ._conclude import versions as versions
 from ._configuration import Setup as Setup, set_up as set_up
 from ._fit import MAX_ITERATIONS as MAX_ITERATIONS, fit as fit, solve as solve
+from ._loss import influence as influence
 from ._noise import NOISE_MODELS as NOISE_MODELS
 from ._predict import (
     errors_of as errors_of,
@@ -27,9 +28,20 @@ from ._records import (
     Start as Start,
     ToleranceEffect as ToleranceEffect,
 )
+from ._responses import (
+    Direction as Direction,
+    Response as Response,
+    prepared_with as prepared_with,
+    responses as responses,
+)
 from ._result import FitResult as FitResult, load_result as load_result
 from ._snapshot import FitJournal as FitJournal
 from ._solver import Marquardt as Marquardt
+from ._suspect import (
+    Suspect as Suspect,
+    SuspectKind as SuspectKind,
+    SystematicError as SystematicError,
+)
 from ._table import estimate_table as estimate_table
 from ._units import (
     column_factors as column_factors,

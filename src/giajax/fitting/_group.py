@@ -13,6 +13,7 @@ from ..models import AbstractModel
 from ..parameters import get
 from ..runs import Run
 from ._noise import Noise
+from ._stack import stacked as _stack
 from ._whitening import Whitening
 
 
@@ -140,54 +141,27 @@ def _whitening(
     return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves), dtype=dtype), *parts)
 
 
-def own_start(groups: Sequence[Group]) -> np.ndarray:
-    """Where the coordinates of the single runs start: as their runs were prepared."""
-    values = [
-        np.asarray(get(group.inputs, path)[row], dtype=float).ravel()
-        for group in groups
-        for row in range(len(group.members))
-        for path, _ in group.own
-    ]
-    return np.concatenate([np.empty(0), *values])
-
-
-def own_begun(
+def own_start(
     groups: Sequence[Group], runs: Sequence[Run], begun: Mapping[str, Mapping[str, float]]
 ) -> np.ndarray:
-    """As `own_start`, apart from those that begin elsewhere.
+    """Where the coordinates of the single runs start: as their runs were prepared, or as begun.
 
     Arguments:
         groups: of the runs.
         runs: what is fitted to.
-        begun: their values, by the run's name and the name of the coordinate.
+        begun: other values, by the run's name and the name of the coordinate.
     """
-    own = own_start(groups)
-    shared = groups[0].first
+    values = [np.empty(0)]
     for group in groups:
-        for member, columns in zip(group.members, group.own_columns(), strict=True):
-            values = begun.get(runs[member].name, {})
-            for label, column in zip(group.own_labels(), columns.tolist(), strict=True):
-                own[column - shared] = values.get(label, own[column - shared])
-    return own
+        for row, member in enumerate(group.members):
+            parts = [np.asarray(get(group.inputs, path)[row]).ravel() for path, _ in group.own]
+            prepared = np.concatenate([np.empty(0), *parts]).astype(float)
+            other = begun.get(runs[member].name, {})
+            pairs = zip(group.own_labels(), prepared, strict=True)
+            values.append(np.asarray([other.get(label, value) for label, value in pairs]))
+    return np.concatenate(values)
 
 
 def _padded(arrays: Sequence[np.ndarray], length: int) -> Array:
     rows = [np.pad(a, ((0, length - len(a)), (0, 0))) for a in arrays]
     return jnp.asarray(np.stack(rows), dtype=jnp.result_type(float))
-
-
-def _stack(trees: Sequence[Any]) -> Any:
-    """Stack pytrees, repeating last rows where the first axes differ (see `prepare`)."""
-
-    def stack(*leaves: Array) -> Array:
-        length = max(leaf.shape[0] if leaf.ndim else 0 for leaf in leaves)
-        return jnp.stack(
-            [
-                jnp.concatenate([leaf, jnp.repeat(leaf[-1:], length - leaf.shape[0], axis=0)])
-                if leaf.ndim and leaf.shape[0] < length
-                else leaf
-                for leaf in leaves
-            ]
-        )
-
-    return jax.tree.map(stack, *trees)

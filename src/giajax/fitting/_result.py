@@ -34,6 +34,7 @@ from ._records import (
     ToleranceEffect,
     finite_or_none,
 )
+from ._suspect import Suspect, SystematicError
 from ._table import estimate_html, estimate_table
 from ._units import in_column_units
 
@@ -69,6 +70,9 @@ class FitResult:
         noise: what was taken for noise; None from a file without it.
         verdict: whether the model describes the data, apart from convergence.
         derived: `Estimate` by name of what follows from the parameters (`AbstractModel.derived`).
+        suspects: what the residuals ask for (`giajax.suspects`), the most promising first; empty
+            where that was not asked.
+        systematic: what held numbers do to the fitted ones (`giajax.systematic_errors`); likewise.
         task: how `giajax.FitTask.again` fits it again: files with their checksums, and settings;
             empty for a fit of runs without a task.
         predictions: predicted channels (SI) of each run, by name; empty after `load_result`.
@@ -95,6 +99,8 @@ class FitResult:
     noise: NoiseFit | None = None
     verdict: Verdict = dataclasses.field(default_factory=Verdict.missing)
     derived: dict[str, Estimate] = dataclasses.field(default_factory=dict)
+    suspects: tuple[Suspect, ...] = ()
+    systematic: tuple[SystematicError, ...] = ()
     task: dict[str, Any] = dataclasses.field(default_factory=dict)
     predictions: tuple[dict[str, np.ndarray], ...] = ()
 
@@ -205,6 +211,8 @@ def _records(record: Mapping[str, Any]) -> dict[str, Any]:
         "conditions": tuple(record["conditions"]),
         "history": tuple(Iteration(**item) for item in record["history"]),
         "starts": tuple(Start(**item) for item in record.get("starts", ())),
+        "suspects": tuple(Suspect.of_json(item) for item in record.get("suspects", ())),
+        "systematic": tuple(SystematicError.of_json(item) for item in record.get("systematic", ())),
         "validation": tuple(
             PredictionErrors.of_json(item) for item in record.get("validation", ())
         ),

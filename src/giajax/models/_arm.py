@@ -34,6 +34,7 @@ from ._arm_conditions import scale_conditions, sensor_conditions
 from ._arm_inputs import ArmInputs, arm_inputs
 from ._arm_scene import arm_scene
 from ._arm_sensors import recorded_channels
+from ._arm_variants import arm_variants
 from ._definition import (
     arm_from_definition,
     arm_to_definition,
@@ -180,6 +181,12 @@ class ArmModel(AbstractModel):
         if not any(path.startswith("initial.") or is_disturbance(path) for path in paths):
             return self
         return dataclasses.replace(self, steps_for="derivatives")
+
+    def variants(self) -> dict[str, Self]:
+        """With drag elsewhere, with C_D by Reynolds number or without, and floating."""
+        return {
+            name: dataclasses.replace(self, arm=arm) for name, arm in arm_variants(self.arm).items()
+        }
 
     def integration(self) -> Integration:
         """Its solver, and the relative and absolute tolerance."""

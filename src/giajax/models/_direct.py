@@ -14,6 +14,10 @@ class AbstractDirectModel(AbstractModel):
     Says for all such models what they would say alike; the arm is the one that has both.
     """
 
+    def variants(self) -> dict[str, Self]:
+        """None: it has no choice that parameters do not make."""
+        return {}
+
     def free_inputs(self, run: Run) -> tuple[str, ...]:
         """None: a run has no state of its own."""
         return ()

@@ -32,7 +32,7 @@ class AbstractModel(eqx.Module):
 
     Everything a fit does goes through these methods; it never asks which model it has. A model
     without a solver to choose, whose runs have no state of their own, derives from
-    `AbstractDirectModel`, which has the last five of them.
+    `AbstractDirectModel`, which has the last six of them.
     """
 
     kind: ClassVar[str]
@@ -117,6 +117,14 @@ class AbstractModel(eqx.Module):
         """
 
     # `AbstractDirectModel` says what follows for its models.
+
+    @abc.abstractmethod
+    def variants(self) -> dict[str, Self]:
+        """The same model with one of its choices made another way, by what that is called.
+
+        Choices are what no parameter blends, such as where drag acts. Whoever asks what a fit
+        leaves out (`giajax.suspects`) tries each of them; most models have none.
+        """
 
     @abc.abstractmethod
     def free_inputs(self, run: Run) -> tuple[str, ...]:

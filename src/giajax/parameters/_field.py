@@ -30,6 +30,7 @@ def parameter(
     frozen: bool = True,
     assumed: bool = False,
     optional: bool = False,
+    neutral: float = 0.0,
     shape: tuple[int, ...] = (),
     per: str = "",
     each: bool = False,

@@ -46,6 +46,8 @@ class Declaration:
         assumed: the paper gives no number; this one is a guess that a fit should replace.
         optional: may be None, which leaves out its part of the model and the cost of it; its
             default is then the value that it is switched on with.
+        neutral: of an optional one, the value with which its part changes nothing: the model
+            then predicts what it does where the part is left out.
         shape: of a parameter that is an array of fixed shape, such as a vector.
         per: what an element of it belongs to: "link", "joint", "body"; "" where it belongs to
             the whole model.
@@ -65,6 +67,7 @@ class Declaration:
     frozen: bool = True
     assumed: bool = False
     optional: bool = False
+    neutral: float = 0.0
     shape: tuple[int, ...] = ()
     per: str = ""
     each: bool = False

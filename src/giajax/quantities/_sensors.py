@@ -40,6 +40,7 @@ class _Camera(Group):
         unit="",
         lower=0,
         optional=True,
+        neutral=1.0,
         doc="recorded over true distances",
         key=Key("camera_scale"),
     )
@@ -101,6 +102,7 @@ class _Encoder(Group):
         per="joint",
         each=True,
         optional=True,
+        neutral=1.0,
         doc="shown over true changes of a joint's angle",
         key=Key("encoder_scale"),
     )

@@ -34,4 +34,12 @@ from ._style import (
     plain as plain,
     to_png as to_png,
 )
+from ._suspects import (
+    SUSPECT_HEADINGS as SUSPECT_HEADINGS,
+    first_suspects as first_suspects,
+    ladder_table as ladder_table,
+    suspect_rows as suspect_rows,
+    suspect_summary as suspect_summary,
+    systematic_table as systematic_table,
+)
 from ._text import parameter_table as parameter_table, summary as summary

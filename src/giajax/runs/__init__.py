@@ -24,6 +24,6 @@ from ._read import (
     sidecar_path as sidecar_path,
 )
 from ._run import Run as Run
-from ._select import observing as observing, windows as windows
+from ._select import observing as observing, rows_of as rows_of, windows as windows
 from ._template import sidecar_template as sidecar_template
 from ._write import write_files as write_files, write_run as write_run

@@ -97,6 +97,10 @@ class Fit(Section):
     fix: dict[Name, Finite | list[Finite]] | None = key(
         "a table of parameter paths and numbers", "parameters held at a value"
     )
+    uncertainty: dict[Name, Finite | list[Finite]] | None = key(
+        "a table of parameter paths and positive numbers",
+        "standard deviations of held parameters, for the systematic errors",
+    )
     channels: list[Name] | None = key(
         "a list of channel names, without unit", "channels to fit; all that were measured"
     )
@@ -134,7 +138,7 @@ class Fit(Section):
     )
     out: Name | None = key("the name of a folder", "where the result goes")
 
-    @field_validator("start", "fix", mode="before")
+    @field_validator("start", "fix", "uncertainty", mode="before")
     @classmethod
     def _unquoted_paths_are_paths(cls, table: Any) -> Any:
         # `air.drag_coefficient = 1.2` without quotes is a nested table in TOML, and means the same.

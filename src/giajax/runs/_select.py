@@ -84,12 +84,7 @@ def windows(run: Run, length: float) -> list[Run]:
     if np.min(np.diff(rows)) < 4:
         raise _too_short(run, length)
     parts = [
-        dataclasses.replace(
-            run,
-            name=f"{run.name} {run.times[first] - run.times[0]:.4g} s",
-            times=run.times[first:last],
-            values={name: column[first:last] for name, column in run.values.items()},
-        )
+        rows_of(run, slice(first, last), f"{run.name} {run.times[first] - run.times[0]:.4g} s")
         for first, last in itertools.pairwise(rows)
     ]
     for part in parts:
@@ -100,6 +95,16 @@ def windows(run: Run, length: float) -> list[Run]:
                     "leave the channel out"
                 )
     return parts
+
+
+def rows_of(run: Run, rows: slice, name: str) -> Run:
+    """Some rows of a run with times, as a run of another name."""
+    return dataclasses.replace(
+        run,
+        name=name,
+        times=None if run.times is None else run.times[rows],
+        values={channel: column[rows] for channel, column in run.values.items()},
+    )
 
 
 def _too_short(run: Run, length: float) -> InputError:

@@ -138,6 +138,7 @@ class FitTask:
         free: Sequence[str] | None = None,
         start: Mapping[str, npt.ArrayLike] | None = None,
         fix: Mapping[str, npt.ArrayLike] | None = None,
+        uncertainty: Mapping[str, npt.ArrayLike] | None = None,
         channels: Sequence[str] | None = None,
         window_s: float | None = None,
         starts: int | None = None,
@@ -166,6 +167,7 @@ class FitTask:
             free: paths of the parameters to fit, in place of those before.
             start: start values by path, SI.
             fix: values by path that are held, SI.
+            uncertainty: standard deviations of what is held, SI, by path.
             channels: names without unit of the channels to fit; all that were measured by default.
             window_s: cut each run into windows of this length, s, each with its own start.
             starts: how many starts (1 by default); the best end is the result.
@@ -193,6 +195,7 @@ class FitTask:
             InputError: a value that its key may not have.
         """
         values = {
+            "uncertainty": dict(uncertainty) if uncertainty else None,
             "channels": None if channels is None else list(channels),
             "window_s": window_s,
             "starts": starts,

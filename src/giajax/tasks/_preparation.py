@@ -6,6 +6,8 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
+from .._errors import InputError
+from ..diagnosis import check_uncertainty, with_suspects, with_systematic_errors
 from ..fitting import (
     MAX_ITERATIONS,
     Beginning,
@@ -126,6 +128,27 @@ class Preparation:
             result = dataclasses.replace(result, status="interrupted", message=message)
         return dataclasses.replace(result, validation=tuple(errors), task=dict(self.record))
 
+    def diagnosed(self, result: FitResult, *, suspects: bool = True) -> FitResult:
+        """The result with what is asked of a fit once it has ended.
+
+        Arguments:
+            result: of `run`.
+            suspects: where its model is inadequate, ask what the residuals ask for.
+
+        Returns:
+            With systematic errors, where uncertainties are stated, and with suspects. The same
+            result where nothing is asked, or where Ctrl-C ends it, or the fit is of a kind that cannot be asked.
+        """
+        doubted = self.definition.fit.uncertainty
+        try:
+            if result.status != "interrupted" and doubted:
+                result = with_systematic_errors(result, self.runs, doubted)
+            if suspects and result.verdict.status == "inadequate":
+                result = with_suspects(result, self.runs)
+        except (KeyboardInterrupt, InputError):
+            return result
+        return result
+
 
 def prepare(
     definition: Definition,
@@ -161,4 +184,6 @@ def prepare(
         tolerance=settings.tolerance,
         begin=None if record["begin"] is None else Beginning(**record["begin"]),
     )
+    free = [parameter.path for parameter in setup.parameters]
+    check_uncertainty(setup.model, free, settings.uncertainty or {})
     return Preparation(definition, setup, tuple(validation), record)

@@ -1,0 +1,175 @@
+"""`giajax suspects`: what the residuals of a fit ask for."""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ._values import plain_settings
+
+if TYPE_CHECKING:
+    from ..diagnosis import Ladder, Rung, Suspects
+    from ..fitting import FitResult
+
+EXAMPLES = """\b
+Examples:
+  giajax suspects giajax-out/run
+  giajax suspects giajax-out/run --ladder
+  giajax suspects giajax-out/run --ladder --held-out other.csv
+  giajax suspects giajax-out/run --systematic --uncertainty links.mass=0.002
+  giajax suspects giajax-out/run --json
+
+\b
+RESULT is the folder of a fit, or its result.json. The runs are read again from
+where they were. The most promising suspect comes first: what lowers chi-square most.
+--ladder fits it, asks again, and so on, as long as BIC falls."""
+
+
+def suspects(
+    result: Annotated[Path, typer.Argument(metavar="RESULT", help="A fit; see below.")],
+    data: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="RUN.csv", help="A fitted run, if it has moved. Repeatable."),
+    ] = None,
+    each: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PATH", help="Test the elements of this array one by one, too. Repeatable."
+        ),
+    ] = None,
+    systematic: Annotated[
+        bool,
+        typer.Option("--systematic", help="Show what held numbers do to the fitted ones."),
+    ] = False,
+    uncertainty: Annotated[
+        list[str] | None,
+        typer.Option(metavar="PATH=VALUE", help="Standard deviation of a held number. Repeatable."),
+    ] = None,
+    ladder: Annotated[
+        bool, typer.Option("--ladder", help="Fit the most promising suspect in turn.")
+    ] = False,
+    held_out: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="RUN.csv", help="A run to judge the ladder by. Repeatable."),
+    ] = None,
+    rename: Annotated[
+        list[str] | None,
+        typer.Option(metavar="OLD=NEW", help="Read column OLD of the runs as NEW. Repeatable."),
+    ] = None,
+    most: Annotated[
+        int, typer.Option(metavar="N", min=1, help="Rows of the table and steps of the ladder.")
+    ] = 8,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.json", help="Write the result with its suspects there."),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Write over a file.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="No progress.")] = False,
+) -> None:
+    """Test what a fit held, switched off or left out.
+
+    Which of it would lower chi-square, and to which value one step leads: added mass, a late
+    camera, wind, friction, swapped axes and all else that the model knows.
+    """
+    from ..runs import Definition, check_output_files, parse_rename, read_runs, write_files
+
+    deviations = plain_settings(uncertainty, "--uncertainty")
+    if out is not None:
+        check_output_files([out], force=force)
+    if held_out and not ladder:
+        raise typer.BadParameter("--held-out judges the fits of a ladder: add --ladder")
+    renamed = parse_rename(rename or [])
+
+    from ._jax import configure
+
+    configure()
+    from ..diagnosis import ladder as climb, suspects as ask, with_systematic_errors
+    from ..fitting import load_result
+    from ..tasks import fitted_runs
+
+    fitted = load_result(result)
+    runs = fitted_runs(fitted, data or [], rename=renamed)
+    others = read_runs(held_out or [], Definition(), rename=renamed)
+    found = ask(fitted, runs, each=each or [])
+    fitted = dataclasses.replace(fitted, suspects=found.rows)
+    fitted = with_systematic_errors(fitted, runs, deviations or None)
+    if not (as_json or quiet):
+        _show(found, most)
+        if systematic or deviations:
+            _show_systematic(fitted)
+    steps = None
+    if ladder:
+        said = None if quiet else _say
+        steps = climb(fitted, runs, held_out=others, most=most, progress=said)
+        if not (as_json or quiet):
+            _show_ladder(steps)
+    if out is not None:
+        write_files({out: fitted.to_json().encode()}, force=force)
+    if as_json:
+        typer.echo(json.dumps(_facts(fitted, found, steps), indent=2, allow_nan=False))
+
+
+def _say(rung: "Rung") -> None:
+    added = "the fit" if rung.suspect is None else rung.change
+    typer.echo(f"{added}: chi-square {rung.chi_square:.5g}", err=True)
+
+
+def _show(found: "Suspects", most: int) -> None:
+    from ..report import SUSPECT_HEADINGS, suspect_rows, suspect_summary
+    from ._output import print_table
+
+    if rows := suspect_rows(found, most):
+        print_table(SUSPECT_HEADINGS, rows)
+        print()
+    print("\n".join(suspect_summary(found)))
+
+
+def _show_systematic(result: "FitResult") -> None:
+    from ..report import systematic_table
+    from ._output import print_table
+
+    print("\nwhat a held number moves, in standard errors:")
+    print_table(*systematic_table(result))
+
+
+def _show_ladder(steps: "Ladder") -> None:
+    from ..report import ladder_table
+    from ._output import print_table
+
+    print()
+    print_table(*ladder_table(steps))
+    print(f"\n{steps.ending}")
+    for condition in steps.result.conditions:
+        print(condition)
+
+
+def _facts(result: "FitResult", found: "Suspects", steps: "Ladder | None") -> dict[str, Any]:
+    """What `--json` prints."""
+    stored = json.loads(result.to_json())
+    facts: dict[str, Any] = {
+        "chi_square": found.chi_square,
+        "values": found.values,
+        "asked": found.asked,
+        "suspects": stored["suspects"],
+        "systematic": stored["systematic"],
+    }
+    if steps is not None:
+        facts["ladder"] = {
+            "ending": steps.ending,
+            "rungs": [
+                {
+                    "path": None if rung.suspect is None else rung.suspect.path,
+                    "removed": rung.removed,
+                    "chi_square": rung.chi_square,
+                    "aic": rung.aic,
+                    "bic": rung.bic,
+                    "held_out": rung.held_out,
+                    "parameters": json.loads(rung.result.to_json())["parameters"],
+                }
+                for rung in steps.rungs
+            ],
+        }
+    return facts

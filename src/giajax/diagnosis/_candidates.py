@@ -1,0 +1,157 @@
+"""What may be asked of a fitted model: each parameter that it holds or leaves out."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from .._errors import InputError
+from ..fitting import Direction, SuspectKind
+from ..models import AbstractModel
+from ..parameters import Parameter, declared, left_out
+
+
+@dataclasses.dataclass(frozen=True)
+class Candidate:
+    """One direction of the parameters that may be asked for.
+
+    Attributes:
+        path: of the parameter or of one element of it.
+        kind: "parameter", or "factor" for an array whose elements change in proportion.
+        unit: SI unit of the amount.
+        value: what the model has; 1 for a factor.
+        lower, upper: bounds of the value.
+        size: typical size of the value.
+        direction: what a unit of the amount changes.
+        group: path of the parameter whose elements are asked for together; "" for none.
+    """
+
+    path: str
+    kind: SuspectKind
+    unit: str
+    value: float
+    lower: float
+    upper: float
+    size: float
+    direction: Direction
+    group: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Inquiry:
+    """A model with all parts on that it leaves out, and what may be asked of it.
+
+    Attributes:
+        model: what was left out has its neutral value.
+        free: directions of the parameters that were fitted, in their order.
+        candidates: all others.
+        impossible: what cannot be switched on in this model, with the reason, by path.
+    """
+
+    model: AbstractModel
+    free: tuple[Direction, ...]
+    candidates: tuple[Candidate, ...]
+    impossible: dict[str, str]
+
+
+def inquiry(model: AbstractModel, free: Sequence[str], each: Sequence[str] = ()) -> Inquiry:
+    """All that may be asked of a fitted model.
+
+    Arguments:
+        model: the fitted model.
+        free: paths of the parameters that were fitted.
+        each: paths of arrays whose elements are asked for one by one, and together, in place of
+            all in proportion.
+
+    Returns:
+        The model with everything on, and the directions of its parameters.
+
+    Raises:
+        InputError: `each` names what is no array of this model.
+    """
+    impossible = {}
+    for path, absent in left_out(model).items():
+        try:
+            model = absent.set(model, absent.declaration.neutral)
+        except InputError as error:
+            impossible[path] = str(error)
+    known = declared(model)
+    for path in each:
+        if path not in known or not (known[path].declaration.per or known[path].declaration.shape):
+            raise InputError(
+                f"'{path}' has no elements to be asked for one by one: name a parameter that has "
+                "one value per link, joint or axis"
+            )
+        # One number for all joints becomes one for each.
+        model = _in_full(model, known[path])
+    known = declared(model)
+    return Inquiry(
+        model=model,
+        free=tuple(_free_direction(model, known, path) for path in free),
+        candidates=tuple(
+            candidate
+            for parameter in known.values()
+            for candidate in _candidates(model, parameter, set(free), parameter.path in each)
+        ),
+        impossible=impossible,
+    )
+
+
+def _in_full(model: AbstractModel, parameter: Parameter) -> AbstractModel:
+    value = np.asarray(parameter.value(model))
+    if value.ndim:
+        return model
+    for other in declared(model).values():
+        count = np.asarray(other.value(model)).shape
+        if other.declaration.per and not other.declaration.each and count:
+            return parameter.set(model, np.full(count, float(value)))
+    return model
+
+
+def _free_direction(model: AbstractModel, known: dict[str, Parameter], path: str) -> Direction:
+    name, _, index = path.partition("[")
+    if name not in known:
+        raise InputError(
+            f"the fitted parameter '{path}' is none of the model's: give a result whose free "
+            "parameters belong to its model"
+        )
+    step = np.zeros(np.shape(known[name].value(model)))
+    step[int(index[:-1]) if index else ...] = 1.0
+    return Direction(name, step)
+
+
+def _candidates(
+    model: AbstractModel, parameter: Parameter, free: set[str], each: bool
+) -> list[Candidate]:
+    """The directions of one parameter that was not fitted, or of what was not fitted of it."""
+    path, about = parameter.path, parameter.declaration
+    value = np.asarray(parameter.value(model), dtype=float)
+    held = np.asarray([f"{path}[{i}]" not in free for i in range(value.size)])
+    if path in free or not np.any(held):
+        return []
+
+    def made(name: str, number: float, step: np.ndarray, group: str = "") -> Candidate:
+        size = max(abs(number), abs(about.default)) or 1.0
+        bounds = about.lower, about.upper
+        return Candidate(
+            name, "parameter", about.unit, number, *bounds, size, Direction(path, step), group
+        )
+
+    if value.ndim == 0:
+        return [made(path, float(value), np.asarray(1.0))]
+    if about.shape or each:
+        units = np.eye(value.size)
+        return [
+            made(f"{path}[{i}]", float(value[i]), units[i], group=path)
+            for i in np.flatnonzero(held)
+        ]
+    numbers = value[held]
+    if np.all(numbers == numbers[0]):
+        return [made(path, float(numbers[0]), held.astype(float))]
+    step = np.where(held, value, 0.0)
+    return [Candidate(path, "factor", "", 1.0, *_factors(about.lower), 1.0, Direction(path, step))]
+
+
+def _factors(lower: float) -> tuple[float, float]:
+    """Bounds of a factor on values with a lower bound: those that keep their sign."""
+    return (0.0 if lower >= 0 else -np.inf), np.inf

@@ -1,0 +1,152 @@
+"""Systematic errors: what a held number that is a little wrong does to the fitted ones."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..fitting import FitResult, Response, SystematicError, influence, responses
+from ..runs import Run
+from ._candidates import inquiry
+from ._doubts import Doubt, is_doubtful, one_percent, stated_doubts
+from ._weights import Weighing, fitted_noise, matching_runs, own_values
+
+_RANK = 1e-9
+# Standard errors; what is moved by less is not moved.
+_NOTHING = 1e-6
+
+
+def systematic_errors(
+    result: FitResult,
+    runs: Run | Sequence[Run],
+    uncertainty: Mapping[str, npt.ArrayLike] | None = None,
+) -> tuple[SystematicError, ...]:
+    """What the held numbers of a fit do to the fitted ones, to first order.
+
+    Where residuals are stationary in the fitted parameters theta, a change of a constant c moves
+    them by d(theta)/dc = -(J^T J)^-1 J^T z, with the columns J of theta and z of c (the implicit
+    function theorem with the Gauss-Newton form of the Hessian).
+
+    Arguments:
+        result: of `giajax.fit` or `giajax.load_result`.
+        runs: the runs that were fitted, in their order.
+        uncertainty: standard deviations of held numbers, SI, by path; by default those that the
+            fit was given. One number for a whole array moves its elements together; those of a
+            vector, such as the wind, are independent, and so are `links.mass[0]`,
+            `links.mass[1]`.
+
+    Returns:
+        Those that were stated, then what 1 % of each other held number that is not zero does, the
+        largest shift in standard errors first; what moves nothing is left out.
+
+    Raises:
+        InputError: other runs, an unknown path, one that was fitted, or an uncertainty that is
+            not positive.
+    """
+    several = matching_runs(result, runs)
+    if uncertainty is None:
+        uncertainty = result.config.get("uncertainty") or {}
+    asked = inquiry(result.model, list(result.free))
+    stated = stated_doubts(list(result.free), asked, uncertainty)
+    known = {doubt.path.partition("[")[0] for doubt in stated}
+    doubts = [*stated, *(one_percent(one) for one in asked.candidates if is_doubtful(one, known))]
+    # Beside the columns of all candidates, so that the program is the one that tests them.
+    directions = [*asked.free, *(one.direction for one in asked.candidates)]
+    places = {id(direction): place for place, direction in enumerate(directions)}
+    for doubt in doubts:
+        if id(doubt.direction) not in places:
+            places[id(doubt.direction)] = len(directions)
+            directions.append(doubt.direction)
+    at = responses(asked.model, several, directions, own_values(result))
+    columns = [places[id(doubt.direction)] for doubt in doubts]
+    slopes = _slopes(result, several, at, len(asked.free), columns)
+    errors = [_error(result, doubt, slopes[:, index]) for index, doubt in enumerate(doubts)]
+    kept = [(error, _weight(result, error)) for error in errors]
+    # The stated ones first, then what decides most; what moves nothing is not worth a row.
+    kept.sort(key=lambda each: (not each[0].stated, -each[1]))
+    return tuple(error for error, weight in kept if error.stated or weight > _NOTHING)
+
+
+def deciding_conditions(errors: Sequence[SystematicError]) -> list[str]:
+    """A sentence on each held number that decides: 1 % of it is more than a standard error."""
+    sentences = []
+    for error in errors:
+        if error.decides:
+            by = f"{error.uncertainty:.3g}{f' {error.unit}' if error.unit else ''}"
+            change = by if error.stated else "1 %"
+            sentences.append(
+                f"{error.path}: is held and decides, because a change of it by {change} moves "
+                f"{', '.join(error.decides)} by more than a standard error"
+            )
+    return sentences
+
+
+def together(errors: Sequence[SystematicError]) -> dict[str, float]:
+    """The systematic error of each fitted parameter: the stated ones, in quadrature."""
+    squares: dict[str, float] = {}
+    for error in errors:
+        if error.stated:
+            for path, shift in error.shifts.items():
+                squares[path] = squares.get(path, 0.0) + shift**2
+    return {path: float(np.sqrt(square)) for path, square in squares.items()}
+
+
+def _error(result: FitResult, doubt: Doubt, slopes: np.ndarray) -> SystematicError:
+    shifts = {
+        path: float(slope) * doubt.uncertainty
+        for path, slope in zip(result.free, slopes, strict=True)
+    }
+    errors = {path: estimate.standard_error for path, estimate in result.free.items()}
+    decides = tuple(path for path, shift in shifts.items() if abs(shift) > (errors[path] or np.inf))
+    return SystematicError(
+        path=doubt.path,
+        unit=doubt.unit,
+        value=doubt.value,
+        uncertainty=doubt.uncertainty,
+        stated=doubt.stated,
+        shifts=shifts,
+        decides=decides,
+    )
+
+
+def _weight(result: FitResult, error: SystematicError) -> float:
+    """The largest shift, in standard errors; of a parameter without one, relative to it."""
+    sizes = {
+        path: estimate.standard_error or abs(float(estimate.value)) or 1.0
+        for path, estimate in result.free.items()
+    }
+    return max((abs(shift) / sizes[path] for path, shift in error.shifts.items()), default=0.0)
+
+
+def _slopes(
+    result: FitResult,
+    runs: Sequence[Run],
+    at: Sequence[Response],
+    fitted: int,
+    columns: Sequence[int],
+) -> Any:
+    """d(fitted)/d(held), shape (fitted, held)."""
+    loss = result.config.get("loss", "linear")
+    noise = fitted_noise(result, runs)
+    weights = []
+    for response, deviations in zip(at, noise, strict=True):
+        sigma = np.asarray([deviations[name] for name in response.channels])
+        rest = np.nan_to_num((response.predicted - response.observed) / sigma)
+        # The second derivative of the loss: a residual beyond its corner does not pull harder.
+        weights.append(np.sqrt(np.maximum(influence(loss, rest)[1], 0.0)))
+    factors = Weighing.of(at, noise, weights).factors
+    rows = []
+    for response, factor in zip(at, factors, strict=True):
+        measured = ~np.isnan(response.observed)
+        each = factor[measured][:, None]
+        own = response.own[measured] * each
+        cells = response.columns[measured] * each
+        if own.shape[1]:
+            cells = cells - own @ np.linalg.lstsq(own, cells, rcond=_RANK)[0]
+        rows.append(cells)
+    whole = np.concatenate(rows)
+    jacobian, held = whole[:, :fitted], whole[:, list(columns)]
+    norms = np.linalg.norm(jacobian, axis=0)
+    norms = np.where(norms > 0, norms, 1.0)
+    return -np.linalg.lstsq(jacobian / norms, held, rcond=_RANK)[0] / norms[:, None]

@@ -1,0 +1,167 @@
+"""A fit where it ended, as weighted tables: residuals and columns in units of white noise."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from .._errors import InputError
+from ..fitting import FitResult, Response, influence
+from ..runs import Run
+from ._projection import Table
+
+Array = np.ndarray
+
+# 1.4826 median(|x|) estimates the standard deviation of a normal variable; a second difference
+# of white noise has sqrt(6) times its deviation.
+_MAD = 1.4826
+_FEWEST = 8
+
+
+def matching_runs(result: FitResult, runs: Run | Sequence[Run]) -> list[Run]:
+    """The runs of a result, checked to be those.
+
+    Raises:
+        InputError: they are others, or in another order; or the fit tied parameters to others, or
+            had values of them for single runs, of which these tests know nothing.
+    """
+    beyond = [key for key in ("ties", "per_run", "groups", "priors") if result.config.get(key)]
+    if beyond:
+        raise InputError(
+            f"the fit has {', '.join(beyond)}, which its suspects would not see: fit without them "
+            "to ask for suspects"
+        )
+    several = [runs] if isinstance(runs, Run) else list(runs)
+    if [run.sha256 for run in several] != [record.sha256 for record in result.runs] or [
+        list(run.observations) for run in several
+    ] != [list(record.channels) for record in result.runs]:
+        raise InputError("the runs are not those of the result: give the same ones in their order")
+    return several
+
+
+def own_values(result: FitResult) -> list[dict[str, float]]:
+    """What was fitted of each run alone, by label."""
+    return [
+        {label: estimate.value for label, estimate in record.parameters.items()}
+        for record in result.runs
+    ]
+
+
+def fitted_noise(result: FitResult, runs: Sequence[Run]) -> list[dict[str, float]]:
+    """Standard deviations (SI) that each run was weighted with, by channel."""
+    return [
+        {
+            name: float(run.channels[name].to_si(channel.noise))
+            for name, channel in record.channels.items()
+        }
+        for run, record in zip(runs, result.runs, strict=True)
+    ]
+
+
+def white_noise(
+    result: FitResult, runs: Sequence[Run], at: Sequence[Response]
+) -> list[dict[str, float]]:
+    """Standard deviations (SI) of white noise by channel, which no wrong model makes larger.
+
+    Those that a run states; else from second differences of the residuals, in which what is
+    smooth leaves nothing; else, where the samples do not follow each other, those of the fit.
+    """
+    deviations = []
+    for run, response, weighted in zip(runs, at, fitted_noise(result, runs), strict=True):
+        rest = response.predicted - response.observed
+        each = {}
+        for index, name in enumerate(response.channels):
+            stated = run.noise(name)
+            apart = None if run.times is None else _from_differences(rest[:, index])
+            each[name] = stated or apart or weighted[name]
+        deviations.append(each)
+    return deviations
+
+
+def _from_differences(residuals: np.ndarray) -> float | None:
+    """Deviation of white noise in residuals, NaN where not measured; None from too few."""
+    second = np.diff(residuals, 2)
+    second = second[~np.isnan(second)]
+    if len(second) < _FEWEST:
+        return None
+    return _MAD * float(np.median(np.abs(second))) / np.sqrt(6) or None
+
+
+def robust_weights(result: FitResult, runs: Sequence[Run], at: Sequence[Response]) -> list[Array]:
+    """Roots of the weights that the loss gives the residuals, each (sample, channel)."""
+    loss = result.config.get("loss", "linear")
+    weights = []
+    for response, noise in zip(at, fitted_noise(result, runs), strict=True):
+        sigma = np.asarray([noise[name] for name in response.channels])
+        rest = np.nan_to_num((response.predicted - response.observed) / sigma)
+        psi, _, _ = influence(loss, rest)
+        weights.append(np.sqrt(np.where(rest == 0, 1.0, psi / np.where(rest == 0, 1.0, rest))))
+    return weights
+
+
+@dataclasses.dataclass(frozen=True)
+class Weighing:
+    """How the cells of each run count.
+
+    Attributes:
+        factors: one over the noise, times the root of the weight of the loss, 0 where nothing
+            was measured; each (sample, channel).
+    """
+
+    factors: list[Array]
+
+    @classmethod
+    def of(
+        cls, at: Sequence[Response], noise: Sequence[Mapping[str, float]], weights: Sequence[Array]
+    ) -> "Weighing":
+        """From standard deviations by channel and the roots of weights."""
+        factors = []
+        for response, deviations, weight in zip(at, noise, weights, strict=True):
+            sigma = np.asarray([deviations[name] for name in response.channels])
+            factors.append(np.where(np.isnan(response.observed), 0.0, weight / sigma))
+        return cls(factors)
+
+    def chi_square(self, at: Sequence[Response], predicted: Sequence[Array]) -> float:
+        """Sum of weighted squares of predictions less what was observed."""
+        total = 0.0
+        for response, table, factor in zip(at, predicted, self.factors, strict=True):
+            rest = np.where(factor > 0, table - np.nan_to_num(response.observed), 0.0)
+            total += float(np.sum((rest * factor) ** 2))
+        return total
+
+    def tables(
+        self,
+        at: Sequence[Response],
+        runs: Sequence[Run],
+        fitted: int,
+        switches: Sequence[Sequence[Array]] = (),
+    ) -> list[Table]:
+        """Weighted residuals and columns of each run.
+
+        Arguments:
+            at: responses, the columns of the fitted parameters first.
+            runs: their runs.
+            fitted: how many those are.
+            switches: of each switch, the change of the predictions of each run that it makes;
+                they are tested after the other columns.
+        """
+        tables = []
+        for index, (response, run, factor) in enumerate(zip(at, runs, self.factors, strict=True)):
+            rest = np.where(factor > 0, response.predicted - np.nan_to_num(response.observed), 0.0)
+            changes = np.stack(
+                [response.columns[..., i] for i in range(fitted, response.columns.shape[2])]
+                + [changed[index] for changed in switches],
+                axis=-1,
+            )
+            each = factor[..., None]
+            tables.append(
+                Table(
+                    residual=rest * factor,
+                    measured=~np.isnan(response.observed),
+                    fitted=response.columns[..., :fitted] * each,
+                    own=response.own * each,
+                    asked=changes * each,
+                    timed=run.times is not None,
+                )
+            )
+        return tables

@@ -1,0 +1,141 @@
+"""Suspects, the ladder and systematic errors as tables of text cells."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from .._text import format_estimate
+from ..diagnosis import LEVEL, Ladder, Rung, Suspects, promising, together
+from ..fitting import FitResult, Suspect, SystematicError
+
+Rows = list[list[str]]
+
+SUSPECT_HEADINGS = ("suspect", "held at", "estimate", "error", "unit", "chi-square", "p", "remark")
+
+
+def suspect_rows(found: Suspects, most: int = 10) -> Rows:
+    """The most promising suspects, a row each under `SUSPECT_HEADINGS`.
+
+    Arguments:
+        found: the tests.
+        most: rows; significant ones are shown in any case.
+    """
+    shown = found.promising[: max(most, len(found.significant))]
+    return [_cells(row) for row in shown if row.chi_square_drop]
+
+
+def first_suspects(result: FitResult, most: int = 3) -> Rows:
+    """The first suspects that a result carries, as `suspect_rows`."""
+    shown = [row for row in promising(result.suspects) if (row.p_value or 0.0) < LEVEL]
+    return [_cells(row) for row in shown[:most]]
+
+
+def _cells(row: Suspect) -> list[str]:
+    value, estimate, error = row.value, row.estimate, row.estimate_error
+    if isinstance(estimate, list) and isinstance(error, list):
+        pairs = [format_estimate(a, b) for a, b in zip(estimate, error, strict=True)]
+        shown = ", ".join(pair[0] for pair in pairs), ", ".join(pair[1] for pair in pairs)
+    elif estimate is None:
+        shown = "-", "-"
+    else:
+        shown = format_estimate(estimate, error if isinstance(error, float) else None)
+    remarks = [row.note] if row.note else []
+    if row.alike:
+        remarks.append(f"the data can hardly tell it from {', '.join(row.alike)}")
+    if row.kind == "switch" and estimate is not None:
+        remarks.append("estimate: how much of the change, 0 to 1")
+    if row.kind == "factor":
+        remarks.append("a factor on all of its elements")
+    return [
+        row.path,
+        _plain(value),
+        *shown,
+        row.unit or "-",
+        f"-{row.chi_square_drop:.4g}",
+        "-" if row.p_value is None else f"{row.p_value:.2g}",
+        "; ".join(remarks),
+    ]
+
+
+def suspect_summary(found: Suspects) -> list[str]:
+    """Sentences beside the table: what chi-square is, and what the data cannot tell."""
+    sentences = [
+        f"chi-square {found.chi_square:.5g} of {found.values} values and {found.parameters} "
+        f"fitted parameters; {found.asked} tests, p-values corrected for their number"
+    ]
+    if not found.significant:
+        sentences.append("no suspect is significant: nothing that can be freed is asked for")
+    notes: dict[str, list[str]] = {}
+    for row in found.untestable:
+        notes.setdefault(row.note, []).append(row.path)
+    for note, paths in notes.items():
+        sentences.append(f"not testable, {note}: {', '.join(paths)}")
+    return sentences
+
+
+def ladder_table(steps: Ladder) -> tuple[list[str], Rows]:
+    """Headings and a row for each fit: what it has more, how good it is, and its parameters."""
+    first = list(steps.rungs[0].result.free)
+    held_out = any(rung.held_out is not None for rung in steps.rungs)
+    headings = ["added", "chi-square", "AIC", "BIC", *(["held out"] if held_out else []), *first]
+    return headings, [_rung(rung, first, held_out=held_out) for rung in steps.rungs]
+
+
+def _rung(rung: Rung, paths: Sequence[str], *, held_out: bool) -> list[str]:
+    numbers = [rung.chi_square, rung.aic, rung.bic]
+    cells = [rung.change, *(f"{number:.5g}" for number in numbers)]
+    if held_out:
+        cells.append("-" if rung.held_out is None else f"{rung.held_out:.3g}")
+    for path in paths:
+        estimate = rung.result.parameters.get(path)
+        if estimate is None:
+            cells.append("-")
+            continue
+        cells.append(" +- ".join(format_estimate(estimate.value, estimate.standard_error)))
+    return cells
+
+
+def systematic_table(result: FitResult) -> tuple[list[str], Rows]:
+    """Headings and rows: what each held number does to each fitted parameter, in standard errors.
+
+    Below them the statistical error, that of what was stated, and both in quadrature, in the unit
+    of the parameter.
+    """
+    free = list(result.free)
+    rows = [_held(result, error, free) for error in result.systematic]
+    stated = together(result.systematic)
+    statistical = [result.free[path].standard_error for path in free]
+    rows.append(["statistical error", "", "", *map(_number, statistical)])
+    if stated:
+        systematic = [stated.get(path, 0.0) for path in free]
+        both = [
+            None if error is None else float(np.hypot(error, other))
+            for error, other in zip(statistical, systematic, strict=True)
+        ]
+        rows.append(["systematic error", "", "", *map(_number, systematic)])
+        rows.append(["both", "", "", *map(_number, both)])
+    return ["held", "at", "changed by", *free], rows
+
+
+def _held(result: FitResult, error: SystematicError, free: Sequence[str]) -> list[str]:
+    cells = []
+    for path in free:
+        one = result.free[path].standard_error
+        shift = error.shifts[path]
+        cells.append(f"{shift / one:+.2g}" if one else _number(shift))
+    change = f"{error.uncertainty:.3g}{f' {error.unit}' if error.unit else ''}"
+    return [error.path, _plain(error.value), change if error.stated else "1 %", *cells]
+
+
+def _plain(value: Any) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, list):
+        low, high = min(value), max(value)
+        return f"{low:.4g}" if low == high else f"{low:.4g} .. {high:.4g}"
+    return f"{value:.4g}"
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}"

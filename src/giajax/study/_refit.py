@@ -1,0 +1,103 @@
+"""A fit again, changed a little: from where another one ended."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..fitting import MAX_ITERATIONS, FitResult, fit, prepared_with
+from ..models import AbstractModel
+from ..parameters import elements, get, switched_on
+from ..runs import Definition, Run
+
+# Of the way from a bound to the value, for a start that would lie on the bound.
+_INSIDE = 1e-3
+
+
+def begun_where_it_ended(result: FitResult, runs: Sequence[Run]) -> list[Run]:
+    """The runs of a result, each with the initial state that was fitted for it.
+
+    Arguments:
+        result: of a fit.
+        runs: those that were fitted, in their order.
+
+    Returns:
+        The runs; one without an initial state of its own is the same.
+    """
+    return [
+        _begun(result.model, run, {path: own.value for path, own in record.parameters.items()})
+        for run, record in zip(runs, result.runs, strict=True)
+    ]
+
+
+def _begun(model: AbstractModel, run: Run, own: Mapping[str, float]) -> Run:
+    if not own:
+        return run
+    inputs = prepared_with(model, run, own)
+    contents = run.definition.contents()
+    contents["initial"] = {**model.initial_section(inputs), "free": True}
+    return dataclasses.replace(run, definition=Definition.parse(contents, run.name))
+
+
+def refit(
+    result: FitResult,
+    runs: Sequence[Run],
+    *,
+    model: AbstractModel | None = None,
+    free: Sequence[str] = (),
+    start: Mapping[str, float | Sequence[float]] | None = None,
+    fix: Mapping[str, float | Sequence[float]] | None = None,
+    max_iterations: int = MAX_ITERATIONS,
+    check: bool = False,
+) -> FitResult:
+    """Fit the same runs again from where a fit ended, with more parameters or another model.
+
+    Arguments:
+        result: the fit to begin from: its free parameters and its loss are those of the new one.
+        runs: what it was fitted to.
+        model: in place of the fitted model; it must have the free parameters.
+        free: paths of further parameters to free; those that are left out are switched on.
+        start: start values by path, SI, in place of those that the model has.
+        fix: values by path, SI, that are set and held; what was free of it no longer is.
+        max_iterations, check: as of `giajax.fit`.
+
+    Returns:
+        The new result. What ended at a bound starts a little inside of it.
+
+    Raises:
+        InputError: as `giajax.fit`.
+    """
+    model = switched_on(result.model if model is None else model, free)
+    held = set(fix or {})
+    paths = [
+        path
+        for path in (*result.free, *free)
+        if path not in held and path.partition("[")[0] not in held
+    ]
+    begin: dict[str, Any] = dict(start or {})
+    values: dict[str, float] = {}
+    for path in paths:
+        parts = elements(model, path)
+        wanted = np.broadcast_to(
+            np.asarray(begin.get(path, get(model, path)), dtype=float), (len(parts),)
+        )
+        for part, value in zip(parts, wanted, strict=True):
+            values[part.path] = _inside(part.declaration, float(value))
+    return fit(
+        model,
+        begun_where_it_ended(result, runs),
+        free=paths,
+        start=values,
+        fix=fix,
+        loss=result.config.get("loss", "linear"),
+        max_iterations=max_iterations,
+        check=check,
+    )
+
+
+def _inside(declaration: Any, value: float) -> float:
+    """A value strictly within its bounds."""
+    lower, upper, default = declaration.lower, declaration.upper, abs(declaration.default)
+    width = min(upper - lower, default or 1.0)
+    return float(np.clip(value, lower + _INSIDE * width, upper - _INSIDE * width))

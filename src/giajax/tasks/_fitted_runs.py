@@ -1,0 +1,77 @@
+"""The runs of a stored result, read again from their files."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .._errors import InputError
+from ..runs import Definition, Run, observing, read_run, rows_of, run_keys
+
+if TYPE_CHECKING:
+    from ..fitting import FitResult, RunFit
+
+
+def fitted_runs(
+    result: "FitResult",
+    data: Sequence[str | Path] = (),
+    *,
+    rename: Mapping[str, str] | None = None,
+) -> list[Run]:
+    """The runs that a result was fitted to, as they were: channels, windows and what was stated.
+
+    Arguments:
+        result: of `giajax.load_result`.
+        data: the files, where they lie elsewhere now; in any order.
+        rename: the files' column name -> the name it has in the column table.
+
+    Returns:
+        The runs, in the order of the result.
+
+    Raises:
+        InputError: a file is missing, or is not the one that was fitted; or a run was made in
+            memory.
+    """
+    read: dict[tuple[str, str], Run] = {}
+    renamed = dict(rename or {})
+    others = {} if not data else {read_run(path, rename=renamed).sha256: path for path in data}
+    runs = []
+    for record, about in zip(result.runs, result.config["runs"], strict=True):
+        path = others.get(record.sha256, record.path if not data else None)
+        if path is None:
+            raise InputError(_missing(record, data))
+        if not data and not Path(path).exists():
+            raise InputError(f"{path}, which was fitted, does not exist: give the file with --data")
+        known = {key: item for key, item in about.items() if key in run_keys(model=False)}
+        definition = Definition.parse({"model": result.model.kind, **known}, str(path))
+        key = str(path), definition.to_toml()
+        if key not in read:
+            read[key] = read_run(path, rename=renamed, definition=definition)
+        run = read[key]
+        if run.sha256 != record.sha256:
+            raise InputError(
+                f"{path} is not the file that was fitted: its content has changed, so run the fit "
+                "again or give the file that was"
+            )
+        runs.append(_as_fitted(run, record, about))
+    return runs
+
+
+def _missing(record: "RunFit", data: Sequence[str | Path]) -> str:
+    if record.path is None:
+        return (
+            f"'{record.name}' was made in memory and has no file: call giajax.suspects with "
+            "the run itself"
+        )
+    named = ", ".join(map(str, data))
+    return f"{named} have not the content of {record.path}, which was fitted: give that file"
+
+
+def _as_fitted(run: Run, record: "RunFit", about: Mapping[str, Any]) -> Run:
+    if "channels" in about:
+        run = observing(run, about["channels"])
+    if run.times is None or about.get("rows") in (None, len(run.times)):
+        return run
+    first = int(np.searchsorted(run.times, about["from_s"] - 1e-9))
+    return rows_of(run, slice(first, first + int(about["rows"])), record.name)

@@ -1,0 +1,111 @@
+"""The suspects of an arm: its neutral values, its choices, and an omission of each kind."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import giajax
+import small_arm
+from giajax.diagnosis import suspects
+from giajax.diagnosis._candidates import inquiry
+from giajax.models import ArmModel
+from giajax.parameters import left_out, replace
+
+CHANNELS = [f"link{link:02d}_{axis}" for link in (2, 4) for axis in "xyz"]
+TIMES = np.linspace(0.0, 4.0, 41)
+RAMP = np.clip(TIMES / 0.5, 0, 1)
+COMMANDS = {"joint01_command": 0.6 * RAMP, "joint02_command": -0.5 * RAMP}
+OMISSIONS = {
+    "air.added_mass_coefficient": 2.0,
+    "camera.delay": 0.1,
+    "air.wind": [0.0, 0.05, 0.1],
+    "joints.friction": 0.06,
+    "camera.rotation": [0.0, 0.05, 0.0],
+}
+
+
+def arm(**options):
+    return ArmModel(giajax.chain(small_arm.LINKS, **options))
+
+
+def recorded(truth, seed=0):
+    model = replace(arm(), {**small_arm.TRUTH, **truth})
+    noise = {"position": small_arm.NOISE}
+    return giajax.synthesise(model, TIMES, COMMANDS, CHANNELS, noise=noise, seed=seed)
+
+
+@pytest.mark.slow
+def test_an_omission_of_each_kind_comes_first():
+    for path, value in OMISSIONS.items():
+        recording = recorded({path: value})
+        result = giajax.fit(arm(), recording, start=small_arm.START, check=False)
+        first = suspects(result, recording).promising[0]
+        assert path in (first.path.partition("[")[0], *first.alike), (path, first)
+        assert first.p_value < 0.05
+
+
+@pytest.mark.slow
+def test_what_is_switched_on_at_its_neutral_value_changes_nothing():
+    """Of every optional parameter that an arm with buoyancy and strip drag may have."""
+    model = arm(drag="strip", buoyancy=True, trim=True, gravity=9.81)
+    run = recorded({})
+    encoders = {"joint01_angle": np.zeros(41), "joint01_rate": np.zeros(41)}
+    values = {**run.values, **encoders}
+    run = giajax.Run.from_arrays(TIMES, values, definition={"arm": {"links": 4}})
+    whole = inquiry(model, []).model
+    assert {"air.added_mass_coefficient", "encoder.scale", "camera.scale"} <= set(left_out(model))
+    assert not left_out(whole)
+    plain, on = giajax.predict(model, run), giajax.predict(whole, run)
+    for name, row in plain.items():
+        assert np.max(np.abs(on[name] - row)) < 1e-6, name
+
+
+def test_choices_of_an_arm():
+    names = list(arm().variants())
+    assert names == [
+        "arm.drag = strip",
+        "arm.drag_curve = cylinder",
+        "arm.trim = true",
+        "arm.trim = true, trim_depth = 0.15 m",
+    ]
+    floating = arm(drag="strip", trim=True, gravity=9.81)
+    assert list(floating.variants()) == ["arm.drag = centre", "arm.drag_curve = cylinder"]
+    heavy = ArmModel(giajax.pendulum(1))
+    assert list(heavy.variants()) == ["arm.drag = strip", "arm.drag_curve = cylinder"]
+    other = floating.variants()["arm.drag = centre"]
+    assert other.arm.air.drag == "centre"
+    assert floating.arm.air.drag == "strip"
+
+
+def test_an_arm_that_is_to_float_keeps_all_forces_per_mass():
+    model = arm()
+    floating = model.variants()["arm.trim = true"]
+    ratio = float(floating.arm.air.drag_coefficient / model.arm.air.drag_coefficient)
+    moving = giajax.arm.bodies(floating.arm).mass
+    assert ratio == pytest.approx(float(jnp.sum(moving) / jnp.sum(model.arm.links.mass)))
+    assert ratio == pytest.approx(0.0843 / 0.047, rel=1e-3)
+    for path in ("joints.pitch_stiffness", "joints.yaw_stiffness", "joints.damping"):
+        changed = float(giajax.get(floating, path) / giajax.get(model, path))
+        assert changed == pytest.approx(ratio)
+    assert floating.variants().keys() == {"arm.drag = strip", "arm.drag_curve = cylinder"}
+
+
+def test_what_is_fitted_is_not_asked_for():
+    model = arm()
+    free = ["air.drag_coefficient", "links.mass[1]"]
+    asked = inquiry(model, free)
+    paths = [one.path for one in asked.candidates]
+    assert "air.drag_coefficient" not in paths
+    (mass,) = [one for one in asked.candidates if one.path == "links.mass"]
+    assert mass.direction.step.tolist() == [1, 0, 1, 1]
+    assert asked.free[1].step.tolist() == [0, 1, 0, 0]
+    # Masses that differ change in proportion.
+    model = dataclasses.replace(
+        model, arm=replace(model.arm, {"links.mass": jnp.asarray([0.04, 0.05, 0.05, 0.05])})
+    )
+    (mass,) = [one for one in inquiry(model, []).candidates if one.path == "links.mass"]
+    assert (mass.kind, mass.value, mass.unit, mass.lower) == ("factor", 1, "", 0)
+    assert mass.direction.step.tolist() == pytest.approx([0.04, 0.05, 0.05, 0.05])
+    assert set(asked.impossible) == {"air.axial_coefficient"}

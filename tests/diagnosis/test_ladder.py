@@ -1,0 +1,120 @@
+"""The ladder: what is missing is found in turn, and no more than that."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from curves import curve, recorded
+from test_suspects import FREE, fitted
+
+from giajax import fit, ladder, suspects
+from giajax.diagnosis import Rung
+from giajax.diagnosis._axes import all_axes, name_of, turned_back
+from giajax.diagnosis._ladder import _spare
+from giajax.study import refit
+
+TIGHT = 4
+
+
+def test_two_omissions_one_after_the_other():
+    recording = recorded(late=0.05, rub=0.05, seed=2)
+    seen = []
+    steps = ladder(
+        fitted(recording), recording, held_out=[recorded(late=0.05, rub=0.05, seed=9)],
+        progress=seen.append,
+    )  # fmt: skip
+    assert {rung.suspect.path for rung in steps.rungs[1:]} == {"late", "rub"}
+    assert steps.ending == "no suspect that could be freed is significant"
+    assert [rung.suspect for rung in seen] == [rung.suspect for rung in steps.rungs]
+    for path, truth in {"late": 0.05, "rub": 0.05, "amplitude": 2.0, "decay": 0.7}.items():
+        one = steps.result.parameters[path]
+        assert one.value == pytest.approx(truth, abs=TIGHT * one.standard_error)
+    for measure in ("chi_square", "aic", "bic", "held_out"):
+        values = [getattr(rung, measure) for rung in steps.rungs]
+        assert values == sorted(values, reverse=True), measure
+    last = steps.rungs[-1]
+    assert last.parameters == 4
+    assert last.chi_square == pytest.approx(last.values, rel=0.2)
+    assert last.held_out == pytest.approx(1, rel=0.15)
+    assert last.bic - last.aic == pytest.approx(4 * (np.log(360) - 2))
+
+
+def test_what_is_no_longer_needed_is_taken_out_again():
+    """A shift of z imitates a wrong offset and a delay together, until those are there."""
+    recording = recorded(late=0.03, rub=0.05, seed=4)
+    first = fitted(recording, free=[*FREE, "shift[2]"])
+    step = suspects(first, recording).of("late")
+    assert step.p_value < 1e-3
+    rungs = [
+        Rung(None, 9e9, 2, 360, None, fitted(recording)),
+        Rung(suspects(fitted(recording), recording).of("shift[2]"), 8e9, 3, 360, None, first),
+        Rung(step, 7e9, 4, 360, None, refit(first, [recording], free=["late", "rub"])),
+    ]
+    assert [suspect.path for suspect in _spare(rungs)] == ["shift[2]"]
+    assert _spare(rungs[:2]) == []
+    removed = dataclasses.replace(rungs[2], suspect=rungs[1].suspect, removed=True)
+    assert removed.change == "without shift[2]"
+    assert _spare([*rungs, removed, rungs[2]]) == []
+    held = refit(rungs[2].result, [recording], fix={"shift[2]": 0.0})
+    assert set(held.free) == {"amplitude", "decay", "late", "rub"}
+
+
+def test_a_choice_is_made_the_other_way_and_axes_are_exchanged():
+    recording = recorded(wave=0.05)
+    steps = ladder(fitted(recording), recording)
+    assert [rung.suspect.path for rung in steps.rungs[1:]] == ["wavy = true"]
+    assert steps.result.model.wavy
+    values = recording.values
+    swapped = {**values, "tip_y": values["tip_z"], "tip_z": values["tip_y"]}
+    wrong = dataclasses.replace(recording, values=swapped)
+    start = {"amplitude": 1.9, "decay": 0.75}
+    steps = ladder(fitted(wrong, start=start), wrong)
+    added = [rung.suspect.path for rung in steps.rungs[1:]]
+    assert added[0] == "axes: y and z swapped"
+    assert steps.result.parameters["decay"].value == pytest.approx(0.7, abs=0.02)
+
+
+def test_nothing_is_added_to_a_right_model_nor_beyond_the_steps_allowed():
+    recording = recorded(seed=5)
+    steps = ladder(fitted(recording), recording)
+    assert len(steps.rungs) == 1
+    both = recorded(late=0.05, rub=0.05, seed=2)
+    short = ladder(fitted(both), both, most=1)
+    assert len(short.rungs) == 2
+    assert short.ending == "1 steps were allowed"
+
+
+def test_a_refit_begins_where_the_fit_ended():
+    recording = recorded(rub=0.02)
+    result = fitted(recording)
+    again = refit(result, [recording])
+    assert again.iterations <= 2
+    assert again.parameters["decay"].value == pytest.approx(
+        result.parameters["decay"].value, abs=0.1 * result.parameters["decay"].standard_error
+    )
+    # What lies at a bound begins a little inside of it.
+    freed = refit(result, [recording], free=["rub"])
+    whole = fit(curve(), recording, free=["amplitude", "decay", "rub"],
+                start={"amplitude": 1.5, "decay": 0.9, "rub": 0.1}, check=False)  # fmt: skip
+    assert freed.parameters["rub"].value == pytest.approx(whole.parameters["rub"].value, rel=1e-3)
+    assert freed.status == "converged"
+
+
+@pytest.mark.quick
+def test_there_are_48_ways_and_each_is_undone():
+    ways = all_axes()
+    names = {name_of(way) for way in ways[1:]}
+    assert len(ways) == len(set(ways)) == 48
+    assert len(names) == 47
+    assert {"axes: y and z swapped", "axes: z reversed", "axes: x and y reversed"} <= names
+    assert "axes: recorded x is y, y is -x" in names
+
+
+def test_axes_of_a_run_are_turned_back():
+    recording = recorded()
+    way = ((1, -1), (0, 1), (2, 1))  # recorded x is -y of the model, recorded y is x
+    back = turned_back(recording, way)
+    assert np.array_equal(back.values["tip_y"], -recording.values["tip_x"])
+    assert np.array_equal(back.values["tip_x"], recording.values["tip_y"])
+    assert back.channels["tip_x"].component == 0
+    assert set(back.observations) == set(recording.observations)

@@ -1,0 +1,140 @@
+"""The score test by itself: against refits of linear problems, and as often wrong as it says."""
+
+import numpy as np
+import pytest
+
+from giajax.diagnosis._projection import Table, projected
+from giajax.diagnosis._score import alike, score
+
+pytestmark = pytest.mark.quick
+FREE = (-np.inf, np.inf)
+
+
+def smooth(samples=200):
+    t = np.linspace(0, 1, samples)
+    return np.stack([np.ones_like(t), t, np.sin(5 * t), np.exp(-4 * t)], axis=-1)
+
+
+def table(residual, fitted, asked, own=None, timed=True):
+    count = len(residual)
+    own = np.zeros((count, 0)) if own is None else own
+    return Table(
+        residual=residual[:, None],
+        measured=np.ones((count, 1), bool),
+        fitted=fitted[:, None],
+        own=own[:, None],
+        asked=asked[:, None],
+        timed=timed,
+    )
+
+
+def squares(y, columns):
+    return float(np.sum((y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0]) ** 2))
+
+
+def test_drop_and_estimate_are_those_of_a_refit():
+    columns = smooth()
+    y = columns @ [1.0, 2.0, 0.5, 0.3] + np.random.default_rng(1).normal(size=200)
+    fitted, asked = columns[:, :2], columns[:, 2:]
+    rest = projected([table(-y, fitted, asked)])
+    one = score(rest, [0], [-np.inf], [np.inf])
+    with_it = np.linalg.lstsq(columns[:, :3], y, rcond=None)[0]
+    assert one.step[0] == pytest.approx(with_it[2], rel=1e-9)
+    assert one.drop == pytest.approx(squares(y, fitted) - squares(y, columns[:, :3]), rel=1e-9)
+    both = score(rest, [0, 1], [-np.inf] * 2, [np.inf] * 2)
+    assert both.drop == pytest.approx(squares(y, fitted) - squares(y, columns), rel=1e-9)
+
+
+def test_what_is_free_in_one_run_alone_is_taken_out_of_that_run():
+    columns, noise = smooth(), np.random.default_rng(2).normal(size=(2, 200))
+    own = np.ones((200, 1))
+    asked = columns[:, 2:3]
+    rest = projected([table(row, columns[:, 1:2], asked, own) for row in noise])
+    # As one matrix: a column of ones for each run.
+    ones = np.kron(np.eye(2), own)
+    whole = np.concatenate([np.tile(columns[:, 1:2], (2, 1)), ones], axis=1)
+    y = noise.ravel()
+    drop = squares(y, whole) - squares(y, np.column_stack([whole, np.tile(asked, (2, 1))]))
+    assert score(rest, [0], [-np.inf], [np.inf]).drop == pytest.approx(drop, rel=1e-9)
+    assert rest.parameters == 3
+
+
+def test_at_a_bound_only_what_leads_inwards_counts():
+    columns = smooth()
+    for sign in (1, -1):
+        y = sign * columns[:, 2] * 0.8 + np.random.default_rng(3).normal(size=200)
+        rest = projected([table(-y, columns[:, :2], columns[:, 2:3])])
+        one = score(rest, [0], [0.0], [np.inf])
+        if sign > 0:
+            both = score(rest, [0], [-np.inf], [np.inf])
+            assert one.p_value == pytest.approx(both.p_value / 2)
+            assert one.step[0] > 0
+        else:
+            assert (one.step[0], one.drop, one.p_value) == (0, 0, 1)
+
+
+def test_a_step_ends_at_its_bound_and_is_worth_less():
+    columns = smooth()
+    y = columns[:, 2] * 20 + np.random.default_rng(4).normal(size=200)
+    rest = projected([table(-y, columns[:, :2], columns[:, 2:3])])
+    free, bounded = score(rest, [0], [-np.inf], [np.inf]), score(rest, [0], [-1.0], [1.0])
+    assert bounded.step[0] == 1
+    # The quadratic function of the step, at a twentieth of the way.
+    part = 1 / free.step[0]
+    assert bounded.drop == pytest.approx(free.drop * (2 * part - part**2), rel=1e-9)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.6, 0.9])
+@pytest.mark.parametrize("tests", [1, 2])
+def test_noise_alone_is_significant_as_often_as_it_says(rho, tests):
+    """White and correlated noise, which nothing states: 5 % of 1,000, within 4 deviations."""
+    columns, samples = smooth(600), 600
+    random = np.random.default_rng(5)
+    count = 0
+    for _ in range(400):
+        noise = np.zeros(samples)
+        steps = random.normal(size=samples) * np.sqrt(1 - rho**2)
+        noise[0] = random.normal()
+        for i in range(1, samples):
+            noise[i] = rho * noise[i - 1] + steps[i]
+        rest = projected([table(noise, columns[:, :2], columns[:, 2:])])
+        found = score(rest, list(range(tests)), [-np.inf] * tests, [np.inf] * tests)
+        count += found.p_value < 0.05
+    # Below the level is safe; by more than this above it is not.
+    assert 0.01 < count / 400 < 0.05 + 4 * np.sqrt(0.05 * 0.95 / 400)
+
+
+def test_gaps_and_runs_without_time():
+    """Unmeasured cells count for nothing; without time no cell has a neighbour."""
+    columns = smooth()
+    noise = np.random.default_rng(6).normal(size=200)
+    full = table(noise, columns[:, :2], columns[:, 2:3])
+    measured = full.measured.copy()
+    measured[50:90] = False
+    gappy = Table(
+        np.where(measured, full.residual, 0), measured,
+        full.fitted, full.own, full.asked, timed=True,
+    )  # fmt: skip
+    rest = projected([gappy])
+    kept = measured[:, 0]
+    y = noise[kept]
+    drop = squares(y, columns[kept, :2]) - squares(y, columns[kept, :3])
+    assert score(rest, [0], [-np.inf], [np.inf]).drop == pytest.approx(drop, rel=1e-9)
+    smoothly = np.cumsum(noise)
+    timed, static = (
+        score(
+            projected([table(smoothly, columns[:, :2], columns[:, 2:3], timed=timed)]),
+            [0], [-np.inf], [np.inf],
+        )
+        for timed in (True, False)
+    )  # fmt: skip
+    assert timed.drop == static.drop
+    assert timed.error[0] > 2 * static.error[0]
+
+
+def test_columns_that_the_fit_cannot_tell_apart_are_alike():
+    columns = smooth()
+    asked = np.stack([columns[:, 2], columns[:, 2] + columns[:, 1], columns[:, 3]], axis=-1)
+    rest = projected([table(np.ones(200), columns[:, :2], asked)])
+    assert alike(rest, [0], [1]) == pytest.approx(1, abs=1e-9)
+    assert alike(rest, [0], [2]) < 0.99

@@ -1,0 +1,193 @@
+"""Suspects against refits that really free them, on a model that compiles in a moment."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from curves import NOISE, TRUTH, OwnHeights, curve, recorded
+
+from giajax import InputError, fit, suspects
+from giajax.diagnosis import with_suspects
+from toy_model import Decay, run
+
+FREE = ["amplitude", "decay"]
+
+
+def fitted(recording, *, free=FREE, start=None, **options):
+    model = curve()
+    begin = {"amplitude": 1.5, "decay": 0.9} if start is None else start
+    return fit(model, recording, free=free, start=begin, check=False, **options)
+
+
+def chi_square(result):
+    return sum(c.n * (c.rmse / NOISE) ** 2 for r in result.runs for c in r.channels.values())
+
+
+@pytest.mark.parametrize(("path", "value"), [("offset", 0.105), ("shift[1]", 0.004), ("rub", 0.01)])
+def test_drop_and_estimate_are_those_of_a_refit(path, value):
+    name = path.partition("[")[0]
+    whole = [0.0, value, 0.0] if "[" in path else value
+    recording = recorded(**{name: whole})
+    result = fitted(recording)
+    row = suspects(result, recording).of(path)
+    start = {path: max(row.estimate, 1e-3)} if path == "rub" else {}
+    freed = fitted(recording, free=[*FREE, path], start={"amplitude": 1.5, "decay": 0.9, **start})
+    assert row.testable
+    assert row.chi_square_drop == pytest.approx(chi_square(result) - chi_square(freed), rel=0.05)
+    estimate = freed.parameters[path]
+    assert row.estimate == pytest.approx(estimate.value, rel=0.03)
+    assert row.estimate_error == pytest.approx(estimate.standard_error, rel=0.2)
+
+
+def test_what_the_fit_imitates_and_what_nothing_shows_is_not_testable():
+    recording = run(seed=1)
+    result = fit(Decay(), recording, check=False)
+    found = suspects(result, recording)
+    assert {row.path: row.note for row in found.untestable} == {
+        "twin": "what was fitted imitates it: only a ratio shows",
+        "idle": "no channel responds to it",
+    }
+    assert found.rows == found.untestable
+    assert found.of("twin").p_value is None
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_each_omission_comes_first(stated):
+    """A part that is off, one at its bound, a vector, a choice, and axes."""
+    omissions = {
+        "late": {"late": 0.05},
+        "rub": {"rub": 0.05},
+        "shift": {"shift": [0.02, -0.03, 0.02]},
+        "weights": {"weights": [1.05, 1.05]},
+        "wavy = true": {"wave": 0.04},
+    }
+    for name, values in omissions.items():
+        recording = recorded(noise=stated, seed=3, **values)
+        found = suspects(fitted(recording), recording)
+        first = found.promising[0]
+        assert first.path == name, [row.path for row in found.promising[:3]]
+        assert first.p_value < 1e-3
+        assert first.chi_square_drop > 30
+
+
+def test_a_choice_is_a_blend_between_its_two_sides():
+    recording = recorded(wave=0.05)
+    row = suspects(fitted(recording), recording).of("wavy = true")
+    assert (row.kind, row.value, row.unit) == ("switch", 0, "")
+    assert row.estimate == pytest.approx(1, abs=4 * row.estimate_error)
+    away = recorded(wave=-0.05)
+    assert suspects(fitted(away), away).of("wavy = true").chi_square_drop == 0
+
+
+def test_at_a_bound_only_what_leads_inwards_counts():
+    recording = recorded()
+    values = dict(recording.values)
+    values["tip_x"] = values["tip_x"] - 0.05 * np.tanh(recording.times - 2)
+    outwards = dataclasses.replace(recording, values=values)
+    row = suspects(fitted(outwards), outwards).of("rub")
+    assert (row.estimate, row.chi_square_drop, row.p_value) == (0, 0, 1)
+    assert row.note == "held at its bound: tested towards the inside, and the data lead outwards"
+
+
+def test_swapped_axes_are_found_from_where_the_fit_began():
+    recording = recorded()
+    swapped = {"tip_y": recording.values["tip_z"], "tip_z": recording.values["tip_y"]}
+    wrong = dataclasses.replace(recording, values={**recording.values, **swapped})
+    found = suspects(fitted(wrong, start={"amplitude": 1.9, "decay": 0.75}), wrong)
+    first = found.promising[0]
+    assert (first.path, first.kind) == ("axes: y and z swapped", "axes")
+    assert first.p_value < 1e-6
+    assert first.note == "with the values that the fit began with"
+    # Nothing of the sort where they are right, and no such test of one coordinate.
+    right = suspects(fitted(recording), recording)
+    assert [row.chi_square_drop for row in right.rows if row.kind == "axes"] == [0]
+    alone = recorded(channels=("tip_z",))
+    assert not [row for row in suspects(fitted(alone), alone).rows if row.kind == "axes"]
+
+
+def test_elements_of_an_array_one_by_one():
+    recording = recorded(weights=[1.05, 0.95])
+    result = fitted(recording)
+    together = suspects(result, recording)
+    assert together.of("weights").degrees_of_freedom == 1
+    each = suspects(result, recording, each=["weights"])
+    group = each.of("weights")
+    assert (group.kind, group.degrees_of_freedom) == ("group", 2)
+    assert np.allclose(group.estimate, [1.05, 0.95], atol=4 * max(group.estimate_error))
+    assert each.promising[0].path == "weights"
+    assert group.chi_square_drop > 4 * together.of("weights").chi_square_drop
+    assert each.asked == together.asked + 2
+
+
+def test_nothing_is_asked_for_where_the_model_is_right():
+    alarms = 0
+    for seed in range(20):
+        recording = recorded(seed=100 + seed)
+        found = suspects(fitted(recording), recording)
+        alarms += bool(found.significant)
+        assert found.chi_square == pytest.approx(found.values, rel=0.25)
+    assert alarms <= 4  # P(5 or more of 20 at 5 %) is 0.3 %
+
+
+def test_a_robust_loss_and_an_outlier():
+    recording = recorded(late=0.05)
+    values = recording.values["tip_x"].copy()
+    values[30] += 5
+    wild = dataclasses.replace(recording, values={**recording.values, "tip_x": values})
+    found = suspects(fitted(wild, loss="huber"), wild)
+    assert found.promising[0].path == "late"
+
+
+def test_several_runs_with_states_of_their_own():
+    """What each run has for itself imitates a part of what is asked for, as in a refit."""
+    short = recorded(late=0.05, seed=1, channels=("tip_y", "tip_z"))
+    rows = {name: values[:70] for name, values in short.values.items()}
+    runs = [
+        recorded(late=0.05, seed=2, offset=0.5, channels=("tip_y", "tip_z")),
+        dataclasses.replace(short, times=short.times[:70], values=rows),
+    ]
+    model = OwnHeights(curve())
+    start = {"amplitude": 1.5, "decay": 0.9}
+    result = fit(model, runs, free=FREE, start=start, check=False)
+    found = suspects(result, runs)
+    assert found.of("offset").note == "what was fitted imitates it: only a ratio shows"
+    assert found.promising[0].path == "late"
+    assert found.parameters == 4
+    freed = fit(
+        model, runs, free=[*FREE, "late"], start={**start, "late": 0.02}, check=False
+    )  # fmt: skip
+    row = found.promising[0]
+    assert row.chi_square_drop == pytest.approx(chi_square(result) - chi_square(freed), rel=0.05)
+    assert row.estimate == pytest.approx(freed.parameters["late"].value, rel=0.05)
+
+
+def test_a_result_carries_its_suspects_as_json():
+    recording = recorded(late=0.05)
+    asked = with_suspects(fitted(recording), recording)
+    stored = json.loads(asked.to_json())
+    assert stored["suspects"][0]["path"] == "late"
+    assert stored["suspects"][0]["chi_square_drop"] > 100
+    assert stored["suspects"][0]["estimate"] == pytest.approx(0.05, rel=0.1)
+    held = {row["path"] for row in stored["systematic"]}
+    # What is 0, free, or moves no fitted parameter is not among them.
+    assert held == {"offset", "twin"}
+
+
+def test_bad_input():
+    recording, other = recorded(), recorded(channels=("tip_z",))
+    result = fitted(recording)
+    with pytest.raises(InputError, match=r"not those of the result: give"):
+        suspects(result, other)
+    tied = dataclasses.replace(result, config={**result.config, "ties": {"offset": "twin"}})
+    with pytest.raises(InputError, match=r"the fit has ties, .*: fit without"):
+        suspects(tied, recording)
+    with pytest.raises(InputError, match=r"'offset' has no elements .*: name"):
+        suspects(result, recording, each=["offset"])
+    with pytest.raises(InputError, match=r"'wrong' has no elements .*: name"):
+        suspects(result, recording, each=["wrong"])
+
+
+def test_truth_is_not_where_the_fits_begin():
+    assert TRUTH["amplitude"] != 1.5
+    assert TRUTH["decay"] != 0.9
