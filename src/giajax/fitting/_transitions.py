@@ -17,7 +17,7 @@ from .._program import program
 from .._typing import Array
 from ._bijector import Bijector
 from ._configuration import Setup
-from ._group import build_groups, own_start
+from ._group import build_groups, own_begun
 from ._linearise import linearise
 from ._noise import Noise
 from ._problem import Prediction, Problem, residual
@@ -34,7 +34,7 @@ def begin(setup: Setup) -> FitState:
     model, parameters = setup.model, setup.parameters
     noise = Noise.of(setup.runs, setup.noise_model, per_run=setup.noise_per_run)
     groups = build_groups(model, setup.runs, noise, len(parameters))
-    own = own_start(groups, setup.runs, setup.own)
+    own = own_begun(groups, setup.runs, setup.own)
     bijector = Bijector(
         (*(p.declaration.lower for p in parameters), *(-np.inf for _ in own)),
         (*(p.declaration.upper for p in parameters), *(np.inf for _ in own)),
