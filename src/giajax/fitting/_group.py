@@ -12,6 +12,7 @@ from .._typing import Array, Float
 from ..models import AbstractModel
 from ..parameters import get
 from ..runs import Run
+from ._layout import Layout
 from ._noise import Noise
 from ._stack import stacked as _stack
 from ._whitening import Whitening
@@ -29,6 +30,7 @@ class Group(eqx.Module):
         members: positions of the runs in the list that was fitted.
         own: paths and sizes of the prepared inputs' parameters that are free in each run.
         first: position of the first of them in the free coordinate.
+        shared: by run, the position of its value of each of the model's free parameters.
     """
 
     inputs: Any
@@ -39,6 +41,7 @@ class Group(eqx.Module):
     members: tuple[int, ...] = eqx.field(static=True)
     own: tuple[tuple[str, int], ...] = eqx.field(static=True)
     first: int = eqx.field(static=True)
+    shared: tuple[tuple[int, ...], ...] = eqx.field(static=True)
 
     @property
     def width(self) -> int:
@@ -50,10 +53,9 @@ class Group(eqx.Module):
         count = len(self.members) * self.width
         return self.first + np.arange(count).reshape(len(self.members), self.width)
 
-    def own_values(self, coordinate: Float[Array, " parameter"]) -> Float[Array, "run own"]:
-        """Each run's own part of the free coordinate."""
-        count = len(self.members) * self.width
-        return coordinate[self.first : self.first + count].reshape(len(self.members), self.width)
+    def columns(self) -> np.ndarray:
+        """Positions in the whole of all that each run responds to, shape (run, shared + own)."""
+        return np.concatenate([np.asarray(self.shared, dtype=int), self.own_columns()], axis=1)
 
     def own_labels(self) -> list[str]:
         """Names of the coordinates that belong to one run, element by element."""
@@ -65,7 +67,7 @@ class Group(eqx.Module):
 
 
 def build_groups(
-    model: AbstractModel, runs: Sequence[Run], noise: Noise, shared: int
+    model: AbstractModel, runs: Sequence[Run], noise: Noise, layout: Layout
 ) -> tuple[Group, ...]:
     """Prepare runs and stack those with the same channels, padded to the longest of them.
 
@@ -73,7 +75,7 @@ def build_groups(
         model: prepares the runs.
         runs: what was recorded.
         noise: of the channels.
-        shared: number of free parameters of the model itself.
+        layout: of the free parameters of the model itself.
 
     Returns:
         The groups, in the order of their first runs.
@@ -89,7 +91,7 @@ def build_groups(
         key = (tuple(run.observations), structure, owns[index])
         members.setdefault(key, []).append(index)
     groups = []
-    first = shared
+    first = layout.size
     for (channels, _, own), indices in members.items():
         observed = [np.stack([runs[i].observations[c] for c in channels], -1) for i in indices]
         weight = [
@@ -106,6 +108,7 @@ def build_groups(
             members=tuple(indices),
             own=own,
             first=first,
+            shared=tuple(layout.of_runs[i] for i in indices),
         )
         first += len(indices) * group.width
         groups.append(group)
