@@ -90,7 +90,7 @@ def problem_of(runs, loss="linear"):
     model = OwnHeights()
     layout = Layout.of(["decay"], {}, len(runs))
     groups = build_groups(model, runs, Noise.of(runs, "correlated", per_run=False), layout)
-    own = own_start(groups, runs, {})
+    own = own_start(groups)
     bijector = Bijector((0.0, *(-np.inf for _ in own)), (9.0, *(np.inf for _ in own)))
     problem = Problem(model, groups, bijector, ("decay",), loss)
     coordinate = jnp.asarray(bijector.inverse(np.array([1.5, *own])))

@@ -215,9 +215,7 @@ def fit(
     """
     from ..runs import parse_rename
 
-    if resume is not None and (ended := finished(resume)) is not None:
-        sentence, status = ended
-        typer.echo(sentence, err=not quiet and as_json)
+    if resume is not None and (status := finished(resume, as_json, quiet)) is not None:
         raise typer.Exit(status)
     task = _task(definition, config, again, resume, bool(data)).on_top(
         data=data or None,

@@ -144,25 +144,35 @@ def _whitening(
     return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves), dtype=dtype), *parts)
 
 
-def own_start(
+def own_start(groups: Sequence[Group]) -> np.ndarray:
+    """Where the coordinates of the single runs start: as their runs were prepared."""
+    values = [
+        np.asarray(get(group.inputs, path)[row], dtype=float).ravel()
+        for group in groups
+        for row in range(len(group.members))
+        for path, _ in group.own
+    ]
+    return np.concatenate([np.empty(0), *values])
+
+
+def own_begun(
     groups: Sequence[Group], runs: Sequence[Run], begun: Mapping[str, Mapping[str, float]]
 ) -> np.ndarray:
-    """Where the coordinates of the single runs start: as their runs were prepared, or as begun.
+    """As `own_start`, apart from those that begin elsewhere.
 
     Arguments:
         groups: of the runs.
         runs: what is fitted to.
-        begun: other values, by the run's name and the name of the coordinate.
+        begun: their values, by the run's name and the name of the coordinate.
     """
-    values = [np.empty(0)]
+    own = own_start(groups)
+    shared = groups[0].first
     for group in groups:
-        for row, member in enumerate(group.members):
-            parts = [np.asarray(get(group.inputs, path)[row]).ravel() for path, _ in group.own]
-            prepared = np.concatenate([np.empty(0), *parts]).astype(float)
-            other = begun.get(runs[member].name, {})
-            pairs = zip(group.own_labels(), prepared, strict=True)
-            values.append(np.asarray([other.get(label, value) for label, value in pairs]))
-    return np.concatenate(values)
+        for member, columns in zip(group.members, group.own_columns(), strict=True):
+            values = begun.get(runs[member].name, {})
+            for label, column in zip(group.own_labels(), columns.tolist(), strict=True):
+                own[column - shared] = values.get(label, own[column - shared])
+    return own
 
 
 def _padded(arrays: Sequence[np.ndarray], length: int) -> Array:

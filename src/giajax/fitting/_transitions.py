@@ -17,7 +17,7 @@ from .._program import program
 from .._typing import Array
 from ._bijector import Bijector
 from ._configuration import Setup
-from ._group import build_groups, own_start
+from ._group import build_groups, own_begun
 from ._labels import coordinate_paths
 from ._linearise import linearise
 from ._noise import Noise
@@ -36,7 +36,7 @@ def begin(setup: Setup) -> FitState:
     model, parameters, layout = setup.model, setup.parameters, setup.layout
     noise = Noise.of(setup.runs, setup.noise_model, per_run=setup.noise_per_run)
     groups = build_groups(model, setup.runs, noise, layout)
-    own = own_start(groups, setup.runs, setup.own)
+    own = own_begun(groups, setup.runs, setup.own)
     # Each value of a parameter, of which there is one for all runs or one for each group of them.
     each = [p for p, places in zip(parameters, layout.places, strict=True) for _ in places]
     bijector = Bijector(

@@ -137,8 +137,8 @@ class Preparation:
 
         Returns:
             With systematic errors, where uncertainties are stated, and with suspects. The same
-            result where nothing is asked, where Ctrl-C ends it, or where the fit is of a kind
-            that cannot be asked.
+            result where nothing is asked, where Ctrl-C ends it, or of a fit that has parameters
+            which the tests do not know.
         """
         doubted = self.definition.fit.uncertainty
         try:
