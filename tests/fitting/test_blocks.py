@@ -52,6 +52,7 @@ class OwnHeights(AbstractModel):
     at_start = Decay.at_start
     derived = Decay.derived
     scene = Decay.scene
+    variants = Decay.variants
     conditions = Decay.conditions
     variants = Decay.variants
     definition = Decay.definition
