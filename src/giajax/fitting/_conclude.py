@@ -75,7 +75,7 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
         noise=_noise(state, known),
         verdict=verdict(state, status),
         derived=derived,
-        findings=findings(state, known, done.curvatures),
+        findings=findings(state, known, done.curvatures, _lengths(state)),
         correlation=_correlation(known, problem),
         runs=tuple(
             _run_fit(run, predicted, noise, own)
@@ -101,6 +101,16 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
     )
 
 
+def _lengths(state: FitState) -> list[tuple[str, float]]:
+    """How many correlation times of its slowest noise each run is long, where any has a memory."""
+    lengths = []
+    for run, noise in zip(state.setup.runs, state.noise.values, strict=True):
+        longest = max((each.time_s for each in noise.values()), default=0.0)
+        if longest and run.times is not None:
+            lengths.append((run.name, float(np.ptp(run.times)) / longest))
+    return lengths
+
+
 def _correlation(known: Statistics, problem: Problem) -> Correlation:
     """Correlations of what all runs share."""
     shared = {places[0] for places in problem.positions if len(places) == 1}
@@ -114,7 +124,7 @@ def _correlation(known: Statistics, problem: Problem) -> Correlation:
 def _note(state: FitState, known: Statistics) -> str:
     """What to add to the message about the residuals."""
     note = ""
-    if state.noise.estimated:
+    if state.noise.estimated and not state.noise.complete:
         note += "; the noise was estimated from the residuals where it was not stated"
     elif not state.noise.complete:
         note += (

@@ -15,6 +15,9 @@ from ._uncertainty import correlation_matrix, inverse_gram, reduced_chi_square, 
 # A parameter this close to its bound, in standard errors, is at it.
 _AT_BOUND = 0.1
 
+# And this close in its own size: what is undetermined ends anywhere, and is at no bound.
+_NEAR = 0.05
+
 
 @dataclasses.dataclass(frozen=True)
 class Statistics:
@@ -164,10 +167,11 @@ def _prior_shares(
 
 def _at_bounds(state: FitState, standard_errors: dict[int, float]) -> dict[int, str]:
     """The determined parameters that ended at a bound, and at which."""
-    bijector, values = state.problem.bijector, state.values()
+    bijector, values, sizes = state.problem.bijector, state.values(), state.sizes
     return {
         index: name
         for index, error in standard_errors.items()
         for name, bound in (("upper", bijector.upper[index]), ("lower", bijector.lower[index]))
-        if np.isfinite(error) and abs(values[index] - bound) < _AT_BOUND * error
+        if np.isfinite(error)
+        and abs(values[index] - bound) < min(_AT_BOUND * error, _NEAR * sizes[index])
     }
