@@ -9,9 +9,10 @@ module with a `Study`, and a line in `STUDIES`.
 """
 
 from ._coverage import COVERAGE
+from ._noise import NOISE
 from ._page import PAGE as PAGE, page as page
 from ._record import FOLDER as FOLDER, read as read, record as record, write as write
 from ._study import Study as Study
 from ._suspects import SUSPECTS
 
-STUDIES = {study.name: study for study in (COVERAGE, SUSPECTS)}
+STUDIES = {study.name: study for study in (COVERAGE, NOISE, SUSPECTS)}

@@ -64,6 +64,7 @@ from .diagnosis import (
 from .fitting import (
     ChannelFit as ChannelFit,
     Estimate as Estimate,
+    Finding as Finding,
     FitResult as FitResult,
     GradientCheck as GradientCheck,
     Marquardt as Marquardt,
@@ -118,6 +119,7 @@ from .models import (
     model_for as model_for,
 )
 from .parameters import declared as declared, get as get, replace as replace
+from .quantities import Prior as Prior
 from .report import (
     draw_scene as draw_scene,
     parameter_table as parameter_table,

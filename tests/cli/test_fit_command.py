@@ -94,8 +94,9 @@ def test_every_key_of_the_result(fitted):
     for path, estimate in record["parameters"].items():
         assert set(estimate) == {
             "value", "standard_error", "unit", "lower", "upper", "free", "remark",
-            "interval", "freedom", "sandwich_error",
+            "interval", "freedom", "sandwich_error", "prior_share",
         }  # fmt: skip
+        assert estimate["prior_share"] is None
         assert estimate["free"] == (path in TRUTH)
         assert isinstance(estimate["unit"], str)
         assert isinstance(estimate["remark"], str)
@@ -128,6 +129,8 @@ def test_every_key_of_the_result(fitted):
     assert record["tolerance_effect"]["largest_in_standard_errors"] < 0.1
     assert all(isinstance(record["seconds"][key], number) for key in ("compile", "run"))
     assert {"python", "giajax", "jax", "diffrax"} <= set(record["versions"])
+    for finding in record["findings"]:
+        assert set(finding) == {"code", "paths", "sentence", "advice"}
     config = record["config"]
     assert config["free"] == [path for path in record["parameters"] if path in TRUTH]
     assert config["start"] == START

@@ -16,6 +16,7 @@ from giajax import Run, fit, pendulum
 from giajax.fitting._bijector import Bijector
 from giajax.fitting._group import build_groups, own_start
 from giajax.fitting._jacobian import BlockJacobian
+from giajax.fitting._layout import Layout
 from giajax.fitting._linearise import linearise
 from giajax.fitting._noise import Noise
 from giajax.fitting._problem import Problem, residual
@@ -86,7 +87,8 @@ def recording(index, *, free=True, samples=40):
 
 def problem_of(runs, loss="linear"):
     model = OwnHeights()
-    groups = build_groups(model, runs, Noise.of(runs, "correlated", per_run=False), 1)
+    layout = Layout.of(["decay"], {}, len(runs))
+    groups = build_groups(model, runs, Noise.of(runs, "correlated", per_run=False), layout)
     own = own_start(groups)
     bijector = Bijector((0.0, *(-np.inf for _ in own)), (9.0, *(np.inf for _ in own)))
     problem = Problem(model, groups, bijector, ("decay",), loss)
@@ -124,7 +126,7 @@ def test_no_run_is_differentiated_by_the_parameters_of_another():
     problem, coordinate = problem_of([recording(index)[0] for index in range(12)])
     assert problem.size == 1 + 12 * 3
     _, blocks, *_ = jax.eval_shape(linearise, coordinate, problem)
-    assert [block.shape for block in blocks] == [(12, 40, 4)]
+    assert [block.shape for block in blocks] == [(12, 40, 4), (0,)]
     # Nothing in the whole program has the rows of all runs and the columns of all parameters.
     program = str(jax.make_jaxpr(linearise)(coordinate, problem))
     shapes = [

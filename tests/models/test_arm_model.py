@@ -13,6 +13,8 @@ from giajax import InputError, Run
 from giajax.fitting import fit
 from giajax.fitting._bijector import Bijector
 from giajax.fitting._group import build_groups
+from giajax.fitting._layout import Layout
+from giajax.fitting._noise import Noise
 from giajax.fitting._problem import Problem, residual
 from giajax.models import ArmModel, arm_to_definition, build_model, model_for, parameter_values
 
@@ -149,9 +151,13 @@ def test_the_residual_differentiates_as_differences_say(run):
     """Per parameter, at the start and from rest: the arm is straight and still at first."""
     model = giajax.replace(model_for([run]), START).refined(1e-4)
     bijector = Bijector((0.0,) * 4, (50.0, 1e3, 1e4, 1e2))
-    sigmas = [dict.fromkeys(run.observations, 0.005)]
+    noise = Noise.of([run], "white", per_run=False)
     problem = Problem(
-        model, build_groups(model, [run], sigmas, 4), bijector, tuple(START), "soft_l1"
+        model,
+        build_groups(model, [run], noise, Layout.of(tuple(START), {}, 1)),
+        bijector,
+        tuple(START),
+        "soft_l1",
     )
     coordinate = jnp.asarray(bijector.inverse(np.array(list(START.values()))))
 
@@ -177,8 +183,8 @@ def test_padding_a_run_changes_nothing(run):
         run, times=run.times[:40], values={name: v[:40] for name, v in run.values.items()}
     )
     model = truth_model()
-    sigmas = [dict.fromkeys(run.observations, 1.0)] * 2
-    (group,) = build_groups(model, [run, cut], sigmas, 0)
+    noise = Noise.of([run, cut], "white", per_run=False)
+    (group,) = build_groups(model, [run, cut], noise, Layout.of((), {}, 2))
     stacked = jax.vmap(lambda inputs: model.predict(inputs, group.channels)[0])(group.inputs)
     alone = giajax.predict(model, cut)
     for name in alone:

@@ -81,6 +81,7 @@ def test_the_summary_of_what_is_missing_says_so(result):
         gradient_check=None,
         tolerance_effect=None,
         correlation=Correlation(),
+        findings=(),
         runs=(RunFit("r", None, None, {"output": ChannelFit("", None, 3, 1.0)}),),
     )
     text = summary(bare)

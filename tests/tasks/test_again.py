@@ -289,12 +289,12 @@ def test_an_end_on_a_bound_can_be_begun_from():
         set_up(Decay(), recording, begin=Beginning("decay", {"mass": 1.0}))
 
 
-def test_a_fit_from_an_end_is_there_at_once():
+def test_a_fit_from_an_end_is_sooner_there():
     first = fit(Decay(), run(), start=START_OF_DECAY, check=False)
     values = {path: estimate.value for path, estimate in first.free.items()}
     again = solve(set_up(Decay(), run(), begin=Beginning("decay", values)), check=False)
-    assert again.iterations <= 1 < first.iterations
-    assert again.history[0].cost == pytest.approx(first.cost, rel=1e-12)
+    assert again.history[0].parameters == pytest.approx(values, rel=1e-12)
+    assert again.iterations < first.iterations
 
 
 @pytest.mark.slow
@@ -313,7 +313,7 @@ def test_initial_states_of_runs_are_begun_from_by_name(tmp_path):
         "run": {path: item.value for path, item in first.runs[0].parameters.items()}
     }
     second = again.run(check=False)
-    assert second.history[0].cost == pytest.approx(first.cost, rel=1e-6)
+    assert second.history[0].cost == pytest.approx(first.cost, rel=0.05)
     for path in TRUTH:
         before, after = first.parameters[path], second.parameters[path]
         assert abs(after.value - before.value) < 0.1 * before.standard_error

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ._fit_run import finished, run_fit
+from ._fit_values import bounds as limits, groups, priors, ties
 from ._values import plain_settings
 
 if TYPE_CHECKING:
@@ -20,6 +21,9 @@ Examples:
   giajax fit --data run.csv --start air.drag_coefficient=0.8 --loss huber
   giajax fit --data a.csv --data b.csv --fix joints.damping=0.05 --out both
   giajax fit --data run.csv --free joints.damping --free "links.mass[19]"
+  giajax fit --data run.csv --free links.mass --tie "links.mass=links.mass[0]"
+  giajax fit --data a.csv --data b.csv --per-run camera.delay \\
+      --prior camera.delay=0+-0.05 --bounds joints.damping=0.01,1
   giajax fit definition.toml --force
   giajax fit long.toml --budget 2h
   giajax fit --resume giajax-out/long
@@ -72,6 +76,36 @@ def fit(
         list[str] | None,
         typer.Option(
             metavar="PATH=VALUE", help="Standard deviation of a held parameter. Repeatable."
+        ),
+    ] = None,
+    prior: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PATH=VALUE+-DEVIATION",
+            help="What is known of a parameter before; PATH=VALUEx/FACTOR is log-normal. "
+            "Repeatable.",
+        ),
+    ] = None,
+    bounds: Annotated[
+        list[str] | None,
+        typer.Option(metavar="PATH=LOW,HIGH", help="Bounds of a parameter. Repeatable."),
+    ] = None,
+    tie: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PATH=EXPRESSION",
+            help="Let a parameter follow from others, as in links.mass=links.mass[0]. Repeatable.",
+        ),
+    ] = None,
+    per_run: Annotated[
+        list[str] | None,
+        typer.Option(metavar="PATH", help="Fit a value of it for each run. Repeatable."),
+    ] = None,
+    group: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PATH=RUN,RUN",
+            help="Fit a value of it that these runs share. Repeat it for each group.",
         ),
     ] = None,
     channels: Annotated[
@@ -185,9 +219,7 @@ def fit(
     """
     from ..runs import parse_rename
 
-    if resume is not None and (ended := finished(resume)) is not None:
-        sentence, status = ended
-        typer.echo(sentence, err=not quiet and as_json)
+    if resume is not None and (status := finished(resume, as_json, quiet)) is not None:
         raise typer.Exit(status)
     task = _task(definition, config, again, resume, bool(data)).on_top(
         data=data or None,
@@ -195,6 +227,11 @@ def fit(
         start=plain_settings(start, "--start"),
         fix=plain_settings(fix, "--fix"),
         uncertainty=plain_settings(uncertainty, "--uncertainty"),
+        priors=priors(prior),
+        bounds=limits(bounds),
+        ties=ties(tie),
+        per_run=per_run or None,
+        groups=groups(group),
         channels=channels or None,
         window_s=window,
         starts=starts,

@@ -20,20 +20,33 @@ _STATUS = {"converged": 0, "not_converged": 1}
 _INADEQUATE = 3
 
 
-def finished(folder: Path) -> tuple[str, int] | None:
-    """A sentence on a fit that has ended, of which nothing is left to go on with, and its status.
+def finished(folder: Path, as_json: bool, quiet: bool) -> int | None:
+    """Say of a fit that has ended that there is nothing to go on with.
 
-    None where there is a journal, or nothing.
+    Arguments:
+        folder: to be gone on with.
+        as_json, quiet: the options of these names.
+
+    Returns:
+        The status with which it ended; None where there is a journal, or no such result.
     """
     from ..tasks import read_journal, stored_result
 
-    if read_journal(folder) is not None or not (folder / "result.json").exists():
+    path = folder / "result.json"
+    if read_journal(folder) is not None or not path.exists():
         return None
-    _, record = stored_result(folder)
+    _, record = stored_result(path)
     if record["status"] not in _STATUS:
         return None
-    sentence = f"the fit in {folder} has ended, and there is nothing to go on with: "
-    return sentence + str(record["message"]), _STATUS[record["status"]]
+    if as_json:
+        typer.echo(path.read_text(encoding="utf-8"), nl=False)
+    if not quiet:
+        typer.echo(
+            f"the fit in {folder} has ended, and there is nothing to go on with: "
+            f"{record['message']}",
+            err=as_json,
+        )
+    return _STATUS[record["status"]]
 
 
 def run_fit(

@@ -1,5 +1,7 @@
 """From an unbounded coordinate to a parameter within its bounds, and back."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -21,9 +23,11 @@ class Bijector(eqx.Module):
     lower: tuple[float, ...] = eqx.field(static=True)
     upper: tuple[float, ...] = eqx.field(static=True)
 
-    def part(self, count: int) -> "Bijector":
-        """The map of the first parameters alone."""
-        return Bijector(self.lower[:count], self.upper[:count])
+    def at(self, columns: Sequence[int] | np.ndarray) -> "Bijector":
+        """The map of some of the parameters, by their positions."""
+        return Bijector(
+            tuple(self.lower[i] for i in columns), tuple(self.upper[i] for i in columns)
+        )
 
     def _kinds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         lower, upper = np.asarray(self.lower), np.asarray(self.upper)

@@ -1,10 +1,11 @@
-"""Checks at the end of a fit: its derivatives, and what a finer tolerance would change."""
+"""Checks at the end of a fit: its derivatives, a finer tolerance, and how straight it all is."""
 
 import dataclasses
 from typing import NamedTuple
 
 import numpy as np
 
+from ._curvature import Curvature, curvatures
 from ._records import GradientCheck, Shift, ToleranceEffect, finite_or_none
 from ._state import FitState
 from ._statistics import Statistics
@@ -18,22 +19,25 @@ _FINER = 1e-3
 
 
 class Checks(NamedTuple):
-    """Both checks, None where one could not be done, and whether Ctrl-C came between."""
+    """All checks, None or nothing where one could not be done, and whether Ctrl-C came between."""
 
     gradient: GradientCheck | None
     tolerance: ToleranceEffect | None
+    curvatures: dict[int, Curvature]
     interrupted: bool
 
 
 def checks(state: FitState, statistics: Statistics) -> Checks:
-    """Both checks of a fit; it is done, and worth keeping, when Ctrl-C comes here."""
+    """The checks of a fit; it is done, and worth keeping, when Ctrl-C comes here."""
     gradient = tolerance = None
+    bent: dict[int, Curvature] = {}
     try:
         gradient = gradient_check(state, statistics)
         tolerance = tolerance_effect(state, statistics)
+        bent = curvatures(state, statistics)
     except KeyboardInterrupt:
-        return Checks(gradient, tolerance, interrupted=True)
-    return Checks(gradient, tolerance, interrupted=False)
+        return Checks(gradient, tolerance, bent, interrupted=True)
+    return Checks(gradient, tolerance, bent, interrupted=False)
 
 
 def gradient_check(state: FitState, statistics: Statistics) -> GradientCheck | None:
@@ -74,13 +78,12 @@ def gradient_check(state: FitState, statistics: Statistics) -> GradientCheck | N
     relative = np.linalg.norm(by_autodiff - by_difference) / np.linalg.norm(by_autodiff)
     if not np.isfinite(relative):
         return None
+    known = statistics.labels[: problem.shared]
     return GradientCheck(
         relative_difference=float(relative),
-        direction=dict(zip(problem.paths, direction.tolist(), strict=False)),
+        direction=dict(zip(known, direction.tolist(), strict=False)),
         step=offset,
-        left_out=tuple(
-            path for path, there in zip(problem.paths, takes_part, strict=False) if not there
-        ),
+        left_out=tuple(path for path, there in zip(known, takes_part, strict=False) if not there),
     )
 
 

@@ -8,12 +8,12 @@ from importlib.metadata import version
 import numpy as np
 
 from ..noise import ChannelNoise, gains
-from ..parameters import replace
 from ..runs import Run
 from ._checks import Checks, checks
-from ._derived import derived_estimates
+from ._derived import derived_estimates, with_tied
 from ._estimates import estimates, own_estimates
-from ._problem import predictions_by_run
+from ._findings import findings
+from ._problem import Problem, predictions_by_run
 from ._records import (
     ChannelFit,
     Correlation,
@@ -48,17 +48,22 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
         raise ValueError("the fit has not ended: call `descend` first")
     status, message = state.ending
     setup, problem = state.setup, state.problem
-    model = replace(problem.model, state.parameters())
+    model = problem.with_values(np.asarray(list(state.parameters().values())))
     known = statistics(state)
-    done = Checks(None, None, interrupted=False)
+    derived = derived_estimates(problem, known)
+    done = Checks(None, None, {}, interrupted=False)
     if check and status != "interrupted" and np.any(np.asarray(state.active)):
         done = checks(state, known)
     if done.interrupted:
         status = "interrupted"
         message += ", then interrupted before its result was checked"
     predictions = predictions_by_run(problem, state.inner.aux, setup.runs)
-    paths, active = list(problem.paths), np.asarray(state.active)
-    moved = [path for path, on in zip(paths, active, strict=False) if on]
+    active = np.asarray(state.active)
+    moved = [
+        path
+        for path, places in zip(problem.paths, problem.positions, strict=True)
+        if np.any(active[list(places)])
+    ]
     compiling = state.step_seconds[0] - float(np.median(state.step_seconds[1:] or [0.0]))
     compiling = max(compiling, 0.0)
     elapsed = time.perf_counter() - began
@@ -66,11 +71,12 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
         status=status,
         message=message + _note(state, known),
         model=model,
-        parameters=estimates(state, known, model),
+        parameters=with_tied(estimates(state, known, model), derived, problem.ties),
         noise=_noise(state, known),
         verdict=verdict(state, status),
-        derived=derived_estimates(model, paths, known.alive, known.root, known.covariance),
-        correlation=_correlation(known, paths),
+        derived=derived,
+        findings=findings(state, known, done.curvatures),
+        correlation=_correlation(known, problem),
         runs=tuple(
             _run_fit(run, predicted, noise, own)
             for run, predicted, noise, own in zip(
@@ -95,12 +101,13 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
     )
 
 
-def _correlation(known: Statistics, paths: list[str]) -> Correlation:
-    """Correlations of the model's parameters, those of single runs left out."""
-    rows = [row for row, index in enumerate(known.determined) if index < len(paths)]
+def _correlation(known: Statistics, problem: Problem) -> Correlation:
+    """Correlations of what all runs share."""
+    shared = {places[0] for places in problem.positions if len(places) == 1}
+    rows = [row for row, index in enumerate(known.determined) if index in shared]
     matrix = known.correlation[np.ix_(rows, rows)].tolist()
     return Correlation(
-        tuple(paths[known.determined[row]] for row in rows), tuple(map(tuple, matrix))
+        tuple(known.labels[known.determined[row]] for row in rows), tuple(map(tuple, matrix))
     )
 
 

@@ -1,6 +1,6 @@
 """What a fit is asked: checked and resolved before anything is evaluated.
 
-The file is longer than 200 lines because all that can be wrong with a question is looked at here.
+The file is longer than 200 lines because the arguments of a fit and its configuration are one list.
 """
 
 import dataclasses
@@ -12,20 +12,16 @@ import numpy.typing as npt
 
 from .._errors import InputError
 from ..models import AbstractModel
-from ..parameters import (
-    Parameter,
-    check_count,
-    check_within_bounds,
-    default_free,
-    elements,
-    get,
-    replace,
-    switched_on,
-)
+from ..parameters import Parameter, get, replace
+from ..quantities import Prior
 from ..runs import Run, run_keys
-from ._beginning import Beginning, inside_bounds
+from ._beginning import Beginning, between
+from ._free import Free, resolve
+from ._layout import Layout, sharing
 from ._loss import check_loss
 from ._noise import NOISE_MODELS, NoiseModel
+from ._priors import checked_priors
+from ._ties import Tie, tied
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,7 +31,8 @@ class Setup:
     Attributes:
         model: with the start values and what is fixed.
         runs: what is fitted to.
-        parameters: the scalar parameters to fit, apart from those of single runs.
+        parameters: the scalar parameters to fit, apart from those of single runs; each declares
+            the bounds of this fit.
         unstarted: paths of those that have no start of the caller's.
         loss: how a large residual counts.
         noise_model: "correlated" or "white".
@@ -44,6 +41,10 @@ class Setup:
             that is not as the run is prepared.
         config: the same as plain data, `config` of the result: two fits of the same data with
             the same one have the same result.
+        priors: what is known of parameters before, by the path of an element.
+        ties: parameters that follow from others, in their order.
+        groups: by path of an element, the runs (by position) that share a value of it; what is
+            not in it, all runs share.
     """
 
     model: AbstractModel
@@ -55,15 +56,36 @@ class Setup:
     noise_per_run: bool
     config: dict[str, Any]
     own: Mapping[str, Mapping[str, float]] = dataclasses.field(default_factory=dict)
+    priors: Mapping[str, Prior] = dataclasses.field(default_factory=dict)
+    ties: tuple[Tie, ...] = ()
+    groups: Mapping[str, tuple[tuple[int, ...], ...]] = dataclasses.field(default_factory=dict)
+
+    @property
+    def layout(self) -> Layout:
+        """Where the values of the parameters stand in the free coordinate."""
+        return Layout.of([p.path for p in self.parameters], self.groups, len(self.runs))
+
+    def starts(self) -> list[float]:
+        """Start values of the parameters, where they stand in the free coordinate."""
+        starts = [0.0] * self.layout.size
+        for column, parameter in enumerate(self.parameters):
+            value, path = float(parameter.value(self.model)), parameter.path
+            bounds = parameter.declaration.lower, parameter.declaration.upper
+            for run, places in zip(self.runs, self.layout.of_runs, strict=True):
+                # Where another fit had a value for each group of runs, each begins at its own.
+                known = self.own.get(run.name, {}) if path in self.groups else {}
+                starts[places[column]] = between(known[path], *bounds) if path in known else value
+        return starts
 
     def at_start(self) -> Self:
         """With the model where the fit may start (`AbstractModel.at_start`)."""
-        model = self.model.at_start(self.runs, self.unstarted)
+        model = tied(self.model.at_start(self.runs, self.unstarted), self.ties)
         return dataclasses.replace(self, model=model, unstarted=())
 
     def started_at(self, values: Mapping[str, float]) -> Self:
         """With other start values of the parameters to fit, by path."""
-        return dataclasses.replace(self, model=replace(self.model, values), unstarted=())
+        model = tied(replace(self.model, values), self.ties)
+        return dataclasses.replace(self, model=model, unstarted=())
 
 
 def set_up(
@@ -78,6 +100,11 @@ def set_up(
     noise_per_run: bool = False,
     solver: str | None = None,
     tolerance: float | None = None,
+    priors: Mapping[str, Prior] | None = None,
+    bounds: Mapping[str, Sequence[float]] | None = None,
+    ties: Mapping[str, str] | None = None,
+    per_run: Sequence[str] = (),
+    groups: Mapping[str, Sequence[Sequence[str]]] | None = None,
     begin: Beginning | None = None,
 ) -> Setup:
     """Check and resolve the arguments of a fit, without evaluating the model.
@@ -85,6 +112,7 @@ def set_up(
     Arguments:
         model, runs, free, start, fix, loss, noise_model, noise_per_run, solver, tolerance: as of
             `fit`.
+        priors, bounds, ties, per_run, groups: as of `fit`.
         begin: where another fit ended, which goes before `start`; `fix` goes before both.
 
     Returns:
@@ -107,31 +135,53 @@ def set_up(
     _check_doubles(runs)
     if solver is not None or tolerance is not None:
         model = model.with_integration(solver=solver, tolerance=tolerance)
-    reached = {} if begin is None else begin.values_for(model)
-    model, parameters = _resolved(model, free, start, fix, reached)
-    _check_determined(model, runs, parameters)
-    begun = {e.path for path in (*reached, *start) for e in elements(model, path)}
+    known = checked_priors(priors or {})
+    shared = sharing(runs, per_run, groups or {})
+    asked = resolve(
+        model,
+        runs,
+        free,
+        start,
+        fix,
+        reached={} if begin is None else begin.values_for(model),
+        priors=known,
+        bounds=bounds or {},
+        ties=ties or {},
+        groups=shared,
+    )
+    _check_determined(asked, runs)
+    limits = {
+        "priors": {path: prior.contents() for path, prior in known.items()},
+        "bounds": {path: [float(bound) for bound in pair] for path, pair in (bounds or {}).items()},
+        "ties": dict(ties or {}),
+        "groups": shared,
+    }
     return Setup(
-        model=model,
+        model=asked.model,
         runs=runs,
-        parameters=tuple(parameters),
-        unstarted=tuple(p.path for p in parameters if p.path not in begun),
+        parameters=asked.parameters,
+        unstarted=tuple(p.path for p in asked.parameters if p.path not in asked.begun),
         loss=loss,
         noise_model=noise_model,
         noise_per_run=noise_per_run,
         config={
-            "definition": model.definition(),
+            "definition": asked.model.definition(),
             "runs": [_about(run) for run in runs],
-            "free": [parameter.path for parameter in parameters],
+            "free": [parameter.path for parameter in asked.parameters],
             "start": start,
             "fix": fix,
             "loss": loss,
             "noise_model": noise_model,
             "noise_per_run": noise_per_run,
-            **_integration(model),
+            **_integration(asked.model),
+            # What a fit does not have, its configuration does not mention.
+            **{name: value for name, value in limits.items() if value},
             **({} if begin is None else {"begin": dataclasses.asdict(begin)}),
         },
         own={} if begin is None else begin.own,
+        priors=asked.priors,
+        ties=asked.ties,
+        groups=asked.groups,
     )
 
 
@@ -160,18 +210,16 @@ def _about(run: Run) -> dict[str, Any]:
     return about
 
 
-def _check_determined(
-    model: AbstractModel, runs: Sequence[Run], parameters: Sequence[Parameter]
-) -> None:
+def _check_determined(asked: Free, runs: Sequence[Run]) -> None:
     """Refuse a fit of nothing, and one of more parameters than there are values."""
-    count = len(parameters)
+    count = sum(len(asked.groups.get(p.path, [runs])) for p in asked.parameters)
     for run in runs:
-        inputs = model.prepare(run)
-        count += sum(get(inputs, path).size for path in model.free_inputs(run))
+        inputs = asked.model.prepare(run)
+        count += sum(get(inputs, path).size for path in asked.model.free_inputs(run))
     measured = sum(int(np.sum(~np.isnan(v))) for run in runs for v in run.observations.values())
     if not count:
         raise InputError("no parameter is free: free at least one")
-    if measured <= count:
+    if measured + len(asked.priors) <= count:
         raise InputError(
             f"{measured} measured values cannot determine {count} parameters and their "
             "standard errors: free fewer parameters or give a longer run"
@@ -191,41 +239,3 @@ def _check_doubles(runs: Sequence[Run]) -> None:
                 f"'{seen[part]}' and '{run.path}' are the same recording: give it once"
             )
         seen[part] = str(run.path)
-
-
-def _resolved(
-    model: AbstractModel,
-    free: Sequence[str] | None,
-    start: Mapping[str, npt.ArrayLike],
-    fix: Mapping[str, npt.ArrayLike],
-    reached: Mapping[str, Any],
-) -> tuple[AbstractModel, list[Parameter]]:
-    """The model with starts and fixed values, and the scalar parameters to fit."""
-    model = switched_on(model, (*reached, *start, *fix, *(free or ())))
-    for path, value in (*start.items(), *fix.items()):
-        check_count(model, path, value)
-    for path in set(start) & set(fix):
-        raise InputError(f"'{path}' has a start and a fixed value: give one of them")
-    chosen = default_free(model, start) if free is None else free
-    for values in (start, reached, fix):
-        model = replace(model, values)
-    fixed = {element.path for path in fix for element in elements(model, path)}
-    parameters: dict[str, Parameter] = {}
-    for path in chosen:
-        for element in elements(model, path):
-            if element.path not in fixed:
-                parameters[element.path] = element
-            elif free is not None:
-                raise InputError(f"'{element.path}' is both free and fixed: give one of them")
-    for path in fix:
-        for element in elements(model, path):
-            check_within_bounds(element, float(element.value(model)), free=False)
-    if reached:
-        # A fit may end on a bound, where none can start.
-        model = replace(model, inside_bounds(model, reached, parameters))
-    for element in parameters.values():
-        check_within_bounds(element, float(element.value(model)), free=True)
-    for path in start:
-        for element in elements(model, path):
-            check_within_bounds(element, float(element.value(model)), free=False)
-    return model, list(parameters.values())

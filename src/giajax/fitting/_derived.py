@@ -6,70 +6,122 @@ that leave every residual unchanged; then any generalised inverse of J^T J gives
 (C. R. Rao, "Linear Statistical Inference", 2nd ed., 1973, section 4a).
 """
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from .._typing import Array
 from ..models import AbstractModel
-from ..parameters import get, replace
+from ..parameters import Declaration, find, get
 from ._identifiability import COLLINEAR
+from ._problem import Problem
 from ._records import Estimate, finite_or_none
+from ._statistics import Statistics
+from ._ties import Tie
 
 # Part of a gradient in undetermined directions that is rounding of the Jacobian.
 _ROUNDING = 1e-5
 
 
-def derived_estimates(
-    model: AbstractModel,
-    paths: Sequence[str],
-    alive: np.ndarray,
-    jacobian: np.ndarray,
-    covariance: np.ndarray,
-) -> dict[str, Estimate]:
-    """Estimates of the model's derived quantities that depend on fitted parameters.
+def derived_estimates(problem: Problem, statistics: Statistics) -> dict[str, Estimate]:
+    """Estimates of what follows from the fitted parameters.
 
     Arguments:
-        model: at the optimum.
-        paths: the free parameters that are shared by all runs.
-        alive: those that the residuals respond to, by position; from the number of the shared
-            ones on they belong to single runs, and nothing is derived from them.
-        jacobian: weighted residuals by them, or the R of its QR factorisation.
-        covariance: of them, from any generalised inverse, shape (alive, alive).
+        problem: what was minimised.
+        statistics: of the fit.
 
     Returns:
-        By name; empty where nothing depends on a free parameter that responds.
+        The tied parameters by path, element by element where these differ, and by name the
+        derived quantities of the model that depend on a parameter which responds. Of what has a
+        value for each group of runs, the mean counts.
     """
-    names = [paths[i] for i in alive if i < len(paths)]
-    if not names or not model.derived():
+    count = problem.shared
+    values = jnp.asarray(statistics.values[:count], dtype=jnp.result_type(float))
+    model = problem.with_values(problem.means(values))
+    units = {name: quantity.unit for name, quantity in model.derived().items()}
+    followers = _followers(model, problem.ties)
+    if not units and not followers:
         return {}
-    own = np.zeros(len(alive) - len(names))
-    values = {path: get(model, path) for path in names}
 
-    def quantities(values: Mapping[str, Array]) -> dict[str, Array]:
-        return {name: d.value for name, d in replace(model, values).derived().items()}
+    def quantities(values: Array) -> dict[str, Array]:
+        model = problem.with_values(problem.means(values))
+        tied = {path: get(model, part) for path, (part, _) in followers.items()}
+        return {**tied, **{name: d.value for name, d in model.derived().items()}}
 
-    slopes = jax.jacfwd(quantities)(values)
-    norms = np.linalg.norm(jacobian, axis=0)
-    _, singular, right = np.linalg.svd(np.linalg.qr(jacobian / norms, mode="r"))
-    loose = right[singular < COLLINEAR * singular[0]]
+    at, slopes = quantities(values), jax.jacfwd(quantities)(values)
+    norms, loose = _loose(statistics.root)
+    alive = statistics.alive[statistics.alive < count]
     estimates = {}
-    for name, quantity in model.derived().items():
-        slope = np.concatenate([[float(slopes[name][path]) for path in names], own])
-        if not np.any(slope):
+    for name, value in at.items():
+        slope = np.zeros(len(statistics.alive))
+        slope[: len(alive)] = np.asarray(slopes[name], dtype=float)[alive]
+        if not np.any(slope) and name in units:
             continue
         along = loose @ (slope / norms)
         determined = np.linalg.norm(along) <= _ROUNDING * np.linalg.norm(slope / norms)
-        error = float(np.sqrt(slope @ covariance @ slope)) if determined else None
-        others = ", ".join(path for path, part in zip(names, slope, strict=False) if part)
+        error = float(np.sqrt(slope @ statistics.covariance @ slope)) if determined else None
+        others = ", ".join(statistics.labels[i] for i in statistics.alive[slope != 0])
+        said = f"follows from {others}" if determined else f"not determined by {others}"
+        declaration = Declaration(0.0, unit=units.get(name, ""), doc=name)
+        if name in followers:
+            part, tie = followers[name]
+            declaration = find(model, part).declaration
+            said = f"tied: {tie.expression.text}" + ("" if determined else f"; {said}")
         estimates[name] = Estimate(
-            value=float(quantity.value),
-            standard_error=finite_or_none(error),
-            unit=quantity.unit,
-            lower=None,
-            upper=None,
+            value=float(value),
+            standard_error=finite_or_none(error if np.any(slope) else None),
+            unit=declaration.unit,
+            lower=finite_or_none(declaration.lower),
+            upper=finite_or_none(declaration.upper),
             free=True,
-            remark=f"follows from {others}" if determined else f"not determined by {others}",
+            remark=said,
         )
     return estimates
+
+
+def with_tied(
+    estimates: dict[str, Estimate], derived: Mapping[str, Estimate], ties: Sequence[Tie]
+) -> dict[str, Estimate]:
+    """The estimates of parameters, in which the tied ones have the errors that follow for them.
+
+    Arguments:
+        estimates: by path.
+        derived: what follows from the free parameters, the tied ones among it.
+        ties: of the fit.
+    """
+    tied = {tie.path: tie.expression.text for tie in ties if tie.path in estimates}
+    remarked = {
+        path: dataclasses.replace(estimates[path], remark=f"tied: {text}")
+        for path, text in tied.items()
+    }
+    single = {
+        path: dataclasses.replace(derived[path], free=False)
+        for path in tied
+        if path in derived and not isinstance(estimates[path].value, list)
+    }
+    return {**estimates, **remarked, **single}
+
+
+def _loose(root: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Norms of the columns of R, and the directions of the normalised ones that show nowhere."""
+    norms = np.linalg.norm(root, axis=0)
+    if not len(norms):
+        return norms, np.zeros((0, 0))
+    _, singular, right = np.linalg.svd(np.linalg.qr(root / norms, mode="r"))
+    return norms, right[singular < COLLINEAR * singular[0]]
+
+
+def _followers(model: AbstractModel, ties: Sequence[Tie]) -> dict[str, tuple[str, Tie]]:
+    """By the name to show, the path of a tied parameter or element, and its tie.
+
+    Elements that are tied to the same value are one.
+    """
+    followers: dict[str, tuple[str, Tie]] = {}
+    for tie in ties:
+        same = len({float(get(model, part)) for part in tie.elements}) == 1
+        shown = [(tie.path, tie.elements[0])] if same else [(p, p) for p in tie.elements]
+        followers |= {name: (part, tie) for name, part in shown}
+    return followers

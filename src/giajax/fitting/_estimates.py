@@ -1,5 +1,7 @@
 """Estimates of the parameters: value, standard error, and what a reader must know of them."""
 
+from typing import Any
+
 import numpy as np
 from scipy.special import stdtrit
 
@@ -13,6 +15,8 @@ from ._statistics import Statistics
 # Parameters that are more correlated than this are worth a remark.
 _NEARLY_THE_SAME = 0.98
 
+# A prior that says more than this of a parameter is worth a remark.
+_MOSTLY = 0.5
 _LEVEL = 0.95
 
 # Degrees of freedom from which Student's t is a normal distribution.
@@ -27,23 +31,49 @@ def estimates(state: FitState, statistics: Statistics, model: AbstractModel) -> 
         statistics: of the fit.
         model: the fitted one.
     """
-    active = np.asarray(state.active)
     free = {
-        parameter.path: Estimate(
-            value=float(statistics.values[index]),
-            standard_error=finite_or_none(statistics.standard_errors.get(index)),
-            unit=parameter.declaration.unit,
-            lower=finite_or_none(parameter.declaration.lower),
-            upper=finite_or_none(parameter.declaration.upper),
-            free=True,
-            remark=remark(statistics, index, moves=bool(active[index])),
-            interval=interval(statistics, index, parameter),
-            freedom=finite_or_none(statistics.freedom.get(index)),
-            sandwich_error=finite_or_none(statistics.sandwich.get(index)),
-        )
-        for index, parameter in enumerate(state.setup.parameters)
+        parameter.path: _free(state, statistics, parameter, places)
+        for parameter, places in zip(state.setup.parameters, state.problem.positions, strict=True)
     }
     return {**free, **_held(model, tuple(free))}
+
+
+def _free(
+    state: FitState, statistics: Statistics, parameter: Parameter, places: tuple[int, ...]
+) -> Estimate:
+    """The estimate of a parameter; of one with a value for each group of runs, their mean."""
+    index, declaration = places[0], parameter.declaration
+    common: dict[str, Any] = {
+        "unit": declaration.unit,
+        "lower": finite_or_none(declaration.lower),
+        "upper": finite_or_none(declaration.upper),
+        "free": True,
+    }
+    if len(places) > 1:
+        runs = "run" if len(places) == len(state.setup.runs) else "group of runs"
+        return Estimate(
+            value=float(np.mean(statistics.values[list(places)])),
+            standard_error=_error_of_mean(statistics, places),
+            remark=f"mean of {len(places)} values, one for each {runs}; result.json has them",
+            **common,
+        )
+    return Estimate(
+        value=float(statistics.values[index]),
+        standard_error=finite_or_none(statistics.standard_errors.get(index)),
+        remark=_remark(state, statistics, index),
+        interval=interval(statistics, index, parameter),
+        freedom=finite_or_none(statistics.freedom.get(index)),
+        sandwich_error=finite_or_none(statistics.sandwich.get(index)),
+        prior_share=finite_or_none(statistics.prior_shares.get(index)),
+        **common,
+    )
+
+
+def _error_of_mean(statistics: Statistics, places: tuple[int, ...]) -> float | None:
+    if not set(places) <= set(statistics.determined):
+        return None
+    weights = np.isin(statistics.alive, places) / len(places)
+    return finite_or_none(float(np.sqrt(weights @ statistics.covariance @ weights)))
 
 
 def interval(
@@ -69,7 +99,7 @@ def interval(
 
 
 def own_estimates(state: FitState, statistics: Statistics) -> list[dict[str, OwnEstimate]]:
-    """What was fitted of each run alone, by path.
+    """What was fitted of each run alone or of its group of runs, by path.
 
     Arguments:
         state: the last one.
@@ -78,13 +108,23 @@ def own_estimates(state: FitState, statistics: Statistics) -> list[dict[str, Own
     Returns:
         An estimate by path for each run, in their order.
     """
+    problem = state.problem
+    varied = [index for index, places in enumerate(problem.positions) if len(places) > 1]
     estimates: list[dict[str, OwnEstimate]] = [{} for _ in state.setup.runs]
-    for group in state.problem.groups:
-        for member, columns in zip(group.members, group.own_columns(), strict=True):
-            for label, column in zip(group.own_labels(), columns.tolist(), strict=True):
+    for group in problem.groups:
+        names = [*(problem.paths[index] for index in varied), *group.own_labels()]
+        for member, columns in zip(group.members, group.columns(), strict=True):
+            own = [*columns[varied], *columns[len(problem.paths) :]]
+            for name, column in zip(names, map(int, own), strict=True):
                 error = finite_or_none(statistics.standard_errors.get(column))
-                estimates[member][label] = OwnEstimate(float(statistics.values[column]), error)
+                value = float(statistics.values[column])
+                said = _remark(state, statistics, column)
+                estimates[member][name] = OwnEstimate(value, error, said)
     return estimates
+
+
+def _remark(state: FitState, statistics: Statistics, index: int) -> str:
+    return remark(statistics, index, moves=bool(np.asarray(state.active)[index]))
 
 
 def remark(statistics: Statistics, index: int, *, moves: bool) -> str:
@@ -112,6 +152,9 @@ def remark(statistics: Statistics, index: int, *, moves: bool) -> str:
             f"at its {statistics.bounds[index]} bound: the best value is the bound itself, and "
             "the standard error says how far from it the data allow"
         )
+    share = statistics.prior_shares.get(index, 0.0)
+    if share > _MOSTLY:
+        return f"its value is mostly that of its prior ({share:.0%} of what is known of it)"
     if error > abs(statistics.values[index]):
         return "barely determined: the standard error exceeds the value"
     partners = largest_correlations(statistics.correlation, _NEARLY_THE_SAME)

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from .._errors import InputError
 from ..models import AbstractModel
+from ..quantities import Prior
 from ..runs import Run
 from ._budget import Budget
 from ._conclude import conclude
@@ -37,6 +38,11 @@ def fit(
     noise_per_run: bool = False,
     solver: str | None = None,
     tolerance: float | None = None,
+    priors: Mapping[str, Prior] | None = None,
+    bounds: Mapping[str, Sequence[float]] | None = None,
+    ties: Mapping[str, str] | None = None,
+    per_run: Sequence[str] = (),
+    groups: Mapping[str, Sequence[Sequence[str]]] | None = None,
     max_iterations: int = MAX_ITERATIONS,
     budget: float | None = None,
     progress: Callable[[Iteration], None] | None = None,
@@ -63,6 +69,15 @@ def fit(
         noise_per_run: estimate the noise of a channel in each run by itself, not in all together.
         solver: of the simulation, one of `giajax.SOLVERS`; by default that of the model.
         tolerance: relative and absolute tolerance of the simulation; by default the model's.
+        priors: what is known of free parameters before, by path; where one has no start, the
+            fit starts there.
+        bounds: lower and upper bounds of free parameters, by path, within those that they have.
+        ties: expressions over paths by the path of the parameter that follows from them, such as
+            `{"joints.yaw_stiffness": "1.5 * joints.pitch_stiffness"}`. Elements of an array that
+            its own expression names stay free: `{"links.mass": "links.mass[0]"}` is one mass for
+            all links.
+        per_run: paths of free parameters that have a value of their own in each recording.
+        groups: names of the runs that share a value, group by group, by path.
         max_iterations: trial steps before the fit gives up.
         budget: wall time that the fit may take, s; it then ends with the best so far.
         progress: called after each step with an `Iteration`.
@@ -94,6 +109,11 @@ def fit(
         noise_per_run=noise_per_run,
         solver=solver,
         tolerance=tolerance,
+        priors=priors,
+        bounds=bounds,
+        ties=ties,
+        per_run=per_run,
+        groups=groups,
     )
     return solve(
         setup,

@@ -12,6 +12,7 @@ from .._typing import Array, Float
 from ..models import AbstractModel
 from ..parameters import get
 from ..runs import Run
+from ._layout import Layout
 from ._noise import Noise
 from ._stack import stacked as _stack
 from ._whitening import Whitening
@@ -29,6 +30,7 @@ class Group(eqx.Module):
         members: positions of the runs in the list that was fitted.
         own: paths and sizes of the prepared inputs' parameters that are free in each run.
         first: position of the first of them in the free coordinate.
+        shared: by run, the position of its value of each of the model's free parameters.
     """
 
     inputs: Any
@@ -39,6 +41,7 @@ class Group(eqx.Module):
     members: tuple[int, ...] = eqx.field(static=True)
     own: tuple[tuple[str, int], ...] = eqx.field(static=True)
     first: int = eqx.field(static=True)
+    shared: tuple[tuple[int, ...], ...] = eqx.field(static=True)
 
     @property
     def width(self) -> int:
@@ -50,10 +53,9 @@ class Group(eqx.Module):
         count = len(self.members) * self.width
         return self.first + np.arange(count).reshape(len(self.members), self.width)
 
-    def own_values(self, coordinate: Float[Array, " parameter"]) -> Float[Array, "run own"]:
-        """Each run's own part of the free coordinate."""
-        count = len(self.members) * self.width
-        return coordinate[self.first : self.first + count].reshape(len(self.members), self.width)
+    def columns(self) -> np.ndarray:
+        """Positions in the whole of all that each run responds to, shape (run, shared + own)."""
+        return np.concatenate([np.asarray(self.shared, dtype=int), self.own_columns()], axis=1)
 
     def own_labels(self) -> list[str]:
         """Names of the coordinates that belong to one run, element by element."""
@@ -65,7 +67,7 @@ class Group(eqx.Module):
 
 
 def build_groups(
-    model: AbstractModel, runs: Sequence[Run], noise: Noise, shared: int
+    model: AbstractModel, runs: Sequence[Run], noise: Noise, layout: Layout
 ) -> tuple[Group, ...]:
     """Prepare runs and stack those with the same channels, padded to the longest of them.
 
@@ -73,7 +75,7 @@ def build_groups(
         model: prepares the runs.
         runs: what was recorded.
         noise: of the channels.
-        shared: number of free parameters of the model itself.
+        layout: of the free parameters of the model itself.
 
     Returns:
         The groups, in the order of their first runs.
@@ -89,7 +91,7 @@ def build_groups(
         key = (tuple(run.observations), structure, owns[index])
         members.setdefault(key, []).append(index)
     groups = []
-    first = shared
+    first = layout.size
     for (channels, _, own), indices in members.items():
         observed = [np.stack([runs[i].observations[c] for c in channels], -1) for i in indices]
         weight = [
@@ -106,6 +108,7 @@ def build_groups(
             members=tuple(indices),
             own=own,
             first=first,
+            shared=tuple(layout.of_runs[i] for i in indices),
         )
         first += len(indices) * group.width
         groups.append(group)
@@ -141,25 +144,35 @@ def _whitening(
     return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves), dtype=dtype), *parts)
 
 
-def own_start(
+def own_start(groups: Sequence[Group]) -> np.ndarray:
+    """Where the coordinates of the single runs start: as their runs were prepared."""
+    values = [
+        np.asarray(get(group.inputs, path)[row], dtype=float).ravel()
+        for group in groups
+        for row in range(len(group.members))
+        for path, _ in group.own
+    ]
+    return np.concatenate([np.empty(0), *values])
+
+
+def own_begun(
     groups: Sequence[Group], runs: Sequence[Run], begun: Mapping[str, Mapping[str, float]]
 ) -> np.ndarray:
-    """Where the coordinates of the single runs start: as their runs were prepared, or as begun.
+    """As `own_start`, apart from those that begin elsewhere.
 
     Arguments:
         groups: of the runs.
         runs: what is fitted to.
-        begun: other values, by the run's name and the name of the coordinate.
+        begun: their values, by the run's name and the name of the coordinate.
     """
-    values = [np.empty(0)]
+    own = own_start(groups)
+    shared = groups[0].first
     for group in groups:
-        for row, member in enumerate(group.members):
-            parts = [np.asarray(get(group.inputs, path)[row]).ravel() for path, _ in group.own]
-            prepared = np.concatenate([np.empty(0), *parts]).astype(float)
-            other = begun.get(runs[member].name, {})
-            pairs = zip(group.own_labels(), prepared, strict=True)
-            values.append(np.asarray([other.get(label, value) for label, value in pairs]))
-    return np.concatenate(values)
+        for member, columns in zip(group.members, group.own_columns(), strict=True):
+            values = begun.get(runs[member].name, {})
+            for label, column in zip(group.own_labels(), columns.tolist(), strict=True):
+                own[column - shared] = values.get(label, own[column - shared])
+    return own
 
 
 def _padded(arrays: Sequence[np.ndarray], length: int) -> Array:

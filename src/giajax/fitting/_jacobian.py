@@ -28,13 +28,16 @@ class BlockJacobian:
 
     @classmethod
     def of(cls, problem: Problem, blocks: Sequence[object]) -> Self:
-        """The Jacobian from the blocks of each group of runs."""
-        shared = np.arange(len(problem.paths))
+        """The Jacobian from the blocks of each group of runs, and the slopes of the priors."""
+        *stacks, slopes = blocks
         rows, columns = [], []
-        for group, stacked in zip(problem.groups, blocks, strict=True):
-            for block, own in zip(np.asarray(stacked), group.own_columns(), strict=True):
+        for group, stacked in zip(problem.groups, stacks, strict=True):
+            for block, own in zip(np.asarray(stacked), group.columns(), strict=True):
                 rows.append(np.asarray(block, dtype=float))
-                columns.append(np.concatenate([shared, own]))
+                columns.append(own)
+        if len(problem.priors):
+            rows.append(np.diag(np.asarray(slopes, dtype=float)))
+            columns.append(np.asarray(problem.priors.columns))
         return cls(rows, columns, problem.size)
 
     @classmethod

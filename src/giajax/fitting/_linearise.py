@@ -25,8 +25,9 @@ def linearise(
         problem: what is minimised.
 
     Returns:
-        residual of shape (residual,); blocks of each group, shape (run, row, shared + own);
-        R of shape (parameter, parameter); Q^T r; predictions.
+        residual of shape (residual,); blocks of each group, shape (run, row, shared + own), and the
+        derivatives of the priors' rows, shape (prior,), each by its own coordinate; R of shape
+        (parameter, parameter); Q^T r; predictions.
     """
 
     def one(
@@ -52,27 +53,29 @@ def linearise(
 
     parts = over_runs(one, coordinate, problem)
     rows, blocks, triangles, tables, successes = zip(*parts, strict=True)
-    whole = jnp.concatenate(
-        [_placed(t, g, problem) for t, g in zip(triangles, problem.groups, strict=True)]
-    )
+    known, slopes = problem.priors.rows(coordinate, problem.bijector)
+    placed = [_placed(t, g, problem) for t, g in zip(triangles, problem.groups, strict=True)]
+    whole = jnp.concatenate([*placed, _placed_priors(known, slopes, problem)])
     if whole.shape[0] > whole.shape[1]:
         whole = jnp.linalg.qr(whole, mode="r")
-    row = jnp.concatenate([part.ravel() for part in rows])
+    row = jnp.concatenate([*(part.ravel() for part in rows), known])
     prediction = Prediction(tuple(tables), jnp.all(jnp.concatenate(successes)))
-    return row, tuple(blocks), whole[:-1, :-1], whole[:-1, -1], prediction
+    return row, (*blocks, slopes), whole[:-1, :-1], whole[:-1, -1], prediction
 
 
 def _placed(triangles: Float[Array, "run row column"], group: Group, problem: Problem) -> Array:
     """Triangles of a group's runs, with their columns where they belong in the whole."""
     runs, count, _ = triangles.shape
-    shared = len(problem.paths)
     whole = jnp.zeros((runs, count, problem.size + 1), triangles.dtype)
-    whole = whole.at[:, :, :shared].set(triangles[:, :, :shared])
     whole = whole.at[:, :, -1].set(triangles[:, :, -1])
-    if group.width:
-        at = np.ix_(np.arange(runs), np.arange(count))
-        columns = group.own_columns()[:, None, :]
-        whole = whole.at[at[0][..., None], at[1][..., None], columns].set(
-            triangles[:, :, shared:-1]
-        )
+    at = np.ix_(np.arange(runs), np.arange(count))
+    columns = group.columns()[:, None, :]
+    whole = whole.at[at[0][..., None], at[1][..., None], columns].set(triangles[:, :, :-1])
     return whole.reshape(runs * count, -1)
+
+
+def _placed_priors(rows: Array, slopes: Array, problem: Problem) -> Array:
+    """Rows of the priors, with their columns where they belong in the whole."""
+    count, columns = len(problem.priors), np.asarray(problem.priors.columns, dtype=int)
+    whole = jnp.zeros((count, problem.size + 1), rows.dtype)
+    return whole.at[np.arange(count), columns].set(slopes).at[:, -1].set(rows)

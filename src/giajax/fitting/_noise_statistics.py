@@ -60,15 +60,27 @@ def noise_statistics(
         for each, narrow in zip(dense, cells.values(), strict=True)
     ]
     spread = small_sample(Restricted.of(list(cells.values()), by_key), dense, covariance, stated)
-    sandwich = np.sqrt(np.diag(score_covariance(dense, by_key, covariance)))
+    prior = _prior_rows(state, alive)
+    # What a prior says has the variance that it states, whatever the noise is.
+    scores = score_covariance(dense, by_key, covariance)
+    sandwich = np.sqrt(np.diag(scores + covariance @ prior.T @ prior @ covariance))
     if noise.is_white:
         return NoiseStatistics(spread.covariance, spread.freedom, sandwich, None)
     rows = [each.shared / by_key[each.key].deviation for each in dense]
-    triangle = np.asarray(np.linalg.qr(np.concatenate(rows), mode="r"))
+    triangle = np.asarray(np.linalg.qr(np.concatenate([*rows, prior]), mode="r"))
     white = np.sqrt(np.diag(inverse_gram(triangle)))
     with np.errstate(divide="ignore", invalid="ignore"):
         widening = np.sqrt(np.diag(spread.covariance)) / white
     return NoiseStatistics(spread.covariance, spread.freedom, sandwich, widening)
+
+
+def _prior_rows(state: FitState, alive: np.ndarray) -> Float[np.ndarray, "prior parameter"]:
+    """The rows of the Jacobian that are those of priors, by the parameters that respond."""
+    count, columns = len(state.problem.priors), list(state.problem.priors.columns)
+    rows = np.zeros((count, state.problem.size))
+    if count:
+        rows[:, columns] = state.natural_jacobian().blocks[-1]
+    return rows[:, alive]
 
 
 def _weighted(state: FitState, at: tuple[int, str], cells: Cells) -> Cells:

@@ -15,15 +15,29 @@ from ..runs import Run
 from ._bijector import Bijector
 from ._group import Group
 from ._loss import transform
+from ._priors import Priors
+from ._ties import Tie, tied, within_bounds
 from ._whitening import Whitening
 
 
 class Problem(eqx.Module):
     """Everything that the residual depends on, apart from the free coordinates.
 
-    The coordinate begins with that of the model's parameters, which all runs share; then come
-    those of each run alone, which have no bounds. A run responds to the shared ones and its own:
-    the Jacobian is computed and stored in these blocks.
+    The coordinate begins with the values of the model's parameters, one each that all runs share
+    or one for each group of runs; then come those of each run alone, which have no bounds. A run
+    responds to its values of the former and to its own: the Jacobian is computed and stored in
+    these blocks.
+
+    Attributes:
+        model: with what is not free.
+        groups: of runs that share a program.
+        bijector: of the whole coordinate.
+        paths: of the model's free parameters.
+        loss: how a large residual counts.
+        places: positions of each path's values in the coordinate; one each, in their order, where
+            it is empty.
+        ties: parameters that follow from others.
+        priors: what is known of the coordinates before; their rows of the residual come last.
     """
 
     model: AbstractModel
@@ -31,28 +45,47 @@ class Problem(eqx.Module):
     bijector: Bijector
     paths: tuple[str, ...] = eqx.field(static=True)
     loss: str = eqx.field(static=True)
+    places: tuple[tuple[int, ...], ...] = eqx.field(static=True, default=())
+    ties: tuple[Tie, ...] = eqx.field(static=True, default=())
+    priors: Priors = eqx.field(default_factory=Priors.none)
 
     @property
     def size(self) -> int:
         """Number of free coordinates."""
-        return len(self.paths) + sum(len(g.members) * g.width for g in self.groups)
+        return self.shared + sum(len(g.members) * g.width for g in self.groups)
 
-    def at(self, coordinate: Float[Array, " parameter"]) -> AbstractModel:
-        """The model at free coordinates, of which the first ones count."""
-        values = self.bijector.part(len(self.paths)).forward(coordinate[: len(self.paths)])
-        return replace(self.model, {path: values[i] for i, path in enumerate(self.paths)})
+    @property
+    def positions(self) -> tuple[tuple[int, ...], ...]:
+        """Positions of each path's values in the coordinate."""
+        return self.places or tuple((index,) for index in range(len(self.paths)))
+
+    @property
+    def shared(self) -> int:
+        """Number of coordinates before those of single runs."""
+        return sum(map(len, self.positions))
+
+    def at(self, coordinate: Float[Array, " own"]) -> AbstractModel:
+        """The model at the coordinates of a run, of which one a path counts."""
+        bounds = self.bijector.at([place[0] for place in self.positions])
+        return self.with_values(bounds.forward(coordinate[: len(self.paths)]))
+
+    def with_values(self, values: Float[Array | np.ndarray, " path"]) -> AbstractModel:
+        """The model with a value for each path, and with what follows from them."""
+        model = replace(self.model, {path: values[i] for i, path in enumerate(self.paths)})
+        return tied(model, self.ties)
+
+    def means(self, values: Array) -> Array:
+        """A value for each path: of what has several, the mean.
+
+        Arguments:
+            values: of all free coordinates, shape (parameter,); differentiable.
+        """
+        means = [values[np.asarray(place)].mean() for place in self.positions]
+        return jnp.stack(means) if means else jnp.zeros(0)
 
     def free_paths(self, group: Group) -> tuple[str, ...]:
         """Paths of all that the predictions of a group's runs are differentiated by."""
         return (*self.paths, *(path for path, _ in group.own))
-
-    def labels(self, runs: Sequence[Run]) -> list[str]:
-        """Names of all free coordinates."""
-        names = list(self.paths)
-        for group in self.groups:
-            for member in group.members:
-                names += [f"{label} of '{runs[member].name}'" for label in group.own_labels()]
-        return names
 
 
 class Prediction(eqx.Module):
@@ -81,6 +114,10 @@ def run_residual(
     model = problem.at(shared_and_own).for_derivatives(problem.free_paths(group))
     predicted, successful = model.predict(inputs, group.channels)
     table = jnp.stack([predicted[name] for name in group.channels], axis=-1)
+    if problem.ties:
+        # A step that leads a tied parameter beyond its bounds is rejected.
+        successful = successful & within_bounds(model, problem.ties)
+        table = jnp.where(successful, table, jnp.nan)
     # An unmeasured cell must not carry the NaN of a failed simulation times zero.
     difference = jnp.where(weight > 0, (table - observed) * weight, 0)
     return transform(problem.loss, difference.ravel()), (table, successful)
@@ -103,7 +140,7 @@ def _with_own(inputs: Any, group: Group, values: Float[Array, " own"]) -> Any:
 def residual(
     coordinate: Float[Array, " parameter"], problem: Problem
 ) -> tuple[Float[Array, " residual"], Prediction]:
-    """Transformed weighted residuals of all runs in one row, and the predictions.
+    """Transformed weighted residuals of all runs in one row, those of the priors last; predictions.
 
     A module-level function: a fresh closure would be compiled again for every fit.
     """
@@ -115,7 +152,8 @@ def residual(
         return whitened(row[:, None], whitening)[:, 0], table, successful
 
     rows, tables, successes = zip(*over_runs(one, coordinate, problem), strict=True)
-    row = jnp.concatenate([part.ravel() for part in rows])
+    known, _ = problem.priors.rows(coordinate, problem.bijector)
+    row = jnp.concatenate([*(part.ravel() for part in rows), known])
     successful = jnp.all(jnp.concatenate(successes))
     return row, Prediction(tuple(tables), successful)
 
@@ -126,12 +164,8 @@ def over_runs(
     """Results of `one` for each group, with a leading run axis."""
     results = []
     for group in problem.groups:
-        own = group.own_values(coordinate)
-        shared = jnp.broadcast_to(
-            coordinate[None, : len(problem.paths)], (len(group.members), len(problem.paths))
-        )
         rows = (
-            jnp.concatenate([shared, own], axis=1),
+            coordinate[group.columns()],
             group.inputs,
             group.observed,
             group.weight,

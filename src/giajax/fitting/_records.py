@@ -50,6 +50,8 @@ class Estimate:
         freedom: degrees of freedom of it; None where they are infinite.
         sandwich_error: standard error that does not trust the noise model (Newey and West); None
             where there is none.
+        prior_share: how much of what is known of it is its prior's, from 0 to 1: the variance of
+            the estimate over that of the prior; None without a prior.
     """
 
     value: Any
@@ -62,6 +64,7 @@ class Estimate:
     interval: tuple[float, float] | None = None
     freedom: float | None = None
     sandwich_error: float | None = None
+    prior_share: float | None = None
 
     @classmethod
     def of_json(cls, record: Mapping[str, Any]) -> Self:
@@ -72,10 +75,11 @@ class Estimate:
 
 @dataclasses.dataclass(frozen=True)
 class OwnEstimate:
-    """A parameter of one run alone, such as an initial angle: its value and standard error, SI."""
+    """What one run has for itself, such as an initial angle, or with its group: as `Estimate`."""
 
     value: float
     standard_error: float | None
+    remark: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -111,7 +115,7 @@ class RunFit:
         path: of its file; None for a run that was made in memory.
         sha256: checksum of the file.
         channels: by name.
-        parameters: what was free in this run alone, by path.
+        parameters: what was free in this run alone, or in its group of runs, by path.
     """
 
     name: str

@@ -19,6 +19,8 @@ from .._syntax import parse_json
 from ..models import AbstractModel, build_model
 from ..runs import Run
 from ..verdict import Verdict
+from ._findings import Finding
+from ._of_runs import model_of_run, rows_of_runs
 from ._predict import predict
 from ._records import (
     Correlation,
@@ -69,7 +71,9 @@ class FitResult:
         validation: errors of prediction of runs that were not fitted.
         noise: what was taken for noise; None from a file without it.
         verdict: whether the model describes the data, apart from convergence.
-        derived: `Estimate` by name of what follows from the parameters (`AbstractModel.derived`).
+        derived: `Estimate` by name of what follows from the free parameters: the tied ones, and
+            what the model derives (`AbstractModel.derived`).
+        findings: what the data cannot tell, each with advice (`docs/findings.md`).
         suspects: what the residuals ask for (`giajax.suspects`), the most promising first; empty
             where that was not asked.
         systematic: what held numbers do to the fitted ones (`giajax.systematic_errors`); likewise.
@@ -101,6 +105,7 @@ class FitResult:
     derived: dict[str, Estimate] = dataclasses.field(default_factory=dict)
     suspects: tuple[Suspect, ...] = ()
     systematic: tuple[SystematicError, ...] = ()
+    findings: tuple[Finding, ...] = ()
     task: dict[str, Any] = dataclasses.field(default_factory=dict)
     predictions: tuple[dict[str, np.ndarray], ...] = ()
 
@@ -111,17 +116,24 @@ class FitResult:
 
     @property
     def shown(self) -> dict[str, Estimate]:
-        """The free parameters, what follows from them, and those that the settings fix."""
+        """The free parameters, what follows from them, and those that the settings fix.
+
+        Of what has a value for each group of runs, these values follow their mean, if they are few.
+        """
         chosen = [path.partition("[")[0] for path in self.config.get("fix", {})]
         held = {path: self.parameters[path] for path in chosen if path in self.parameters}
-        return {**self.free, **self.derived, **held}
+        return {**self.free, **rows_of_runs(self.runs, self.free), **self.derived, **held}
 
     def predict(self, run: Run, channels: Sequence[str] | None = None) -> dict[str, np.ndarray]:
         """Channels that the fitted model predicts for a run.
 
         Arguments, results and errors are those of `giajax.predict`.
         """
-        return predict(self.model, run, channels)
+        return predict(self.model_of(run), run, channels)
+
+    def model_of(self, run: Run) -> AbstractModel:
+        """The fitted model as it is for a run: of one that was fitted, with its own values."""
+        return model_of_run(self.model, self.runs, run, self.config.get("ties", {}))
 
     def to_json(self) -> str:
         """The result as JSON; what is not finite becomes null."""
@@ -201,6 +213,7 @@ def _records(record: Mapping[str, Any]) -> dict[str, Any]:
         "derived": {
             name: Estimate.of_json(item) for name, item in record.get("derived", {}).items()
         },
+        "findings": tuple(Finding.of_json(item) for item in record.get("findings", ())),
         "correlation": Correlation.of_json(record["correlation"]),
         "runs": tuple(RunFit.of_json(item) for item in record["runs"]),
         "gradient_check": None if check is None else GradientCheck.of_json(check),

@@ -79,9 +79,15 @@ class FitState:
         return np.where(np.asarray(self.active), values, self.start)
 
     def parameters(self) -> dict[str, float]:
-        """Values of the model's free parameters at the best point, by path."""
-        values = self.values()[: len(self.problem.paths)]
-        return {path: float(v) for path, v in zip(self.problem.paths, values, strict=True)}
+        """Values of the model's free parameters at the best point, by path.
+
+        Of what has a value for each group of runs, the mean.
+        """
+        values, problem = self.values(), self.problem
+        return {
+            path: float(np.mean(values[list(places)]))
+            for path, places in zip(problem.paths, problem.positions, strict=True)
+        }
 
     def jacobian(self, inner: MarquardtState | None = None) -> BlockJacobian:
         """Weighted residuals by the free coordinates; those that are held count as zero."""

@@ -5,9 +5,12 @@ import dataclasses
 import numpy as np
 
 from ._identifiability import responds, undetermined_groups
+from ._jacobian import BlockJacobian
+from ._labels import labels
 from ._noise_statistics import noise_statistics
+from ._priors import Priors
 from ._state import FitState
-from ._uncertainty import correlation_matrix, reduced_chi_square, uncertainty
+from ._uncertainty import correlation_matrix, inverse_gram, reduced_chi_square, uncertainty
 
 # A parameter this close to its bound, in standard errors, is at it.
 _AT_BOUND = 0.1
@@ -33,6 +36,8 @@ class Statistics:
         reduced_chi_square: sum of squared weighted residuals per degree of freedom.
         scale: factor on the covariance, 1 unless the residuals exceed the noise.
         bounds: of the parameters that ended at one: "lower" or "upper".
+        prior_shares: how much of what is known of a parameter is its prior's: the variance of the
+            estimate, were the noise as stated, over that of the prior.
     """
 
     labels: tuple[str, ...]
@@ -50,6 +55,7 @@ class Statistics:
     reduced_chi_square: float
     scale: float
     bounds: dict[int, str]
+    prior_shares: dict[int, float] = dataclasses.field(default_factory=dict)
 
 
 def statistics(state: FitState) -> Statistics:
@@ -64,14 +70,21 @@ def statistics(state: FitState) -> Statistics:
     determined = tuple(int(i) for i in alive if i not in loose)
     residuals, measured = weighted_residuals(state)
     white = np.asarray(state.inner.residual) if problem.loss == "linear" else residuals
-    spread = uncertainty(white, jacobian, loss=problem.loss, measured=measured, columns=alive)
+    spread = uncertainty(
+        white,
+        jacobian,
+        loss=problem.loss,
+        measured=measured,
+        columns=alive,
+        priors=len(problem.priors),
+    )
     by_noise = noise_statistics(state, alive, spread.covariance)
     rows = [int(np.flatnonzero(alive == i)[0]) for i in determined]
     covariance = by_noise.covariance[np.ix_(rows, rows)]
     errors = np.sqrt(np.diag(covariance))
     standard_errors = {i: float(error) for i, error in zip(determined, errors, strict=True)}
     return Statistics(
-        labels=tuple(problem.labels(state.setup.runs)),
+        labels=tuple(labels(problem, state.setup.runs)),
         values=state.values(),
         alive=alive,
         together=together,
@@ -91,6 +104,7 @@ def statistics(state: FitState) -> Statistics:
         ),
         scale=spread.scale,
         bounds=_at_bounds(state, standard_errors),
+        prior_shares=_prior_shares(problem.priors, jacobian, alive, root),
     )
 
 
@@ -115,17 +129,37 @@ def _against_stated(state: FitState) -> np.ndarray:
                 for name in group.channels
             ]
             parts.append(np.tile(ratios, group.observed.shape[1]))
-    return np.concatenate(parts)
+    return np.concatenate([*parts, np.ones(len(state.problem.priors))])
 
 
 def weighted_residuals(state: FitState) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals in units of the noise before the loss transforms them, and which are measured."""
+    """Residuals in units of the noise before the loss transforms them, and which are measured.
+
+    The rows of priors come last, and count as measured.
+    """
     groups = state.problem.groups
     weights = np.concatenate([np.asarray(g.weight).ravel() for g in groups])
     observed = np.concatenate([np.asarray(g.observed).ravel() for g in groups])
     predicted = np.concatenate([np.asarray(p).ravel() for p in state.inner.aux.channels])
     measured = weights > 0
-    return np.where(measured, (predicted - observed) * weights, 0.0), measured
+    known = np.asarray(state.inner.residual)[len(measured) :]
+    rows = np.where(measured, (predicted - observed) * weights, 0.0)
+    return np.append(rows, known), np.append(measured, np.ones(len(known), bool))
+
+
+def _prior_shares(
+    priors: Priors, jacobian: BlockJacobian, alive: np.ndarray, root: np.ndarray
+) -> dict[int, float]:
+    """How much of what is known of each parameter with a prior is the prior's."""
+    if not len(priors):
+        return {}
+    variances = np.diag(inverse_gram(root))
+    slopes = dict(zip(priors.columns, np.diag(jacobian.blocks[-1]), strict=True))
+    return {
+        index: min(float(slopes[index] ** 2 * variance), 1.0)
+        for index, variance in zip(alive.tolist(), variances.tolist(), strict=True)
+        if index in slopes
+    }
 
 
 def _at_bounds(state: FitState, standard_errors: dict[int, float]) -> dict[int, str]:

@@ -17,9 +17,11 @@ from .._program import program
 from .._typing import Array
 from ._bijector import Bijector
 from ._configuration import Setup
-from ._group import build_groups, own_start
+from ._group import build_groups, own_begun
+from ._labels import coordinate_paths
 from ._linearise import linearise
 from ._noise import Noise
+from ._priors import Priors
 from ._problem import Prediction, Problem, residual
 from ._solver import Marquardt, MarquardtState
 from ._state import FitState
@@ -31,13 +33,15 @@ _LARGEST_STEP = 1.5
 def begin(setup: Setup) -> FitState:
     """The state before anything is evaluated."""
     setup = setup.at_start()
-    model, parameters = setup.model, setup.parameters
+    model, parameters, layout = setup.model, setup.parameters, setup.layout
     noise = Noise.of(setup.runs, setup.noise_model, per_run=setup.noise_per_run)
-    groups = build_groups(model, setup.runs, noise, len(parameters))
-    own = own_start(groups, setup.runs, setup.own)
+    groups = build_groups(model, setup.runs, noise, layout)
+    own = own_begun(groups, setup.runs, setup.own)
+    # Each value of a parameter, of which there is one for all runs or one for each group of them.
+    each = [p for p, places in zip(parameters, layout.places, strict=True) for _ in places]
     bijector = Bijector(
-        (*(p.declaration.lower for p in parameters), *(-np.inf for _ in own)),
-        (*(p.declaration.upper for p in parameters), *(np.inf for _ in own)),
+        (*(p.declaration.lower for p in each), *(-np.inf for _ in own)),
+        (*(p.declaration.upper for p in each), *(np.inf for _ in own)),
     )
     problem = Problem(
         model=model,
@@ -45,10 +49,14 @@ def begin(setup: Setup) -> FitState:
         bijector=bijector,
         paths=tuple(p.path for p in parameters),
         loss=setup.loss,
+        places=layout.places,
+        ties=setup.ties,
     )
-    start = np.asarray([*(float(p.value(model)) for p in parameters), *own])
+    known = Priors.of(setup.priors, coordinate_paths(problem))
+    problem = dataclasses.replace(problem, priors=known)
+    start = np.asarray([*setup.starts(), *own])
     # A parameter whose start and default are zero has no size of its own: one unit.
-    defaults = np.asarray([*(p.declaration.default for p in parameters), *(0.0 for _ in own)])
+    defaults = np.asarray([*(p.declaration.default for p in each), *(0.0 for _ in own)])
     sizes = np.maximum(np.abs(start), np.abs(defaults))
     # In 32-bit the rounding of a simulation hides the last hundredth of a standard error.
     distance = 0.1 if jnp.result_type(float) == jnp.float32 else 0.01
@@ -105,7 +113,7 @@ def move(state: FitState, coordinate: Any) -> FitState:
 
 def reweight(state: FitState, noise: Noise) -> FitState:
     """Go on from the same point with another noise; not evaluated yet."""
-    groups = build_groups(state.problem.model, state.setup.runs, noise, len(state.problem.paths))
+    groups = build_groups(state.problem.model, state.setup.runs, noise, state.setup.layout)
     # Weights of cells take the place of a robust loss: whitened residuals are no single cells.
     loss = state.setup.loss if noise.weights is None else "linear"
     problem = dataclasses.replace(state.problem, groups=groups, loss=loss)
@@ -168,17 +176,16 @@ def evaluate(state: FitState, coordinate: Any, problem: Problem | None = None) -
 def _blank(solver: Marquardt, problem: Problem, coordinate: Array) -> MarquardtState:
     """The solver's state before its first evaluation."""
     groups, dtype = problem.groups, coordinate.dtype
-    count = sum(group.observed.size for group in groups)
+    count = sum(group.observed.size for group in groups) + len(problem.priors)
     prediction = Prediction(
         tuple(jax.ShapeDtypeStruct(group.observed.shape, dtype) for group in groups),
         jax.ShapeDtypeStruct((), bool),
     )
     shape = jax.ShapeDtypeStruct((count,), dtype)
-    shared = len(problem.paths)
     blocks = tuple(
-        jnp.zeros((len(g.members), g.observed[0].size, shared + g.width), dtype) for g in groups
+        jnp.zeros((len(g.members), g.observed[0].size, g.columns().shape[1]), dtype) for g in groups
     )
-    options = {"jacobian": blocks}
+    options = {"jacobian": (*blocks, jnp.zeros(len(problem.priors), dtype))}
     return solver.init(residual, coordinate, problem, options, shape, prediction, frozenset())
 
 

@@ -31,13 +31,15 @@ def uncertainty(
     loss: str,
     measured: np.ndarray,
     columns: np.ndarray,
+    priors: int = 0,
 ) -> Uncertainty:
     """Covariance of least-squares and M-estimates.
 
     Linear loss: (J^T J)^-1, times the reduced chi-square where that is above 1, because then the
     stated noise does not cover the residuals (the scale factor of the Particle Data Group).
     Robust losses: the sandwich A^-1 B A^-1 with A = sum psi' j j^T and B = sum psi^2 j j^T
-    (Huber 1981, ch. 6), which needs no further scale.
+    (Huber 1981, ch. 6), which needs no further scale. What the residuals say of the noise says
+    nothing of a prior: in either, its rows keep the variance that they state.
 
     Arguments:
         residual: weighted, whitened residuals before the loss transforms them, shape (residual,).
@@ -45,6 +47,7 @@ def uncertainty(
         loss: name of the loss.
         measured: which residuals stand for a measured cell, shape (residual,).
         columns: the parameters that the covariance is for.
+        priors: how many of the last rows are those of priors, which no loss transforms.
 
     Returns:
         Covariance, and what scaled it.
@@ -53,21 +56,26 @@ def uncertainty(
     freedom = max(count - size, 1)
     reduced = float(np.sum(residual[measured] ** 2) / freedom)
     psi, curvature, slope = influence(loss, residual)
+    data = np.arange(len(residual)) < len(residual) - priors
 
-    def root_of_gram(weights: np.ndarray) -> np.ndarray:
+    def root_of_gram(weights: np.ndarray | float) -> np.ndarray:
         # Unmeasured cells have zero rows; their slope is that of a residual of zero.
-        return jacobian.reduced(weights / slope)[:, columns]
+        return jacobian.reduced(np.where(data, weights / slope, 1.0))[:, columns]
 
-    plain = root_of_gram(np.ones_like(residual))
-    mean_curvature = float(np.mean(curvature[measured])) if count else 1.0
+    plain = root_of_gram(1.0)
+    mean_curvature = float(np.mean(curvature[measured & data])) if count > priors else 1.0
     if loss == "linear" or mean_curvature < _FEW:
         # With a robust loss: almost every residual is an outlier, and the sandwich has no bread.
         scale = max(1.0, reduced)
-        return Uncertainty(inverse_gram(plain) * scale, scale)
+        bread = inverse_gram(plain)
+        if not priors or scale == 1:
+            return Uncertainty(bread * scale, scale)
+        root = root_of_gram(np.sqrt(scale))
+        return Uncertainty(bread @ (root.T @ root) @ bread, scale)
     # A residual beyond the corner of the loss has no curvature; the mean keeps A positive.
-    bread = inverse_gram(plain * np.sqrt(mean_curvature))
-    root = root_of_gram(psi)
-    return Uncertainty(bread @ (root.T @ root) @ bread * count / freedom, 1.0)
+    bread = inverse_gram(root_of_gram(np.sqrt(mean_curvature)))
+    root = root_of_gram(psi * np.sqrt(count / freedom))
+    return Uncertainty(bread @ (root.T @ root) @ bread, 1.0)
 
 
 def reduced_chi_square(
@@ -99,6 +107,8 @@ def correlation_matrix(covariance: np.ndarray) -> np.ndarray:
 
 def inverse_gram(jacobian: np.ndarray) -> np.ndarray:
     """(J^T J)^-1 through QR with scaled columns, which does not square the condition.
+
+    A matrix R of the same R^T R will do for J.
 
     Directions that leave the residuals unchanged are left out: what takes no part in them keeps
     its own variance, and the others have none that means anything.

@@ -1,6 +1,6 @@
 """What every section of the TOML vocabulary is made of."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -21,7 +21,13 @@ COUNT = f"a whole number from 1 to {ELEMENTS}"
 
 
 def key(
-    must: str, meaning: str, *, preset: Any = None, default: Any = None, example: Any = None
+    must: str,
+    meaning: str,
+    *,
+    preset: Any = None,
+    default: Any = None,
+    example: Any = None,
+    entry: str = "",
 ) -> Any:
     """Declare a key, once for errors and templates.
 
@@ -31,8 +37,14 @@ def key(
         preset: the value that a model takes where a file leaves it out, for the template.
         default: the value of the field where a file leaves it out.
         example: what the template shows where there is no preset.
+        entry: what an entry of a table must be, where that is not a number or a list of them.
     """
-    extra = {"must": must, "preset": preset, "example": preset if example is None else example}
+    extra = {
+        "must": must,
+        "preset": preset,
+        "example": preset if example is None else example,
+        **({"entry": entry} if entry else {}),
+    }
     return Field(default=default, description=meaning, json_schema_extra=extra)
 
 
@@ -89,8 +101,15 @@ def _in_file(declaration: Declaration, value: npt.ArrayLike) -> Any:
     return (numbers / declaration.factor).tolist()
 
 
-def flat(table: Mapping[str, Any], before: str = "") -> dict[str, Any]:
+def flat(
+    table: Mapping[str, Any], before: str = "", *, leaves: Collection[str] = ()
+) -> dict[str, Any]:
     """Nested tables as one, its keys joined by points.
+
+    Arguments:
+        table: the tables.
+        before: what each key begins with.
+        leaves: a table with one of these keys is a value, and stays a table.
 
     Raises:
         ValueError: two keys are the same then.
@@ -98,7 +117,8 @@ def flat(table: Mapping[str, Any], before: str = "") -> dict[str, Any]:
     pairs: dict[str, Any] = {}
     for name, value in table.items():
         path = f"{before}{name}"
-        inner = flat(value, f"{path}.") if isinstance(value, Mapping) else {path: value}
+        nested = isinstance(value, Mapping) and not (set(value) & set(leaves))
+        inner = flat(value, f"{path}.", leaves=leaves) if nested else {path: value}
         for twice in inner.keys() & pairs.keys():
             raise ValueError(f"has {shown(twice)} twice, quoted and unquoted: remove one")
         pairs.update(inner)

@@ -8,6 +8,7 @@ computes with it.
 
 from ._air import AIR as AIR, BUOYANCY as BUOYANCY
 from ._declaration import Declaration as Declaration, Group as Group, Key as Key
+from ._expression import Expression as Expression
 from ._hysteresis import (
     BOUC_WEN as BOUC_WEN,
     BOUC_WEN_OSCILLATOR as BOUC_WEN_OSCILLATOR,
@@ -30,6 +31,7 @@ from ._muscle import (
     PISTON as PISTON,
 )
 from ._pneumatic_joint import ALPHA as ALPHA, BETA as BETA, GEOMETRY as GEOMETRY, LOAD as LOAD
+from ._prior import Prior as Prior
 from ._sensors import CAMERA as CAMERA, ENCODER as ENCODER, MARKER as MARKER
 from ._units import (
     QUANTITIES as QUANTITIES,

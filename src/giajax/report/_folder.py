@@ -13,7 +13,10 @@ from ..runs import Run, check_output_folder
 from ._files import RESULT
 
 # What makes two fits the same fit; the iterations allowed and the folder do not.
-_SAME = ("definition", "runs", "free", "start", "fix", "loss", "begin")
+_SAME = (
+    *("definition", "runs", "free", "start", "fix", "loss", "begin"),
+    *("priors", "bounds", "ties", "groups"),
+)
 _WORDS = {"definition": "the model's constants", "runs": "what the sidecar states", "loss": "loss"}
 
 

@@ -60,14 +60,14 @@ def summary_rows(result: FitResult) -> list[tuple[str, str]]:
     rows += _labelled("units", [note] if (note := units_note(result.shown, result.model)) else [])
     rows += _labelled("verdict", verdict_lines(result))
     rows += _labelled("noise", noise_lines(result))
-    rows.append(("cost", _number(result.cost)))
-    rows.append(("reduced chi-square", _number(result.reduced_chi_square)))
+    chi_square = _number(result.reduced_chi_square)
+    rows += [("cost", _number(result.cost)), ("reduced chi-square", chi_square)]
     rows += _labelled("starts", _starts(result))
     residuals = [text for run in result.runs for text in _residuals(run)]
     if len(residuals) > _MANY:
         residuals = _over_runs(result.runs, "residuals of")
     rows += _labelled("residuals", residuals)
-    own = [run.parameters for run in result.runs if run.parameters]
+    own = list(filter(None, (run.parameters.keys() - result.free for run in result.runs)))
     if own:
         text = f"{sum(map(len, own))} values of {len(own)} runs alone were fitted, too"
         rows.append(("initial states", f"{text}; result.json has them"))
@@ -75,9 +75,9 @@ def summary_rows(result: FitResult) -> list[tuple[str, str]]:
     if len(validation) > _MANY:
         validation = _over_runs(result.validation, "prediction of")
     rows += _labelled("validation", validation)
-    strongest = _strongest_correlation(result)
-    if strongest:
+    if strongest := _strongest_correlation(result):
         rows.append(("correlation", strongest))
+    rows += _labelled("findings", [f"{f.sentence}: {f.advice} ({f.page})" for f in result.findings])
     rows.append(("gradient check", _gradient(result)))
     rows.append(("solver tolerance", _tolerance(result)))
     for index, condition in enumerate(result.conditions):

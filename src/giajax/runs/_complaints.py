@@ -31,7 +31,7 @@ def complaint(cls: type[BaseModel], error: ValidationError, source: str) -> Inpu
         return InputError(f"{source}: [{name}] must be a table of keys: write it as one")
     # One bad number in a table of numbers is not the whole table.
     in_table = _is_dict(field) and owner is None and len(path) > 2
-    must = "a finite number or a list of them" if in_table else _declared(field)
+    must = _declared(field, in_table=in_table)
     if first["type"] == "missing":
         return InputError(f"{source}: {name} is missing, and must be {must}: give it")
     return InputError(
@@ -43,9 +43,13 @@ def complaint(cls: type[BaseModel], error: ValidationError, source: str) -> Inpu
 _MANY = 16
 
 
-def _declared(field: FieldInfo) -> str:
+def _declared(field: FieldInfo, *, in_table: bool = False) -> str:
     extra = field.json_schema_extra
-    return str(extra["must"]) if isinstance(extra, dict) else "legal"
+    if not isinstance(extra, dict):
+        return "legal"
+    return str(
+        extra.get("entry", "a finite number or a list of them") if in_table else extra["must"]
+    )
 
 
 def plain(value: Any) -> Any:

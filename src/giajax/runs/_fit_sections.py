@@ -1,4 +1,7 @@
-"""The sections of measuring and fitting: noise, a fit, and the figures that it must reach."""
+"""The sections of measuring and fitting: noise, a fit, and the figures that it must reach.
+
+The file is longer than 200 lines because the keys of one vocabulary are read together.
+"""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
@@ -8,6 +11,7 @@ from pydantic import ConfigDict, Field, field_validator, model_validator
 from .._errors import InputError
 from .._limits import STARTS
 from ..kinds import Finite, Name, Positive, Section, flat, key
+from ..quantities import Expression, Prior
 from ._channels import parse_column
 from ._duration import DURATION
 
@@ -86,6 +90,28 @@ class Noise(Section):
         return self
 
 
+class PriorEntry(Section):
+    """One entry of `[fit.priors]`: what is known of a parameter before the fit."""
+
+    value: Finite = key("a number", "the most probable value, SI", default=...)
+    deviation: Positive | None = key("a positive number", "standard deviation, SI")
+    factor: Positive | None = key(
+        "a number above 1", "known to this factor, up or down, in place of a deviation"
+    )
+
+    @model_validator(mode="after")
+    def _is_a_prior(self) -> "PriorEntry":
+        try:
+            self.prior()
+        except InputError as error:
+            raise ValueError(str(error).removeprefix("the prior ")) from None
+        return self
+
+    def prior(self) -> Prior:
+        """The prior that it states."""
+        return Prior(self.value, self.deviation, self.factor)
+
+
 class Fit(Section):
     """`[fit]`: what to fit to what. Only in a fit definition."""
 
@@ -100,6 +126,30 @@ class Fit(Section):
     uncertainty: dict[Name, Finite | list[Finite]] | None = key(
         "a table of parameter paths and positive numbers",
         "standard deviations of held parameters, for the systematic errors",
+    )
+    priors: dict[Name, PriorEntry] = key(
+        "a table of parameter paths, each with a value and a deviation or factor",
+        "what is known of free parameters before the fit",
+        default={},
+        entry="a table such as { value = 1.1, deviation = 0.2 }",
+    )
+    bounds: dict[Name, Annotated[list[Finite], Field(min_length=2, max_length=2)]] | None = key(
+        "a table of parameter paths and lists of two numbers, [low, high]",
+        "bounds of free parameters, within those that they have",
+        entry="a list of two numbers, [low, high]",
+    )
+    ties: dict[Name, Name] | None = key(
+        "a table of parameter paths and expressions in quotes",
+        "parameters that follow from others",
+        entry='an expression in quotes, such as "1.5 * joints.pitch_stiffness"',
+    )
+    per_run: list[Name] | None = key(
+        "a list of parameter paths", "free parameters with a value of their own in each run"
+    )
+    groups: dict[Name, list[list[Name]]] | None = key(
+        "a table of parameter paths and lists of lists of run names",
+        "free parameters with a value of their own in each group of runs",
+        entry='a list of lists of run names, such as [["a", "b"], ["c"]]',
     )
     channels: list[Name] | None = key(
         "a list of channel names, without unit", "channels to fit; all that were measured"
@@ -138,11 +188,24 @@ class Fit(Section):
     )
     out: Name | None = key("the name of a folder", "where the result goes")
 
-    @field_validator("start", "fix", "uncertainty", mode="before")
+    @field_validator(
+        "start", "fix", "uncertainty", "priors", "bounds", "ties", "groups", mode="before"
+    )
     @classmethod
     def _unquoted_paths_are_paths(cls, table: Any) -> Any:
         # `air.drag_coefficient = 1.2` without quotes is a nested table in TOML, and means the same.
-        return flat(table) if isinstance(table, Mapping) else table
+        leaves = PriorEntry.model_fields
+        return flat(table, leaves=leaves) if isinstance(table, Mapping) else table
+
+    @field_validator("ties")
+    @classmethod
+    def _ties_are_expressions(cls, ties: dict[str, str] | None) -> dict[str, str] | None:
+        for path, text in (ties or {}).items():
+            try:
+                Expression.parse(text)
+            except InputError as error:
+                raise ValueError(f"is not right for {path}, because {error}") from None
+        return ties
 
 
 class Figure(Section):

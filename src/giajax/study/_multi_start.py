@@ -23,6 +23,7 @@ from ..fitting import (
     solve,
 )
 from ..models import AbstractModel
+from ..quantities import Prior
 from ..runs import Run
 from ._starts import inside_bounds, start_values
 
@@ -45,6 +46,11 @@ def multi_start(
     loss: str = "linear",
     solver: str | None = None,
     tolerance: float | None = None,
+    priors: Mapping[str, Prior] | None = None,
+    bounds: Mapping[str, Sequence[float]] | None = None,
+    ties: Mapping[str, str] | None = None,
+    per_run: Sequence[str] = (),
+    groups: Mapping[str, Sequence[Sequence[str]]] | None = None,
     max_iterations: int = MAX_ITERATIONS,
     budget: float | None = None,
     progress: Callable[[Iteration], None] | None = None,
@@ -60,6 +66,7 @@ def multi_start(
 
     Arguments:
         model, runs, free, start, fix, loss, solver, tolerance: as of `giajax.fit`.
+        priors, bounds, ties, per_run, groups: as of `giajax.fit`.
         starts: how many; 1 is `giajax.fit`.
         spread: relative distance of the other starts.
         seed: of the other starts.
@@ -83,6 +90,11 @@ def multi_start(
         loss=loss,
         solver=solver,
         tolerance=tolerance,
+        priors=priors,
+        bounds=bounds,
+        ties=ties,
+        per_run=per_run,
+        groups=groups,
     )
     return solve_from_starts(
         setup,

@@ -91,6 +91,8 @@ def refit(
         start=values,
         fix=fix,
         loss=result.config.get("loss", "linear"),
+        noise_model=result.config.get("noise_model", "correlated"),
+        noise_per_run=bool(result.config.get("noise_per_run")),
         max_iterations=max_iterations,
         check=check,
     )

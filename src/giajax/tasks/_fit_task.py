@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy.typing as npt
 
 from .._errors import InputError
+from ..quantities import Prior
 from ..runs import Definition, read_runs
 from ._journal import read_journal
 from ._record import differences, plain_of, record_of, unchanged
-from ._settings import Paths, parameters_of, paths_of
+from ._settings import Paths, overridden, paths_of
 from ._stored import check_config, reached_by, repeatable, without
 
 if TYPE_CHECKING:
@@ -139,6 +140,11 @@ class FitTask:
         start: Mapping[str, npt.ArrayLike] | None = None,
         fix: Mapping[str, npt.ArrayLike] | None = None,
         uncertainty: Mapping[str, npt.ArrayLike] | None = None,
+        priors: Mapping[str, Prior] | None = None,
+        bounds: Mapping[str, Sequence[float]] | None = None,
+        ties: Mapping[str, str] | None = None,
+        per_run: Sequence[str] | None = None,
+        groups: Mapping[str, Sequence[Sequence[str]]] | None = None,
         channels: Sequence[str] | None = None,
         window_s: float | None = None,
         starts: int | None = None,
@@ -158,9 +164,9 @@ class FitTask:
     ) -> Self:
         """The task with some settings changed; what is left out stays.
 
-        `start` and `fix` are merged path by path, and the last word on a parameter counts: one
-        that is fixed here is no longer free and loses its start; one that is free or has a start
-        here is no longer fixed.
+        What is said of parameters is merged path by path, and the last word on one counts: one
+        that is fixed here is no longer free, and loses its start, prior, bounds, tie and groups;
+        one that is free or has a start here is no longer fixed.
 
         Arguments:
             data, validation: file or files, in place of those before.
@@ -168,11 +174,11 @@ class FitTask:
             start: start values by path, SI.
             fix: values by path that are held, SI.
             uncertainty: standard deviations of what is held, SI, by path.
+            priors, bounds, ties, groups, per_run: as of `giajax.fit`; the last in place of before.
             channels: names without unit of the channels to fit; all that were measured by default.
             window_s: cut each run into windows of this length, s, each with its own start.
             starts: how many starts (1 by default); the best end is the result.
-            spread: how far the other starts are from the first, relative; 0.3 by default.
-            seed: of the other starts; 0 by default.
+            spread, seed: of the other starts: relative distance from the first (0.3), and 0.
             loss: "linear" (the default), "huber" or "soft_l1".
             noise_model: "correlated" (the default) or "white".
             noise_per_run: estimate the noise in each run by itself.
@@ -210,8 +216,10 @@ class FitTask:
             "budget": budget,
             "out": None if out is None else str(out),
         }
+        above = {"free": free, "start": start, "fix": fix, "priors": priors, "bounds": bounds}
+        above |= {"ties": ties, "per_run": per_run, "groups": groups}
         settings = {
-            **parameters_of(self.definition, free, start or {}, fix or {}),
+            **overridden(self.definition, above),
             **{key: value for key, value in values.items() if value is not None},
         }
         whole = self.definition.contents()

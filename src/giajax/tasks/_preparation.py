@@ -183,6 +183,11 @@ def prepare(
         noise_per_run=bool(settings.noise_per_run),
         solver=settings.solver,
         tolerance=settings.tolerance,
+        priors={path: entry.prior() for path, entry in settings.priors.items()},
+        bounds=settings.bounds,
+        ties=settings.ties,
+        per_run=settings.per_run or (),
+        groups=settings.groups,
         begin=None if record["begin"] is None else Beginning(**record["begin"]),
     )
     free = [parameter.path for parameter in setup.parameters]

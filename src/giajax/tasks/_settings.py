@@ -1,14 +1,13 @@
-"""Settings of a task that are changed: the last word on a parameter counts."""
+"""Settings of a task that are changed: the last word on a parameter counts. Imports no JAX."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any
-
-import numpy.typing as npt
+from typing import Any, TypeVar
 
 from ..runs import Definition
 
 Paths = str | Path | Sequence[str | Path]
+Item = TypeVar("Item")
 
 
 def paths_of(files: Paths) -> tuple[Path, ...]:
@@ -16,20 +15,45 @@ def paths_of(files: Paths) -> tuple[Path, ...]:
     return (Path(files),) if isinstance(files, str | Path) else tuple(map(Path, files))
 
 
-def parameters_of(
-    definition: Definition,
-    free: Sequence[str] | None,
-    start: Mapping[str, npt.ArrayLike],
-    fix: Mapping[str, npt.ArrayLike],
-) -> dict[str, Any]:
-    """`free`, `start` and `fix` of a definition with others on top, path by path."""
+def overridden(definition: Definition, above: Mapping[str, Any]) -> dict[str, Any]:
+    """The keys of `[fit]` about parameters, path by path; the last word on one counts.
+
+    Arguments:
+        definition: what was said before.
+        above: `free`, `start`, `fix`, `priors`, `bounds`, `ties`, `per_run` and `groups` of
+            `FitTask.on_top`; None for what is not said.
+
+    Returns:
+        Values by key, of those keys that say anything now or before.
+    """
+    free, per_run = above["free"], above["per_run"]
+    start, fix, bounds = above["start"] or {}, above["fix"] or {}, above["bounds"] or {}
+    priors, ties, groups = above["priors"] or {}, above["ties"] or {}, above["groups"] or {}
     below = definition.fit
-    freed = below.free if free is None else list(free)
-    starts, fixes = dict(below.start or {}), dict(below.fix or {})
-    for path in fix:
-        starts.pop(path, None)
-        if not free and freed is not None:
-            freed = [name for name in freed if name != path]
-    for path in (*start, *(free or ())):
-        fixes.pop(path, None)
-    return {"free": freed, "start": {**starts, **start}, "fix": {**fixes, **fix}}
+    held, following = set(fix), set(ties)
+    apart = {*(per_run or ()), *groups}
+    freed = {*(free or ()), *apart}
+    no_more = held | following
+
+    def kept(table: Mapping[str, Item] | None, without: Collection[str]) -> dict[str, Item]:
+        return {path: item for path, item in (table or {}).items() if path not in without}
+
+    frees = below.free if free is None else list(free)
+    if not free and frees is not None:
+        frees = [path for path in frees if path not in no_more]
+    alone = below.per_run if per_run is None else list(per_run)
+    if per_run is None and alone is not None:
+        alone = [path for path in alone if path not in no_more | set(groups)]
+    known = {path: entry.contents() for path, entry in below.priors.items()}
+    settings: dict[str, Any] = {
+        "free": frees,
+        "start": {**kept(below.start, no_more), **start},
+        "fix": {**kept(below.fix, freed | set(start) | following), **fix},
+        "priors": kept(known, no_more) | {path: prior.contents() for path, prior in priors.items()},
+        "bounds": {**kept(below.bounds, no_more), **bounds},
+        "ties": {**kept(below.ties, freed | held), **ties},
+        "per_run": alone,
+        "groups": {**kept(below.groups, no_more | set(per_run or ())), **groups},
+    }
+    mentioned = {"free", "start", "fix", *below.contents()}
+    return {key: item for key, item in settings.items() if item or key in mentioned}

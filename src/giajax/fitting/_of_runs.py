@@ -1,0 +1,67 @@
+"""What a result knows of single runs and groups of them: the values that not all runs share."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from ..models import AbstractModel
+from ..parameters import declared, replace
+from ..runs import Run
+from ._records import Estimate, OwnEstimate, RunFit
+from ._ties import resolved_ties, tied
+
+# More rows than this are no table to read; `runs[].parameters` has all of them.
+_MANY = 12
+
+
+def rows_of_runs(runs: Sequence[RunFit], free: Mapping[str, Estimate]) -> dict[str, Estimate]:
+    """Estimates of the parameters that have a value for each group of runs.
+
+    Arguments:
+        runs: the fitted ones.
+        free: the estimates of the model's free parameters, by path.
+
+    Returns:
+        By path and names of the runs; empty where there are too many for a table.
+    """
+    sharing: dict[tuple[str, OwnEstimate], list[str]] = {}
+    for run in runs:
+        name = run.name if run.path is None else Path(run.path).stem
+        for path, own in run.parameters.items():
+            if path in free:
+                names = sharing.setdefault((path, own), [])
+                names += [] if name in names else [name]
+    if len(sharing) > _MANY:
+        return {}
+    return {
+        f"{path} of {', '.join(names)}": dataclasses.replace(
+            free[path],
+            value=own.value,
+            standard_error=own.standard_error,
+            remark=own.remark,
+        )
+        for (path, own), names in sharing.items()
+    }
+
+
+def model_of_run(
+    model: AbstractModel, runs: Sequence[RunFit], run: Run, ties: Mapping[str, str]
+) -> AbstractModel:
+    """The fitted model with the values that a fitted run has for itself or with its group.
+
+    Arguments:
+        model: the fitted one.
+        runs: the fitted ones.
+        run: one of them; for any other the model is as it is.
+        ties: expressions by the paths of what follows from them.
+    """
+    for record in runs:
+        if (record.name, record.sha256) == (run.name, run.sha256):
+            # What belongs to the state of the run is no parameter of the model.
+            own = {
+                path: estimate.value
+                for path, estimate in record.parameters.items()
+                if path.partition("[")[0] in declared(model)
+            }
+            return tied(replace(model, own), resolved_ties(model, ties)) if own else model
+    return model

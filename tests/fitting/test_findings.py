@@ -1,0 +1,195 @@
+"""What the data cannot tell, against models of which it is known."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq, least_squares, minimize_scalar
+from test_blocks import OwnHeights, recording
+
+from giajax import Prior, Run, fit, pendulum, predict
+from giajax.fitting import Finding, _findings
+from giajax.fitting._combinations import combinations
+from giajax.fitting._statistics import Statistics
+from giajax.fitting._uncertainty import inverse_gram
+from giajax.models import ArmModel
+from toy_model import Decay, height, run
+
+ROOT = Path(__file__).parents[2]
+
+
+def coded(result):
+    return {finding.code: finding for finding in result.findings}
+
+
+def test_a_good_fit_has_none():
+    assert fit(Decay(), run()).findings == ()
+
+
+def test_what_has_no_response_is_named():
+    finding = coded(fit(Decay(), run(), free=["amplitude", "decay", "offset", "idle"]))
+    assert list(finding) == ["no_response"]
+    assert finding["no_response"].paths == ("idle",)
+
+
+def test_a_product_is_named_with_its_error():
+    """amplitude twin, as exact as the amplitude where the twin is held."""
+    result = fit(Decay(), run(), free=["amplitude", "decay", "offset", "twin"], start={"twin": 1.4})
+    alone = fit(Decay(), run()).parameters["amplitude"]
+    finding = coded(result)["only_combinations"]
+    assert finding.paths == ("amplitude", "twin")
+    shown = re.search(r"only amplitude \* twin = ([\d.]+) \+- ([\d.]+)$", finding.sentence)
+    assert float(shown[1]) == pytest.approx(alone.value, abs=6e-4)
+    assert float(shown[2]) == pytest.approx(alone.standard_error, rel=0.05)
+    assert Finding.of_json({**vars(finding), "paths": list(finding.paths)}) == finding
+
+
+def test_the_error_of_a_combination_of_powers_is_that_of_the_fit():
+    """A direction in which three positive parameters move by other powers, and one by a sum."""
+    logs = np.random.default_rng(3).normal(size=(60, 2))
+    # What shows is p^2 / q and r q: the direction is (1, 2, -2) in logarithms.
+    values = np.array([2.0, 3.0, 5.0])
+    design = logs @ np.array([[2.0, -1.0, 0.0], [0.0, 1.0, 1.0]])
+    known = _statistics(design / values, values)
+    groups = combinations(known, [True] * 3, [False, True, False])
+    ((members, parts),) = groups
+    assert members == (0, 1, 2)
+    assert [part.text for part in parts] == ["p0 / p1^(1/2)", "p2 * p1"]
+    covariance = np.linalg.inv(logs.T @ logs)
+    assert parts[1].value == pytest.approx(15.0)
+    assert parts[1].standard_error == pytest.approx(15.0 * np.sqrt(covariance[1, 1]))
+    assert parts[0].value == pytest.approx(2 / np.sqrt(3))
+    assert parts[0].standard_error == pytest.approx(2 / np.sqrt(3) / 2 * np.sqrt(covariance[0, 0]))
+    # As sums: what shows of p0 and p1 alone is p0 + 2 p1.
+    line = np.outer(np.arange(60.0), [1.0, 2.0, 0.0]) + np.outer(np.ones(60), [0.0, 0.0, 1.0])
+    ((members, parts),) = combinations(_statistics(line, values), [True, False, True], [False] * 3)
+    assert members == (0, 1)
+    assert [part.text for part in parts] == ["p1 + 0.5 p0"]
+    assert parts[0].value == pytest.approx(4.0)
+
+
+def _statistics(jacobian, values):
+    count = jacobian.shape[1]
+    return Statistics(
+        labels=tuple(f"p{i}" for i in range(count)),
+        values=values,
+        alive=np.arange(count),
+        together=(),
+        determined=(),
+        standard_errors={},
+        freedom={},
+        sandwich={},
+        widening={},
+        correlation=np.eye(0),
+        root=np.linalg.qr(jacobian, mode="r"),
+        covariance=inverse_gram(jacobian),
+        reduced_chi_square=1.0,
+        scale=1.0,
+        bounds={},
+    )
+
+
+def test_pairs_and_priors_are_named():
+    priors = {"twin": Prior(1.1, factor=1.2), "offset": Prior(0.5, deviation=0.01)}
+    result = fit(Decay(), run(), free=["amplitude", "decay", "offset", "twin"], priors=priors)
+    found = coded(result)
+    assert found["correlated"].paths == ("amplitude", "twin")
+    assert "-0.9" in found["correlated"].sentence
+    assert found["against_its_prior"].paths == ("offset",)
+    assert found["mostly_its_prior"].paths == ("twin",)
+    assert "only_combinations" not in found
+
+
+def test_the_one_sided_interval_is_where_the_cost_says():
+    """Bounds just below the best decay, against scipy with the decay held."""
+    recorded = run()
+    bounds = {"decay": (0.2, 0.7)}
+    result = fit(Decay(), recorded, start={"decay": 0.5}, bounds=bounds, noise_model="white")
+    finding = coded(result)["at_a_bound"]
+    sigma = 0.01 * np.sqrt(max(result.reduced_chi_square, 1.0))
+
+    def cost(decay):
+        def rows(free):
+            predicted = height(recorded.times, amplitude=free[0], decay=decay, offset=free[1])
+            return (predicted - recorded.observations["tip_z"]) / sigma
+
+        return least_squares(rows, [2.0, 0.3]).cost
+
+    reach = brentq(lambda decay: cost(decay) - cost(0.7) - 1.645**2 / 2, 0.6, 0.7)
+    shown = re.search(r"upper bound 0.7, and at least ([\d.]+) \(one-sided", finding.sentence)
+    assert float(shown[1]) == pytest.approx(reach, abs=6e-4)
+    assert 0.68 < reach < 0.7
+
+
+def test_curvature_is_that_of_the_cost():
+    """The two sides of the profile of the cost, which is linear in all but the decay."""
+    recorded = run(sigma=0.8)
+    start = {"amplitude": 1.5, "decay": 0.9}
+    result = fit(Decay(), recorded, start=start, noise_model="white")
+    finding = coded(result)["curved"]
+    assert finding.paths == ("decay",)
+    error = result.parameters["decay"].standard_error
+
+    def cost(decay):
+        wave = np.stack([np.exp(-decay * recorded.times), np.ones(60)], axis=1)
+        data = recorded.observations["tip_z"]
+        left = wave @ np.linalg.lstsq(wave, data, rcond=None)[0] - data
+        return np.sum(left**2) / 2 / 0.8**2
+
+    step = 0.2
+    best = minimize_scalar(cost, bounds=(1, 3), method="bounded", options={"xatol": 1e-8}).x
+    sides = [cost(best + sign * step * error) - cost(best) for sign in (1, -1)]
+    skew = (sides[0] - sides[1]) / (sides[0] + sides[1]) / step
+    shown = re.search(r"against the other by ([-+]\d+)%", finding.sentence)
+    # The third derivative of the residuals, which is left out, counts where noise is large.
+    assert float(shown[1]) / 100 == pytest.approx(skew, abs=0.15)
+    assert skew < -0.25
+
+
+def test_short_records_are_named():
+    (finding,) = _findings._short([("a", 8.0), ("b", 25.0)])
+    assert finding.code == "short_record"
+    assert finding.sentence == "'a' is 8 correlation times of its noise long"
+
+
+def test_states_of_single_runs_take_part():
+    """A decay that is hardly there makes height and drift of a run the same."""
+    runs = [recording(index)[0] for index in (0, 1)]
+    assert not {"no_response", "only_combinations"} & set(coded(fit(OwnHeights(), runs)))
+
+
+@pytest.mark.quick
+def test_every_finding_has_its_section_and_ends_with_advice():
+    source = Path(_findings.__file__).read_text(encoding="utf-8")
+    codes = re.findall(r'Finding\(\s*"(\w+)"', source)
+    sections = re.findall(r"^## (\w+)$", (ROOT / "docs/findings.md").read_text(), re.MULTILINE)
+    assert sorted(codes) == sorted(sections)
+    assert len(codes) == 8
+    assert Finding("curved", (), "", "").page == "docs/findings.md#curved"
+
+
+@pytest.mark.slow
+def test_a_pendulum_shows_ratios_and_no_mass():
+    """Mass, inertia and damping from angles alone, in gravity: none has an interval."""
+    about = {"arm": {"preset": "pendulum", "links": 1}, "initial": {"angle_deg": 40.0}}
+    truth = ArmModel(pendulum(1, parameters={"joints.damping": 0.05}))
+    times = np.linspace(0.0, 6.0, 121)
+    clean = predict(truth, Run.from_arrays(times, {"joint01_angle": 0 * times}, definition=about))
+    random = np.random.default_rng(0)
+    noisy = {name: value + 0.01 * random.normal(size=121) for name, value in clean.items()}
+    recorded = Run.from_arrays(times, noisy, noise={"angle": 0.01}, definition=about)
+    start = {"links.mass": 1.3, "joints.damping": 0.03}
+    free = ["joints.damping", "links.inertia_transverse", "links.mass"]
+    result = fit(truth, recorded, free=free, start=start)
+    assert result.status == "converged"
+    assert [estimate.standard_error for estimate in result.free.values()] == [None] * 3
+    finding = coded(result)["only_combinations"]
+    assert set(finding.paths) == set(result.free)
+    shown = re.findall(r"([\w.\[\]]+) / ([\w.\[\]]+) = ([\d.]+) \+- ([\d.]+)", finding.sentence)
+    inertia = float(truth.arm.links.inertia_transverse[0] / truth.arm.links.mass[0])
+    size = {"links.inertia_transverse[0]": inertia, "links.mass[0]": 1.0, "joints.damping": 0.05}
+    assert len(shown) == 2
+    for above, below, value, error in shown:
+        assert abs(float(value) - size[above] / size[below]) < 3.5 * float(error)
+        assert float(error) < 0.03 * float(value)
