@@ -40,15 +40,29 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def process(*words, seconds=0.0, **options):
-    code = ["-c", SLOWLY.format(seconds=seconds)] if seconds else ["-m", "giajax"]
-    return subprocess.Popen(
-        [sys.executable, *code, *words],
-        stdout=options.pop("stdout", subprocess.PIPE),
-        stderr=subprocess.PIPE,
-        text=True,
-        **options,
+RUNNING = []
+
+
+@pytest.fixture(autouse=True)
+def nothing_goes_on():
+    """What a test that failed has left running is ended."""
+    yield
+    while RUNNING:
+        running = RUNNING.pop()
+        if running.poll() is None:
+            running.kill()
+            running.communicate()
+
+
+def process(*words, seconds=0.0, code=None, cwd=None):
+    code = code or (SLOWLY.format(seconds=seconds) if seconds else None)
+    start = ["-m", "giajax"] if code is None else ["-c", code]
+    pipe = subprocess.PIPE
+    running = subprocess.Popen(
+        [sys.executable, *start, *words], stdout=pipe, stderr=pipe, text=True, cwd=cwd
     )
+    RUNNING.append(running)
+    return running
 
 
 def ended(running):
@@ -203,9 +217,11 @@ def test_a_second_signal_ends_it_at_once(folder):
 
 @pytest.mark.slow
 def test_two_fits_in_one_folder_do_not_mix(folder, plain):
-    first = process(*FIT, seconds=0.5)
+    first = process(*FIT, seconds=0.1)
     wait_for(first, "1")
+    first.send_signal(signal.SIGSTOP)  # until the second one has tried
     status, out, err = ended(process(*FIT))
+    first.send_signal(signal.SIGCONT)
     assert (status, out, err.count("\n")) == (2, "", 1)
     assert f"another fit is writing to out (process {first.pid} on " in err
     assert ended(first)[0] == 0

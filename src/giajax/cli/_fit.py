@@ -72,18 +72,11 @@ def fit(
         list[str] | None,
         typer.Option(metavar="PATH=VALUE", help="Start a parameter at a value. Repeatable."),
     ] = None,
-    uncertainty: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="PATH=VALUE", help="Standard deviation of a held parameter. Repeatable."
-        ),
-    ] = None,
     prior: Annotated[
         list[str] | None,
         typer.Option(
             metavar="PATH=VALUE+-DEVIATION",
-            help="What is known of a parameter before; PATH=VALUEx/FACTOR is log-normal. "
-            "Repeatable.",
+            help="What is known of it before; PATH=VALUEx/FACTOR is log-normal. Repeatable.",
         ),
     ] = None,
     bounds: Annotated[
@@ -103,9 +96,12 @@ def fit(
     ] = None,
     group: Annotated[
         list[str] | None,
+        typer.Option(metavar="PATH=RUN,RUN", help="Fit a value that these share. Repeatable."),
+    ] = None,
+    uncertainty: Annotated[
+        list[str] | None,
         typer.Option(
-            metavar="PATH=RUN,RUN",
-            help="Fit a value of it that these runs share. Repeat it for each group.",
+            metavar="PATH=VALUE", help="Standard deviation of a held parameter. Repeatable."
         ),
     ] = None,
     channels: Annotated[
@@ -226,12 +222,12 @@ def fit(
         free=free or None,
         start=plain_settings(start, "--start"),
         fix=plain_settings(fix, "--fix"),
-        uncertainty=plain_settings(uncertainty, "--uncertainty"),
         priors=priors(prior),
         bounds=limits(bounds),
         ties=ties(tie),
         per_run=per_run or None,
         groups=groups(group),
+        uncertainty=plain_settings(uncertainty, "--uncertainty"),
         channels=channels or None,
         window_s=window,
         starts=starts,

@@ -103,9 +103,9 @@ class FitResult:
     noise: NoiseFit | None = None
     verdict: Verdict = dataclasses.field(default_factory=Verdict.missing)
     derived: dict[str, Estimate] = dataclasses.field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
     suspects: tuple[Suspect, ...] = ()
     systematic: tuple[SystematicError, ...] = ()
-    findings: tuple[Finding, ...] = ()
     task: dict[str, Any] = dataclasses.field(default_factory=dict)
     predictions: tuple[dict[str, np.ndarray], ...] = ()
 

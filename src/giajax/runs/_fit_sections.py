@@ -123,10 +123,6 @@ class Fit(Section):
     fix: dict[Name, Finite | list[Finite]] | None = key(
         "a table of parameter paths and numbers", "parameters held at a value"
     )
-    uncertainty: dict[Name, Finite | list[Finite]] | None = key(
-        "a table of parameter paths and positive numbers",
-        "standard deviations of held parameters, for the systematic errors",
-    )
     priors: dict[Name, PriorEntry] = key(
         "a table of parameter paths, each with a value and a deviation or factor",
         "what is known of free parameters before the fit",
@@ -150,6 +146,10 @@ class Fit(Section):
         "a table of parameter paths and lists of lists of run names",
         "free parameters with a value of their own in each group of runs",
         entry='a list of lists of run names, such as [["a", "b"], ["c"]]',
+    )
+    uncertainty: dict[Name, Finite | list[Finite]] | None = key(
+        "a table of parameter paths and positive numbers",
+        "standard deviations of held parameters, for the systematic errors",
     )
     channels: list[Name] | None = key(
         "a list of channel names, without unit", "channels to fit; all that were measured"
@@ -189,7 +189,7 @@ class Fit(Section):
     out: Name | None = key("the name of a folder", "where the result goes")
 
     @field_validator(
-        "start", "fix", "uncertainty", "priors", "bounds", "ties", "groups", mode="before"
+        *("start", "fix", "uncertainty", "priors", "bounds", "ties", "groups"), mode="before"
     )
     @classmethod
     def _unquoted_paths_are_paths(cls, table: Any) -> Any:

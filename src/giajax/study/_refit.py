@@ -32,7 +32,7 @@ def begun_where_it_ended(result: FitResult, runs: Sequence[Run]) -> list[Run]:
 
 
 def _begun(model: AbstractModel, run: Run, own: Mapping[str, float]) -> Run:
-    if not own:
+    if not model.free_inputs(run):
         return run
     inputs = prepared_with(model, run, own)
     contents = run.definition.contents()
@@ -54,7 +54,8 @@ def refit(
     """Fit the same runs again from where a fit ended, with more parameters or another model.
 
     Arguments:
-        result: the fit to begin from: its free parameters and its loss are those of the new one.
+        result: the fit to begin from: its free parameters with their priors, bounds, ties and
+            groups of runs, and its loss, are those of the new one.
         runs: what it was fitted to.
         model: in place of the fitted model; it must have the free parameters.
         free: paths of further parameters to free; those that are left out are switched on.
@@ -84,6 +85,16 @@ def refit(
         )
         for part, value in zip(parts, wanted, strict=True):
             values[part.path] = _inside(part.declaration, float(value))
+    limits: dict[str, Any] = {
+        key: {path: item for path, item in result.config.get(key, {}).items() if path not in held}
+        for key in ("priors", "bounds", "ties", "groups")
+    }
+    for path, value in values.items():
+        low, high = limits["bounds"].get(
+            path, limits["bounds"].get(path.partition("[")[0], (-np.inf, np.inf))
+        )
+        margin = _INSIDE * (high - low) if np.isfinite(high - low) else 0.0
+        values[path] = float(np.clip(value, low + margin, high - margin))
     return fit(
         model,
         begun_where_it_ended(result, runs),
@@ -92,7 +103,12 @@ def refit(
         fix=fix,
         loss=result.config.get("loss", "linear"),
         noise_model=result.config.get("noise_model", "correlated"),
+<<<<<<< HEAD
         noise_per_run=bool(result.config.get("noise_per_run")),
+=======
+        noise_per_run=result.config.get("noise_per_run", False),
+        **limits,
+>>>>>>> main
         max_iterations=max_iterations,
         check=check,
     )

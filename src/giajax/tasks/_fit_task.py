@@ -139,12 +139,12 @@ class FitTask:
         free: Sequence[str] | None = None,
         start: Mapping[str, npt.ArrayLike] | None = None,
         fix: Mapping[str, npt.ArrayLike] | None = None,
-        uncertainty: Mapping[str, npt.ArrayLike] | None = None,
         priors: Mapping[str, Prior] | None = None,
         bounds: Mapping[str, Sequence[float]] | None = None,
         ties: Mapping[str, str] | None = None,
         per_run: Sequence[str] | None = None,
         groups: Mapping[str, Sequence[Sequence[str]]] | None = None,
+        uncertainty: Mapping[str, npt.ArrayLike] | None = None,
         channels: Sequence[str] | None = None,
         window_s: float | None = None,
         starts: int | None = None,
@@ -171,19 +171,16 @@ class FitTask:
         Arguments:
             data, validation: file or files, in place of those before.
             free: paths of the parameters to fit, in place of those before.
-            start: start values by path, SI.
-            fix: values by path that are held, SI.
-            uncertainty: standard deviations of what is held, SI, by path.
+            start, fix: values by path, SI: where the fit starts, and what is held.
             priors, bounds, ties, groups, per_run: as of `giajax.fit`; the last in place of before.
+            uncertainty: standard deviations of what is held, SI, by path.
             channels: names without unit of the channels to fit; all that were measured by default.
             window_s: cut each run into windows of this length, s, each with its own start.
             starts: how many starts (1 by default); the best end is the result.
             spread, seed: of the other starts: relative distance from the first (0.3), and 0.
             loss: "linear" (the default), "huber" or "soft_l1".
-            noise_model: "correlated" (the default) or "white".
-            noise_per_run: estimate the noise in each run by itself.
-            solver: of the simulation, one of `giajax.SOLVERS`.
-            tolerance: relative and absolute tolerance of the simulation.
+            noise_model, noise_per_run: "correlated" (default) or "white"; for each run by itself.
+            solver, tolerance: of the simulation: one of `giajax.SOLVERS`, and that of a step.
             max_iterations: trial steps before the fit gives up; 50 by default.
             budget: wall time that the fit may take: "90s", "10m", "2h"; "" for no end.
             begin: a result, or its file or folder: the fit starts where that one ended, with
