@@ -103,12 +103,8 @@ def refit(
         fix=fix,
         loss=result.config.get("loss", "linear"),
         noise_model=result.config.get("noise_model", "correlated"),
-<<<<<<< HEAD
-        noise_per_run=bool(result.config.get("noise_per_run")),
-=======
         noise_per_run=result.config.get("noise_per_run", False),
         **limits,
->>>>>>> main
         max_iterations=max_iterations,
         check=check,
     )
