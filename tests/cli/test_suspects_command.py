@@ -22,7 +22,7 @@ def folder(tmp_path_factory):
     for name in ("muscle.csv", "muscle.toml"):
         shutil.copy(ROOT / "data" / "synthetic" / name, folder / name)
     run = ["fit", "--data", str(folder / "muscle.csv"), *WRONG, "--out", str(folder / "fit")]
-    assert main([*run, "--no-figures", "--quiet"]) == 0
+    assert main([*run, "--no-figures", "--quiet", "--no-suspects"]) == 0
     return folder
 
 
@@ -118,9 +118,12 @@ def test_a_changed_file_is_refused(folder, tmp_path, capsys):
 
 def test_a_fit_states_an_uncertainty(folder, tmp_path, capsys):
     run = ["fit", "--data", str(folder / "muscle.csv"), *WRONG, "--out", str(tmp_path / "fit")]
-    stated = ["--uncertainty", "muscle.diameter=1e-5", "--no-figures", "--json", "--no-suspects"]
+    stated = ["--uncertainty", "muscle.diameter=1e-5", "--no-figures", "--json"]
     assert main([*run, *stated]) == 0
     record = json.loads(capsys.readouterr().out)
+    # The model is inadequate, so that the fit asks by itself what it leaves out.
+    assert record["verdict"]["status"] == "inadequate"
+    assert record["suspects"][0]["path"] == "muscle.end_correction"
     assert record["systematic"][0]["path"] == "muscle.diameter"
     assert record["systematic"][0]["stated"]
     assert record["systematic"][0]["uncertainty"] == 1e-5

@@ -24,7 +24,8 @@ def moved(recording, path, change, **options):
         fix = {path: (values[path] + sign * change).tolist()}
         result = fit(
             curve(), recording, free=["amplitude", "decay"],
-            start={"amplitude": 1.5, "decay": 0.9}, fix=fix, check=False, **options,
+            start={"amplitude": 1.5, "decay": 0.9}, fix=fix,
+            check=False, noise_model="white", **options,
         )  # fmt: skip
         ends.append({name: one.value for name, one in result.free.items()})
     return {name: (ends[1][name] - ends[0][name]) / 2 for name in ends[0]}

@@ -6,13 +6,23 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..fitting import FitResult, Response, SystematicError, influence, responses
-from ..runs import Run
+from ..fitting import (
+    ChannelFit,
+    FitResult,
+    Response,
+    SystematicError,
+    influence,
+    responses,
+)
+from ..noise import ChannelNoise, whitened
+from ..runs import Channel, Run
 from ._candidates import inquiry
 from ._doubts import Doubt, is_doubtful, one_percent, stated_doubts
-from ._weights import Weighing, fitted_noise, matching_runs, own_values
+from ._weights import matching_runs, own_values
 
 _RANK = 1e-9
+# Of a cell that a robust loss leaves out: a weight of 0 would be no measurement.
+_LEAST_WEIGHT = 1e-12
 # Standard errors; what is moved by less is not moved.
 _NOTHING = 1e-6
 
@@ -26,7 +36,8 @@ def systematic_errors(
 
     Where residuals are stationary in the fitted parameters theta, a change of a constant c moves
     them by d(theta)/dc = -(J^T J)^-1 J^T z, with the columns J of theta and z of c (the implicit
-    function theorem with the Gauss-Newton form of the Hessian).
+    function theorem with the Gauss-Newton form of the Hessian), all whitened by the noise that the
+    fit used.
 
     Arguments:
         result: of `giajax.fit` or `giajax.load_result`.
@@ -128,20 +139,21 @@ def _slopes(
 ) -> Any:
     """d(fitted)/d(held), shape (fitted, held)."""
     loss = result.config.get("loss", "linear")
-    noise = fitted_noise(result, runs)
-    weights = []
-    for response, deviations in zip(at, noise, strict=True):
-        sigma = np.asarray([deviations[name] for name in response.channels])
-        rest = np.nan_to_num((response.predicted - response.observed) / sigma)
-        # The second derivative of the loss: a residual beyond its corner does not pull harder.
-        weights.append(np.sqrt(np.maximum(influence(loss, rest)[1], 0.0)))
-    factors = Weighing.of(at, noise, weights).factors
     rows = []
-    for response, factor in zip(at, factors, strict=True):
-        measured = ~np.isnan(response.observed)
-        each = factor[measured][:, None]
-        own = response.own[measured] * each
-        cells = response.columns[measured] * each
+    for response, run, record in zip(at, runs, result.runs, strict=True):
+        parts = []
+        for index, name in enumerate(response.channels):
+            measured = ~np.isnan(response.observed[:, index])
+            noise = _noise_of(run.channels[name], record.channels[name])
+            rest = (response.predicted - response.observed)[measured, index] / noise.deviation
+            # The second derivative of the loss: a residual beyond its corner does not pull.
+            weights = np.maximum(influence(loss, rest)[1], _LEAST_WEIGHT)
+            several = [response.columns[measured, index], response.own[measured, index]]
+            times = None if run.times is None else run.times[measured]
+            parts.append(whitened(noise, times, np.concatenate(several, axis=1), weights))
+        cells = np.concatenate(parts)
+        count = response.columns.shape[2]
+        cells, own = cells[:, :count], cells[:, count:]
         if own.shape[1]:
             cells = cells - own @ np.linalg.lstsq(own, cells, rcond=_RANK)[0]
         rows.append(cells)
@@ -150,3 +162,10 @@ def _slopes(
     norms = np.linalg.norm(jacobian, axis=0)
     norms = np.where(norms > 0, norms, 1.0)
     return -np.linalg.lstsq(jacobian / norms, held, rcond=_RANK)[0] / norms[:, None]
+
+
+def _noise_of(channel: Channel, known: ChannelFit) -> ChannelNoise:
+    """The noise that a channel was weighted with, SI."""
+    whole, correlated = (float(channel.to_si(one)) for one in (known.noise, known.correlated))
+    white = float(np.sqrt(max(whole**2 - correlated**2, 0.0)))
+    return ChannelNoise(white, correlated, known.correlation_time_s)
