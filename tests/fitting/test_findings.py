@@ -24,11 +24,12 @@ def coded(result):
 
 
 def test_a_good_fit_has_none():
-    assert fit(Decay(), run()).findings == ()
+    assert fit(Decay(), run(), noise_model="white").findings == ()
 
 
 def test_what_has_no_response_is_named():
-    finding = coded(fit(Decay(), run(), free=["amplitude", "decay", "offset", "idle"]))
+    free = ["amplitude", "decay", "offset", "idle"]
+    finding = coded(fit(Decay(), run(), free=free, noise_model="white"))
     assert list(finding) == ["no_response"]
     assert finding["no_response"].paths == ("idle",)
 

@@ -8,6 +8,7 @@ import pytest
 
 from giajax import InputError
 from giajax.fitting import Estimate, NoiseFit, RunFit, fit
+from giajax.fitting._noise import Noise
 from giajax.report import summary
 from giajax.runs import Run
 from giajax.verdict import Verdict
@@ -98,6 +99,23 @@ def test_half_a_statement_is_refused(section, sentence):
         )
 
 
+@pytest.mark.quick
+def test_runs_that_state_another_memory_do_not_share_it():
+    def known(time_s):
+        plain = recording(noise={"position": 0.05})
+        section = {"position_m": 0.05, "position_correlated_m": 0.04}
+        section["position_correlation_s"] = time_s
+        changed = type(plain.definition).parse({"noise": section})
+        return dataclasses.replace(plain, definition=plain.definition.merged_with(changed))
+
+    noise = Noise.of([known(0.1), known(10.0)], "correlated", per_run=False)
+    assert [each["tip_z"].time_s for each in noise.values] == [0.1, 10.0]
+    assert sorted(each.time_s for each in noise.by_key().values()) == [0.1, 10.0]
+    white = Noise.of([known(0.1)], "white", per_run=False)
+    assert white.values[0]["tip_z"].is_white
+    assert white.values[0]["tip_z"].deviation == pytest.approx(0.05)
+
+
 def test_an_unknown_noise_model_is_refused():
     with pytest.raises(InputError, match="use one of: correlated, white"):
         fit(Decay(), run(), noise_model="pink")
@@ -110,9 +128,12 @@ def test_outliers_among_correlated_noise_do_not_smear():
     (channel,) = result.runs[0].channels.values()
     assert channel.noise == pytest.approx(0.05, rel=0.3)
     assert result.reduced_chi_square == pytest.approx(1.0, abs=0.4)
+    clean = fit(Decay(), recording(), start=START)
     for path, true in TRUTH.items():
         estimate = result.parameters[path]
         assert abs(estimate.value - true) < 3.5 * estimate.standard_error
+        # An outlier costs about what a missing cell does, not the size of what it is off by.
+        assert estimate.standard_error < 2 * clean.parameters[path].standard_error
 
 
 def test_noise_is_one_in_all_runs_or_one_in_each():

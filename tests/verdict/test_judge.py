@@ -155,3 +155,24 @@ def test_too_few_cells_are_not_judged():
     (each, *_) = residuals(np.random.default_rng(7))
     few = each.where(np.arange(len(each)) < 12)
     assert judge([few], robust=False).status == "not evaluated"
+
+
+@pytest.mark.quick
+def test_runs_may_differ_in_length_and_in_noise():
+    """A long run of much noise and a short one of little, each with noise of its own."""
+    rng = np.random.default_rng(8)
+    wrong = 0
+    for _ in range(30):
+        series = [
+            Series(f"run{i}", "x", size * rng.normal(size=count), None, None, f"x{i}", size, 1.0)
+            for i, (count, size) in enumerate([(1000, 10.0), (40, 1.0)])
+        ]
+        wrong += judge(series, robust=False).status == "inadequate"
+    assert wrong <= 3
+
+
+@pytest.mark.quick
+def test_residuals_of_exactly_nothing_are_judged():
+    times = np.arange(40.0)
+    series = [Series(f"run{i}", "x", np.zeros(40), times, None, "x", 1.0, 1.0) for i in range(2)]
+    assert judge(series, robust=False).status == "adequate"

@@ -7,7 +7,7 @@ from ._configuration import Setup as Setup, set_up as set_up
 from ._findings import Finding as Finding
 from ._fit import MAX_ITERATIONS as MAX_ITERATIONS, fit as fit, solve as solve
 from ._loss import influence as influence
-from ._noise import NOISE_MODELS as NOISE_MODELS
+from ._noise import NOISE_MODELS as NOISE_MODELS, NoiseModel as NoiseModel
 from ._predict import (
     errors_of as errors_of,
     predict as predict,

@@ -175,9 +175,9 @@ def _innovation(noise: ChannelNoise, run: Run, values: np.ndarray) -> float:
 def _noise(state: FitState, known: Statistics) -> NoiseFit:
     """What was taken for noise."""
     widening = {
-        path: finite_or_none(known.widening[index])
-        for index, path in enumerate(state.problem.paths)
-        if index in known.widening
+        path: finite_or_none(known.widening[places[0]])
+        for path, places in zip(state.problem.paths, state.problem.positions, strict=True)
+        if places[0] in known.widening
     }
     return NoiseFit(state.setup.noise_model, state.noise.estimated, widening)
 

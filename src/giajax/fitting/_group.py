@@ -96,6 +96,7 @@ def build_groups(
         observed = [np.stack([runs[i].observations[c] for c in channels], -1) for i in indices]
         weight = [
             np.where(np.isnan(cells), 0.0, 1 / np.asarray(_deviations(noise, i, channels)))
+            * _root_weights(noise, runs[i], i, channels)
             for i, cells in zip(indices, observed, strict=True)
         ]
         length = max(len(cells) for cells in observed)
@@ -117,6 +118,13 @@ def build_groups(
 
 def _deviations(noise: Noise, index: int, channels: Sequence[str]) -> list[float]:
     return [noise.values[index][channel].deviation for channel in channels]
+
+
+def _root_weights(noise: Noise, run: Run, index: int, channels: Sequence[str]) -> np.ndarray:
+    """Roots of the cells' weights, where no whitening has them: in a run without time."""
+    if noise.weights is None or run.times is not None:
+        return np.ones(())
+    return np.sqrt(np.stack([noise.weights[index][name] for name in channels], axis=-1))
 
 
 def _whitening(

@@ -56,7 +56,8 @@ class Noise:
                 guesses.setdefault(key, []).append(from_differences(run.observations[name]))
         values = tuple(
             {
-                name: known.noise or ChannelNoise(float(np.median(guesses[names[name]])))
+                name: known.noise_of(memory=model == "correlated")
+                or ChannelNoise(float(np.median(guesses[names[name]])))
                 for name, known in of_run.items()
             }
             for of_run, names in zip(stated, keys, strict=True)
@@ -139,5 +140,9 @@ def _stated(run: Run, name: str) -> Stated:
 
 def _key(name: str, number: int, stated: Stated, per_run: bool) -> str:
     """Runs that state different noise, or none, do not share what is not stated either."""
-    said = "" if stated.deviation is None else f" {stated.deviation!r} {stated.correlated!r}"
+    said = (
+        ""
+        if stated.deviation is None
+        else f" {stated.deviation!r} {stated.correlated!r} {stated.time_s!r}"
+    )
     return f"{name}{said}" + (f" of run {number}" if per_run else "")

@@ -7,9 +7,10 @@ import numpy as np
 
 from .._typing import Float
 from ..noise import Cells, Restricted, score_covariance, small_sample
+from ._reestimate import OUTLIER
 from ._residual_cells import residual_cells
 from ._state import FitState
-from ._uncertainty import inverse_gram
+from ._uncertainty import Uncertainty, inverse_gram
 
 # With more parameters than this (the initial states of many windows) the noise is known well, and
 # what its errors add is not worth the time.
@@ -32,22 +33,21 @@ class NoiseStatistics(NamedTuple):
     widening: Float[np.ndarray, " parameter"] | None
 
 
-def noise_statistics(
-    state: FitState, alive: np.ndarray, covariance: Float[np.ndarray, "parameter parameter"]
-) -> NoiseStatistics:
+def noise_statistics(state: FitState, alive: np.ndarray, spread: Uncertainty) -> NoiseStatistics:
     """The statistics of a fit whose noise was estimated, or is correlated.
 
     Arguments:
         state: the last one.
         alive: positions of the parameters that respond.
-        covariance: of them, as if the noise were known.
+        spread: their covariance, as if the noise were known.
 
     Returns:
         Them; a covariance of the same shape.
     """
     known = np.full(len(alive), np.inf)
     if state.problem.loss != "linear" or not 0 < len(alive) <= _MANY:
-        return NoiseStatistics(covariance, known, None, None)
+        return NoiseStatistics(spread.covariance, known, None, None)
+    covariance = spread.as_stated
     noise = state.noise
     by_key, stated = noise.by_key(), noise.stated_by_key()
     cells = residual_cells(state)
@@ -59,19 +59,26 @@ def noise_statistics(
         dataclasses.replace(each, weights=narrow.weights)
         for each, narrow in zip(dense, cells.values(), strict=True)
     ]
-    spread = small_sample(Restricted.of(list(cells.values()), by_key), dense, covariance, stated)
+    # Outliers have no part in what is known of the noise.
+    kept = [each.weights > OUTLIER for each in dense]
+    inliers = [each.where(at) for each, at in zip(cells.values(), kept, strict=True)]
+    dense_inliers = [each.where(at) for each, at in zip(dense, kept, strict=True)]
+    small = small_sample(Restricted.of(inliers, by_key), dense_inliers, covariance, stated)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        wider = np.sqrt(np.diag(small.covariance) / np.diag(covariance))
+    larger = spread.covariance * np.outer(wider, wider)
     prior = _prior_rows(state, alive)
     # What a prior says has the variance that it states, whatever the noise is.
     scores = score_covariance(dense, by_key, covariance)
     sandwich = np.sqrt(np.diag(scores + covariance @ prior.T @ prior @ covariance))
     if noise.is_white:
-        return NoiseStatistics(spread.covariance, spread.freedom, sandwich, None)
+        return NoiseStatistics(larger, small.freedom, sandwich, None)
     rows = [each.shared / by_key[each.key].deviation for each in dense]
     triangle = np.asarray(np.linalg.qr(np.concatenate([*rows, prior]), mode="r"))
     white = np.sqrt(np.diag(inverse_gram(triangle)))
     with np.errstate(divide="ignore", invalid="ignore"):
-        widening = np.sqrt(np.diag(spread.covariance)) / white
-    return NoiseStatistics(spread.covariance, spread.freedom, sandwich, widening)
+        widening = np.sqrt(np.diag(larger)) / white
+    return NoiseStatistics(larger, small.freedom, sandwich, widening)
 
 
 def _prior_rows(state: FitState, alive: np.ndarray) -> Float[np.ndarray, "prior parameter"]:

@@ -18,11 +18,14 @@ from ._noise import Noise
 from ._residual_cells import residual_cells
 from ._state import FitState
 
+# Residuals below this part of the largest recorded value are what a solver's tolerance leaves.
+TOLERANCE = 1e-5
+
 # Twice the gain in log-likelihood below which another noise is the same one.
 _SETTLED = 0.1
 
 # Weight below which a cell is an outlier: three deviations off.
-_OUTLIER = 1 / 3
+OUTLIER = 1 / 3
 
 # Change of a robust deviation, in its logarithm, and mean change of weights, likewise.
 _SAME_DEVIATION = 0.05
@@ -47,10 +50,20 @@ def reestimate(state: FitState) -> Noise:
     if state.setup.loss != "linear":
         return _among_outliers(noise, cells, state.setup.runs)
     before = Restricted.of(list(cells.values()), noise.by_key())
-    after = estimate(before, noise.stated_by_key(), memory=noise.memory)
+    memory = noise.memory and not _perfect(cells, state.setup.runs)
+    after = estimate(before, noise.stated_by_key(), memory=memory)
     if _gain(before, after) < _SETTLED:
         return dataclasses.replace(noise, estimated=not noise.complete)
     return noise.with_values(after.noise)
+
+
+def _perfect(cells: dict[tuple[int, str], Cells], runs: Sequence[Run]) -> bool:
+    """Whether nothing is left but what the tolerance of a solver leaves."""
+    return all(
+        np.max(np.abs(each.residual), initial=0.0)
+        <= TOLERANCE * np.nanmax(np.abs(runs[run].observations[name]))
+        for (run, name), each in cells.items()
+    )
 
 
 def _gain(before: Restricted, after: Restricted) -> float:
@@ -72,7 +85,7 @@ def _among_outliers(
     if noise.memory:
         weights = {at: outlier_weights(each, sizes[each.key]) for at, each in cells.items()}
         # An outlier is no noise: it has no part in its size, only little in the fit.
-        inliers = [each.where(weights[at] > _OUTLIER) for at, each in cells.items()]
+        inliers = [each.where(weights[at] > OUTLIER) for at, each in cells.items()]
         before = Restricted.of(inliers, sizes)
         after = estimate(before, stated, memory=True)
         if not all(each.is_white for each in after.noise.values()):

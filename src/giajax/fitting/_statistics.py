@@ -72,6 +72,7 @@ def statistics(state: FitState) -> Statistics:
     loose = {index for group in together for index in group}
     determined = tuple(int(i) for i in alive if i not in loose)
     residuals, measured = weighted_residuals(state)
+    cells = len(residuals) - len(problem.priors)
     white = np.asarray(state.inner.residual) if problem.loss == "linear" else residuals
     spread = uncertainty(
         white,
@@ -80,8 +81,9 @@ def statistics(state: FitState) -> Statistics:
         measured=measured,
         columns=alive,
         priors=len(problem.priors),
+        scaled=state.noise.weights is None,
     )
-    by_noise = noise_statistics(state, alive, spread.covariance)
+    by_noise = noise_statistics(state, alive, spread)
     rows = [int(np.flatnonzero(alive == i)[0]) for i in determined]
     covariance = by_noise.covariance[np.ix_(rows, rows)]
     errors = np.sqrt(np.diag(covariance))
@@ -100,10 +102,10 @@ def statistics(state: FitState) -> Statistics:
         root=root,
         covariance=by_noise.covariance,
         reduced_chi_square=reduced_chi_square(
-            residuals * _against_stated(state),
+            (residuals * _against_stated(state))[:cells],
             loss=state.setup.loss,
-            measured=measured,
-            parameters=len(alive),
+            measured=measured[:cells],
+            parameters=max(len(alive) - len(problem.priors), 0),
         ),
         scale=spread.scale,
         bounds=_at_bounds(state, standard_errors),

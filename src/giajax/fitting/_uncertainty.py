@@ -18,10 +18,12 @@ class Uncertainty(NamedTuple):
     Attributes:
         covariance: shape (parameter, parameter).
         scale: factor on the covariance, 1 unless the residuals exceed the stated noise.
+        as_stated: the covariance were the noise as it is stated, of the same shape.
     """
 
     covariance: np.ndarray
     scale: float
+    as_stated: np.ndarray
 
 
 def uncertainty(
@@ -32,6 +34,7 @@ def uncertainty(
     measured: np.ndarray,
     columns: np.ndarray,
     priors: int = 0,
+    scaled: bool = True,
 ) -> Uncertainty:
     """Covariance of least-squares and M-estimates.
 
@@ -48,34 +51,38 @@ def uncertainty(
         measured: which residuals stand for a measured cell, shape (residual,).
         columns: the parameters that the covariance is for.
         priors: how many of the last rows are those of priors, which no loss transforms.
+        scaled: whether residuals beyond the noise scale the covariance; not where cells have
+            weights, because outliers are in the residuals still.
 
     Returns:
         Covariance, and what scaled it.
     """
-    count, size = int(np.sum(measured)), len(columns)
-    freedom = max(count - size, 1)
-    reduced = float(np.sum(residual[measured] ** 2) / freedom)
-    psi, curvature, slope = influence(loss, residual)
     data = np.arange(len(residual)) < len(residual) - priors
+    count, size = int(np.sum(measured & data)), len(columns)
+    # A prior determines as much as it says; how far it is off says nothing of the noise.
+    freedom = max(count - max(size - priors, 0), 1)
+    reduced = float(np.sum(residual[measured & data] ** 2) / freedom)
+    psi, curvature, slope = influence(loss, residual)
 
     def root_of_gram(weights: np.ndarray | float) -> np.ndarray:
         # Unmeasured cells have zero rows; their slope is that of a residual of zero.
         return jacobian.reduced(np.where(data, weights / slope, 1.0))[:, columns]
 
     plain = root_of_gram(1.0)
-    mean_curvature = float(np.mean(curvature[measured & data])) if count > priors else 1.0
+    mean_curvature = float(np.mean(curvature[measured & data])) if count else 1.0
     if loss == "linear" or mean_curvature < _FEW:
         # With a robust loss: almost every residual is an outlier, and the sandwich has no bread.
-        scale = max(1.0, reduced)
+        scale = max(1.0, reduced) if scaled else 1.0
         bread = inverse_gram(plain)
         if not priors or scale == 1:
-            return Uncertainty(bread * scale, scale)
+            return Uncertainty(bread * scale, scale, bread)
         root = root_of_gram(np.sqrt(scale))
-        return Uncertainty(bread @ (root.T @ root) @ bread, scale)
+        return Uncertainty(bread @ (root.T @ root) @ bread, scale, bread)
     # A residual beyond the corner of the loss has no curvature; the mean keeps A positive.
     bread = inverse_gram(root_of_gram(np.sqrt(mean_curvature)))
     root = root_of_gram(psi * np.sqrt(count / freedom))
-    return Uncertainty(bread @ (root.T @ root) @ bread, 1.0)
+    covariance = bread @ (root.T @ root) @ bread
+    return Uncertainty(covariance, 1.0, covariance)
 
 
 def reduced_chi_square(

@@ -5,10 +5,8 @@ import numpy as np
 from ..verdict import Reason, Series, Verdict, judge
 from ._problem import predictions_by_run
 from ._records import Status
+from ._reestimate import TOLERANCE
 from ._state import FitState
-
-# Residuals below this part of the largest recorded value are what a solver's tolerance leaves.
-_TOLERANCE = 1e-5
 
 
 def verdict(state: FitState, status: Status) -> Verdict:
@@ -19,9 +17,12 @@ def verdict(state: FitState, status: Status) -> Verdict:
         status: how the fit ended; a fit that did not converge is not judged.
     """
     if status != "converged":
-        early = Reason("end", "the fit did not converge", 1.0, 1.0)
+        ended = "did not converge" if status == "not_converged" else "was interrupted"
+        early = Reason("end", f"the fit {ended}", 1.0, 1.0)
         return Verdict("not evaluated", (early,))
     series = residual_series(state)
+    if not series:
+        return Verdict("adequate")
     return judge(series, robust=state.setup.loss != "linear")
 
 
@@ -37,7 +38,7 @@ def residual_series(state: FitState) -> list[Series]:
             measured = ~np.isnan(recorded)
             difference = (predicted[name] - recorded)[measured]
             largest = float(np.max(np.abs(recorded[measured]), initial=0.0))
-            if not len(difference) or np.max(np.abs(difference)) < _TOLERANCE * largest:
+            if not len(difference) or np.max(np.abs(difference)) <= TOLERANCE * largest:
                 continue
             series.append(
                 Series(

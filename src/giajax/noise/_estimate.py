@@ -25,9 +25,6 @@ _MORE = 1.05
 # No statement on a memory is made from fewer cells.
 _FEW = 20
 
-# The part of the variance that has a memory; the rest keeps one outlier from being a memory.
-_MOST = 1.0
-
 
 @dataclasses.dataclass(frozen=True)
 class Stated:
@@ -46,9 +43,13 @@ class Stated:
     @property
     def noise(self) -> ChannelNoise | None:
         """The noise as it is stated; None where its size is not."""
+        return self.noise_of(memory=True)
+
+    def noise_of(self, *, memory: bool) -> ChannelNoise | None:
+        """The noise as it is stated, or as white as it is large; None where its size is not."""
         if self.deviation is None:
             return None
-        part = self.correlated or 0.0
+        part = (self.correlated or 0.0) if memory else 0.0
         white = float(np.sqrt(max(self.deviation**2 - part**2, 0.0)))
         return ChannelNoise(white, part, self.time_s if part else 0.0)
 
@@ -76,7 +77,7 @@ def _of_key(problem: Restricted, key: str, stated: Stated, *, memory: bool) -> C
     cells = [each for each in problem.cells if each.key == key]
     count = sum(len(each.residual) for each in cells)
     present = problem.noise[key]
-    known = stated.noise
+    known = stated.noise_of(memory=memory)
     if known is not None and (stated.correlated is not None or not memory):
         return known
     white = known or _best_scale(problem, key, ChannelNoise(present.deviation))
@@ -111,7 +112,7 @@ def _with_memory(
 
     def noise_at(x: np.ndarray) -> ChannelNoise:
         size = white.deviation if fixed else white.deviation * float(np.exp(x[2]))
-        return _noise(size, _MOST / (1 + float(np.exp(-x[0]))), float(np.exp(x[1])))
+        return _noise(size, 1 / (1 + float(np.exp(-x[0]))), float(np.exp(x[1])))
 
     def target(x: np.ndarray) -> float:
         return problem.value(key, noise_at(x))
@@ -120,7 +121,7 @@ def _with_memory(
     low, high = bounds
     tries = [(share, time) for share in (-1.5, 2.0) for time in np.linspace(low + 1, high - 2, 4)]
     if not start.is_white:
-        share = (start.correlated / start.deviation) ** 2 / _MOST
+        share = (start.correlated / start.deviation) ** 2
         share = float(np.clip(share, 1e-3, 1 - 1e-3))
         tries.append((float(np.log(share / (1 - share))), float(np.log(start.time_s))))
     values = [(target(np.array([*at, 0.0])), at) for at in tries]

@@ -32,6 +32,9 @@ def deviation_of(noise: Noise, channel: Channel) -> float | None:
 def correlated_part_of(noise: Noise, channel: Channel) -> tuple[float, float] | None:
     """The deviation (SI) and the time (s) of the part with a memory, as `[noise]` states it."""
     key = NOISE_KEYS.get(channel.kind)
+    # A column that states its own noise is not that of its quantity.
+    if any(parse_column(column).name == channel.name for column in noise.columns):
+        return None
     part = None if key is None else noise.correlated_part(key)
     if key is None or part is None:
         return None

@@ -16,6 +16,7 @@ from ..fitting import (
     FitJournal,
     FitResult,
     Iteration,
+    NoiseModel,
     Seconds,
     Setup,
     Start,
@@ -44,6 +45,8 @@ def multi_start(
     start: Mapping[str, npt.ArrayLike] | None = None,
     fix: Mapping[str, npt.ArrayLike] | None = None,
     loss: str = "linear",
+    noise_model: NoiseModel = "correlated",
+    noise_per_run: bool = False,
     solver: str | None = None,
     tolerance: float | None = None,
     priors: Mapping[str, Prior] | None = None,
@@ -65,7 +68,8 @@ def multi_start(
     cost alone means nothing where each fit estimates its own noise.
 
     Arguments:
-        model, runs, free, start, fix, loss, solver, tolerance: as of `giajax.fit`.
+        model, runs, free, start, fix, loss, noise_model, noise_per_run, solver, tolerance: as of
+            `giajax.fit`.
         priors, bounds, ties, per_run, groups: as of `giajax.fit`.
         starts: how many; 1 is `giajax.fit`.
         spread: relative distance of the other starts.
@@ -88,6 +92,8 @@ def multi_start(
         start=start,
         fix=fix,
         loss=loss,
+        noise_model=noise_model,
+        noise_per_run=noise_per_run,
         solver=solver,
         tolerance=tolerance,
         priors=priors,

@@ -88,7 +88,7 @@ class Journal:
             self._write()
         except OSError as error:
             self.warn(
-                f"{self.path} cannot be written ({error.strerror}): the fit goes on, and can not "
+                f"{self.path} cannot be written ({error.strerror}): the fit goes on, and cannot "
                 "be resumed unless that is mended"
             )
 

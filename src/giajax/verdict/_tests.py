@@ -23,7 +23,7 @@ SIZE = 1.1
 _BLOCKS = (2, 4, 8, 16, 32)
 
 # Cells of a series, at least, for a statement on it alone.
-_FEW = 16
+_FEW = 32
 
 
 def beyond_stated(series: Sequence[Series]) -> Reason | None:
@@ -73,7 +73,7 @@ def correlated(series: Sequence[Series]) -> Reason | None:
             if count < 4:
                 continue
             squares = float(np.sum(np.concatenate(means) ** 2))
-            freedom = sum(each.white_freedom for each in chosen)
+            freedom = _together(chosen)
             p = min(looks * _tail(count, freedom, squares * length / count), 1.0)
             # What the blocks have beyond white noise, for each cell, in units of its variance.
             share = max(squares / count - 1 / length, 0.0) / (1 - 1 / length)
@@ -103,11 +103,11 @@ def beyond_differences(series: Sequence[Series]) -> Reason | None:
     best: tuple[float, float, str] | None = None
     for name in channels:
         chosen = [each for each in unknown if each.channel == name]
-        total = sum(float(np.sum(each.residual**2)) for each in chosen)
+        # Each over its own: runs may differ in length and in noise.
+        total = sum(float(np.sum((e.residual / e.from_differences) ** 2)) for e in chosen)
         freedom = sum(each.freedom for each in chosen)
-        white = np.sqrt(np.mean([each.from_differences**2 for each in chosen]))
-        size = float(np.sqrt(total / freedom) / white)
-        known = sum(each.white_freedom for each in chosen)
+        size = float(np.sqrt(total / freedom))
+        known = _together(chosen)
         p = min(len(channels) * _tail(freedom, known, size**2), 1.0)
         if p < LEVEL and size > SIZE and (best is None or size > best[1]):
             best = (p, size, name)
@@ -159,6 +159,8 @@ def runs_disagree(series: Sequence[Series]) -> Reason | None:
             others = [other for other in those if other is not each]
             mine = float(np.mean(each.residual**2))
             theirs = sum(float(np.sum(other.residual**2)) for other in others)
+            if not theirs:
+                continue
             freedom = sum(other.freedom for other in others)
             ratio = mine / (theirs / freedom)
             p = min(looks * float(fdtrc(len(each), freedom, ratio)), 1.0)
@@ -179,6 +181,13 @@ def _alone_and_together(channels: Sequence[str]) -> list[tuple[str, ...]]:
     """All channels, and each of several by itself."""
     alone: list[tuple[str, ...]] = [(name,) for name in channels]
     return [tuple(channels), *alone] if len(alone) > 1 else alone
+
+
+def _together(series: Sequence[Series]) -> float:
+    """Degrees of freedom of the white noise of several series (Satterthwaite)."""
+    sizes = np.array([len(each) for each in series], dtype=float)
+    below = float(np.sum(sizes**2 / np.array([each.white_freedom for each in series])))
+    return float(np.sum(sizes)) ** 2 / below if below else np.inf
 
 
 def _tail(above: float, below: float, ratio: float) -> float:
