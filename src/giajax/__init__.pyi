@@ -10,6 +10,7 @@ from . import (
     joint as joint,
     kinds as kinds,
     models as models,
+    noise as noise,
     parameters as parameters,
     quantities as quantities,
     report as report,
@@ -18,6 +19,7 @@ from . import (
     study as study,
     synthetic as synthetic,
     tasks as tasks,
+    verdict as verdict,
 )
 from ._errors import InputError as InputError
 from ._version import __version__ as __version__
@@ -162,3 +164,4 @@ from .synthetic import (
     with_errors as with_errors,
 )
 from .tasks import FitTask as FitTask
+from .verdict import Reason as Reason, Verdict as Verdict

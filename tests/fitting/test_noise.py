@@ -1,14 +1,16 @@
 """Fits under noise with a memory, and what their results say of it."""
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
 
 from giajax import InputError
-from giajax.fitting import fit, load_result
-from giajax.report import summary, write_result
+from giajax.fitting import Estimate, NoiseFit, RunFit, fit
+from giajax.report import summary
 from giajax.runs import Run
+from giajax.verdict import Verdict
 from toy_model import TRUTH, Decay, height, run
 
 START = {"amplitude": 1.0, "decay": 1.2, "offset": 0.1}
@@ -16,7 +18,7 @@ TIMES = np.linspace(0.0, 20.0, 400)
 
 
 def recording(
-    seed=1, *, noise=None, white=0.03, correlated=0.04, time_s=0.5, add=0.0, times=TIMES, name="run"
+    seed=2, *, noise=None, white=0.03, correlated=0.04, time_s=0.5, add=0.0, times=TIMES, name="run"
 ):
     """The truth under white noise and an AR(1)."""
     rng = np.random.default_rng(seed)
@@ -68,7 +70,7 @@ def test_a_memory_that_nobody_stated_is_no_adequate_model(correlated):
 
 def test_a_memory_that_is_stated_is_adequate():
     run = recording(noise={"position": 0.05})
-    section = {"position_correlated_m": 0.04, "position_correlation_s": 0.5}
+    section = {"position_m": 0.05, "position_correlated_m": 0.04, "position_correlation_s": 0.5}
     known = dataclasses.replace(
         run, definition=run.definition.merged_with(type(run.definition).parse({"noise": section}))
     )
@@ -135,10 +137,9 @@ def test_a_record_of_few_correlation_times_is_a_finding():
     assert "short_record" in codes
 
 
-def test_it_is_stored(tmp_path, correlated):
-    write_result(correlated, [recording()], tmp_path / "out", figures=False)
-    again = load_result(tmp_path / "out")
-    assert again.verdict == correlated.verdict
-    assert again.noise == correlated.noise
-    assert again.parameters["decay"] == correlated.parameters["decay"]
-    assert again.runs[0].channels == correlated.runs[0].channels
+def test_it_is_stored(correlated):
+    record = json.loads(correlated.to_json())
+    assert Verdict.of_json(record["verdict"]) == correlated.verdict
+    assert NoiseFit(**record["noise"]) == correlated.noise
+    assert Estimate.of_json(record["parameters"]["decay"]) == correlated.parameters["decay"]
+    assert RunFit.of_json(record["runs"][0]) == correlated.runs[0]

@@ -8,8 +8,6 @@ import pytest
 from giajax.noise import ChannelNoise
 from giajax.verdict import Series, judge
 
-pytestmark = pytest.mark.quick
-
 SIGMA = 0.01
 
 
@@ -80,6 +78,7 @@ def wave(times, run, channel):
         ("runs", lambda times, run, channel: 2 * wave(times, run, channel) * (run == 1)),
     ],
 )
+@pytest.mark.quick
 def test_missing_physics_is_seen(stated, code, add):
     rng = np.random.default_rng(1)
     for _ in range(20):
@@ -89,6 +88,7 @@ def test_missing_physics_is_seen(stated, code, add):
         assert any("link00_z" in reason.channels for reason in verdict.reasons)
 
 
+@pytest.mark.quick
 def test_noise_that_the_residuals_adopt_does_not_hide_a_wrong_model():
     """The deviation is estimated, chi-square is 1, and second differences tell."""
     (found,) = [
@@ -102,6 +102,7 @@ def test_noise_that_the_residuals_adopt_does_not_hide_a_wrong_model():
     assert "link00_z" in found.sentence
 
 
+@pytest.mark.quick
 def test_more_white_noise_than_stated_is_a_reason():
     rng = np.random.default_rng(3)
     verdict = judge(
@@ -112,6 +113,7 @@ def test_more_white_noise_than_stated_is_a_reason():
     assert verdict.reasons[0].size == pytest.approx(np.sqrt(1.25), rel=0.05)
 
 
+@pytest.mark.quick
 def test_significance_without_size_is_no_reason():
     """One part in twenty more noise, in 40,000 cells: sure, and of no importance."""
     rng = np.random.default_rng(4)
@@ -124,6 +126,7 @@ def test_significance_without_size_is_no_reason():
     assert verdict.status == "adequate"
 
 
+@pytest.mark.quick
 def test_a_drift_is_a_reason():
     series = residuals(np.random.default_rng(5), channels=1)
     (each,) = series
@@ -133,6 +136,7 @@ def test_a_drift_is_a_reason():
     assert "drift" in codes
 
 
+@pytest.mark.quick
 def test_outliers_of_a_robust_fit_are_no_reason():
     rng = np.random.default_rng(6)
 
@@ -146,6 +150,7 @@ def test_outliers_of_a_robust_fit_are_no_reason():
     assert judge(spoiled(), robust=False).status == "inadequate"
 
 
+@pytest.mark.quick
 def test_too_few_cells_are_not_judged():
     (each, *_) = residuals(np.random.default_rng(7))
     few = each.where(np.arange(len(each)) < 12)
