@@ -163,15 +163,16 @@ class FitResult:
     @property
     def headline(self) -> str:
         """The message; before it "NOT CONVERGED", or what is wrong with the model."""
+        shouted, message = [], self.message
         if self.status == "not_converged":
-            return f"NOT CONVERGED: {self.message}"
+            shouted.append("NOT CONVERGED")
         if self.verdict.status == "inadequate":
-            reason = self.verdict.reasons[0].sentence
-            return (
-                f"INADEQUATE MODEL: {reason}; {self.message}; the standard errors are conditional "
-                "on a model that does not describe the data"
+            shouted.append("INADEQUATE MODEL")
+            message = (
+                f"{self.verdict.reasons[0].sentence}; {message}; the standard errors are "
+                "conditional on a model that does not describe the data"
             )
-        return self.message
+        return f"{', '.join(shouted)}: {message}" if shouted else message
 
 
 def load_result(path: str | Path) -> FitResult:

@@ -14,16 +14,19 @@ def verdict(state: FitState, status: Status) -> Verdict:
 
     Arguments:
         state: the last one.
-        status: how the fit ended; a fit that did not converge is not judged.
+        status: how the fit ended; a fit that never reached an optimum is not judged.
     """
-    if status != "converged":
-        ended = "did not converge" if status == "not_converged" else "was interrupted"
-        early = Reason("end", f"the fit {ended}", 1.0, 1.0)
-        return Verdict("not evaluated", (early,))
+    ended = {"not_converged": "did not converge", "interrupted": "was interrupted"}.get(status, "")
+    early = Verdict("not evaluated", (Reason("end", f"the fit {ended}", 1.0, 1.0),))
+    # Where the noise was estimated anew, an optimum was reached with the noise before.
+    anew = status == "not_converged" and state.rounds_left < FitState.rounds_left
+    if ended and not anew:
+        return early
     series = residual_series(state)
     if not series:
         return Verdict("adequate")
-    return judge(series, robust=state.setup.loss != "linear")
+    found = judge(series, robust=state.setup.loss != "linear")
+    return early if ended and found.status != "inadequate" else found
 
 
 def residual_series(state: FitState) -> list[Series]:
