@@ -50,6 +50,7 @@ def data(tmp_path, monkeypatch):
     return make_run(tmp_path)
 
 
+@pytest.mark.slow
 def test_a_result_that_cannot_be_written_is_printed(data, monkeypatch):
     def fail(*_, **__):
         raise InputError("no space left: make some")

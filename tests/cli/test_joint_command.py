@@ -108,6 +108,7 @@ def test_the_equilibria_hold_the_target(written):
     assert 20.0 in several
 
 
+@pytest.mark.slow
 def test_it_says_where_the_pressures_hold_the_joint(tmp_path, capsys):
     arguments = ["joint", "--out", str(tmp_path), "--torque", "0.4", "--angle", "45"]
     assert main([*arguments, "--set", "muscle.diameter=0.0045", "--target", "-30"]) == 0
@@ -182,6 +183,7 @@ def test_a_definition_states_joint_and_muscle(tmp_path, capsys):
         assert f"[muscle] {line.split(' ')[0]} is not used here" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["joint", "muscle"])
 def test_a_run_is_checked_and_fitted_like_any_other(name, tmp_path, capsys):
     from pathlib import Path

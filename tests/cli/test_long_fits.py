@@ -123,6 +123,7 @@ def plain(tmp_path_factory):
     return numbers(home / "out"), begins
 
 
+@pytest.mark.slow
 def test_a_killed_fit_ends_at_the_same_numbers(folder, plain):
     """Four times, at random moments in its steps."""
     expected, begins = plain

@@ -31,6 +31,7 @@ def reproduced(run):
     return predict(replace(ArmModel(arm_from_definition(run.definition)), truth), run)
 
 
+@pytest.mark.slow
 def test_a_run_is_complete(out, capsys):
     options = ["--ramp", "1=30", "--noise", "position_m=0.02", "--missing", "10", "--seed", "7"]
     run = simulate(out, *SHORT, *options, "--set", "air.drag_coefficient=0.9")

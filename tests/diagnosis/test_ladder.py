@@ -16,6 +16,7 @@ from giajax.study import refit
 TIGHT = 4
 
 
+@pytest.mark.slow
 def test_two_omissions_one_after_the_other():
     recording = recorded(late=0.05, rub=0.05, seed=2)
     seen = []

@@ -43,6 +43,7 @@ def journalled(folder, setup, **options):
         journal.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", FITS)
 def test_from_every_line_to_the_same_end(tmp_path, case):
     recorded, asked = FITS[case]

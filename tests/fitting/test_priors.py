@@ -153,6 +153,7 @@ def test_the_states_of_single_runs_may_have_priors():
         assert after.parameters["drift[0]"].standard_error > 1e-3
 
 
+@pytest.mark.slow
 def test_rows_of_priors_are_rows_of_the_whole_jacobian():
     """With groups of runs and a tie, too: blocks against jacfwd of the residual."""
     runs = [run(seed=seed, samples=20 + seed) for seed in range(3)]

@@ -78,6 +78,7 @@ def test_it_does_not_depend_on_the_speed_of_the_input():
     np.testing.assert_allclose(slow, play(jnp.asarray(turns), thresholds), atol=1e-15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["scan", "associative"])
 def test_derivatives_against_differences(method):
     inputs, thresholds = jnp.asarray(walk(60, seed=5)), jnp.asarray([0.013, 0.11, 0.37])

@@ -115,6 +115,7 @@ def test_an_angle_gives_pressures_that_give_the_angle_back(name):
     assert unstable >= 2 or name == "empirical"
 
 
+@pytest.mark.slow
 def test_with_a_load_and_another_cocontraction():
     pair = PAIRS["corrected"]
     for degrees, load in ((30.0, 0.2), (-30.0, -0.2), (25.0, -0.1)):

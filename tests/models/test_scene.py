@@ -54,6 +54,7 @@ def test_a_tracked_point_is_where_its_marker_is():
     np.testing.assert_allclose(scene.markers["tip"][0], [2.05, 0.0, 0.0], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_markers_of_a_run_are_what_a_camera_records(tmp_path):
     run = small_run(tmp_path)
     model = model_for([run])

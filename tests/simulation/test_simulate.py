@@ -151,6 +151,7 @@ def test_the_initial_state_is_where_it_starts():
     assert_allclose(motion.angles, expected, rtol=0, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_wind_may_be_three_numbers_or_a_signal():
     vector = [0.1, 0.2, 0.3]
     by_numbers = move(wind=vector)

@@ -163,6 +163,7 @@ def last_angle(coefficient, derivatives):
     return simulate(arm, command, TIMES, derivatives=derivatives).angles[-1, 0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compiled", [False, True])
 def test_reverse_through_a_forward_simulation_is_refused_with_a_sentence(compiled):
     gradient = jax.grad(lambda x: last_angle(x, "forward"))

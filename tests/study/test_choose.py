@@ -55,6 +55,7 @@ def test_the_criteria_are_what_they_say(choice):
         assert n == round(0.7 * 319)
 
 
+@pytest.mark.slow
 def test_fits_that_did_not_converge_sink(monkeypatch):
     """The operator behind the data is given six steps, and the play all that it needs."""
 

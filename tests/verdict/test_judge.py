@@ -46,6 +46,7 @@ def residuals(rng, *, samples=250, channels=3, runs=1, stated=True, memory=False
     return series
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "case",
     [

@@ -3,6 +3,8 @@
 A reason needs significance and size: with many cells everything is significant, and with few a
 large misfit may be chance. Each function looks at several things and corrects for how many
 (Bonferroni), so that noise alone gives a reason with the chance `LEVEL` at most.
+
+The file is longer than 200 lines because the tests share one form, and are read side by side.
 """
 
 from collections.abc import Sequence
