@@ -3,11 +3,11 @@
 A reason needs significance and size: with many cells everything is significant, and with few a
 large misfit may be chance. Each function looks at several things and corrects for how many
 (Bonferroni), so that noise alone gives a reason with the chance `LEVEL` at most.
-
-The file is longer than 200 lines because the tests share one form, and are read side by side.
 """
 
-from collections.abc import Sequence
+import dataclasses
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 from scipy.special import chdtrc, fdtrc
@@ -24,35 +24,29 @@ SIZE = 1.1
 # Lengths of the blocks whose means are compared with those of white noise, in cells.
 _BLOCKS = (2, 4, 8, 16, 32)
 
+# Blocks, at least, for a statement on them.
+_FEWEST_BLOCKS = 4
+
 # Cells of a series, at least, for a statement on it alone.
 _FEW = 32
 
 
 def beyond_stated(series: Sequence[Series]) -> Reason | None:
     """Residuals against the noise that is stated."""
-    known = [each for each in series if each.stated is not None]
-    if not known:
-        return None
-    squares = np.array(
-        [np.sum((each.residual / each.stated.deviation) ** 2) for each in known if each.stated]
-    )
-    freedoms = np.array([each.freedom for each in known])
-    channels = sorted({each.channel for each in known})
-    looks = len(channels) + 1 if len(channels) > 1 else 1
-    best: tuple[float, float, tuple[str, ...]] | None = None
-    for names in _alone_and_together(channels):
-        chosen = [each.channel in names for each in known]
-        total, freedom = float(np.sum(squares[chosen])), float(np.sum(freedoms[chosen]))
-        p = min(looks * float(chdtrc(freedom, total)), 1.0)
-        size = float(np.sqrt(total / freedom))
-        if p < LEVEL and size > SIZE and (best is None or size > best[1]):
-            best = (p, size, names)
-    if best is None:
-        return None
-    p, size, names = best
-    where = "" if len(names) == len(channels) else f" in {', '.join(names)}"
-    sentence = f"the residuals are {size:.3g} times the stated noise{where}"
-    return Reason("noise", sentence, p, size, names)
+    known = [(each, each.stated.deviation) for each in series if each.stated is not None]
+    groups = _alone_and_together([each for each, _ in known])
+
+    def looked_at() -> Iterator[Reason]:
+        for names in groups:
+            chosen = [(each, size) for each, size in known if each.channel in names]
+            total = sum(float(np.sum((each.residual / size) ** 2)) for each, size in chosen)
+            freedom = sum(each.freedom for each, _ in chosen)
+            size = float(np.sqrt(total / freedom))
+            where = "" if names == groups[0] else f" in {', '.join(names)}"
+            sentence = f"the residuals are {size:.3g} times the stated noise{where}"
+            yield Reason("noise", sentence, float(chdtrc(freedom, total)), size, names)
+
+    return _largest(looked_at(), len(groups))
 
 
 def correlated(series: Sequence[Series]) -> Reason | None:
@@ -62,35 +56,28 @@ def correlated(series: Sequence[Series]) -> Reason | None:
     together it has more. A fit takes slow parts out of them, which only lowers the statistic.
     """
     usable = [each for each in series if len(each) >= _FEW]
-    if not usable:
-        return None
-    channels = sorted({each.channel for each in usable})
-    looks = len(_BLOCKS) * (len(channels) + (len(channels) > 1))
-    best: tuple[float, float, tuple[str, ...], int] | None = None
-    for names in _alone_and_together(channels):
-        chosen = [each for each in usable if each.channel in names]
-        for length in _BLOCKS:
-            means = [_block_means(each, length) for each in chosen]
-            count = sum(map(len, means))
-            if count < 4:
+    groups = _alone_and_together(usable)
+
+    def looked_at() -> Iterator[Reason]:
+        for names, length in itertools.product(groups, _BLOCKS):
+            chosen = [each for each in usable if each.channel in names]
+            means = np.concatenate([_block_means(each, length) for each in chosen])
+            count = len(means)
+            if count < _FEWEST_BLOCKS:
                 continue
-            squares = float(np.sum(np.concatenate(means) ** 2))
-            freedom = _together(chosen)
-            p = min(looks * _tail(count, freedom, squares * length / count), 1.0)
+            squares = float(np.sum(means**2))
+            p = _tail(count, _together(chosen), squares * length / count)
             # What the blocks have beyond white noise, for each cell, in units of its variance.
             share = max(squares / count - 1 / length, 0.0) / (1 - 1 / length)
             size = float(np.sqrt(1 + share))
-            if p < LEVEL and size > SIZE and (best is None or size > best[1]):
-                best = (p, size, names, length)
-    if best is None:
-        return None
-    p, size, names, _ = best
-    where = "" if len(names) == len(channels) else f" of {', '.join(names)}"
-    sentence = (
-        f"the residuals{where} are correlated, noise or missing physics: with their memory they "
-        f"are {size:.3g} times what differs from cell to cell"
-    )
-    return Reason("correlation", sentence, p, size, names)
+            where = "" if names == groups[0] else f" of {', '.join(names)}"
+            sentence = (
+                f"the residuals{where} are correlated, noise or missing physics: with their "
+                f"memory they are {size:.3g} times what differs from cell to cell"
+            )
+            yield Reason("correlation", sentence, p, size, names)
+
+    return _largest(looked_at(), len(_BLOCKS) * len(groups))
 
 
 def beyond_differences(series: Sequence[Series]) -> Reason | None:
@@ -99,52 +86,44 @@ def beyond_differences(series: Sequence[Series]) -> Reason | None:
     Noise that is estimated from residuals hides any wrong model: chi-square is 1 by construction.
     """
     unknown = [each for each in series if each.stated is None and len(each) >= _FEW]
-    if not unknown:
-        return None
     channels = sorted({each.channel for each in unknown})
-    best: tuple[float, float, str] | None = None
-    for name in channels:
-        chosen = [each for each in unknown if each.channel == name]
-        # Each over its own: runs may differ in length and in noise.
-        total = sum(float(np.sum((e.residual / e.from_differences) ** 2)) for e in chosen)
-        freedom = sum(each.freedom for each in chosen)
-        size = float(np.sqrt(total / freedom))
-        known = _together(chosen)
-        p = min(len(channels) * _tail(freedom, known, size**2), 1.0)
-        if p < LEVEL and size > SIZE and (best is None or size > best[1]):
-            best = (p, size, name)
-    if best is None:
-        return None
-    p, size, name = best
-    sentence = (
-        f"the noise adopted for {name} is {size:.3g} times what its residuals differ by from "
-        "sample to sample"
-    )
-    return Reason("differences", sentence, p, size, (name,))
+
+    def looked_at() -> Iterator[Reason]:
+        for name in channels:
+            chosen = [each for each in unknown if each.channel == name]
+            # Each over its own: runs may differ in length and in noise.
+            total = sum(float(np.sum((e.residual / e.from_differences) ** 2)) for e in chosen)
+            freedom = sum(each.freedom for each in chosen)
+            size = float(np.sqrt(total / freedom))
+            sentence = (
+                f"the noise adopted for {name} is {size:.3g} times what its residuals differ by "
+                "from sample to sample"
+            )
+            p = _tail(freedom, _together(chosen), size**2)
+            yield Reason("differences", sentence, p, size, (name,))
+
+    return _largest(looked_at(), len(channels))
 
 
 def drift(series: Sequence[Series]) -> Reason | None:
     """A trend of residuals over the run."""
-    usable = [each for each in series if each.times is not None and len(each) >= _FEW]
-    best: tuple[float, float, Series, float] | None = None
-    for each in usable:
-        assert each.times is not None
-        line = each.times - np.mean(each.times)
-        norm = float(np.sqrt(np.sum(line**2)))
-        along = float(np.sum(line * each.residual)) / norm
-        z = abs(along) / each.white
-        p = min(len(usable) * _tail(1, each.white_freedom, z**2), 1.0)
-        size = float(np.sqrt(1 + max(z**2 - 1, 0.0) / len(each)))
-        if p < LEVEL and size > SIZE and (best is None or size > best[1]):
-            best = (p, size, each, along / norm * float(np.ptp(each.times)))
-    if best is None:
-        return None
-    p, size, each, change = best
-    sentence = (
-        f"the residuals of {each.channel} drift over {each.run}, by "
-        f"{abs(change) / each.white:.2g} times its noise"
-    )
-    return Reason("drift", sentence, p, size, (each.channel,))
+    usable = [(e, e.times) for e in series if e.times is not None and len(e) >= _FEW]
+
+    def looked_at() -> Iterator[Reason]:
+        for each, times in usable:
+            line = times - np.mean(times)
+            norm = float(np.sqrt(np.sum(line**2)))
+            along = float(np.sum(line * each.residual)) / norm
+            z = abs(along) / each.white
+            sentence = (
+                f"the residuals of {each.channel} drift over {each.run}, by "
+                f"{z / norm * float(np.ptp(times)):.2g} times its noise"
+            )
+            size = float(np.sqrt(1 + max(z**2 - 1, 0.0) / len(each)))
+            p = _tail(1, each.white_freedom, z**2)
+            yield Reason("drift", sentence, p, size, (each.channel,))
+
+    return _largest(looked_at(), len(usable))
 
 
 def runs_disagree(series: Sequence[Series]) -> Reason | None:
@@ -153,34 +132,39 @@ def runs_disagree(series: Sequence[Series]) -> Reason | None:
     for each in series:
         if len(each) >= _FEW:
             by_key.setdefault(each.key, []).append(each)
-    groups = [those for those in by_key.values() if len(those) > 1]
-    looks = sum(map(len, groups))
-    best: tuple[float, float, Series] | None = None
-    for those in groups:
-        for each in those:
+    pairs = [(each, those) for those in by_key.values() if len(those) > 1 for each in those]
+
+    def looked_at() -> Iterator[Reason]:
+        for each, those in pairs:
             others = [other for other in those if other is not each]
-            mine = float(np.mean(each.residual**2))
             theirs = sum(float(np.sum(other.residual**2)) for other in others)
             if not theirs:
                 continue
             freedom = sum(other.freedom for other in others)
-            ratio = mine / (theirs / freedom)
-            p = min(looks * float(fdtrc(len(each), freedom, ratio)), 1.0)
+            ratio = float(np.mean(each.residual**2)) / (theirs / freedom)
             size = float(np.sqrt(ratio))
-            if p < LEVEL and size > SIZE and (best is None or size > best[1]):
-                best = (p, size, each)
-    if best is None:
-        return None
-    p, size, each = best
-    sentence = (
-        f"the runs disagree: the residuals of {each.channel} are {size:.3g} times as large in "
-        f"{each.run} as in the others"
+            sentence = (
+                f"the runs disagree: the residuals of {each.channel} are {size:.3g} times as "
+                f"large in {each.run} as in the others"
+            )
+            p = _tail(len(each), freedom, ratio)
+            yield Reason("runs", sentence, p, size, (each.channel,))
+
+    return _largest(looked_at(), len(pairs))
+
+
+def _largest(looked_at: Iterable[Reason], looks: int) -> Reason | None:
+    """The largest of what is seen that is sure and large enough, for so many looks."""
+    corrected = (
+        dataclasses.replace(each, p_value=min(looks * each.p_value, 1.0)) for each in looked_at
     )
-    return Reason("runs", sentence, p, size, (each.channel,))
+    known = [each for each in corrected if each.p_value < LEVEL and each.size > SIZE]
+    return max(known, key=lambda each: each.size, default=None)
 
 
-def _alone_and_together(channels: Sequence[str]) -> list[tuple[str, ...]]:
-    """All channels, and each of several by itself."""
+def _alone_and_together(series: Sequence[Series]) -> list[tuple[str, ...]]:
+    """All channels of some series, and each of several by itself."""
+    channels = sorted({each.channel for each in series})
     alone: list[tuple[str, ...]] = [(name,) for name in channels]
     return [tuple(channels), *alone] if len(alone) > 1 else alone
 
