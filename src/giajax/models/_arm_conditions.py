@@ -11,7 +11,7 @@ from ..runs import Run
 from ._protocol import AbstractModel
 
 # Scaling all of these together leaves every motion unchanged: only ratios are determined.
-_SCALE = (
+SCALE = (
     "links.mass",
     "links.inertia_transverse",
     "links.inertia_axial",
@@ -28,6 +28,17 @@ _SCALE = (
     "buoyancy.imbalance",
     "point_masses.mass",
     "point_masses.drag_area",
+)
+
+# Those of them that are the inertia, and not what moves it.
+MASSES = (
+    "links.mass",
+    "links.inertia_transverse",
+    "links.inertia_axial",
+    "buoyancy.helium_density",
+    "buoyancy.trim_mass",
+    "buoyancy.imbalance",
+    "point_masses.mass",
 )
 
 # C_D is referred to these (eq. 1).
@@ -58,7 +69,7 @@ def scale_conditions(
         A sentence for each condition.
     """
     fitted = {path.partition("[")[0] for path in free}
-    scaled = [path for path in free if path.partition("[")[0] in _SCALE]
+    scaled = [path for path in free if path.partition("[")[0] in SCALE]
     # A known force sets the scale: a drive's torque, the lift of displaced air, or the push of
     # a changing wind on it.
     driven = any(c.kind == "joint_torque" for run in runs for c in run.channels.values())
@@ -67,7 +78,7 @@ def scale_conditions(
     sentences = []
     if scaled and not (driven or lifted or blown):
         present = declared(model)
-        held = [path for path in _SCALE if path in present and path not in fitted]
+        held = [path for path in SCALE if path in present and path not in fitted]
         sentences.append(
             f"{', '.join(scaled)}: determined only per unit of mass, because scaling masses, "
             "inertias, drag, stiffness and damping together leaves the motion unchanged; "

@@ -9,19 +9,7 @@ from .._errors import InputError
 from ..arm import STANDARD_GRAVITY, Air, Arm, Buoyancy, bodies, trimmed
 from ..parameters import declared, get, replace
 from ..quantities import BUOYANCY
-
-# What moves an arm, beside its masses.
-SCALED = (
-    "joints.pitch_stiffness",
-    "joints.yaw_stiffness",
-    "joints.damping",
-    "joints.friction",
-    "joints.armature",
-    "air.drag_coefficient",
-    "air.axial_coefficient",
-    "air.added_mass_coefficient",
-    "point_masses.drag_area",
-)
+from ._arm_conditions import MASSES, SCALE
 
 
 def arm_variants(arm: Arm) -> dict[str, Arm]:
@@ -71,7 +59,9 @@ def _floating(arm: Arm, depth: float | None) -> Arm:
     )
     other = trimmed(other, level=True)
     ratio = float(jnp.sum(bodies(other).mass) / jnp.sum(bodies(arm).mass))
-    paths = [path for path in SCALED if path in declared(arm)] if still else []
+    paths = (
+        [path for path in SCALE if path not in MASSES and path in declared(arm)] if still else []
+    )
     return replace(other, {path: ratio * get(arm, path) for path in paths})
 
 
