@@ -14,7 +14,7 @@ from ..parameters import get
 from ..runs import Run
 from ._layout import Layout
 from ._noise import Noise
-from ._stack import stacked as _stack
+from ._stack import stacked
 from ._whitening import Whitening
 
 
@@ -101,7 +101,7 @@ def build_groups(
         ]
         length = max(len(cells) for cells in observed)
         group = Group(
-            inputs=_stack([prepared[i] for i in indices]),
+            inputs=stacked([prepared[i] for i in indices]),
             observed=_padded([np.nan_to_num(cells) for cells in observed], length),
             weight=_padded(weight, length),
             whitening=_whitening(runs, noise, indices, channels, length),
@@ -147,7 +147,7 @@ def _whitening(
             for name, cells in measured.items()
         }
         of_run = {name: noise.values[i][name] for name in channels}
-        parts.append(Whitening.of(of_run, times, weights).padded(length))
+        parts.append(Whitening.of(of_run, times, weights, length))
     dtype = jnp.result_type(float)
     return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves), dtype=dtype), *parts)
 

@@ -50,20 +50,14 @@ def noise_statistics(state: FitState, alive: np.ndarray, spread: Uncertainty) ->
     covariance = spread.as_stated
     noise = state.noise
     by_key, stated = noise.by_key(), noise.stated_by_key()
-    cells = residual_cells(state)
-    if noise.weights is not None:
-        cells = {at: _weighted(state, at, each) for at, each in cells.items()}
     slope = state.problem.bijector.slope(np.asarray(state.coordinate))
-    dense = [_dense(each, alive, slope) for each in residual_cells(state, together=True).values()]
     dense = [
-        dataclasses.replace(each, weights=narrow.weights)
-        for each, narrow in zip(dense, cells.values(), strict=True)
+        _dense(_weighted(state, at, each), alive, slope)
+        for at, each in residual_cells(state, together=True).items()
     ]
     # Outliers have no part in what is known of the noise.
-    kept = [each.weights > OUTLIER for each in dense]
-    inliers = [each.where(at) for each, at in zip(cells.values(), kept, strict=True)]
-    dense_inliers = [each.where(at) for each, at in zip(dense, kept, strict=True)]
-    small = small_sample(Restricted.of(inliers, by_key), dense_inliers, covariance, stated)
+    inliers = [each.where(each.weights > OUTLIER) for each in dense]
+    small = small_sample(Restricted.of(inliers, by_key), inliers, covariance, stated)
     with np.errstate(divide="ignore", invalid="ignore"):
         wider = np.sqrt(np.diag(small.covariance) / np.diag(covariance))
     larger = spread.covariance * np.outer(wider, wider)
@@ -92,8 +86,9 @@ def _prior_rows(state: FitState, alive: np.ndarray) -> Float[np.ndarray, "prior 
 
 def _weighted(state: FitState, at: tuple[int, str], cells: Cells) -> Cells:
     """Cells with the weights that robust statistics left them."""
+    if state.noise.weights is None:
+        return cells
     run, name = at
-    assert state.noise.weights is not None
     measured = ~np.isnan(state.setup.runs[run].observations[name])
     return dataclasses.replace(cells, weights=state.noise.weights[run][name][measured])
 

@@ -32,8 +32,9 @@ def residual_cells(state: FitState, *, together: bool = False) -> dict[tuple[int
     for group, tables in zip(state.problem.groups, state.inner.aux.channels, strict=True):
         for row, member in enumerate(group.members):
             block, columns = next(at_block)
-            weight = np.asarray(group.weight[row], dtype=float)
-            difference = np.asarray(tables[row], dtype=float) - np.asarray(group.observed[row])
+            weight = np.asarray(group.weight, dtype=float)[row]
+            predicted = np.asarray(tables, dtype=float)[row]
+            difference = predicted - np.asarray(group.observed)[row]
             if group.whitening is not None:
                 block = group.whitening.of_run(row).undone(block)
             slope = influence(state.problem.loss, (difference * weight).ravel())[2]

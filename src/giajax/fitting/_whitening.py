@@ -35,6 +35,7 @@ class Whitening(eqx.Module):
         noise: Mapping[str, ChannelNoise],
         times: Float[np.ndarray, " sample"],
         weights: Mapping[str, Float[np.ndarray, " sample"]],
+        length: int | None = None,
     ) -> Self:
         """The gains of a run.
 
@@ -42,22 +43,24 @@ class Whitening(eqx.Module):
             noise: of its channels.
             times: of the samples, s.
             weights: of the cells of each channel, 0 where not measured.
+            length: number of samples with further ones, which are not measured; none by default.
         """
         parts = []
         for name, of_channel in noise.items():
             keep, gain, deviation = gains(of_channel, times, weights[name])
             scale = np.where(weights[name] > 0, of_channel.deviation / deviation, 0.0)
             parts.append((keep, gain, scale))
-        keep, gain, scale = zip(*parts, strict=True)
-        return cls(*(jnp.stack(part, axis=-1) for part in (keep, gain, scale)))
+        more = 0 if length is None else length - len(times)
+        # By numpy: each shape would be a program of its own, compiled before the fit begins.
+        leaves = [
+            jnp.asarray(np.pad(np.stack(part, axis=-1), ((0, more), (0, 0))))
+            for part in zip(*parts, strict=True)
+        ]
+        return cls(*leaves)
 
     def of_run(self, row: int) -> Self:
         """The gains of one of several runs."""
-        return jax.tree.map(lambda leaf: leaf[row], self)
-
-    def padded(self, length: int) -> Self:
-        """With further samples, which are not measured."""
-        return jax.tree.map(lambda leaf: jnp.pad(leaf, ((0, length - len(leaf)), (0, 0))), self)
+        return jax.tree.map(lambda leaf: np.asarray(leaf)[row], self)
 
     def apply(self, rows: Float[Array, "residual column"]) -> Float[Array, "residual column"]:
         """Columns over the cells of a run, sample by sample, made independent."""
