@@ -167,5 +167,4 @@ def _slopes(
 def _noise_of(channel: Channel, known: ChannelFit) -> ChannelNoise:
     """The noise that a channel was weighted with, SI."""
     whole, correlated = (float(channel.to_si(one)) for one in (known.noise, known.correlated))
-    white = float(np.sqrt(max(whole**2 - correlated**2, 0.0)))
-    return ChannelNoise(white, correlated, known.correlation_time_s)
+    return ChannelNoise.of_cell(whole, correlated, known.correlation_time_s)

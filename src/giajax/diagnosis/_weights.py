@@ -7,15 +7,11 @@ import numpy as np
 
 from .._errors import InputError
 from ..fitting import FitResult, Response, influence
+from ..noise import by_second_differences
 from ..runs import Run
 from ._projection import Table
 
 Array = np.ndarray
-
-# 1.4826 median(|x|) estimates the standard deviation of a normal variable; a second difference
-# of white noise has sqrt(6) times its deviation.
-_MAD = 1.4826
-_FEWEST = 8
 
 
 def matching_runs(result: FitResult, runs: Run | Sequence[Run]) -> list[Run]:
@@ -72,19 +68,10 @@ def white_noise(
         each = {}
         for index, name in enumerate(response.channels):
             stated = run.noise(name)
-            apart = None if run.times is None else _from_differences(rest[:, index])
+            apart = None if run.times is None else by_second_differences(rest[:, index])
             each[name] = stated or apart or weighted[name]
         deviations.append(each)
     return deviations
-
-
-def _from_differences(residuals: np.ndarray) -> float | None:
-    """Deviation of white noise in residuals, NaN where not measured; None from too few."""
-    second = np.diff(residuals, 2)
-    second = second[~np.isnan(second)]
-    if len(second) < _FEWEST:
-        return None
-    return _MAD * float(np.median(np.abs(second))) / np.sqrt(6) or None
 
 
 def robust_weights(result: FitResult, runs: Sequence[Run], at: Sequence[Response]) -> list[Array]:

@@ -93,14 +93,6 @@ class Noise:
         values = tuple({name: by_key[key] for name, key in names.items()} for names in self.keys)
         return dataclasses.replace(self, values=values, weights=weights, estimated=True)
 
-    def white_alone(self) -> Self:
-        """As large, but without a memory."""
-        values = tuple(
-            {name: ChannelNoise(noise.deviation) for name, noise in of_run.items()}
-            for of_run in self.values
-        )
-        return dataclasses.replace(self, values=values, memory=False, weights=None)
-
     def to_plain(self) -> dict[str, Any]:
         """What a fit changes of it, as numbers, for `with_plain`."""
         return {

@@ -4,6 +4,23 @@ import numpy as np
 
 from ._robust import MAD
 
+# Fewer second differences know no deviation.
+_FEW = 8
+
+
+def by_second_differences(values: np.ndarray) -> float | None:
+    """Deviation of white noise on something smooth, from the median of second differences.
+
+    Arguments:
+        values: NaN where not measured, shape (sample,).
+
+    Returns:
+        None from too few.
+    """
+    second = np.diff(values, 2)
+    second = second[~np.isnan(second)]
+    return None if len(second) < _FEW else _deviation(second)
+
 
 def from_differences(values: np.ndarray) -> float:
     """Noise of a recorded channel from its second differences, before any model is known.
@@ -19,10 +36,12 @@ def from_differences(values: np.ndarray) -> float:
         Standard deviation, in the unit of the values; never 0.
     """
     measured = values[~np.isnan(values)]
-    second = np.diff(values, 2)
-    second = second[~np.isnan(second)]
-    if len(second) < 8:
-        second = np.diff(measured, 2)
-    estimate = MAD * float(np.median(np.abs(second))) / np.sqrt(6) if len(second) else 0.0
+    estimate = by_second_differences(values)
+    if estimate is None:
+        estimate = _deviation(np.diff(measured, 2))
     span = float(np.ptp(np.quantile(measured, [0.05, 0.95])))  # an outlier is no range
     return max(estimate, 1e-3 * span) or 1.0
+
+
+def _deviation(second: np.ndarray) -> float:
+    return MAD * float(np.median(np.abs(second))) / np.sqrt(6) if len(second) else 0.0

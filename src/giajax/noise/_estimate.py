@@ -1,12 +1,11 @@
 """White and correlated noise of each channel, by restricted likelihood."""
 
-import dataclasses
 from collections.abc import Mapping
 
 import numpy as np
 from scipy.optimize import minimize
 
-from ._model import ChannelNoise
+from ._model import ChannelNoise, Stated
 from ._restricted import Restricted
 
 # Twice the gain in log-likelihood that a memory must bring, for two more parameters: white noise
@@ -24,34 +23,6 @@ _MORE = 1.05
 
 # No statement on a memory is made from fewer cells.
 _FEW = 20
-
-
-@dataclasses.dataclass(frozen=True)
-class Stated:
-    """What is known of the noise of a key beforehand.
-
-    Attributes:
-        deviation: of a cell, SI; None where nothing is.
-        correlated: of the part with a memory; None where nothing is.
-        time_s: its correlation time, s.
-    """
-
-    deviation: float | None = None
-    correlated: float | None = None
-    time_s: float = 0.0
-
-    @property
-    def noise(self) -> ChannelNoise | None:
-        """The noise as it is stated; None where its size is not."""
-        return self.noise_of(memory=True)
-
-    def noise_of(self, *, memory: bool) -> ChannelNoise | None:
-        """The noise as it is stated, or as white as it is large; None where its size is not."""
-        if self.deviation is None:
-            return None
-        part = (self.correlated or 0.0) if memory else 0.0
-        white = float(np.sqrt(max(self.deviation**2 - part**2, 0.0)))
-        return ChannelNoise(white, part, self.time_s if part else 0.0)
 
 
 def estimate(problem: Restricted, stated: Mapping[str, Stated], *, memory: bool) -> Restricted:

@@ -12,8 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .._typing import Float
-from ._estimate import Stated
-from ._model import ChannelNoise
+from ._model import ChannelNoise, Stated
 from ._restricted import Cells, Restricted
 
 # Of differences, in the logarithm of a parameter of the noise.

@@ -7,7 +7,7 @@ import numpy as np
 from .._typing import Float
 from ._model import ChannelNoise
 from ._restricted import Cells
-from ._segment import gains
+from ._segment import whitened
 
 
 def score_covariance(
@@ -43,30 +43,3 @@ def score_covariance(
             meat += (1 - lag / (lags + 1)) * (across + across.T)
     size = len(covariance)
     return covariance @ meat @ covariance * count / max(count - size, 1)
-
-
-def whitened(
-    noise: ChannelNoise,
-    times: Float[np.ndarray, " cell"] | None,
-    columns: Float[np.ndarray, "cell column"],
-    weights: Float[np.ndarray, " cell"] | None = None,
-) -> Float[np.ndarray, "cell column"]:
-    """Columns over the cells of a channel, made independent and of unit variance.
-
-    Arguments:
-        noise: of the channel.
-        times: of the cells, s; None for a run without time.
-        columns: in the unit of the channel.
-        weights: of the cells, all 1 by default.
-    """
-    weights = np.ones(len(columns)) if weights is None else weights
-    keep, gain, deviation = gains(noise, times, weights)
-    if not np.any(gain):
-        return columns / deviation[:, None]
-    result = np.empty_like(columns)
-    memory = np.zeros(columns.shape[1])
-    for i, row in enumerate(columns):
-        fresh = row - memory
-        result[i] = fresh / deviation[i]
-        memory = keep[i] * memory + gain[i] * fresh
-    return result

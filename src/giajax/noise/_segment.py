@@ -125,3 +125,30 @@ def gains(
             variance *= white[i] / total
         variance = decay[i] ** 2 * variance + (1 - decay[i] ** 2) * power
     return decay, decay * share, np.sqrt(innovation)
+
+
+def whitened(
+    noise: ChannelNoise,
+    times: Float[np.ndarray, " cell"] | None,
+    columns: Float[np.ndarray, "cell column"],
+    weights: Float[np.ndarray, " cell"] | None = None,
+) -> Float[np.ndarray, "cell column"]:
+    """Columns over the cells of a channel, made independent and of unit variance.
+
+    Arguments:
+        noise: of the channel.
+        times: of the cells, s; None for a run without time.
+        columns: in the unit of the channel.
+        weights: of the cells, all 1 by default.
+    """
+    weights = np.ones(len(columns)) if weights is None else weights
+    keep, gain, deviation = gains(noise, times, weights)
+    if not np.any(gain):
+        return columns / deviation[:, None]
+    result = np.empty_like(columns)
+    memory = np.zeros(columns.shape[1])
+    for i, row in enumerate(columns):
+        fresh = row - memory
+        result[i] = fresh / deviation[i]
+        memory = keep[i] * memory + gain[i] * fresh
+    return result
