@@ -88,7 +88,7 @@ def suspects(
     configure()
     from ..diagnosis import ladder as climb, suspects as ask, with_systematic_errors
     from ..fitting import load_result
-    from ..tasks import fitted_runs
+    from ..tasks import fitted_runs, held_out_runs
 
     fitted = load_result(result)
     runs = fitted_runs(fitted, data or [], rename=renamed)
@@ -102,6 +102,7 @@ def suspects(
             _show_systematic(fitted)
     steps = None
     if ladder:
+        others += held_out_runs(fitted, data or [], rename=renamed)
         said = None if quiet else _say
         steps = climb(fitted, runs, held_out=others, most=most, progress=said)
         if not (as_json or quiet):

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import jax.numpy as jnp
 import numpy as np
 
-from ..noise import Cells, ChannelNoise
+from ..noise import ChannelNoise
 from ..runs import Parted, Run
 from ..verdict import Foretold, Predictions, Reason, Series
 from ._beginning import between
@@ -57,12 +57,25 @@ def with_held_out(result: FitResult, setup: Setup, parts: Sequence[Parted]) -> F
     # A fit that did not reach its optimum says nothing of the model.
     if reason is not None and "end" not in [other.code for other in verdict.reasons]:
         verdict = verdict.with_reason(reason)
-    records = []
+    records, held_predictions = [], []
+    fitted = iter(result.predictions)
+    predictions = []
     for number, part in enumerate(parts):
+        held: Mapping[str, np.ndarray] = {}
         if part.held is not None:
             known = {name: sizes.get((number, name), math.inf) for name in part.held.observations}
-            records.append(_record(part.whole, part.held, predicted[number], known))
-    return dataclasses.replace(result, held_out=tuple(records), verdict=verdict)
+            held = {name: predicted[number][name] for name in known if name in predicted[number]}
+            records.append(_record(part.whole, part.held, held, known))
+            held_predictions.append(dict(held))
+        if part.fitted is not None:
+            predictions.append({**held, **next(fitted)})
+    return dataclasses.replace(
+        result,
+        held_out=tuple(records),
+        verdict=verdict,
+        predictions=tuple(predictions),
+        held_predictions=tuple(held_predictions),
+    )
 
 
 def _where_it_ended(result: FitResult, setup: Setup, parts: Sequence[Parted]) -> FitState:
@@ -96,7 +109,7 @@ def _where_it_ended(result: FitResult, setup: Setup, parts: Sequence[Parted]) ->
 
 
 def _noise(result: FitResult, noise: Noise, parts: Sequence[Parted]) -> Noise:
-    """The noise that the fit ended with; of what it did not have, that which is stated or guessed."""
+    """The noise that the fit ended with; of what it did not have, what is stated or guessed."""
     by_key = noise.by_key()
     records = iter(result.runs)
     for part, keys in zip(parts, noise.keys, strict=True):

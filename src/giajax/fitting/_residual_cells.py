@@ -61,7 +61,7 @@ def residual_cells(state: FitState, *, together: bool = False) -> dict[tuple[int
 
 
 def shared_and_own(state: FitState) -> tuple[list[int], set[int]]:
-    """Positions of the coordinates that move: shared ones, and those of single runs without a prior.
+    """Positions of the coordinates that move: shared ones; of single runs, without a prior.
 
     Arguments:
         state: evaluated.

@@ -81,6 +81,7 @@ class FitResult:
         task: how `giajax.FitTask.again` fits it again: files with their checksums, and settings;
             empty for a fit of runs without a task.
         predictions: predicted channels (SI) of each run, by name; empty after `load_result`.
+        held_predictions: those of each of `held_out`, likewise.
     """
 
     status: Status
@@ -110,6 +111,7 @@ class FitResult:
     systematic: tuple[SystematicError, ...] = ()
     task: dict[str, Any] = dataclasses.field(default_factory=dict)
     predictions: tuple[dict[str, np.ndarray], ...] = ()
+    held_predictions: tuple[dict[str, np.ndarray], ...] = ()
 
     @property
     def free(self) -> dict[str, Estimate]:
@@ -142,7 +144,7 @@ class FitResult:
         record = {
             field.name: getattr(self, field.name)
             for field in dataclasses.fields(self)
-            if field.name not in ("model", "predictions")
+            if field.name not in ("model", "predictions", "held_predictions")
         }
         record = {"schema_version": SCHEMA_VERSION, "model": self.model.kind, **record}
         return json.dumps(_plain(record), indent=2, allow_nan=False) + "\n"

@@ -55,7 +55,9 @@ def hold_out(runs: Sequence[Run], names: Sequence[str]) -> tuple[Parted, ...]:
         rows = _first_rows(name.strip(), runs)
         parts = [parted(run, first) for run, first in zip(runs, rows, strict=True)]
         if all(part.held is None for part in parts):
-            raise InputError(f"'{name}' holds out no measured value: hold out more, or leave it out")
+            raise InputError(
+                f"'{name}' holds out no measured value: hold out more, or leave it out"
+            )
         for known, first in zip(held_from, rows, strict=True):
             known |= {channel: min(row, known.get(channel, row)) for channel, row in first.items()}
     parts = [parted(run, first) for run, first in zip(runs, held_from, strict=True)]

@@ -50,6 +50,12 @@ class Preparation:
         """The runs to fit, or their windows, without what is held out."""
         return self.setup.runs
 
+    @property
+    def held_out_runs(self) -> tuple[Run, ...]:
+        """What is held out of the runs: only these cells are in them."""
+        parts = () if self.held_out is None else self.held_out.parts
+        return tuple(part.held for part in parts if part.held is not None)
+
     def kept_in(
         self,
         folder: Path,

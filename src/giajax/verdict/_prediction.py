@@ -59,9 +59,11 @@ class Foretold:
         Held cells among which many are off are no outliers, but a prediction that fails.
         """
         size = np.abs(self.series.residual)
-        many = robust_deviation(self.series.residual[self.held])
-        limit = OUTLIER * np.where(self.held, max(self.series.adopted, many), self.series.adopted)
-        kept = size <= limit
+        usual = np.full(len(size), self.series.adopted)
+        if np.any(self.held):
+            many = robust_deviation(self.series.residual[self.held])
+            usual[self.held] = max(self.series.adopted, many)
+        kept = size <= OUTLIER * usual
         return Foretold(self.series.where(kept), self.cells.where(kept), self.held[kept])
 
 
