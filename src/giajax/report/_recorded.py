@@ -118,23 +118,23 @@ def _draw_panel(
     channels = [run.channels[name] for name in names]
     several = len(channels) > 1
     size = 1.6 if len(over) > 400 else 2.6
-    for shown in (run, held):
-        if shown is None or (shown is run and held is run):
-            continue
-        for channel in channels:
-            if channel.name in shown.observations:
-                axes.plot(
-                    over,
-                    channel.from_si(shown.observations[channel.name]),
-                    linestyle="none",
-                    marker="o",
-                    # A precise recording would hide behind the line.
-                    markersize=size + 0.8 if several or shown is held else size,
-                    markeredgewidth=0.6 if shown is held else 0,
-                    markerfacecolor="none" if shown is held else None,
-                    color=_colour(channel) if several else _SHADES[shown is held],
-                    alpha=0.6,
-                )
+    cells = [(run, channel) for channel in channels if held is not run]
+    if held is not None:
+        cells += [(held, channel) for channel in channels if channel.name in held.observations]
+    for shown, channel in cells:
+        hollow = shown is held
+        axes.plot(
+            over,
+            channel.from_si(shown.observations[channel.name]),
+            linestyle="none",
+            marker="o",
+            # A precise recording would hide behind the line.
+            markersize=size + 0.8 if several or hollow else size,
+            markeredgewidth=0.6 if hollow else 0,
+            markerfacecolor="none" if hollow else None,
+            color=_colour(channel) if several else _SHADES[hollow],
+            alpha=0.6,
+        )
     sweeps = np.array([], dtype=int) if over is run.times else _starts(over)
     line = np.insert(np.asarray(over, dtype=float), sweeps, np.nan)
     for channel in channels:
