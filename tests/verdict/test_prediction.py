@@ -1,4 +1,4 @@
-"""What was held out of linear fits: against dense least squares, and under models right and wrong."""
+"""What is held out of linear fits: against dense least squares; of right and wrong models."""
 
 import numpy as np
 import pytest
