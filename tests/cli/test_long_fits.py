@@ -134,36 +134,6 @@ def test_a_killed_fit_ends_at_the_same_numbers(folder, plain):
 
 
 @pytest.mark.slow
-def test_a_fit_killed_twenty_times_ends_at_the_same_numbers(folder, plain):
-    """At random moments from the start of the process on, of fits with one start and with three."""
-    expected, begins = plain
-    moments, kills = random.Random(2), 0
-    for _ in range(3):
-        kills += killed_and_resumed([moments.uniform(0.5, begins + 2) for _ in range(4)], 0.3)
-        assert numbers("out") == expected
-        for file in Path("out").iterdir():
-            file.unlink()
-    several = [*FIT, "--starts", "3"]
-    assert ended(process(*several, "--out", "whole"))[0] == 0
-    while kills < 20:
-        running = process(*several, "--force", seconds=0.1)
-        for _ in range(4):
-            try:
-                running.wait(timeout=moments.uniform(begins, begins + 4))
-                break
-            except subprocess.TimeoutExpired:
-                running.kill()
-                running.communicate()
-                kills += 1
-            begun = read_journal(Path("out")) is not None
-            words = ["fit", "--resume", "out", "--no-figures"] if begun else [*several, "--force"]
-            running = process(*words, seconds=0.1)
-        status, _, err = ended(running)
-        assert status == 0, err
-        assert numbers("out") == numbers("whole")
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
 def test_a_signal_writes_the_best_so_far(folder, plain, number, status):
     running = process(*FIT, seconds=0.5)
