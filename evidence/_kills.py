@@ -148,7 +148,7 @@ KILLS = Study(
         "start of the process on and resumed until one ends: whether each has the numbers of a "
         "fit that was left alone, bit for bit."
     ),
-    size=20,
+    size=10,
     seed=1,
     run=run,
     disagreements=disagreements,
