@@ -140,6 +140,7 @@ def test_groups_lose_what_is_held_out(task):
     assert record.channels["output"].size == pytest.approx(1, abs=0.3)
 
 
+@pytest.mark.slow
 def test_the_command_line(task, capsys):
     command = ["fit", "loops_fit.toml", "--data", "loops.csv", "--data", "other.csv"]
     held = ["--hold-out", "other", "--hold-out", "LAST:0.1", "--out", "out"]
