@@ -10,7 +10,7 @@ from giajax.cli import main
 from giajax.fitting import predict
 from giajax.models import ArmModel
 from giajax.parameters import replace, switched_on
-from giajax.report import summary
+from giajax.report import recorded_figure, summary
 from giajax.runs import Run, write_run
 from giajax.tasks import JOURNAL, compared, fitted_runs, held_out_runs, stored_result
 from small_arm import LINKS, START, TRUTH
@@ -59,6 +59,20 @@ def test_the_last_cells_are_not_fitted(task):
     result = written(last, check=False)
     assert [record.channels["output"].n for record in result.runs] == [44, 35]
     assert [record.channels["output"].n for record in result.held_out] == [11, 9]
+    # In the picture these cells are hollow, and the others are dots.
+    for run, held, record, predicted in zip(
+        ready.runs, ready.held_out_runs, result.runs, result.predictions, strict=True
+    ):
+        (axes,) = recorded_figure(result, run, predicted, record, held).axes
+        dots, hollow = (
+            sum(
+                int(np.sum(~np.isnan(line.get_ydata())))
+                for line in axes.lines
+                if line.get_marker() == "o" and (line.get_markerfacecolor() == "none") == empty
+            )
+            for empty in (False, True)
+        )
+        assert (dots, hollow) == (record.channels["output"].n, len(run.values["output"]) - dots)
     # And a stored result has the same parts again.
     stored = load_result(last.out)
     for again, before in (

@@ -114,7 +114,7 @@ def fit(
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="Do not fit, but judge by: a run, a channel, or last (fifth). Repeatable.",
+            help="Judge by this and do not fit it: a run, a channel, or last (fifth). Repeatable.",
         ),
     ] = None,
     window: Annotated[

@@ -25,6 +25,9 @@ from ._transitions import begin, reweight, step
 # exact to first order, and a state that was guessed may be further off than that.
 _STEPS = 10
 
+# By the position of a run and the name of a channel.
+Sizes = dict[tuple[int, str], float | None]
+
 
 def with_held_out(result: FitResult, setup: Setup, parts: Sequence[Parted]) -> FitResult:
     """The result with how well it predicts what was held out of its runs, and a verdict on that.
@@ -39,42 +42,35 @@ def with_held_out(result: FitResult, setup: Setup, parts: Sequence[Parted]) -> F
         uncertainty of the parameters allow, its verdict has one more reason.
     """
     state = _where_it_ended(result, setup, parts)
-    predicted: Sequence[Mapping[str, np.ndarray]] = [{} for _ in parts]
-    sizes: dict[tuple[int, str], float | None] = {}
     if state.evaluated:
         predicted = predictions_by_run(state.problem, state.inner.aux, setup.runs)
-        channels, sizes = _foretold(state, parts)
-        test = Predictions(channels, _priors(state), robust=setup.loss != "linear")
-        for each in channels:
-            at = each.cells.run, each.series.channel
-            if np.any(each.held):
-                sizes[at] = test.of(*at).size
-        reason = test.reason()
+        sizes, reason = _judged(state, parts)
     else:
+        predicted, sizes = [{} for _ in parts], {}
         said = "what was held out cannot be predicted, because the model fails where the fit ended"
         reason = Reason("prediction", said, 0.0, math.inf)
     verdict = result.verdict
     # A fit that did not reach its optimum says nothing of the model.
     if reason is not None and "end" not in [other.code for other in verdict.reasons]:
         verdict = verdict.with_reason(reason)
-    records, held_predictions = [], []
+    records, of_held, of_fitted = [], [], []
     fitted = iter(result.predictions)
-    predictions = []
-    for number, part in enumerate(parts):
-        held: Mapping[str, np.ndarray] = {}
+    for number, (part, channels) in enumerate(zip(parts, predicted, strict=True)):
+        known = {}
         if part.held is not None:
-            known = {name: sizes.get((number, name), math.inf) for name in part.held.observations}
-            held = {name: predicted[number][name] for name in known if name in predicted[number]}
-            records.append(_record(part.whole, part.held, held, known))
-            held_predictions.append(dict(held))
+            names = list(part.held.observations)
+            known = {name: channels[name] for name in names if name in channels}
+            of_run = {name: sizes.get((number, name), math.inf) for name in names}
+            records.append(_record(part.whole, part.held, known, of_run))
+            of_held.append(known)
         if part.fitted is not None:
-            predictions.append({**held, **next(fitted)})
+            of_fitted.append({**known, **next(fitted)})
     return dataclasses.replace(
         result,
         held_out=tuple(records),
         verdict=verdict,
-        predictions=tuple(predictions),
-        held_predictions=tuple(held_predictions),
+        predictions=tuple(of_fitted),
+        held_predictions=tuple(of_held),
     )
 
 
@@ -133,24 +129,21 @@ def _known_to_held(state: FitState, parts: Sequence[Parted]) -> np.ndarray:
     return alone
 
 
-def _foretold(
-    state: FitState, parts: Sequence[Parted]
-) -> tuple[list[Foretold], dict[tuple[int, str], float | None]]:
-    """All channels with what of them was held; and sizes of those that are described perfectly."""
-    channels: list[Foretold] = []
-    perfect: dict[tuple[int, str], float | None] = {}
+def _judged(state: FitState, parts: Sequence[Parted]) -> tuple[Sizes, Reason | None]:
+    """How far off the held cells of each channel of each run are, and what speaks against it."""
+    channels, sizes = [], Sizes()
     for (number, name), cells in residual_cells(state).items():
         whole, held = parts[number].whole, parts[number].held
         recorded = whole.observations[name]
         measured = ~np.isnan(recorded)
-        ours = np.zeros(len(recorded), bool)
+        apart = np.zeros(len(recorded), bool)
         if held is not None and name in held.observations:
-            ours = ~np.isnan(held.observations[name])
+            apart = ~np.isnan(held.observations[name])
         largest = float(np.max(np.abs(recorded[measured])))
         stated = state.noise.stated[number][name].noise
         if stated is None and np.max(np.abs(cells.residual)) <= TOLERANCE * largest:
             # What a solver's tolerance leaves is no noise to compare with.
-            perfect[number, name] = 0.0
+            sizes[number, name] = 0.0
             continue
         series = Series(
             run=whole.name,
@@ -162,8 +155,13 @@ def _foretold(
             adopted=state.noise.values[number][name].deviation,
             lost=0.0,
         )
-        channels.append(Foretold(series, cells, ours[measured]))
-    return channels, perfect
+        channels.append(Foretold(series, cells, apart[measured]))
+    test = Predictions(channels, _priors(state), robust=state.setup.loss != "linear")
+    for each in channels:
+        if np.any(each.held):
+            at = each.cells.run, each.series.channel
+            sizes[at] = test.of(*at).size
+    return sizes, test.reason()
 
 
 def _priors(state: FitState) -> np.ndarray:

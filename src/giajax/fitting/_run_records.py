@@ -115,6 +115,9 @@ class PredictionErrors:
 class HeldChannel:
     """How well what was held out of one channel is predicted, in the unit of the recording.
 
+    What these cells alone know, such as the free initial state of a run of which nothing was
+    fitted, is fitted to them.
+
     Attributes:
         unit: of the recording.
         rmse: root mean square error of the held-out cells; infinite (None from a file) where the

@@ -269,7 +269,7 @@ class FitTask:
         check: bool = True,
         journal: str | Path | None = None,
     ) -> "FitResult":
-        """Fit, and predict the runs of the validation.
+        """Fit, and predict what was held out and the runs of the validation.
 
         A fit wants 64-bit: call `jax.config.update("jax_enable_x64", True)` first, which
         `giajax fit` does by itself.

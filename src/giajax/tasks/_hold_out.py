@@ -72,8 +72,8 @@ def set_up_parts(
     if not names:
         return set_up_for(model_for(runs), runs, groups), None
     parts = hold_out(runs, names)
-    # A run that is held out must be one of the model that is fitted, too.
-    model_for(runs)
+    if any(part.fitted is None for part in parts):
+        model_for(runs)  # refuses a run that is of another model than the others
     fitted = [part.fitted for part in parts if part.fitted is not None]
     setup = set_up_for(model_for(fitted), fitted, _among(groups, fitted, runs))
     whole = set_up_for(setup.model, runs, groups)
