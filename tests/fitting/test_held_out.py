@@ -3,6 +3,7 @@
 import dataclasses
 import json
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -92,6 +93,32 @@ def test_noise_that_is_not_stated_is_that_of_neighbouring_cells():
 
     assert recorded(0.0).verdict.status == "adequate"
     assert recorded(0.02).verdict.reasons[0].code == "prediction"
+
+
+class Swinging(Decay):
+    """tip_z of the decay, and a tip_y that knows its amplitude alone."""
+
+    def predict(self, inputs, channels):
+        rows, fine = super().predict(inputs, channels)
+        return {**rows, "tip_y": self.amplitude * jnp.sin(inputs)}, fine
+
+
+def test_what_only_a_held_channel_knows_is_no_error_of_prediction():
+    """Not even where the fit, which left it at its start, was far off."""
+    times = np.linspace(0.0, 4.0, 60)
+    noise = SIGMA * np.random.default_rng(0).normal(size=(2, 60))
+    values = {"tip_y": 2.0 * np.sin(times) + noise[0], "tip_z": height(times) + noise[1]}
+    definition = {"free_motion": True}
+    both = Run.from_arrays(times, values, noise={"position": SIGMA}, definition=definition)
+    (part,) = hold_out([both], ["tip_z"])
+    settings = {"start": {"amplitude": 1.5, "decay": 1.5}}
+    result = solve(set_up(Swinging(), [part.fitted], **settings), check=False)
+    assert result.parameters["decay"].value == 1.5
+    judged = with_held_out(result, set_up(Swinging(), [both], **settings), [part])
+    assert judged.verdict.status == "adequate"
+    channel = judged.held_out[0].channels["tip_z"]
+    assert channel.rmse == pytest.approx(SIGMA, rel=0.3)
+    assert channel.size == pytest.approx(1, abs=0.2)
 
 
 def test_a_perfect_description_is_no_reason():

@@ -90,17 +90,18 @@ def _where_it_ended(result: FitResult, setup: Setup, parts: Sequence[Parted]) ->
             for name in names if known else ():
                 own.setdefault(name, {})[path] = known[0]
     state = begin(dataclasses.replace(setup.started_at(values), own=own))
-    state = reweight(state, _noise(result, state.noise, parts))
+    state = step(reweight(state, _noise(result, state.noise, parts)))
+    if not state.evaluated:
+        return state
     alone = _known_to_held(state, parts)
+    if not np.any(alone):
+        return state
     everything = state.active
-    if np.any(alone):
-        state = dataclasses.replace(state, active=jnp.asarray(alone))
-        for _ in range(_STEPS):
-            state = step(state)
-            if state.done or not state.evaluated:
-                break
-    else:
+    state = dataclasses.replace(state, active=jnp.asarray(alone))
+    for _ in range(_STEPS):
         state = step(state)
+        if state.done:
+            break
     return dataclasses.replace(state, active=everything)
 
 
@@ -120,26 +121,34 @@ def _noise(result: FitResult, noise: Noise, parts: Sequence[Parted]) -> Noise:
 
 
 def _known_to_held(state: FitState, parts: Sequence[Parted]) -> np.ndarray:
-    """The coordinates that no fitted run responds to, shape (parameter,)."""
+    """The coordinates that no fitted cell responds to, shape (parameter,)."""
     alone = np.ones(state.problem.size, bool)
     for group in state.problem.groups:
         for member, columns in zip(group.members, group.columns(), strict=True):
             if parts[member].fitted is not None:
                 alone[columns] = False
+    shared, _ = shared_and_own(state)
+    responds = np.zeros(len(shared), bool)
+    for (number, name), cells in residual_cells(state).items():
+        responds |= np.any(cells.shared[~_held_cells(parts[number], name)] != 0, axis=0)
+    alone[shared] = ~responds
     return alone
+
+
+def _held_cells(part: Parted, name: str) -> np.ndarray:
+    """Which of the measured cells of a channel are held out, shape (cell,)."""
+    measured = ~np.isnan(part.whole.observations[name])
+    if part.held is None or name not in part.held.observations:
+        return np.zeros(int(np.sum(measured)), bool)
+    return ~np.isnan(part.held.observations[name][measured])
 
 
 def _judged(state: FitState, parts: Sequence[Parted]) -> tuple[Sizes, Reason | None]:
     """How far off the held cells of each channel of each run are, and what speaks against it."""
     channels, sizes = [], Sizes()
     for (number, name), cells in residual_cells(state).items():
-        whole, held = parts[number].whole, parts[number].held
-        recorded = whole.observations[name]
-        measured = ~np.isnan(recorded)
-        apart = np.zeros(len(recorded), bool)
-        if held is not None and name in held.observations:
-            apart = ~np.isnan(held.observations[name])
-        largest = float(np.max(np.abs(recorded[measured])))
+        whole = parts[number].whole
+        largest = float(np.nanmax(np.abs(whole.observations[name])))
         stated = state.noise.stated[number][name].noise
         if stated is None and np.max(np.abs(cells.residual)) <= TOLERANCE * largest:
             # What a solver's tolerance leaves is no noise to compare with.
@@ -155,7 +164,7 @@ def _judged(state: FitState, parts: Sequence[Parted]) -> tuple[Sizes, Reason | N
             adopted=state.noise.values[number][name].deviation,
             lost=0.0,
         )
-        channels.append(Foretold(series, cells, apart[measured]))
+        channels.append(Foretold(series, cells, _held_cells(parts[number], name)))
     test = Predictions(channels, _priors(state), robust=state.setup.loss != "linear")
     for each in channels:
         if np.any(each.held):
