@@ -1,5 +1,6 @@
 """Fits of a part of what was recorded, which are judged by the rest."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -215,3 +216,14 @@ def test_what_an_arm_lacks_shows_where_it_was_not_fitted(tmp_path):
     (record,) = wrong.held_out
     assert record.channels["link04_y"].size > 2
     assert max(channel.size for channel in right.held_out[0].channels.values()) < 1.3
+
+
+@pytest.mark.parametrize(
+    "damaged", [{"hold_out": []}, {"runs": [{"held_from": "x"}]}, {"runs": [3]}, {"runs": 3}]
+)
+def test_a_result_that_does_not_say_what_was_held_out(task, damaged):
+    result = task.on_top(hold_out=["other"]).run(check=False)
+    damaged = dataclasses.replace(result, config={**result.config, **damaged})
+    with pytest.raises(InputError, match="fit the data anew"):
+        fitted_runs(damaged)
+        held_out_runs(damaged)

@@ -33,8 +33,7 @@ def fitted_runs(
         InputError: a file is missing, or is not the one that was fitted; or a run was made in
             memory.
     """
-    several = zip(result.runs, result.config["runs"], strict=True)
-    parts = _read_again(result.model.kind, list(several), data, rename)
+    parts = _read_again(result.model.kind, _described(result, "runs"), data, rename)
     return [run for part in parts if (run := part.fitted) is not None]
 
 
@@ -55,9 +54,23 @@ def held_out_runs(
     Raises:
         InputError: as `fitted_runs`.
     """
-    several = zip(result.held_out, result.config.get("hold_out", ()), strict=True)
-    parts = _read_again(result.model.kind, list(several), data, rename)
+    parts = _read_again(result.model.kind, _described(result, "hold_out"), data, rename)
     return [run for part in parts if (run := part.held) is not None]
+
+
+def _described(result: "FitResult", key: str) -> "list[tuple[RunFit | HeldOut, Mapping[str, Any]]]":
+    """The records of runs, or of what was held out, with what the configuration says of each."""
+    records = result.runs if key == "runs" else result.held_out
+    several = result.config.get(key, [])
+    try:
+        rows = [row for about in several for row in about.get("held_from", {}).values()]
+        if all(isinstance(row, int) for row in rows):
+            return list(zip(records, several, strict=True))
+    except (AttributeError, TypeError, ValueError):
+        pass
+    raise InputError(
+        "the result does not say of all its runs what was fitted: fit the data anew to ask about it"
+    )
 
 
 def _read_again(
