@@ -9,10 +9,11 @@ module with a `Study`, and a line in `STUDIES`.
 """
 
 from ._coverage import COVERAGE
+from ._kills import KILLS
 from ._noise import NOISE
 from ._page import PAGE as PAGE, page as page
 from ._record import FOLDER as FOLDER, read as read, record as record, write as write
 from ._study import Study as Study
 from ._suspects import SUSPECTS
 
-STUDIES = {study.name: study for study in (COVERAGE, NOISE, SUSPECTS)}
+STUDIES = {study.name: study for study in (COVERAGE, NOISE, KILLS, SUSPECTS)}

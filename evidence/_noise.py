@@ -2,10 +2,13 @@
 
 A linear model with four smooth columns, such as the motion of a slow arm has, and noise whose
 memory is known: an AR(1) of correlation rho from one sample to the next of 0.1 s, or white. Each
-replicate is estimated as a fit does at its optimum, by `giajax.noise`; "white" beside it is least
-squares with 1.96 standard errors of white noise, whose size comes from the residuals.
+replicate is estimated as a fit does at its optimum, by `giajax.noise`. Beside it is what else one
+could do: least squares with 1.96 standard errors of white noise, whose size comes from the
+residuals, and for a single evenly sampled channel the two ways of statsmodels, `GLSAR` (an AR(1)
+without white noise, iterated) and least squares with `HAC` errors (Newey and West).
 """
 
+from collections import Counter
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -45,7 +48,7 @@ def cases() -> Iterator[Case]:
     """All combinations, and long records for the longest memory."""
     for rho, samples in ((0.0, 250), (0.5, 250), (0.9, 250), (0.99, 250), (0.99, 2500)):
         for gaps in (False, True):
-            for channels in (1, 3):
+            for channels in (1, 2):
                 for stated in (True, False):
                     yield Case(rho, samples, gaps, channels, stated)
 
@@ -54,26 +57,27 @@ def run(size: int, seed: int) -> Figures:
     """Figures of `size` replicates of each case."""
     figures: Figures = {}
     for index, case in enumerate(cases()):
-        rng = np.random.default_rng([seed, index])
-        within = white = short = 0
-        for _ in range(size):
-            one, two, flagged = _replicate(case, rng)
-            within, white, short = within + one, white + two, short + flagged
+        counts: Counter[str] = Counter()
+        for number in range(size):
+            counts.update(_replicate(case, np.random.default_rng([seed, index, number])))
         figures[case.name] = {
             "correlation_times": None if case.rho == 0 else round(float(case.lengths), 1),
             "records": size,
             "intervals": 4 * size,
-            "within": within,
-            "within_if_white": white,
-            "seen_as_short": short,
+            **{key: counts[key] for key in _ways(case)},
+            "seen_as_short": counts["seen_as_short"],
         }
     return figures
 
 
-def _replicate(case: Case, rng: np.random.Generator) -> tuple[int, int, int]:
-    """How many of four intervals hold the truth, by both ways; whether the record seems short."""
-    from giajax.noise import Cells, ChannelNoise, Restricted, Stated, estimate, small_sample
+def _ways(case: Case) -> tuple[str, ...]:
+    """The ways of estimating that a case is for."""
+    ours = ("within", "within_if_white")
+    return ours if case.gaps or case.channels > 1 else (*ours, "within_glsar", "within_hac")
 
+
+def _replicate(case: Case, rng: np.random.Generator) -> dict[str, int]:
+    """How many of four intervals hold the truth, by each way; whether the record seems short."""
     times = np.arange(case.samples) * STEP_S
     if case.gaps:
         times = times[(rng.random(case.samples) > 0.2) & ((times % 6) < 5)]
@@ -81,8 +85,19 @@ def _replicate(case: Case, rng: np.random.Generator) -> tuple[int, int, int]:
     smooth = np.stack([np.exp(-3 * u), np.sin(3 * u), u, np.cos(7 * u)], axis=1)
     columns = [smooth @ _mixing(channel) for channel in range(case.channels)]
     values = [_noise(times, case.rho, rng) for _ in columns]
-    all_columns, all_values = np.concatenate(columns), np.concatenate(values)
-    start = np.linalg.lstsq(all_columns, all_values, rcond=None)[0]
+    counts = _ours(case, times, columns, values)
+    counts["within_if_white"] = _if_white(np.concatenate(columns), np.concatenate(values))
+    if "within_hac" in _ways(case):
+        counts |= _peers(columns[0], values[0])
+    return counts
+
+
+def _ours(
+    case: Case, times: np.ndarray, columns: list[np.ndarray], values: list[np.ndarray]
+) -> dict[str, int]:
+    from giajax.noise import Cells, ChannelNoise, Restricted, Stated, estimate, small_sample
+
+    start = np.linalg.lstsq(np.concatenate(columns), np.concatenate(values), rcond=None)[0]
     cells = [
         Cells(
             key=f"channel{i}",
@@ -103,12 +118,29 @@ def _replicate(case: Case, rng: np.random.Generator) -> tuple[int, int, int]:
     off = np.abs(start + covariance @ gram[:-1, -1])
     spread = small_sample(problem, cells, covariance, stated)
     reach = _quantile(spread.freedom) * np.sqrt(np.diag(spread.covariance))
-    freedom = len(all_values) - 4
-    variance = np.sum((all_values - all_columns @ start) ** 2) / freedom
-    plain = 1.96 * np.sqrt(variance * np.diag(np.linalg.inv(all_columns.T @ all_columns)))
     longest = max(noise.time_s for noise in problem.noise.values())
     short = longest > 0 and np.ptp(times) < 20 * longest
-    return int(np.sum(off < reach)), int(np.sum(np.abs(start) < plain)), int(short)
+    return {"within": int(np.sum(off < reach)), "seen_as_short": int(short)}
+
+
+def _if_white(columns: np.ndarray, values: np.ndarray) -> int:
+    off, (squares,) = np.linalg.lstsq(columns, values, rcond=None)[:2]
+    covariance = squares / (len(values) - 4) * np.linalg.inv(columns.T @ columns)
+    return int(np.sum(np.abs(off) < 1.96 * np.sqrt(np.diag(covariance))))
+
+
+def _peers(columns: np.ndarray, values: np.ndarray) -> dict[str, int]:
+    """Of statsmodels; its intervals are those of Student's t."""
+    from statsmodels.regression.linear_model import GLSAR, OLS
+
+    # The rule of thumb of Newey and West (1994).
+    lags = int(np.ceil(4 * (len(values) / 100) ** (2 / 9)))
+    glsar = GLSAR(values, columns, rho=1).iterative_fit(maxiter=8)
+    hac = OLS(values, columns).fit(cov_type="HAC", cov_kwds={"maxlags": lags}, use_t=True)
+    return {
+        name: int(np.sum(np.prod(np.sign(each.conf_int(1 - LEVEL)), axis=1) < 0))
+        for name, each in (("within_glsar", glsar), ("within_hac", hac))
+    }
 
 
 def _mixing(channel: int) -> np.ndarray:
@@ -161,21 +193,22 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 
 
 def _share(figures: dict[str, Any], key: str) -> str:
-    return f"{100 * figures[key] / figures['intervals']:.1f} %"
+    return f"{100 * figures[key] / figures['intervals']:.1f} %" if key in figures else "-"
 
 
 def table(figures: Figures) -> list[str]:
     """A row for each case."""
     rows = [
         "| noise and record | correlation times | intervals with the truth | white noise assumed "
-        "| seen as shorter than 20 |",
-        "| --- | --- | --- | --- | --- |",
+        "| GLSAR | HAC | seen as shorter than 20 |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for case, each in figures.items():
         lengths = each["correlation_times"]
         rows.append(
             f"| {case} | {'-' if lengths is None else lengths} | {_share(each, 'within')} | "
             f"{_share(each, 'within_if_white')} | "
+            f"{_share(each, 'within_glsar')} | {_share(each, 'within_hac')} | "
             f"{100 * each['seen_as_short'] / each['records']:.0f} % |"
         )
     return rows
@@ -188,7 +221,7 @@ NOISE = Study(
         "95 % intervals hold the truth. Shorter than 20 correlation times is what no estimate of "
         "the noise can be trusted for; a fit says so."
     ),
-    size=100,
+    size=1000,
     seed=1,
     run=run,
     disagreements=disagreements,

@@ -10,8 +10,8 @@ from importlib.metadata import version
 from pathlib import Path
 
 # Programs that the tests compile by themselves get the options that `giajax.program` sets: half
-# of the time of compiling. XLA ends the process at a name that it does not know, and names change
-# with its versions.
+# of the time of compiling; and the compiler optimises less, because most programs of a test run
+# once. XLA ends the process at a name that it does not know, and names change with its versions.
 if version("jaxlib").startswith("0.10."):
     from giajax._program import CPU_OPTIONS
 
@@ -19,6 +19,7 @@ if version("jaxlib").startswith("0.10."):
         f"--{name}={str(value).lower() if isinstance(value, bool) else value}"
         for name, value in CPU_OPTIONS.items()
     ]
+    flags.append("--xla_backend_optimization_level=1")
     os.environ.setdefault("XLA_FLAGS", " ".join(flags))
 
 import jax

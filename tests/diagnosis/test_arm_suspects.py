@@ -17,13 +17,8 @@ CHANNELS = [f"link{link:02d}_{axis}" for link in (2, 4) for axis in "xyz"]
 TIMES = np.linspace(0.0, 4.0, 41)
 RAMP = np.clip(TIMES / 0.5, 0, 1)
 COMMANDS = {"joint01_command": 0.6 * RAMP, "joint02_command": -0.5 * RAMP}
-OMISSIONS = {
-    "air.added_mass_coefficient": 2.0,
-    "camera.delay": 0.1,
-    "air.wind": [0.0, 0.05, 0.1],
-    "joints.friction": 0.06,
-    "camera.rotation": [0.0, 0.05, 0.0],
-}
+# Each kind at full size is a study, `evidence/_suspects.py`.
+OMISSIONS = {"camera.delay": 0.1, "joints.friction": 0.06}
 
 
 def arm(**options):
@@ -37,7 +32,7 @@ def recorded(truth, seed=0):
 
 
 @pytest.mark.slow
-def test_an_omission_of_each_kind_comes_first():
+def test_an_omission_comes_first():
     for path, value in OMISSIONS.items():
         recording = recorded({path: value})
         result = giajax.fit(arm(), recording, start=small_arm.START, check=False)

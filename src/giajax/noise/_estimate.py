@@ -24,6 +24,10 @@ _MORE = 1.05
 # No statement on a memory is made from fewer cells.
 _FEW = 20
 
+# Of the minimiser. The likelihood is a logarithm of thousands: its differences are of steps that
+# its rounding does not reach, and what changes it by less than a thousandth changes no error.
+_OPTIONS = {"eps": 1e-5, "ftol": 1e-7, "maxiter": 30}
+
 
 def estimate(problem: Restricted, stated: Mapping[str, Stated], *, memory: bool) -> Restricted:
     """The likelihood with the noise of every key that makes it largest.
@@ -101,7 +105,7 @@ def _with_memory(
         return white
     first = np.array([*at, 0.0])
     limits = [(-5.0, 14.0), bounds, (0.0, 0.0) if fixed else (-3.0, 3.0)]
-    done = minimize(target, first, method="L-BFGS-B", bounds=limits, options={"maxiter": 30})
+    done = minimize(target, first, method="L-BFGS-B", bounds=limits, options=_OPTIONS)
     if least - float(done.fun) < _WORTH:
         return white
     return noise_at(done.x)
@@ -113,7 +117,7 @@ def _best_scale(problem: Restricted, key: str, noise: ChannelNoise) -> ChannelNo
     def target(x: np.ndarray) -> float:
         return problem.value(key, noise.times(float(np.exp(x[0]))))
 
-    done = minimize(target, np.zeros(1), method="L-BFGS-B", bounds=[(-8.0, 8.0)])
+    done = minimize(target, np.zeros(1), method="L-BFGS-B", bounds=[(-8.0, 8.0)], options=_OPTIONS)
     return noise.times(float(np.exp(done.x[0])))
 
 

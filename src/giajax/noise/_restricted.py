@@ -11,10 +11,12 @@ Runs share some columns of J and have others of their own, which are eliminated 
 """
 
 import dataclasses
+import functools
 from collections.abc import Mapping, Sequence
 from typing import Self
 
 import numpy as np
+from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from .._typing import Bool, Float
 from ._model import ChannelNoise
@@ -22,9 +24,6 @@ from ._segment import solve
 
 # Column-normalised singular value below which a combination of parameters is not determined.
 _COLLINEAR = 1e-6
-
-# Columns up to which a product is made without a linear algebra library.
-_NARROW = 12
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,12 +61,13 @@ class Cells:
 
     def gram(self, noise: ChannelNoise) -> tuple[np.ndarray, float]:
         """X^T V^-1 X of own and shared columns and the residual, in that order; and log|V|."""
-        columns = np.concatenate([self.own, self.shared, self.residual[:, None]], axis=1)
-        solved = solve(noise, self.times, self.weights, columns)
-        # Threads of a linear algebra library cost more than a matrix of this size takes.
-        if columns.shape[1] <= _NARROW:
-            return np.einsum("ca,cb->ab", columns, solved.columns), solved.log_determinant
-        return columns.T @ solved.columns, solved.log_determinant
+        solved = solve(noise, self.times, self.weights, self._columns)
+        return self._columns.T @ solved.columns, solved.log_determinant
+
+    @functools.cached_property
+    def _columns(self) -> np.ndarray:
+        """Own, shared and residual, those of a column side by side in memory."""
+        return np.asfortranarray(np.column_stack([self.own, self.shared, self.residual]))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -174,6 +174,9 @@ def _eliminated(gram: np.ndarray, width: int) -> tuple[np.ndarray, float]:
     """The Schur complement of the first columns of a Gram matrix, and their log-determinant."""
     if not width:
         return gram, 0.0
-    factor = np.linalg.cholesky(gram[:width, :width])
-    across = np.linalg.solve(factor, gram[:width, width:])
+    # LAPACK itself: these matrices are so small that the functions around it take longer.
+    factor, failed = dpotrf(gram[:width, :width], 1)
+    if failed:
+        raise np.linalg.LinAlgError("the columns of a run depend on each other")
+    across, _ = dtrtrs(factor, gram[:width, width:], 1)
     return gram[width:, width:] - across.T @ across, 2 * float(np.sum(np.log(np.diag(factor))))
