@@ -180,7 +180,7 @@ def table(figures: Figures) -> list[str]:
     """A row for each case."""
     rows = [
         "| fitted, and its noise | correlation times | truth within the interval | p "
-        "| called inadequate | the model is |",
+        "| called inadequate | which is |",
         "| --- | --- | --- | --- | --- | --- |",
     ]
     for case, each in figures.items():
@@ -192,7 +192,7 @@ def table(figures: Figures) -> list[str]:
         rows.append(
             f"| {case} | {'-' if lengths is None else lengths} | {shares} | {p_value(each):.2g} | "
             f"{100 * each['inadequate'] / fits:.1f} % | "
-            f"{'adequate' if each['adequate'] else 'silent on the noise'} |"
+            f"{'false' if each['adequate'] else 'right'} |"
         )
     return rows
 

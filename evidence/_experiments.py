@@ -101,9 +101,7 @@ def _made(
     truth = {path: true for path, (true, _) in values.items()}
     run = giajax.synthesise(build(truth), times, inputs, channels)
     stated = giajax.Definition.parse({"noise": {f"{quantity}_{unit}": size}}, "noise")
-    clean = giajax.Run.from_arrays(
-        times, run.values, definition=run.definition.merged_with(stated)
-    )
+    clean = giajax.Run.from_arrays(times, run.values, definition=run.definition.merged_with(stated))
     return Experiment(build({}), clean, values, (quantity, unit))
 
 
