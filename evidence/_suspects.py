@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 NOISE = 0.01
 FIRST = 3
+# Trial steps of a fit: with wrong axes, or no motion to find, the way is long, and leads far away.
+MOST = 80
 # Of a disagreement by chance, for each of the comparisons.
 PROBABILITY = 1e-4
 
@@ -71,7 +73,9 @@ def _figures(name: str, size: int, entropy: list[int]) -> Figures:
     for number in range(size):
         random = np.random.default_rng([*entropy, number])
         recording = _recorded(name, motion, random, stated=number % 2 == 0)
-        result = giajax.fit(fitted, recording, free=list(START), start=START, check=False)
+        result = giajax.fit(
+            fitted, recording, free=list(START), start=START, max_iterations=MOST, check=False
+        )
         inadequate += result.verdict.status == "inadequate"
         rows = giajax.suspects(result, recording).promising[:FIRST]
         paths = [(row.path.partition("[")[0], *row.alike) for row in rows]
