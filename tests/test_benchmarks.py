@@ -90,3 +90,11 @@ def test_the_benchmark_of_the_start_runs():
     ended = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
     assert ended.stderr == ""
     assert re.search(r"ratio +[0-9.]+, at most 1.5", ended.stdout)
+
+
+@pytest.mark.slow
+def test_the_benchmark_of_the_noise_runs(tmp_path):
+    printed = benchmark("noise", "--quick", "--out", tmp_path / "noise.json")
+    each = json.loads((tmp_path / "noise.json").read_text())["joint_loops"]
+    assert f"ratio {each['ratio']:.2f}" in printed
+    assert set(each["seconds"]) == set(each["iterations"]) == {"white", "correlated"}

@@ -26,7 +26,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 # The same cases in every session. A case that takes 5 s hangs: the usual one takes milliseconds.
 usual = settings(
-    max_examples=150,
+    max_examples=200,
     deadline=datetime.timedelta(seconds=5),
     derandomize=True,
     database=None,
@@ -200,7 +200,7 @@ def parquet():
     return buffer.getvalue()
 
 
-@settings(usual, max_examples=100)
+@usual
 @given(places=st.lists(st.tuples(st.floats(0, 1), st.integers(0, 255)), min_size=1, max_size=4))
 def test_a_damaged_parquet_file_is_read_or_refused(folder, parquet, places):
     path, data = folder / "run.parquet", bytearray(parquet)

@@ -29,7 +29,15 @@ def definition_of(path: Path | None) -> "Definition":
             f"{path} does not exist: give the folder of a fit, its result.json, or a TOML file "
             "that states a model"
         )
-    return Definition() if path is None or is_result(path) else Definition.load(path)
+    if path is None:
+        return Definition()
+    if is_result(path):
+        from ..tasks import stored_result
+
+        # What is no result is told before JAX is imported, which takes seconds.
+        stored_result(path)
+        return Definition()
+    return Definition.load(path)
 
 
 def model_of(path: Path | None, runs: Sequence["Run"]) -> "AbstractModel":

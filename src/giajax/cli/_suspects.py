@@ -83,12 +83,15 @@ def suspects(
         raise typer.BadParameter("--held-out judges the fits of a ladder: add --ladder")
     renamed = parse_rename(rename or [])
 
+    from ..tasks import fitted_runs, stored_result
+
+    # What is no result is told before JAX is imported, which takes seconds.
+    stored_result(result)
     from ._jax import configure
 
     configure()
     from ..diagnosis import ladder as climb, suspects as ask, with_systematic_errors
     from ..fitting import load_result
-    from ..tasks import fitted_runs
 
     fitted = load_result(result)
     runs = fitted_runs(fitted, data or [], rename=renamed)

@@ -1,0 +1,83 @@
+"""Damaged files, given to the command as a user gives them: a sentence, soon, in little memory."""
+
+import os
+import random
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not hasattr(os, "wait4"), reason="needs the memory of a child process"),
+]
+
+ROOT = Path(__file__).resolve().parents[1]
+CASES = 50
+MOST_SECONDS, MOST_KIB = 5.0, 1024 * 1024
+
+RUN = (ROOT / "data" / "synthetic" / "joint_loops.csv").read_bytes()
+SIDECAR = (ROOT / "data" / "synthetic" / "joint_loops.toml").read_bytes()
+DEFINITION = (ROOT / "fits" / "joint_loops.toml").read_bytes()
+RESULT = (ROOT / "tests" / "earlier" / "hysteresis" / "result.json").read_bytes()
+PIECES = [
+    b"", b"\0", b"\xff", b"nan", b"1e300", b"1e999", b"-", b'"', b"{", b"[[", b"]\n[", b"= 9\n",
+    b"9" * 5_000, b"[" * 5_000, b",1" * 20_000, b"q" * 200_000, b"\n" * 20_000, b"links = 1e9\n",
+]  # fmt: skip
+
+
+def damaged(data, rng):
+    """With one to three stretches taken out, repeated or replaced."""
+    for _ in range(rng.randint(1, 3)):
+        start = rng.randrange(len(data))
+        piece = rng.choice(
+            [*PIECES, data[start : start + rng.randint(1, 200)] * rng.randint(2, 50)]
+        )
+        data = data[:start] + piece + data[start + rng.choice([0, 1, 10, 1_000]) :]
+    return data
+
+
+def command(folder, rng):
+    """A command with files of which one is damaged."""
+    files = {"run.csv": RUN, "run.toml": SIDECAR, "fit.toml": DEFINITION, "result.json": RESULT}
+    files["fit.toml"] = DEFINITION.replace(b"../data/synthetic/joint_loops.csv", b"run.csv")
+    # Those that import JAX take seconds each.
+    name = rng.choice(["run.csv", "run.csv", "run.toml", "run.toml", "fit.toml", "result.json"])
+    for file, data in files.items():
+        (folder / file).write_bytes(damaged(data, rng) if file == name else data)
+    return {
+        "fit.toml": ["fit", "fit.toml", "--no-figures", "--out", "out", "--max-iterations", "1"],
+        "result.json": ["suspects", "result.json", "--data", "run.csv"],
+    }.get(name, ["check", "run.csv"])
+
+
+def used(words, folder):
+    """Exit status of a command, what it says on standard error, and its seconds and memory."""
+    with (folder / "said").open("wb") as said:
+        running = subprocess.Popen(
+            [sys.executable, *words], cwd=folder, stdout=subprocess.DEVNULL, stderr=said
+        )
+        _, status, usage = os.wait4(running.pid, 0)
+    running.returncode = os.waitstatus_to_exitcode(status)
+    message = (folder / "said").read_text(errors="replace")
+    # Of the processor: what another program takes beside it says nothing of this one.
+    return running.returncode, message, usage.ru_utime + usage.ru_stime, usage.ru_maxrss
+
+
+@pytest.fixture(scope="module")
+def imports(tmp_path_factory):
+    """Seconds that importing JAX takes, which no file changes."""
+    return used(["-c", "import giajax.fitting"], tmp_path_factory.mktemp("imports"))[2]
+
+
+@pytest.mark.parametrize("seed", range(CASES))
+def test_a_command_reads_or_refuses(tmp_path, imports, seed):
+    words = command(tmp_path, random.Random(seed))
+    status, message, seconds, memory = used(["-m", "giajax", *words], tmp_path)
+    assert status in (0, 1, 2), message
+    assert "Traceback" not in message
+    if status == 2:
+        assert len(message) < 2_500
+        assert seconds < MOST_SECONDS + imports
+        assert memory < MOST_KIB
