@@ -18,7 +18,7 @@ from ._record import ROOT
 from ._study import Figures, Study
 
 if TYPE_CHECKING:
-    from giajax import Run
+    from giajax import FitResult, Run
 
 NOISE = 0.01
 FIRST = 3
@@ -77,8 +77,7 @@ def _figures(name: str, size: int, entropy: list[int]) -> Figures:
             fitted, recording, free=list(START), start=START, max_iterations=MOST, check=False
         )
         inadequate += result.verdict.status == "inadequate"
-        rows = giajax.suspects(result, recording).promising[:FIRST]
-        paths = [(row.path.partition("[")[0], *row.alike) for row in rows]
+        paths = _first(result, recording)
         rank = next((i for i, those in enumerate(paths, 1) if name in those), None)
         ranks[rank] += 1
         if rank != 1:
@@ -90,6 +89,18 @@ def _figures(name: str, size: int, entropy: list[int]) -> Figures:
         "first": ranks[1],
         "confused_with": dict(before.most_common()),
     }
+
+
+def _first(result: "FitResult", recording: "Run") -> list[tuple[str, ...]]:
+    """The first suspects, each with those that are alike."""
+    import giajax
+
+    try:
+        rows = giajax.suspects(result, recording).promising[:FIRST]
+    except giajax.InputError:
+        # A fit may end where the model cannot be evaluated with all parts on: nothing is found.
+        return []
+    return [(row.path.partition("[")[0], *row.alike) for row in rows]
 
 
 def _models(name: str) -> tuple[Any, Any]:
