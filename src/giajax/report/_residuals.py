@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ..fitting import FitResult, RunFit
+from ..noise import by_second_differences
 from ..runs import Run
 from ._abscissa import sample_times, time_label
 from ._style import BLUE, GREY, LIGHT, VERMILLION, new_figure, plain, unfinished
@@ -53,9 +54,21 @@ def _weighted(run: Run, predicted: Mapping[str, np.ndarray], record: RunFit) -> 
     """Residuals in units of the noise, NaN where not measured; shape (sample, channel)."""
     columns = []
     for name, values in run.observations.items():
-        sigma = run.channels[name].to_si(record.channels[name].noise)
-        columns.append((values - predicted[name]) / sigma)
+        rest = values - predicted[name]
+        columns.append(rest / _noise(run, name, rest, record))
     return np.stack(columns, axis=-1)
+
+
+def _noise(run: Run, name: str, rest: np.ndarray, record: RunFit) -> float:
+    """The noise of a channel as the verdict sees it, SI.
+
+    Noise that was estimated from residuals may have taken in what the model misses: then what
+    differs from sample to sample counts.
+    """
+    adopted = float(run.channels[name].to_si(record.channels[name].noise))
+    if run.noise(name) is not None or run.times is None:
+        return adopted
+    return min(by_second_differences(rest) or adopted, adopted)
 
 
 def _draw_over_time(axes: Axes, run: Run, table: np.ndarray, limit: float) -> None:
