@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ._draw import correlated_noise, correlation_time
 from ._study import Figures, Study
 
 STEP_S = 0.1
@@ -103,7 +104,8 @@ def _replicate(case: Case, rng: np.random.Generator) -> dict[str, int]:
     u = times / (case.samples * STEP_S)
     smooth = np.stack([np.exp(-3 * u), np.sin(3 * u), u, np.cos(7 * u)], axis=1)
     columns = [smooth @ _mixing(channel) for channel in range(case.channels)]
-    values = [_noise(times, case.rho, rng) for _ in columns]
+    time_s = correlation_time(case.rho, STEP_S)
+    values = [correlated_noise(times, time_s, rng) for _ in columns]
     counts = _ours(case, times, columns, values)
     counts["within_if_white"] = _if_white(np.concatenate(columns), np.concatenate(values))
     if "within_hac" in _ways(case):
@@ -165,16 +167,6 @@ def _peers(columns: np.ndarray, values: np.ndarray) -> dict[str, int]:
 def _mixing(channel: int) -> np.ndarray:
     """Channels respond to the four parameters differently."""
     return np.eye(4) + 0.5 * np.roll(np.eye(4), channel, axis=1) * (channel > 0)
-
-
-def _noise(times: np.ndarray, rho: float, rng: np.random.Generator) -> np.ndarray:
-    """Noise of unit variance."""
-    values = rng.normal(size=len(times))
-    if rho:
-        decay = rho ** (np.diff(times) / STEP_S)
-        for i in range(1, len(values)):
-            values[i] = decay[i - 1] * values[i - 1] + np.sqrt(1 - decay[i - 1] ** 2) * values[i]
-    return values
 
 
 def _rms(values: np.ndarray) -> float:
