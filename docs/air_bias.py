@@ -23,15 +23,11 @@ from giajax.models import ArmModel, model_for
 from giajax.synthetic import synthesise
 
 ROOT = Path(__file__).resolve().parents[1]
+CALM = read_run(ROOT / "data" / "synthetic" / "full_air.csv")
+TRUTH: dict[str, float] = CALM.definition.truth
 PAGE = Path(__file__).with_name("air.md")
 BEGIN, END = "<!-- air_bias.py writes from here -->\n", "<!-- to here -->\n"
 
-TRUTH = {
-    "air.drag_coefficient": 1.2,
-    "joints.pitch_stiffness": 3.2,
-    "joints.yaw_stiffness": 28.0,
-    "joints.damping": 0.055,
-}
 START = {
     "air.drag_coefficient": 0.6,
     "joints.pitch_stiffness": 1.6,
@@ -45,21 +41,15 @@ def _with_air(arm: Arm, **changes: Any) -> Arm:
     return dataclasses.replace(arm, air=dataclasses.replace(arm.air, **changes))
 
 
-def calm() -> Run:
-    """The run that ships, in still air."""
-    return read_run(ROOT / "data" / "synthetic" / "full_air.csv")
-
-
 def breezy() -> Run:
     """The same in a steady breeze that nobody recorded."""
-    still = calm()
-    assert still.times is not None
-    truth = replace(model_for([still]), {**TRUTH, "air.wind": BREEZE})
+    assert CALM.times is not None
+    truth = replace(model_for([CALM]), {**TRUTH, "air.wind": BREEZE})
     return synthesise(
         truth,
-        still.times,
-        still.commands,
-        sorted(still.observations),
+        CALM.times,
+        CALM.commands,
+        sorted(CALM.observations),
         noise={"position": 0.01},
         seed=6,
         definition={"arm": {"links": truth.arm.count}},
@@ -140,7 +130,7 @@ def main(arguments: list[str]) -> int:
         print(f"usage: {Path(__file__).name} [--print]", file=sys.stderr)
         return 2
     jax.config.update("jax_enable_x64", True)
-    found = table({"calm": calm(), "breeze": breezy()})
+    found = table({"calm": CALM, "breeze": breezy()})
     if not arguments:
         before, _, rest = PAGE.read_text().partition(BEGIN)
         PAGE.write_text(before + BEGIN + "\n" + found + "\n" + END + rest.partition(END)[2])

@@ -12,7 +12,13 @@ from ._coverage import COVERAGE
 from ._kills import KILLS
 from ._noise import NOISE
 from ._page import PAGE as PAGE, page as page
-from ._record import FOLDER as FOLDER, read as read, record as record, write as write
+from ._record import (
+    FOLDER as FOLDER,
+    ROOT as ROOT,
+    read as read,
+    record as record,
+    write as write,
+)
 from ._study import Study as Study
 from ._suspects import SUSPECTS
 

@@ -1,9 +1,10 @@
 """The command: run a study, write its file and the page that shows it."""
 
 import argparse
+import os
 from pathlib import Path
 
-from . import FOLDER, PAGE, STUDIES, page, record, write
+from . import FOLDER, PAGE, ROOT, STUDIES, page, record, write
 
 
 def main() -> None:
@@ -17,6 +18,9 @@ def main() -> None:
         for study in STUDIES.values():
             print(f"{study.name}  {study.meaning}")
         return
+    # As the command line does: checks by callbacks would keep programs out of the cache.
+    os.environ.setdefault("EQX_ON_ERROR", "nan")
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".jax_cache"))
     study = STUDIES[arguments.name]
     size = study.size if arguments.size is None else arguments.size
     seed = study.seed if arguments.seed is None else arguments.seed

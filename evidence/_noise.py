@@ -8,18 +8,24 @@ residuals, and for a single evenly sampled channel the two ways of statsmodels, 
 without white noise, iterated) and least squares with `HAC` errors (Newey and West).
 """
 
+import itertools
 from collections import Counter
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from ._draw import correlated_noise, correlation_time
 from ._study import Figures, Study
 
 STEP_S = 0.1
 LEVEL = 0.95
 # Of a disagreement by chance, for each cell.
 PROBABILITY = 1e-4
+# Replicates of a case that are worth processes of their own.
+MANY = 50
 
 
 class Case(NamedTuple):
@@ -54,20 +60,34 @@ def cases() -> Iterator[Case]:
 
 
 def run(size: int, seed: int) -> Figures:
-    """Figures of `size` replicates of each case."""
-    figures: Figures = {}
-    for index, case in enumerate(cases()):
-        counts: Counter[str] = Counter()
-        for number in range(size):
-            counts.update(_replicate(case, np.random.default_rng([seed, index, number])))
-        figures[case.name] = {
+    """Figures of `size` replicates of each case, on all cores where there are many."""
+    all_cases = list(cases())
+    tasks = [(case, size, seed, index) for index, case in enumerate(all_cases)]
+    if size < MANY:
+        counts = list(itertools.starmap(_counts, tasks))
+    else:
+        # The longest records first, so that no core waits for another at the end.
+        order = sorted(range(len(tasks)), key=lambda i: -all_cases[i].samples)
+        with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
+            futures = {i: pool.submit(_counts, *tasks[i]) for i in order}
+            counts = [futures[i].result() for i in range(len(tasks))]
+    return {
+        case.name: {
             "correlation_times": None if case.rho == 0 else round(float(case.lengths), 1),
             "records": size,
             "intervals": 4 * size,
-            **{key: counts[key] for key in _ways(case)},
-            "seen_as_short": counts["seen_as_short"],
+            **{key: each[key] for key in _ways(case)},
+            "seen_as_short": each["seen_as_short"],
         }
-    return figures
+        for case, each in zip(all_cases, counts, strict=True)
+    }
+
+
+def _counts(case: Case, size: int, seed: int, index: int) -> Counter[str]:
+    counts: Counter[str] = Counter()
+    for number in range(size):
+        counts.update(_replicate(case, np.random.default_rng([seed, index, number])))
+    return counts
 
 
 def _ways(case: Case) -> tuple[str, ...]:
@@ -84,7 +104,8 @@ def _replicate(case: Case, rng: np.random.Generator) -> dict[str, int]:
     u = times / (case.samples * STEP_S)
     smooth = np.stack([np.exp(-3 * u), np.sin(3 * u), u, np.cos(7 * u)], axis=1)
     columns = [smooth @ _mixing(channel) for channel in range(case.channels)]
-    values = [_noise(times, case.rho, rng) for _ in columns]
+    time_s = correlation_time(case.rho, STEP_S)
+    values = [correlated_noise(times, time_s, rng) for _ in columns]
     counts = _ours(case, times, columns, values)
     counts["within_if_white"] = _if_white(np.concatenate(columns), np.concatenate(values))
     if "within_hac" in _ways(case):
@@ -146,16 +167,6 @@ def _peers(columns: np.ndarray, values: np.ndarray) -> dict[str, int]:
 def _mixing(channel: int) -> np.ndarray:
     """Channels respond to the four parameters differently."""
     return np.eye(4) + 0.5 * np.roll(np.eye(4), channel, axis=1) * (channel > 0)
-
-
-def _noise(times: np.ndarray, rho: float, rng: np.random.Generator) -> np.ndarray:
-    """Noise of unit variance."""
-    values = rng.normal(size=len(times))
-    if rho:
-        decay = rho ** (np.diff(times) / STEP_S)
-        for i in range(1, len(values)):
-            values[i] = decay[i - 1] * values[i - 1] + np.sqrt(1 - decay[i - 1] ** 2) * values[i]
-    return values
 
 
 def _rms(values: np.ndarray) -> float:
@@ -221,7 +232,7 @@ NOISE = Study(
         "95 % intervals hold the truth. Shorter than 20 correlation times is what no estimate of "
         "the noise can be trusted for; a fit says so."
     ),
-    size=1000,
+    size=500,
     seed=1,
     run=run,
     disagreements=disagreements,

@@ -20,6 +20,8 @@ class Study:
         disagreements: sentences on what a smaller run of the same program with other random
             numbers could not have found, of (stored figures, new figures).
         table: the figures as rows of Markdown.
+        part: as `run`, but of some of the cases: what the tests run again where even one
+            repetition of all of them takes minutes; None for `run` itself.
     """
 
     name: str
@@ -29,3 +31,4 @@ class Study:
     run: Callable[[int, int], Figures]
     disagreements: Callable[[Figures, Figures], list[str]]
     table: Callable[[Figures], list[str]]
+    part: Callable[[int, int], Figures] | None = None

@@ -40,7 +40,7 @@ def test_the_page_has_a_row_for_every_fit_and_the_biases_that_they_show():
 @pytest.mark.slow
 def test_the_table_comes_out_of_its_script():
     bias, rows = script(), written()
-    runs = {"calm": bias.calm()}
+    runs = {"calm": bias.CALM}
     for name in "what made it", "the paper's: eq. (1), 0.047 kg a link":
         line = bias.line(name, bias.fitted(name, runs))
         found = [cell.strip() for cell in line.split("|")[1:-1]]

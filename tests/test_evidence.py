@@ -3,19 +3,20 @@
 import math
 
 import pytest
-from scipy.stats import binomtest
 
 from evidence import FOLDER, PAGE, STUDIES, page, read
+from evidence._coverage import p_value
 
 SHARE = 0.02
 # A study that was never run has no figures yet, and no section on the page.
 STORED = {name: study for name, study in STUDIES.items() if (FOLDER / f"{name}.json").exists()}
 
 
-def parameters(figures):
-    for case, each in figures.items():
-        for path, one in each["parameters"].items():
-            yield f"{case}, {path}", each["fits"], one
+def figures_of(name):
+    if name not in STORED:
+        pytest.skip(f"the study '{name}' was never run")
+    content = read(STUDIES[name])
+    return content["size"], content["figures"]
 
 
 @pytest.mark.quick
@@ -38,12 +39,37 @@ def test_the_page_shows_what_is_stored():
 
 @pytest.mark.quick
 def test_95_percent_intervals_hold_the_truth_as_often_as_they_say():
-    content = read(STUDIES["coverage"])
-    for where, fits, one in parameters(content["figures"]):
-        assert fits == content["size"]
-        assert binomtest(one["within"], fits, 0.95).pvalue > 1e-3, where
-        assert abs(one["mean_pull"]) < 4 / math.sqrt(fits), where
-        assert abs(one["deviation_of_pulls"] - 1) < 4 / math.sqrt(2 * fits), where
+    """Under white and correlated noise; and no estimate is off to one side."""
+    size, figures = figures_of("coverage")
+    assert len(figures) == 12
+    for case, each in figures.items():
+        assert each["fits"] == size
+        assert p_value(each) > 0.01 / len(figures), case
+        for path, one in each["parameters"].items():
+            spread = one["deviation_of_pulls"] / math.sqrt(size)
+            assert abs(one["mean_pull"]) < 4 * spread, f"{case}, {path}"
+
+
+@pytest.mark.quick
+def test_an_adequate_model_is_seldom_called_inadequate():
+    """At most 10 in 200, where noise is white or has the correlation that is stated."""
+    _, figures = figures_of("coverage")
+    adequate = {case: each for case, each in figures.items() if each["adequate"]}
+    assert len(adequate) == 5
+    for case, each in adequate.items():
+        assert each["inadequate"] <= 10 / 200 * each["fits"], case
+    silent = [each for each in figures.values() if not each["adequate"]]
+    assert all(each["inadequate"] >= 0.95 * each["fits"] for each in silent)
+
+
+@pytest.mark.quick
+def test_an_omission_is_seen_and_found():
+    size, figures = figures_of("suspects")
+    assert sum(each["inadequate"] for each in figures.values()) >= 0.95 * size * len(figures)
+    # A random walk has no right answer.
+    known = [each for name, each in figures.items() if name != "a random walk"]
+    assert len(known) == 8
+    assert sum(each["found"] for each in known) >= 0.8 * size * len(known)
 
 
 @pytest.mark.slow
@@ -51,7 +77,7 @@ def test_95_percent_intervals_hold_the_truth_as_often_as_they_say():
 def test_a_part_of_a_study_run_again_agrees_with_what_is_stored(study):
     stored = read(study)
     size = math.ceil(SHARE * stored["size"])
-    again = study.run(size, stored["seed"] + 1)
+    again = (study.part or study.run)(size, stored["seed"] + 1)
     assert study.disagreements(stored["figures"], again) == []
 
 
@@ -70,7 +96,8 @@ def test_what_disagrees_is_said(change, sentence):
     """Standard errors that are 2.5 times too small are seen in ten fits."""
 
     def figures(fits, **one):
-        return {"case": {"fits": fits, "converged": fits, "parameters": {"k": one}}}
+        counts = {"fits": fits, "converged": fits, "inadequate": 0}
+        return {"case": {**counts, "parameters": {"k": one}}}
 
     stored = figures(
         500, truth=2.0, intervals=500, within=470, mean_pull=0.02, deviation_of_pulls=1.01

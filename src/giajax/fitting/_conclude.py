@@ -1,5 +1,6 @@
 """From the last state of a fit to its result."""
 
+import functools
 import platform
 import time
 from collections.abc import Mapping
@@ -182,5 +183,11 @@ def _noise(state: FitState, known: Statistics) -> NoiseFit:
 
 def versions() -> dict[str, str]:
     """Of Python, of giajax and of the libraries that compute, by name."""
+    return dict(_versions())
+
+
+@functools.cache
+def _versions() -> dict[str, str]:
+    # Each is read from a file, which takes longer than all else at the end of a small fit.
     names = ("giajax", "jax", "jaxlib", "equinox", "diffrax", "optimistix", "lineax", "numpy")
     return {"python": platform.python_version(), **{name: version(name) for name in names}}
