@@ -219,11 +219,17 @@ def test_what_an_arm_lacks_shows_where_it_was_not_fitted(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "damaged", [{"hold_out": []}, {"runs": [{"held_from": "x"}]}, {"runs": [3]}, {"runs": 3}]
+    ("read", "damage"),
+    [
+        (held_out_runs, {"hold_out": []}),
+        (fitted_runs, {"runs": [{"held_from": "x"}]}),
+        (fitted_runs, {"runs": [{"held_from": {"output": "x"}}]}),
+        (fitted_runs, {"runs": [3]}),
+        (fitted_runs, {"runs": 3}),
+    ],
 )
-def test_a_result_that_does_not_say_what_was_held_out(task, damaged):
+def test_a_result_that_does_not_say_what_was_held_out(task, read, damage):
     result = task.on_top(hold_out=["other"]).run(check=False)
-    damaged = dataclasses.replace(result, config={**result.config, **damaged})
+    damaged = dataclasses.replace(result, config={**result.config, **damage})
     with pytest.raises(InputError, match="fit the data anew"):
-        fitted_runs(damaged)
-        held_out_runs(damaged)
+        read(damaged)
