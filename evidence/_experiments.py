@@ -110,8 +110,7 @@ def short_arm() -> Experiment:
     import giajax
 
     def build(values: Mapping[str, float]) -> Any:
-        model = giajax.ArmModel(giajax.replace(giajax.chain(3), values))
-        return model.with_integration(solver=None, tolerance=1e-5)
+        return giajax.ArmModel(giajax.replace(giajax.chain(3), values))
 
     times = np.linspace(0.0, 4.0, 401)
     ramp = np.clip(times / 0.5, 0, 1)

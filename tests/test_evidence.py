@@ -44,6 +44,7 @@ def test_95_percent_intervals_hold_the_truth_as_often_as_they_say():
     assert len(figures) == 12
     for case, each in figures.items():
         assert each["fits"] == size
+        assert each["converged"] > 0.99 * size, case
         assert p_value(each) > 0.01 / len(figures), case
         for path, one in each["parameters"].items():
             spread = one["deviation_of_pulls"] / math.sqrt(size)

@@ -60,15 +60,15 @@ def _weighted(run: Run, predicted: Mapping[str, np.ndarray], record: RunFit) -> 
 
 
 def _noise(run: Run, name: str, rest: np.ndarray, record: RunFit) -> float:
-    """The noise of a channel as the verdict sees it, SI.
+    """The noise of a channel as the verdict sees it, SI: stated, or from sample to sample.
 
-    Noise that was estimated from residuals may have taken in what the model misses: then what
-    differs from sample to sample counts.
+    What was estimated from the residuals may have taken in what the model misses.
     """
+    stated = run.noise(name)
+    if stated is not None:
+        return stated
     adopted = float(run.channels[name].to_si(record.channels[name].noise))
-    if run.noise(name) is not None or run.times is None:
-        return adopted
-    return min(by_second_differences(rest) or adopted, adopted)
+    return adopted if run.times is None else min(by_second_differences(rest) or adopted, adopted)
 
 
 def _draw_over_time(axes: Axes, run: Run, table: np.ndarray, limit: float) -> None:
