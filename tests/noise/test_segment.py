@@ -36,6 +36,16 @@ def test_the_inverse_is_that_of_the_covariance(noise):
 
 
 @pytest.mark.quick
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_a_channel_may_have_a_cell_or_two(count):
+    times, weights, columns = (each[:count] for each in cells())
+    solved = solve(NOISE, times, weights, columns)
+    dense = covariance(NOISE, times, weights)
+    assert_allclose(solved.columns, np.linalg.solve(dense, columns), rtol=1e-12)
+    assert solved.log_determinant == pytest.approx(np.linalg.slogdet(dense)[1], rel=1e-12)
+
+
+@pytest.mark.quick
 def test_whitened_cells_are_independent():
     times, weights, columns = cells()
     dense = covariance(NOISE, times, weights)

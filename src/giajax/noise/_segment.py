@@ -45,7 +45,8 @@ def solve(
         Both, in the order of the cells.
     """
     variance = noise.white**2 / weights
-    if times is None or noise.is_white:
+    # A single cell has no neighbour; LAPACK takes no matrix without an off-diagonal.
+    if times is None or noise.is_white or len(times) < 2:
         total = variance + noise.correlated**2
         return Solved(columns / total[:, None], float(np.sum(np.log(total))))
     diagonal, off, log_t = precision(times, noise.time_s)
