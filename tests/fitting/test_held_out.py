@@ -2,13 +2,16 @@
 
 import dataclasses
 import json
+from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from giajax import Prior, Run
 from giajax.fitting import HeldOut, set_up, solve, with_held_out
+from giajax.parameters import parameter
 from giajax.runs import hold_out
 from giajax.verdict import Reason, Verdict
 from toy_model import Decay, height, run
@@ -119,6 +122,41 @@ def test_what_only_a_held_channel_knows_is_no_error_of_prediction():
     channel = judged.held_out[0].channels["tip_z"]
     assert channel.rmse == pytest.approx(SIGMA, rel=0.3)
     assert channel.size == pytest.approx(1, abs=0.2)
+
+
+class Inputs(eqx.Module):
+    times: Any
+    lift: Any = parameter(0.0, unit="m", doc="height of this run above the others")
+
+
+class Lifted(Decay):
+    """The decay, from a height of each run's own."""
+
+    def free_inputs(self, run):
+        return ("lift",)
+
+    def prepare(self, run):
+        return Inputs(jnp.asarray(run.times), 0.0)
+
+    def predict(self, inputs, channels):
+        rows, fine = super().predict(inputs.times, channels)
+        return {name: row + inputs.lift for name, row in rows.items()}, fine
+
+
+def test_runs_of_one_name_keep_what_each_has_for_itself():
+    """As files of the same name in two folders do."""
+    lifts = (0.4, -0.3)
+    runs = [
+        dataclasses.replace(each, name="run", values={"tip_z": each.values["tip_z"] + lift})
+        for each, lift in zip(several(), lifts, strict=False)
+    ]
+    parts = hold_out(runs, ["last"])
+    settings = {"free": ["amplitude", "decay"], "start": START}
+    result = solve(set_up(Lifted(), [part.fitted for part in parts], **settings), check=False)
+    judged = with_held_out(result, set_up(Lifted(), runs, **settings), parts)
+    assert judged.verdict.status == "adequate"
+    for record in judged.held_out:
+        assert record.channels["tip_z"].rmse == pytest.approx(SIGMA, rel=0.5)
 
 
 def test_a_perfect_description_is_no_reason():

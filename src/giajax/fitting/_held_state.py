@@ -14,7 +14,7 @@ from ._noise import Noise
 from ._residual_cells import residual_cells, shared_and_own
 from ._result import FitResult
 from ._state import FitState
-from ._transitions import begin, reweight, step
+from ._transitions import begin, move, reweight, step
 
 # Steps of what only the held cells know, such as where a held run starts: the test that follows is
 # exact to first order, and a state that was guessed may be further off than that.
@@ -34,7 +34,7 @@ def where_it_ended(result: FitResult, setup: Setup, parts: Sequence[Parted]) -> 
         for p in setup.parameters
     }
     own = {
-        record.name: {path: one.value for path, one in record.parameters.items()}
+        record.name: {p: one.value for p, one in record.parameters.items() if p in setup.groups}
         for record in result.runs
     }
     for path, groups in setup.groups.items():
@@ -43,6 +43,7 @@ def where_it_ended(result: FitResult, setup: Setup, parts: Sequence[Parted]) -> 
             for name in names if known else ():
                 own.setdefault(name, {})[path] = known[0]
     state = begin(dataclasses.replace(setup.started_at(values), own=own))
+    state = _at_own_values(state, result, parts)
     state = step(reweight(state, _noise(result, state.noise, parts)))
     if not state.evaluated:
         return state
@@ -56,6 +57,19 @@ def where_it_ended(result: FitResult, setup: Setup, parts: Sequence[Parted]) -> 
         if state.done:
             break
     return dataclasses.replace(state, active=everything)
+
+
+def _at_own_values(state: FitState, result: FitResult, parts: Sequence[Parted]) -> FitState:
+    """The state where each fitted run has its own values, also where others have its name."""
+    start = state.start.copy()
+    records = iter(result.runs)
+    known = [next(records).parameters if part.fitted is not None else {} for part in parts]
+    for group in state.problem.groups:
+        for member, columns in zip(group.members, group.own_columns().tolist(), strict=True):
+            for label, column in zip(group.own_labels(), columns, strict=True):
+                if label in known[member]:
+                    start[column] = known[member][label].value
+    return move(state, state.problem.bijector.inverse(start))
 
 
 def _noise(result: FitResult, noise: Noise, parts: Sequence[Parted]) -> Noise:
