@@ -115,6 +115,9 @@ class Predictions:
         self._priors = priors
         self._fitted = [_gram(each, ~each.held) for each in self._channels]
         self._whole = [_gram(each, np.ones_like(each.held)) for each in self._channels]
+        self._members: dict[int, list[int]] = {}
+        for position, each in enumerate(self._channels):
+            self._members.setdefault(each.cells.run, []).append(position)
         self._of_runs: dict[tuple[int, frozenset[int]], tuple[np.ndarray, int]] = {}
         self._alone = self._least(frozenset())
 
@@ -123,8 +126,8 @@ class Predictions:
         return self._of(
             [
                 position
-                for position, each in enumerate(self._channels)
-                if each.cells.run == run and each.series.channel == channel
+                for position in self._members[run]
+                if self._channels[position].series.channel == channel
             ]
         )
 
@@ -166,15 +169,15 @@ class Predictions:
         so that no matrix with the parameters of all runs is ever made.
         """
         total, rank = self._priors, 0
-        for run in {each.cells.run for each in self._channels}:
+        for run in self._members:
             rest, own = self._of_run(run, positions)
             total, rank = total + rest, rank + own
         rest, shared = _without(total, len(total) - 1)
         return float(rest[0, 0]), rank + shared
 
     def _of_run(self, run: int, positions: frozenset[int]) -> tuple[np.ndarray, int]:
-        members = [i for i, each in enumerate(self._channels) if each.cells.run == run]
-        key = run, positions & set(members)
+        members = self._members[run]
+        key = run, positions.intersection(members)
         if key not in self._of_runs:
             grams = [self._whole[i] if i in positions else self._fitted[i] for i in members]
             width = self._channels[members[0]].cells.own.shape[1]
