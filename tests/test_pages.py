@@ -16,7 +16,12 @@ def page(name):
 
 
 @pytest.mark.parametrize(
-    "name", ["physics.md", pytest.param("long_fits.md", marks=pytest.mark.slow)]
+    "name",
+    [
+        "physics.md",
+        pytest.param("hold_out.md", marks=pytest.mark.slow),
+        pytest.param("long_fits.md", marks=pytest.mark.slow),
+    ],
 )
 def test_the_python_of_a_page_runs(name):
     blocks = re.findall(r"```python\n(.*?)```", page(name), re.DOTALL)

@@ -11,6 +11,7 @@ from giajax import fit, ladder, suspects
 from giajax.diagnosis import Rung
 from giajax.diagnosis._axes import all_axes, name_of, turned_back
 from giajax.diagnosis._ladder import _spare
+from giajax.runs import parted
 from giajax.study import refit
 
 TIGHT = 4
@@ -69,9 +70,13 @@ def test_a_choice_is_made_the_other_way_and_axes_are_exchanged():
     swapped = {**values, "tip_y": values["tip_z"], "tip_z": values["tip_y"]}
     wrong = dataclasses.replace(recording, values=swapped)
     start = {"amplitude": 1.9, "decay": 0.75}
-    steps = ladder(fitted(wrong, start=start), wrong)
+    # What was held out has been recorded in the same wrong axes.
+    late = parted(wrong, dict.fromkeys(wrong.observations, 90))
+    steps = ladder(fitted(late.fitted, start=start), late.fitted, held_out=[late.held])
     added = [rung.suspect.path for rung in steps.rungs[1:]]
     assert added[0] == "axes: y and z swapped"
+    assert steps.rungs[0].held_out > 10
+    assert steps.rungs[-1].held_out == pytest.approx(1, rel=0.25)
     assert steps.result.parameters["decay"].value == pytest.approx(0.7, abs=0.02)
 
 

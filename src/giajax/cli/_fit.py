@@ -4,16 +4,14 @@ This file is longer than 200 lines because every option of the command stands in
 """
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from ._fit_run import finished, run_fit
+from ._fit_task import named_task
 from ._fit_values import bounds as limits, groups, priors, ties
 from ._values import plain_settings
-
-if TYPE_CHECKING:
-    from ..tasks import FitTask
 
 EXAMPLES = """\b
 Examples:
@@ -24,6 +22,8 @@ Examples:
   giajax fit --data run.csv --free links.mass --tie "links.mass=links.mass[0]"
   giajax fit --data a.csv --data b.csv --per-run camera.delay \\
       --prior camera.delay=0+-0.05 --bounds joints.damping=0.01,1
+  giajax fit --data a.csv --data b.csv --hold-out b --strict
+  giajax fit --data run.csv --hold-out last:0.3
   giajax fit definition.toml --force
   giajax fit long.toml --budget 2h
   giajax fit --resume giajax-out/long
@@ -108,6 +108,13 @@ def fit(
         list[str] | None,
         typer.Option(
             metavar="NAME", help="Fit this channel only, without its unit: link20_z. Repeatable."
+        ),
+    ] = None,
+    hold_out: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Judge by this and do not fit it: a run, a channel, or last (fifth). Repeatable.",
         ),
     ] = None,
     window: Annotated[
@@ -217,7 +224,7 @@ def fit(
 
     if resume is not None and (status := finished(resume, as_json, quiet)) is not None:
         raise typer.Exit(status)
-    task = _task(definition, config, again, resume, bool(data)).on_top(
+    task = named_task(definition, config, again, resume, bool(data)).on_top(
         data=data or None,
         free=free or None,
         start=plain_settings(start, "--start"),
@@ -229,6 +236,7 @@ def fit(
         groups=groups(group),
         uncertainty=plain_settings(uncertainty, "--uncertainty"),
         channels=channels or None,
+        hold_out=hold_out or None,
         window_s=window,
         starts=starts,
         spread=spread,
@@ -266,32 +274,3 @@ def fit(
             suspects=suspects,
         )
     )
-
-
-def _task(
-    definition: Path | None,
-    config: Path | None,
-    again: Path | None,
-    resume: Path | None,
-    has_data: bool,
-) -> "FitTask":
-    """The task that the command names, before its options are put on top."""
-    from ..runs import Definition
-    from ..tasks import FitTask
-
-    if definition is not None and config is not None:
-        raise typer.BadParameter(
-            "there are two fit definitions: give one, as argument or by --config, not both"
-        )
-    source = definition or config
-    if again is not None:
-        if source is not None or has_data or resume is not None:
-            raise typer.BadParameter(
-                "--again takes data and settings from the result: leave out the others"
-            )
-        return FitTask.again(again)
-    if source is not None:
-        return FitTask.load(source)
-    if resume is not None and not has_data:
-        return FitTask.resumed(resume)
-    return FitTask(Definition())

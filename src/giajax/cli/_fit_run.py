@@ -124,7 +124,7 @@ def run_fit(
         show_diagnosis(asked)
     # What a person waits for is there; drawing takes a second or two.
     if figures:
-        files += write_figures(result, ready.runs, task.out)
+        files += write_figures(result, ready.runs, task.out, held_out=ready.held_out_runs)
     if not (as_json or quiet):
         show_files(files)
         if goes_on:

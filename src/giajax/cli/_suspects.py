@@ -83,7 +83,7 @@ def suspects(
         raise typer.BadParameter("--held-out judges the fits of a ladder: add --ladder")
     renamed = parse_rename(rename or [])
 
-    from ..tasks import fitted_runs, stored_result
+    from ..tasks import fitted_runs, held_out_runs, stored_result
 
     # What is no result is told before JAX is imported, which takes seconds.
     stored_result(result)
@@ -105,6 +105,7 @@ def suspects(
             _show_systematic(fitted)
     steps = None
     if ladder:
+        others += held_out_runs(fitted, data or [], rename=renamed)
         said = None if quiet else _say
         steps = climb(fitted, runs, held_out=others, most=most, progress=said)
         if not (as_json or quiet):

@@ -10,7 +10,7 @@ from ..fitting import FitResult, Suspect, predict, responses
 from ..models import AbstractModel
 from ..parameters import elements, left_out, switched_on
 from ..runs import Run
-from ..study import refit
+from ..study import begun_as_fitted, refit
 from ._axes import all_axes, name_of, turned_back
 from ._rung import Ladder, Rung
 from ._suspects import suspects
@@ -42,7 +42,7 @@ def ladder(
     Arguments:
         result: of `giajax.fit` or `giajax.load_result`.
         runs: the runs that were fitted, in their order.
-        held_out: further runs, which no rung is fitted to.
+        held_out: further runs, or what was held out of the fitted ones; no rung is fitted to it.
         most: how many steps.
         progress: called with each rung as soon as it is there.
 
@@ -57,7 +57,11 @@ def ladder(
     noise = white_noise(now, several, at)
     rungs: list[Rung] = []
 
-    def added(one: FitResult, own: Sequence[Run], suspect: Suspect | None) -> Rung:
+    apart = list(held_out)
+
+    def added(
+        one: FitResult, own: Sequence[Run], apart: Sequence[Run], suspect: Suspect | None
+    ) -> Rung:
         near = responses(one.model, own, (), own_values(one))
         weighing = Weighing.of(near, noise, robust_weights(one, own, near))
         values = sum(int(np.sum(~np.isnan(each.observed))) for each in near)
@@ -66,7 +70,7 @@ def ladder(
             chi_square=weighing.chi_square(near, [each.predicted for each in near]),
             parameters=len(one.free) + sum(len(record.parameters) for record in one.runs),
             values=values,
-            held_out=_error_of(one.model, held_out, noise[0]),
+            held_out=_error_of(one, apart, noise[0]),
             result=one,
         )
 
@@ -75,17 +79,17 @@ def ladder(
         if progress is not None:
             progress(rung)
 
-    climb(added(now, several, None))
+    climb(added(now, several, apart, None))
     ending = f"{most} steps were allowed"
     for _ in range(most):
         asked = suspects(now, several)
         rungs[-1] = dataclasses.replace(rungs[-1], suspects=asked)
-        step: tuple[FitResult, list[Run], Suspect] | None = None
+        step: tuple[FitResult, list[Run], list[Run], Suspect] | None = None
         for suspect in asked.significant:
             if not _is_one(now.model, suspect):
                 continue
             try:
-                step = (*_with(now, several, suspect), suspect)
+                step = (*_with(now, several, apart, suspect), suspect)
                 break
             except InputError:  # It cannot be evaluated so; the next one may be.
                 continue
@@ -94,14 +98,14 @@ def ladder(
             break
         rung = added(*step)
         if not rung.bic < rungs[-1].bic:
-            ending = f"{step[2].path} was tried, and makes BIC larger"
+            ending = f"{step[3].path} was tried, and makes BIC larger"
             break
-        now, several = step[0], step[1]
+        now, several, apart = step[:3]
         climb(rung)
         for spare in _spare(rungs):
             assert spare.value is not None
             again = refit(now, several, fix={spare.path: spare.value})
-            fewer = dataclasses.replace(added(again, several, spare), removed=True)
+            fewer = dataclasses.replace(added(again, several, apart, spare), removed=True)
             if fewer.bic < rungs[-1].bic:
                 now = fewer.result
                 climb(fewer)
@@ -135,19 +139,22 @@ def _is_one(model: AbstractModel, suspect: Suspect) -> bool:
     return suspect.kind != "factor" and len(parts) == suspect.degrees_of_freedom
 
 
-def _with(result: FitResult, runs: Sequence[Run], suspect: Suspect) -> tuple[FitResult, list[Run]]:
-    """A fit with what a suspect asks for, and the runs as it sees them."""
+def _with(
+    result: FitResult, runs: Sequence[Run], apart: Sequence[Run], suspect: Suspect
+) -> tuple[FitResult, list[Run], list[Run]]:
+    """A fit with what a suspect asks for, and the runs and those held out as it sees them."""
+    same = list(runs), list(apart)
     if suspect.kind == "switch":
-        return refit(result, runs, model=result.model.variants()[suspect.path]), list(runs)
+        return refit(result, runs, model=result.model.variants()[suspect.path]), *same
     if suspect.kind == "axes":
         way = next(way for way in all_axes() if name_of(way) == suspect.path)
         turned = [turned_back(run, way) for run in runs]
         start = result.history[0].parameters
-        return refit(result, turned, start=start), turned
+        return refit(result, turned, start=start), turned, [turned_back(run, way) for run in apart]
     model = _neutrally(result.model, suspect.path)
     assert suspect.estimate is not None
     begin = {suspect.path: suspect.estimate}
-    return refit(result, runs, model=model, free=[suspect.path], start=begin), list(runs)
+    return refit(result, runs, model=model, free=[suspect.path], start=begin), *same
 
 
 def _neutrally(model: AbstractModel, path: str) -> AbstractModel:
@@ -158,10 +165,10 @@ def _neutrally(model: AbstractModel, path: str) -> AbstractModel:
     return absent.set(model, absent.declaration.neutral)
 
 
-def _error_of(model: AbstractModel, runs: Sequence[Run], noise: dict[str, float]) -> float | None:
+def _error_of(result: FitResult, runs: Sequence[Run], noise: dict[str, float]) -> float | None:
     squares = []
     for run in runs:
-        for name, predicted in predict(model, run).items():
+        for name, predicted in predict(result.model, begun_as_fitted(result, run)).items():
             sigma = run.noise(name) or noise.get(name) or float(np.mean(list(noise.values())))
             rest = (predicted - run.observations[name]) / sigma
             squares.append(rest[~np.isnan(rest)] ** 2)

@@ -6,6 +6,7 @@ from ._conclude import versions as versions
 from ._configuration import Setup as Setup, set_up as set_up
 from ._findings import Finding as Finding
 from ._fit import MAX_ITERATIONS as MAX_ITERATIONS, fit as fit, solve as solve
+from ._hold_out import with_held_out as with_held_out
 from ._loss import influence as influence
 from ._noise import NOISE_MODELS as NOISE_MODELS, NoiseModel as NoiseModel
 from ._predict import (
@@ -14,16 +15,11 @@ from ._predict import (
     prediction_errors as prediction_errors,
 )
 from ._records import (
-    ChannelErrors as ChannelErrors,
-    ChannelFit as ChannelFit,
     Correlation as Correlation,
     Estimate as Estimate,
     GradientCheck as GradientCheck,
     Iteration as Iteration,
     NoiseFit as NoiseFit,
-    OwnEstimate as OwnEstimate,
-    PredictionErrors as PredictionErrors,
-    RunFit as RunFit,
     Seconds as Seconds,
     Shift as Shift,
     Start as Start,
@@ -36,6 +32,15 @@ from ._responses import (
     responses as responses,
 )
 from ._result import FitResult as FitResult, load_result as load_result
+from ._run_records import (
+    ChannelErrors as ChannelErrors,
+    ChannelFit as ChannelFit,
+    HeldChannel as HeldChannel,
+    HeldOut as HeldOut,
+    OwnEstimate as OwnEstimate,
+    PredictionErrors as PredictionErrors,
+    RunFit as RunFit,
+)
 from ._snapshot import FitJournal as FitJournal
 from ._solver import Marquardt as Marquardt
 from ._suspect import (

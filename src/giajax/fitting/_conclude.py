@@ -16,15 +16,13 @@ from ._estimates import estimates, own_estimates
 from ._findings import findings
 from ._problem import Problem, predictions_by_run
 from ._records import (
-    ChannelFit,
     Correlation,
     NoiseFit,
-    OwnEstimate,
-    RunFit,
     Seconds,
     finite_or_none,
 )
 from ._result import FitResult
+from ._run_records import ChannelFit, OwnEstimate, RunFit
 from ._state import FitState
 from ._statistics import Statistics, statistics
 from ._verdict import verdict

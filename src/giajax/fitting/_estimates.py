@@ -8,7 +8,8 @@ from scipy.special import stdtrit
 from ..models import AbstractModel, parameter_values
 from ..parameters import Parameter, declared
 from ._identifiability import largest_correlations
-from ._records import Estimate, OwnEstimate, finite_or_none
+from ._records import Estimate, finite_or_none
+from ._run_records import OwnEstimate
 from ._state import FitState
 from ._statistics import Statistics
 

@@ -52,16 +52,11 @@ class Layout(NamedTuple):
         return sum(map(len, self.places))
 
 
-def recording_of(run: Run) -> str:
-    """Name of the recording that a run is, or is a window of."""
-    return run.name if run.path is None else run.path.stem
-
-
 def names_of(runs: Sequence[Run]) -> str:
     """Names of runs that share something, for a person; windows of one recording are one."""
     if len(runs) == 1:
         return f"'{runs[0].name}'"
-    return ", ".join(dict.fromkeys(f"'{recording_of(run)}'" for run in runs))
+    return ", ".join(dict.fromkeys(f"'{run.recording}'" for run in runs))
 
 
 def sharing(
@@ -74,13 +69,13 @@ def sharing(
     """
     recordings: dict[str, object] = {}
     for run in runs if per_run or groups else ():
-        name, recording = recording_of(run), run.path or id(run)
+        name, recording = run.recording, run.path or id(run)
         if recordings.setdefault(name, recording) != recording:
             raise InputError(
                 f"two runs are called '{name}', so that nothing can be said of one of them: "
                 "rename one"
             )
-    alone = [[name] for name in dict.fromkeys(recording_of(run) for run in runs)]
+    alone = [[name] for name in dict.fromkeys(run.recording for run in runs)]
     for path in sorted(set(per_run) & set(groups)):
         raise InputError(f"'{path}' has a value for each run and groups of runs: give one of them")
     each = {path: [list(names) for names in sharing] for path, sharing in groups.items()}
@@ -95,14 +90,14 @@ def members(
     Raises:
         InputError: a name that no run has, or a run that is not in exactly one group.
     """
-    known = {name for run in runs for name in (run.name, recording_of(run))}
+    known = {name for run in runs for name in (run.name, run.recording)}
     for name in (name for names in groups for name in names):
         if name not in known:
             near = difflib.get_close_matches(name, known, n=1)
             remedy = f"did you mean '{near[0]}'?" if near else "name runs as their files"
             raise InputError(f"the groups of '{path}' name '{name}', which is no run: {remedy}")
     positions = tuple(
-        tuple(i for i, run in enumerate(runs) if {run.name, recording_of(run)} & set(names))
+        tuple(i for i, run in enumerate(runs) if {run.name, run.recording} & set(names))
         for names in groups
     )
     for index, run in enumerate(runs):

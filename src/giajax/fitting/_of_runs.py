@@ -7,7 +7,8 @@ from pathlib import Path
 from ..models import AbstractModel
 from ..parameters import declared, replace
 from ..runs import Run
-from ._records import Estimate, OwnEstimate, RunFit
+from ._records import Estimate
+from ._run_records import OwnEstimate, RunFit
 from ._ties import resolved_ties, tied
 
 # More rows than this are no table to read; `runs[].parameters` has all of them.

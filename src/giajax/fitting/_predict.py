@@ -7,7 +7,7 @@ import numpy as np
 from .._program import program
 from ..models import AbstractModel, Channels
 from ..runs import Run
-from ._records import ChannelErrors, PredictionErrors
+from ._run_records import ChannelErrors, PredictionErrors
 
 
 @program

@@ -2,8 +2,7 @@
 
 Field by field they are the objects of `result.json`. What is not finite is null there, and None
 here once a file was read. The classmethods `of_json` take such objects, also those of earlier
-versions, which lack what was added since. The file is longer than 200 lines because these records
-are one format: whoever reads a result reads them together.
+versions, which lack what was added since. Those of single runs are in `_run_records`.
 """
 
 import dataclasses
@@ -71,109 +70,6 @@ class Estimate:
         """The record that an object of `result.json` holds."""
         ends = record.get("interval")
         return cls(**{**record, "interval": None if ends is None else (ends[0], ends[1])})
-
-
-@dataclasses.dataclass(frozen=True)
-class OwnEstimate:
-    """What one run has for itself, such as an initial angle, or with its group: as `Estimate`."""
-
-    value: float
-    standard_error: float | None
-    remark: str = ""
-
-
-@dataclasses.dataclass(frozen=True)
-class ChannelFit:
-    """How well one channel of a fitted run is described, in the unit of the recording.
-
-    Attributes:
-        unit: of the recording.
-        rmse: root mean square of recorded minus predicted; None where that is not finite.
-        n: number of measured values.
-        noise: standard deviation of a cell that the values were weighted with.
-        correlated: standard deviation of the part of it that has a memory.
-        correlation_time_s: of that part, s; 0 where there is none.
-        innovation: deviation of what the cells before do not foretell, their geometric mean;
-            None from a file without it.
-    """
-
-    unit: str
-    rmse: float | None
-    n: int
-    noise: float
-    correlated: float = 0.0
-    correlation_time_s: float = 0.0
-    innovation: float | None = None
-
-
-@dataclasses.dataclass(frozen=True)
-class RunFit:
-    """One fitted run.
-
-    Attributes:
-        name: of the run.
-        path: of its file; None for a run that was made in memory.
-        sha256: checksum of the file.
-        channels: by name.
-        parameters: what was free in this run alone, or in its group of runs, by path.
-    """
-
-    name: str
-    path: str | None
-    sha256: str | None
-    channels: dict[str, ChannelFit]
-    parameters: dict[str, OwnEstimate] = dataclasses.field(default_factory=dict)
-
-    @classmethod
-    def of_json(cls, record: Mapping[str, Any]) -> Self:
-        """The record that an object of `result.json` holds."""
-        return cls(
-            name=record["name"],
-            path=record["path"],
-            sha256=record["sha256"],
-            channels={name: ChannelFit(**item) for name, item in record["channels"].items()},
-            parameters={
-                path: OwnEstimate(**item) for path, item in record.get("parameters", {}).items()
-            },
-        )
-
-
-@dataclasses.dataclass(frozen=True)
-class ChannelErrors:
-    """Errors of prediction of one channel, in the unit of the recording.
-
-    Attributes:
-        unit: of the recording.
-        rmse: root mean square error; infinite (None from a file) where the simulation failed.
-        largest: largest absolute error; likewise.
-        n: number of measured values.
-    """
-
-    unit: str
-    rmse: float | None
-    largest: float | None
-    n: int
-
-
-@dataclasses.dataclass(frozen=True)
-class PredictionErrors:
-    """How far a prediction is from what a run recorded.
-
-    Attributes:
-        name: of the run.
-        path: of its file; None for a run that was made in memory.
-        channels: by name.
-    """
-
-    name: str
-    path: str | None
-    channels: dict[str, ChannelErrors]
-
-    @classmethod
-    def of_json(cls, record: Mapping[str, Any]) -> Self:
-        """The record that an object of `result.json` holds."""
-        channels = {name: ChannelErrors(**item) for name, item in record["channels"].items()}
-        return cls(record["name"], record["path"], channels)
 
 
 @dataclasses.dataclass(frozen=True)

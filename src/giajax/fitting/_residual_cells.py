@@ -23,10 +23,10 @@ def residual_cells(state: FitState, *, together: bool = False) -> dict[tuple[int
         By the position of the run and the name of the channel.
     """
     jacobian, active = state.jacobian(), np.asarray(state.active)
-    count = Counter(int(column) for columns in jacobian.columns for column in columns)
-    several = len(state.setup.runs) > 1 and not together
-    mine = {column for column, uses in count.items() if several and uses == 1}
-    common = [c for c in range(state.problem.size) if (together or active[c]) and c not in mine]
+    if together:
+        common, mine = list(range(state.problem.size)), set[int]()
+    else:
+        common, mine = shared_and_own(state)
     cells = {}
     at_block = iter(zip(jacobian.blocks, jacobian.columns, strict=True))
     for group, tables in zip(state.problem.groups, state.inner.aux.channels, strict=True):
@@ -58,3 +58,16 @@ def residual_cells(state: FitState, *, together: bool = False) -> dict[tuple[int
                     own=columns_at[:, own],
                 )
     return cells
+
+
+def shared_and_own(state: FitState) -> tuple[list[int], set[int]]:
+    """Positions of the coordinates that move: shared ones; of single runs, without a prior.
+
+    Arguments:
+        state: evaluated.
+    """
+    active = np.asarray(state.active)
+    count = Counter(int(c) for columns in state.jacobian().columns for c in columns)
+    several = len(state.setup.runs) > 1
+    mine = {column for column, uses in count.items() if several and uses == 1}
+    return [c for c in range(state.problem.size) if active[c] and c not in mine], mine

@@ -28,14 +28,13 @@ from ._records import (
     GradientCheck,
     Iteration,
     NoiseFit,
-    PredictionErrors,
-    RunFit,
     Seconds,
     Start,
     Status,
     ToleranceEffect,
     finite_or_none,
 )
+from ._run_records import HeldOut, PredictionErrors, RunFit
 from ._suspect import Suspect, SystematicError
 from ._table import estimate_html, estimate_table
 from ._units import in_column_units
@@ -69,6 +68,8 @@ class FitResult:
         starts: where the fit was started (`giajax.multi_start`), each with its end; empty for
             one start.
         validation: errors of prediction of runs that were not fitted.
+        held_out: what was held out of the fit (`FitTask.on_top(hold_out=)`), and how well it is
+            predicted.
         noise: what was taken for noise; None from a file without it.
         verdict: whether the model describes the data, apart from convergence.
         derived: `Estimate` by name of what follows from the free parameters: the tied ones, and
@@ -80,6 +81,7 @@ class FitResult:
         task: how `giajax.FitTask.again` fits it again: files with their checksums, and settings;
             empty for a fit of runs without a task.
         predictions: predicted channels (SI) of each run, by name; empty after `load_result`.
+        held_predictions: those of each of `held_out`, likewise.
     """
 
     status: Status
@@ -100,6 +102,7 @@ class FitResult:
     history: tuple[Iteration, ...]
     starts: tuple[Start, ...] = ()
     validation: tuple[PredictionErrors, ...] = ()
+    held_out: tuple[HeldOut, ...] = ()
     noise: NoiseFit | None = None
     verdict: Verdict = dataclasses.field(default_factory=Verdict.missing)
     derived: dict[str, Estimate] = dataclasses.field(default_factory=dict)
@@ -108,6 +111,7 @@ class FitResult:
     systematic: tuple[SystematicError, ...] = ()
     task: dict[str, Any] = dataclasses.field(default_factory=dict)
     predictions: tuple[dict[str, np.ndarray], ...] = ()
+    held_predictions: tuple[dict[str, np.ndarray], ...] = ()
 
     @property
     def free(self) -> dict[str, Estimate]:
@@ -140,7 +144,7 @@ class FitResult:
         record = {
             field.name: getattr(self, field.name)
             for field in dataclasses.fields(self)
-            if field.name not in ("model", "predictions")
+            if field.name not in ("model", "predictions", "held_predictions")
         }
         record = {"schema_version": SCHEMA_VERSION, "model": self.model.kind, **record}
         return json.dumps(_plain(record), indent=2, allow_nan=False) + "\n"
@@ -227,6 +231,7 @@ def _records(record: Mapping[str, Any]) -> dict[str, Any]:
         "starts": tuple(Start(**item) for item in record.get("starts", ())),
         "suspects": tuple(Suspect.of_json(item) for item in record.get("suspects", ())),
         "systematic": tuple(SystematicError.of_json(item) for item in record.get("systematic", ())),
+        "held_out": tuple(HeldOut.of_json(item) for item in record.get("held_out", ())),
         "validation": tuple(
             PredictionErrors.of_json(item) for item in record.get("validation", ())
         ),

@@ -7,7 +7,11 @@ from ._differences import (
 from ._estimate import estimate as estimate
 from ._intervals import Spread as Spread, small_sample as small_sample
 from ._model import ChannelNoise as ChannelNoise, Stated as Stated
-from ._restricted import Cells as Cells, Restricted as Restricted
+from ._restricted import (
+    Cells as Cells,
+    Restricted as Restricted,
+    orthonormal as orthonormal,
+)
 from ._robust import outlier_weights as outlier_weights, robust_deviation as robust_deviation
 from ._sandwich import score_covariance as score_covariance
 from ._segment import gains as gains, whitened as whitened

@@ -129,7 +129,7 @@ def conditioned(cells: Sequence[Cells], noise: Mapping[str, ChannelNoise]) -> tu
         at = [i for i, each in enumerate(cells) if each.run == run]
         gram = np.sum([cells[i].gram(_marginal(noise[cells[i].key]))[0] for i in at], axis=0)
         width = cells[at[0]].own.shape[1]
-        own = _orthonormal(gram[:width, :width])
+        own = orthonormal(gram[:width, :width])
         across = own.T @ gram[:width, width:-1]
         triangles.append(gram[width:-1, width:-1] - across.T @ across)
         for i in at:
@@ -137,7 +137,7 @@ def conditioned(cells: Sequence[Cells], noise: Mapping[str, ChannelNoise]) -> tu
             changed[i] = dataclasses.replace(
                 cells[i], own=basis, shared=cells[i].shared - basis @ across
             )
-    shared = _orthonormal(np.sum(triangles, axis=0))
+    shared = orthonormal(np.sum(triangles, axis=0))
     return tuple(
         dataclasses.replace(each, shared=each.shared @ shared) for each in changed.values()
     )
@@ -147,8 +147,15 @@ def _marginal(noise: ChannelNoise) -> ChannelNoise:
     return ChannelNoise(noise.deviation)
 
 
-def _orthonormal(gram: np.ndarray) -> np.ndarray:
-    """B with B^T gram B = 1, of the directions that count."""
+def orthonormal(gram: np.ndarray) -> np.ndarray:
+    """B with B^T gram B = 1, of the directions that count.
+
+    Arguments:
+        gram: X^T X of columns of any size, shape (column, column).
+
+    Returns:
+        Of shape (column, rank).
+    """
     if not len(gram):
         return gram
     norms = np.sqrt(np.maximum(np.diag(gram), 0))

@@ -7,7 +7,7 @@ import numpy as np
 
 from .._errors import InputError
 from ..fitting import FitResult, RunFit
-from ..runs import Run, check_output_folder, make_folder, write_files
+from ..runs import Run, check_output_folder, make_folder, observing, write_files
 from ._correlation import correlation_figure
 from ._names import unique_names
 from ._prediction import prediction_files
@@ -27,6 +27,7 @@ def write_result(
     folder: str | Path,
     *,
     figures: bool = True,
+    held_out: Sequence[Run] = (),
 ) -> list[Path]:
     """Write a result to a folder, which is made if it is missing.
 
@@ -41,6 +42,7 @@ def write_result(
         runs: the runs that were fitted, in the same order.
         folder: its files are written over; `check_folder` is what refuses.
         figures: whether to draw pictures, too; `write_figures` draws them later.
+        held_out: what was held out of the runs, for the pictures.
 
     Returns:
         The files, `result.json` first.
@@ -59,11 +61,17 @@ def write_result(
     _remove_stale_pictures(folder)
     files += _written(folder, prediction_files(result, runs, names, predictions))
     if figures:
-        files += _written(folder, _picture_files(result, runs, names, predictions))
+        files += _written(folder, _picture_files(result, runs, names, predictions, held_out))
     return files
 
 
-def write_figures(result: FitResult, runs: Run | Sequence[Run], folder: str | Path) -> list[Path]:
+def write_figures(
+    result: FitResult,
+    runs: Run | Sequence[Run],
+    folder: str | Path,
+    *,
+    held_out: Sequence[Run] = (),
+) -> list[Path]:
     """Draw a result into the folder that `write_result` wrote.
 
     The pictures show recorded against fitted values of each run (of many runs, of those that are
@@ -73,6 +81,7 @@ def write_figures(result: FitResult, runs: Run | Sequence[Run], folder: str | Pa
         result: the result of `fit` or `load_result`.
         runs: the runs that were fitted, in the same order.
         folder: of the result.
+        held_out: what was held out of the runs, in the order of `result.held_out`.
 
     Returns:
         The files.
@@ -81,7 +90,7 @@ def write_figures(result: FitResult, runs: Run | Sequence[Run], folder: str | Pa
         InputError: other runs than those of the result, or the folder cannot be written.
     """
     runs, names, predictions = _parts(result, runs)
-    return _written(Path(folder), _picture_files(result, runs, names, predictions))
+    return _written(Path(folder), _picture_files(result, runs, names, predictions, held_out))
 
 
 def _parts(
@@ -120,21 +129,50 @@ def _picture_files(
     runs: Sequence[Run],
     names: Sequence[str],
     predictions: Sequence[Mapping[str, np.ndarray]],
+    held_out: Sequence[Run],
 ) -> dict[str, bytes]:
     files = {}
     drawn = _worth_drawing(result)
     everything = list(zip(runs, names, predictions, result.runs, strict=True))
+    held = {(run.name, run.sha256): run for run in held_out}
     for run, name, predicted, record in (everything[index] for index in drawn):
         file = "recorded.png" if len(runs) == 1 else f"recorded_{name}.png"
-        files[file] = to_png(recorded_figure(result, run, predicted, record))
+        partly = held.get((run.name, run.sha256))
+        files[file] = to_png(recorded_figure(result, run, predicted, record, partly))
+    files |= _held_out_files(result, runs, held_out)
     files["residuals.png"] = to_png(residuals_figure(result, runs, predictions))
     files["correlation.png"] = to_png(correlation_figure(result))
     return files
 
 
+def _held_out_files(
+    result: FitResult, runs: Sequence[Run], held_out: Sequence[Run]
+) -> dict[str, bytes]:
+    """Pictures of the runs and channels that were held out as a whole, and so are in no other."""
+    fitted = {(run.name, run.sha256): run.observations for run in runs}
+    files: dict[str, bytes] = {}
+    if len(result.held_predictions) != len(held_out):  # A result that was loaded has none.
+        return files
+    names = unique_names(held_out)
+    several = zip(held_out, names, result.held_out, result.held_predictions, strict=True)
+    for run, name, record, predicted in several:
+        whole = run.observations.keys() - fitted.get((run.name, run.sha256), {}).keys()
+        if whole and whole <= predicted.keys() and len(files) < _MOST_RUNS:
+            only = observing(run, [channel for channel in run.observations if channel in whole])
+            figure = recorded_figure(result, only, predicted, record, only)
+            files[f"held_out_{name}.png"] = to_png(figure)
+    return files
+
+
 def _remove_stale_pictures(folder: Path) -> None:
     """Remove the pictures of an earlier fit, which do not show this one."""
-    for pattern in ("recorded.png", "recorded_*.png", "residuals.png", "correlation.png"):
+    for pattern in (
+        "recorded.png",
+        "recorded_*.png",
+        "held_out_*.png",
+        "residuals.png",
+        "correlation.png",
+    ):
         for path in folder.glob(pattern):
             try:
                 # A person's own picture of such a name does not carry the signature.

@@ -15,9 +15,14 @@ from ._files import RESULT
 # What makes two fits the same fit; the iterations allowed and the folder do not.
 _SAME = (
     *("definition", "runs", "free", "start", "fix", "loss", "begin"),
-    *("priors", "bounds", "ties", "groups"),
+    *("priors", "bounds", "ties", "groups", "hold_out"),
 )
-_WORDS = {"definition": "the model's constants", "runs": "what the sidecar states", "loss": "loss"}
+_WORDS = {
+    "definition": "the model's constants",
+    "runs": "what the sidecar states",
+    "loss": "loss",
+    "hold_out": "what is held out",
+}
 
 
 def check_folder(

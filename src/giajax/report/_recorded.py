@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from ..fitting import FitResult, RunFit
+from ..fitting import FitResult, HeldOut, RunFit
 from ..runs import Channel, Run
 from ._abscissa import abscissa, channel_label
 from ._style import BLUE, GREEN, GREY, INK, VERMILLION, new_figure, plain, unfinished
@@ -20,11 +20,18 @@ _MOST_PANELS = 24
 # A step of this many times the usual one, and of this part of the range, is no motion.
 _JUMP, _FAR = 20, 0.3
 
+# Of cells that were fitted, and of those that were held out.
+_SHADES = {False: GREY, True: VERMILLION}
+
 _COMPONENTS = {"x": BLUE, "y": VERMILLION, "z": GREEN}
 
 
 def recorded_figure(
-    result: FitResult, run: Run, predicted: Mapping[str, np.ndarray], record: RunFit
+    result: FitResult,
+    run: Run,
+    predicted: Mapping[str, np.ndarray],
+    record: RunFit | HeldOut,
+    held: Run | None = None,
 ) -> Figure:
     """Recorded against fitted channels of one run, in the units of its file.
 
@@ -36,7 +43,8 @@ def recorded_figure(
         result: the fit.
         run: the recorded run.
         predicted: what the fitted model predicts for it, SI.
-        record: the run's entry in `result.runs`.
+        record: the run's entry in `result.runs`, or in `result.held_out`.
+        held: what was held out of it, which is drawn hollow; `run` itself for a picture of it.
 
     Returns:
         The picture.
@@ -44,7 +52,9 @@ def recorded_figure(
     panels, left_out = _panels(run)
     columns = _columns(len(panels))
     rows = -(-len(panels) // columns)
-    title = f"{run.name}: recorded and fitted{unfinished(result)}"
+    alone = held is run
+    what = "held out and predicted" if alone else "recorded and fitted"
+    title = f"{run.name}: {what}{unfinished(result)}"
     if left_out:
         title += f"; {left_out} more channels are in prediction.csv"
     over, label = abscissa(run)
@@ -56,12 +66,15 @@ def recorded_figure(
         if position >= len(panels):
             axes.set_visible(False)
             continue
-        _draw_panel(axes, panels[position], run, over, predicted, record)
+        _draw_panel(axes, panels[position], run, over, predicted, record, held)
         # The last panel of each column carries the axis's name, also above an empty place.
         if position + columns >= len(panels):
             axes.set_xlabel(label)
             axes.tick_params(labelbottom=True)
-    _legend(figure, any(len(names) > 1 for names in panels))
+    hollow = held is not None and any(
+        name in held.observations for names in panels for name in names
+    )
+    _legend(figure, any(len(names) > 1 for names in panels), hollow=hollow, alone=alone)
     return figure
 
 
@@ -99,21 +112,27 @@ def _draw_panel(
     run: Run,
     over: np.ndarray,
     predicted: Mapping[str, np.ndarray],
-    record: RunFit,
+    record: RunFit | HeldOut,
+    held: Run | None,
 ) -> None:
     channels = [run.channels[name] for name in names]
     several = len(channels) > 1
     size = 1.6 if len(over) > 400 else 2.6
-    for channel in channels:
+    cells = [(run, channel) for channel in channels if held is not run]
+    if held is not None:
+        cells += [(held, channel) for channel in channels if channel.name in held.observations]
+    for shown, channel in cells:
+        hollow = shown is held
         axes.plot(
             over,
-            channel.from_si(run.observations[channel.name]),
+            channel.from_si(shown.observations[channel.name]),
             linestyle="none",
             marker="o",
             # A precise recording would hide behind the line.
-            markersize=size + 0.8 if several else size,
-            markeredgewidth=0,
-            color=_colour(channel) if several else GREY,
+            markersize=size + 0.8 if several or hollow else size,
+            markeredgewidth=0.6 if hollow else 0,
+            markerfacecolor="none" if hollow else None,
+            color=_colour(channel) if several else _SHADES[hollow],
             alpha=0.6,
         )
     sweeps = np.array([], dtype=int) if over is run.times else _starts(over)
@@ -133,16 +152,20 @@ def _colour(channel: Channel) -> str:
     return BLUE if channel.component is None else _COMPONENTS["xyz"[channel.component]]
 
 
-def _legend(figure: Figure, components: bool) -> None:
+def _legend(figure: Figure, components: bool, *, hollow: bool, alone: bool) -> None:
     """One legend for all panels, in the title's line."""
     dots: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 4}
-    recorded: dict[str, str] = {"recorded": GREY}
+    recorded: dict[str, str] = {} if alone else {"recorded": GREY}
     if components:
         recorded = {f"{name} recorded": colour for name, colour in _COMPONENTS.items()}
-    handles = [
-        *(Line2D([], [], color=colour, label=name, **dots) for name, colour in recorded.items()),
-        Line2D([], [], color=INK if components else BLUE, linewidth=1.4, label="fitted"),
-    ]
+    handles = [Line2D([], [], color=c, label=name, **dots) for name, c in recorded.items()]
+    if hollow:
+        colour = INK if components else _SHADES[True]
+        handles.append(
+            Line2D([], [], color=colour, markerfacecolor="none", label="held out", **dots)
+        )
+    word = "predicted" if alone else "fitted"
+    handles.append(Line2D([], [], color=INK if components else BLUE, linewidth=1.4, label=word))
     figure.legend(
         handles=handles, loc="outside upper right", ncols=len(handles), fontsize=8, frameon=False
     )

@@ -10,6 +10,7 @@ import numpy as np
 from .._text import wrapped
 from ..fitting import (
     FitResult,
+    HeldOut,
     PredictionErrors,
     RunFit,
     estimate_table,
@@ -17,6 +18,7 @@ from ..fitting import (
     units_note,
 )
 from ..study import SAME_END, misfit
+from ._held_out import held_out_lines
 from ._trust import noise_lines, verdict_lines
 
 # More lines of residuals than this are summed up.
@@ -75,6 +77,10 @@ def summary_rows(result: FitResult) -> list[tuple[str, str]]:
     if len(validation) > _MANY:
         validation = _over_runs(result.validation, "prediction of")
     rows += _labelled("validation", validation)
+    held_out = held_out_lines(result)
+    if len(held_out) > _MANY:
+        held_out = _over_runs(result.held_out, "prediction of")
+    rows += _labelled("held out", held_out)
     if strongest := _strongest_correlation(result):
         rows.append(("correlation", strongest))
     rows += _labelled("findings", [f"{f.sentence}: {f.advice} ({f.page})" for f in result.findings])
@@ -107,7 +113,7 @@ def _starts(result: FitResult) -> list[str]:
     return [text]
 
 
-def _over_runs(runs: Sequence[RunFit | PredictionErrors], what: str) -> list[str]:
+def _over_runs(runs: Sequence[RunFit | PredictionErrors | HeldOut], what: str) -> list[str]:
     """One line a channel for many runs: smallest, median and largest RMSE."""
     table: dict[tuple[str, str], list[float]] = {}
     for run in runs:

@@ -154,6 +154,9 @@ class Fit(Section):
     channels: list[Name] | None = key(
         "a list of channel names, without unit", "channels to fit; all that were measured"
     )
+    hold_out: list[Name] | None = key(
+        "a list of runs, channels, or last", "what is not fitted, and must be predicted"
+    )
     window_s: Positive | None = key(
         "a positive number", "cut each run into windows of this length, each with its own start"
     )

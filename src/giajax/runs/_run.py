@@ -109,6 +109,11 @@ class Run:
         return KINDS[self.model]
 
     @property
+    def recording(self) -> str:
+        """Name of the recording that it is, or is a window of."""
+        return self.name if self.path is None else self.path.stem
+
+    @property
     def drawn_over(self) -> str | None:
         """The input that its measured channels are drawn over; None: over time."""
         return self.kind.drawn_over(self)

@@ -17,5 +17,9 @@ from ._multi_start import (
     solve_from_starts as solve_from_starts,
 )
 from ._planned import planned as planned
-from ._refit import begun_where_it_ended as begun_where_it_ended, refit as refit
+from ._refit import (
+    begun_as_fitted as begun_as_fitted,
+    begun_where_it_ended as begun_where_it_ended,
+    refit as refit,
+)
 from ._sensitivity import Sensitivity as Sensitivity, sensitivity as sensitivity

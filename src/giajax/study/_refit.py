@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..fitting import MAX_ITERATIONS, FitResult, fit, prepared_with
+from ..fitting import MAX_ITERATIONS, FitResult, RunFit, fit, prepared_with
 from ..models import AbstractModel
 from ..parameters import elements, get, switched_on
 from ..runs import Definition, Run
@@ -25,10 +25,25 @@ def begun_where_it_ended(result: FitResult, runs: Sequence[Run]) -> list[Run]:
     Returns:
         The runs; one without an initial state of its own is the same.
     """
-    return [
-        _begun(result.model, run, {path: own.value for path, own in record.parameters.items()})
-        for run, record in zip(runs, result.runs, strict=True)
-    ]
+    return [_begun_as(result, run, record) for run, record in zip(runs, result.runs, strict=True)]
+
+
+def begun_as_fitted(result: FitResult, run: Run) -> Run:
+    """A run with the initial state that was fitted for it, where it was.
+
+    Arguments:
+        result: of a fit.
+        run: any; one of another name or another file than those that were fitted is the same.
+    """
+    for record in result.runs:
+        if (record.name, record.sha256) == (run.name, run.sha256):
+            return _begun_as(result, run, record)
+    return run
+
+
+def _begun_as(result: FitResult, run: Run, record: RunFit) -> Run:
+    own = {path: estimate.value for path, estimate in record.parameters.items()}
+    return _begun(result.model, run, own)
 
 
 def _begun(model: AbstractModel, run: Run, own: Mapping[str, float]) -> Run:

@@ -15,7 +15,7 @@ from ..quantities import Prior
 from ..runs import Definition, read_runs
 from ._journal import read_journal
 from ._record import differences, plain_of, record_of, unchanged
-from ._settings import Paths, overridden, paths_of
+from ._settings import Paths, contents_with, paths_of
 from ._stored import check_config, reached_by, repeatable, without
 
 if TYPE_CHECKING:
@@ -146,6 +146,7 @@ class FitTask:
         groups: Mapping[str, Sequence[Sequence[str]]] | None = None,
         uncertainty: Mapping[str, npt.ArrayLike] | None = None,
         channels: Sequence[str] | None = None,
+        hold_out: Sequence[str] | None = None,
         window_s: float | None = None,
         starts: int | None = None,
         spread: float | None = None,
@@ -175,6 +176,8 @@ class FitTask:
             priors, bounds, ties, groups, per_run: as of `giajax.fit`; the last in place of before.
             uncertainty: standard deviations of what is held, SI, by path.
             channels: names without unit of the channels to fit; all that were measured by default.
+            hold_out: what is not fitted, and must be predicted: names of runs or of channels, or
+                `last`, the last fifth of each recording by time (`last:0.3`); in place of before.
             window_s: cut each run into windows of this length, s, each with its own start.
             starts: how many starts (1 by default); the best end is the result.
             spread, seed: of the other starts: relative distance from the first (0.3), and 0.
@@ -200,6 +203,7 @@ class FitTask:
         values = {
             "uncertainty": dict(uncertainty) if uncertainty else None,
             "channels": None if channels is None else list(channels),
+            "hold_out": None if hold_out is None else list(hold_out),
             "window_s": window_s,
             "starts": starts,
             "spread": spread,
@@ -215,18 +219,11 @@ class FitTask:
         }
         above = {"free": free, "start": start, "fix": fix, "priors": priors, "bounds": bounds}
         above |= {"ties": ties, "per_run": per_run, "groups": groups}
-        settings = {
-            **overridden(self.definition, above),
-            **{key: value for key, value in values.items() if value is not None},
-        }
-        whole = self.definition.contents()
-        whole["fit"] = {**whole.get("fit", {}), **settings}
-        if budget == "":
-            del whole["fit"]["budget"]
+        contents = contents_with(self.definition, above, values)
         reached = self.begin if begin is None else reached_by(begin)
         task = dataclasses.replace(
             self,
-            definition=Definition.parse(whole, origin),
+            definition=Definition.parse(contents, origin),
             data=self.data if data is None else paths_of(data),
             validation=self.validation if validation is None else paths_of(validation),
             rename=self.rename if rename is None else dict(rename),
@@ -272,7 +269,7 @@ class FitTask:
         check: bool = True,
         journal: str | Path | None = None,
     ) -> "FitResult":
-        """Fit, and predict the runs of the validation.
+        """Fit, and predict what was held out and the runs of the validation.
 
         A fit wants 64-bit: call `jax.config.update("jax_enable_x64", True)` first, which
         `giajax fit` does by itself.

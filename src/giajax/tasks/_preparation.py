@@ -18,12 +18,11 @@ from ..fitting import (
     PredictionErrors,
     Setup,
     prediction_errors,
-    set_up,
     solve,
 )
-from ..models import model_for
 from ..runs import Definition, Run, seconds_of
 from ..study import SEED, SPREAD, solve_from_starts
+from ._hold_out import HoldOut, set_up_parts
 from ._journal import Journal
 from ._keeping import kept, warn
 
@@ -37,17 +36,25 @@ class Preparation:
         setup: the model, the runs to fit, and what is free.
         validation: runs that the result must predict.
         record: the task as plain data, which the result keeps.
+        held_out: what of the runs is not fitted, to judge the fit by; None where all of it is.
     """
 
     definition: Definition
     setup: Setup
     validation: tuple[Run, ...]
     record: Mapping[str, Any]
+    held_out: HoldOut | None = None
 
     @property
     def runs(self) -> tuple[Run, ...]:
-        """The runs to fit, or their windows."""
+        """The runs to fit, or their windows, without what is held out."""
         return self.setup.runs
+
+    @property
+    def held_out_runs(self) -> tuple[Run, ...]:
+        """What is held out of the runs: only these cells are in them."""
+        parts = () if self.held_out is None else self.held_out.parts
+        return tuple(part.held for part in parts if part.held is not None)
 
     def kept_in(
         self,
@@ -81,7 +88,7 @@ class Preparation:
         check: bool = True,
         journal: Callable[[int], FitJournal] | None = None,
     ) -> FitResult:
-        """Fit, and predict the runs of the validation.
+        """Fit, and predict what was held out and the runs of the validation.
 
         Arguments:
             progress, announce, check: as of `FitTask.run`.
@@ -121,6 +128,8 @@ class Preparation:
             )
         errors: list[PredictionErrors] = []
         try:
+            if self.held_out is not None:
+                result = self.held_out.judge(result)
             for run in self.validation:
                 errors.append(prediction_errors(result.model, run))
         except KeyboardInterrupt:  # The fit is done, and took longer.
@@ -171,25 +180,8 @@ def prepare(
     Raises:
         InputError: as `giajax.fit`, apart from a start that cannot be evaluated.
     """
-    settings = definition.fit
-    setup = set_up(
-        model_for(runs),
-        runs,
-        free=settings.free,
-        start=settings.start,
-        fix=settings.fix,
-        loss=settings.loss or "linear",
-        noise_model=settings.noise_model or "correlated",
-        noise_per_run=bool(settings.noise_per_run),
-        solver=settings.solver,
-        tolerance=settings.tolerance,
-        priors={path: entry.prior() for path, entry in settings.priors.items()},
-        bounds=settings.bounds,
-        ties=settings.ties,
-        per_run=settings.per_run or (),
-        groups=settings.groups,
-        begin=None if record["begin"] is None else Beginning(**record["begin"]),
-    )
+    begin = None if record["begin"] is None else Beginning(**record["begin"])
+    setup, held_out = set_up_parts(definition, runs, begin)
     free = [parameter.path for parameter in setup.parameters]
-    check_uncertainty(setup.model, free, settings.uncertainty or {})
-    return Preparation(definition, setup, tuple(validation), record)
+    check_uncertainty(setup.model, free, definition.fit.uncertainty or {})
+    return Preparation(definition, setup, tuple(validation), record, held_out)

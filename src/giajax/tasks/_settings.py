@@ -15,6 +15,24 @@ def paths_of(files: Paths) -> tuple[Path, ...]:
     return (Path(files),) if isinstance(files, str | Path) else tuple(map(Path, files))
 
 
+def contents_with(
+    definition: Definition, above: Mapping[str, Any], values: Mapping[str, Any]
+) -> dict[str, Any]:
+    """The contents of a definition with other settings of `[fit]`.
+
+    Arguments:
+        definition: what was said before.
+        above: as of `overridden`.
+        values: of the other keys; None for what is not said, and "" for a budget without end.
+    """
+    said = {key: value for key, value in values.items() if value is not None}
+    contents = definition.contents()
+    contents["fit"] = {**contents.get("fit", {}), **overridden(definition, above), **said}
+    if contents["fit"].get("budget") == "":
+        del contents["fit"]["budget"]
+    return contents
+
+
 def overridden(definition: Definition, above: Mapping[str, Any]) -> dict[str, Any]:
     """The keys of `[fit]` about parameters, path by path; the last word on one counts.
 

@@ -94,6 +94,8 @@ def compared(result: "FitResult", before: Mapping[str, Any]) -> str:
         # Their files may be elsewhere now.
         same = same and one["channels"] == other["channels"]
         same = same and one["parameters"] == other.get("parameters", {})
+    pairs = zip(now["held_out"], before.get("held_out", ()), strict=False)
+    same = same and all(one["channels"] == other["channels"] for one, other in pairs)
     if same:
         return "the numbers are the same, bit for bit"
     moved = {}

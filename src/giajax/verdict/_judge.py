@@ -3,16 +3,13 @@
 from collections.abc import Sequence
 
 from ._records import Reason, Verdict
-from ._series import Series
+from ._series import OUTLIER, Series
 from ._tests import beyond_differences, beyond_stated, correlated, drift, runs_disagree
 
 _TESTS = (beyond_stated, correlated, beyond_differences, drift, runs_disagree)
 
 # Degrees of freedom below which nothing is said of a model.
 _FEW = 10
-
-# Deviations beyond which a cell is an outlier, for a loss that lets outliers stand.
-_OUTLIER = 3.0
 
 
 def judge(series: Sequence[Series], *, robust: bool) -> Verdict:
@@ -27,7 +24,7 @@ def judge(series: Sequence[Series], *, robust: bool) -> Verdict:
         noise is white, or has the correlation that is stated, are called inadequate.
     """
     if robust:
-        series = [each.without_outliers(_OUTLIER) for each in series]
+        series = [each.without_outliers(OUTLIER) for each in series]
     if sum(len(each) - each.lost for each in series) < _FEW:
         few = Reason("cells", "there are too few measured values to judge the model", 1.0, 1.0)
         return Verdict("not evaluated", (few,))
@@ -35,6 +32,4 @@ def judge(series: Sequence[Series], *, robust: bool) -> Verdict:
     reasons = [reason for test in _TESTS if (reason := test(series)) is not None]
     if not reasons:
         return Verdict("adequate")
-    return Verdict(
-        "inadequate", tuple(sorted(reasons, key=lambda reason: (reason.p_value, -reason.size)))
-    )
+    return Verdict.inadequate(reasons)

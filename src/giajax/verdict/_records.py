@@ -1,7 +1,8 @@
 """The verdict on a fit, as data."""
 
 import dataclasses
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping
 from typing import Any, Literal, Self
 
 VerdictStatus = Literal["adequate", "inadequate", "not evaluated"]
@@ -15,7 +16,8 @@ class Reason:
         code: "noise", "correlation", "differences", "drift", "runs" or "prediction".
         sentence: what is seen, and where.
         p_value: chance of as much from the noise alone, corrected for how often was looked.
-        size: how many times the noise the residuals are for this reason.
+        size: how many times the noise the residuals are for this reason; infinite where the model
+            cannot be evaluated.
         channels: where it is seen most, by name.
     """
 
@@ -28,7 +30,8 @@ class Reason:
     @classmethod
     def of_json(cls, record: Mapping[str, Any]) -> Self:
         """The record that an object of `result.json` holds."""
-        return cls(**{**record, "channels": tuple(record.get("channels", ()))})
+        size = math.inf if record["size"] is None else record["size"]
+        return cls(**{**record, "size": size, "channels": tuple(record.get("channels", ()))})
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,6 +45,17 @@ class Verdict:
 
     status: VerdictStatus
     reasons: tuple[Reason, ...] = ()
+
+    @classmethod
+    def inadequate(cls, reasons: Iterable[Reason]) -> Self:
+        """That for some reasons."""
+        surest = sorted(reasons, key=lambda reason: (reason.p_value, -reason.size))
+        return cls("inadequate", tuple(surest))
+
+    def with_reason(self, reason: Reason) -> Self:
+        """With one more reason; what was not evaluated for want of cells is inadequate by it."""
+        others = self.reasons if self.status == "inadequate" else ()
+        return self.inadequate((*others, reason))
 
     @property
     def sentence(self) -> str:

@@ -12,6 +12,9 @@ from ..noise import ChannelNoise, whitened
 # have the autocorrelations 1, -2/3 and 1/6.
 DIFFERENCES = 18 / 35
 
+# Deviations beyond which a cell is an outlier, for a loss that lets outliers stand.
+OUTLIER = 3.0
+
 # Second differences tell noise from motion where so many of them are there.
 _FEW = 16
 

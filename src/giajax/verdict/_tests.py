@@ -15,8 +15,9 @@ from scipy.special import chdtrc, fdtrc
 from ._records import Reason
 from ._series import Series
 
-# Five tests together have a chance of 2 % to accuse an adequate model.
-LEVEL = 0.004
+# These five tests and that of what was held out (`_prediction`) together have a chance of 2 % to
+# accuse an adequate model.
+LEVEL = 0.02 / 6
 
 # Noise up by a tenth is worth a word.
 SIZE = 1.1
@@ -34,7 +35,7 @@ _FEW = 32
 def beyond_stated(series: Sequence[Series]) -> Reason | None:
     """Residuals against the noise that is stated."""
     known = [(each, each.stated.deviation) for each in series if each.stated is not None]
-    groups = _alone_and_together([each for each, _ in known])
+    groups = alone_and_together([each for each, _ in known])
 
     def looked_at() -> Iterator[Reason]:
         for names in groups:
@@ -46,7 +47,7 @@ def beyond_stated(series: Sequence[Series]) -> Reason | None:
             sentence = f"the residuals are {size:.3g} times the stated noise{where}"
             yield Reason("noise", sentence, float(chdtrc(freedom, total)), size, names)
 
-    return _largest(looked_at(), len(groups))
+    return largest(looked_at(), len(groups))
 
 
 def correlated(series: Sequence[Series]) -> Reason | None:
@@ -56,7 +57,7 @@ def correlated(series: Sequence[Series]) -> Reason | None:
     together it has more. A fit takes slow parts out of them, which only lowers the statistic.
     """
     usable = [each for each in series if len(each) >= _FEW]
-    groups = _alone_and_together(usable)
+    groups = alone_and_together(usable)
 
     def looked_at() -> Iterator[Reason]:
         for names, length in itertools.product(groups, _BLOCKS):
@@ -66,7 +67,7 @@ def correlated(series: Sequence[Series]) -> Reason | None:
             if count < _FEWEST_BLOCKS:
                 continue
             squares = float(np.sum(means**2))
-            p = _tail(count, _together(chosen), squares * length / count)
+            p = tail(count, _together(chosen), squares * length / count)
             # What the blocks have beyond white noise, for each cell, in units of its variance.
             share = max(squares / count - 1 / length, 0.0) / (1 - 1 / length)
             size = float(np.sqrt(1 + share))
@@ -77,7 +78,7 @@ def correlated(series: Sequence[Series]) -> Reason | None:
             )
             yield Reason("correlation", sentence, p, size, names)
 
-    return _largest(looked_at(), len(_BLOCKS) * len(groups))
+    return largest(looked_at(), len(_BLOCKS) * len(groups))
 
 
 def beyond_differences(series: Sequence[Series]) -> Reason | None:
@@ -99,10 +100,10 @@ def beyond_differences(series: Sequence[Series]) -> Reason | None:
                 f"the noise adopted for {name} is {size:.3g} times what its residuals differ by "
                 "from sample to sample"
             )
-            p = _tail(freedom, _together(chosen), size**2)
+            p = tail(freedom, _together(chosen), size**2)
             yield Reason("differences", sentence, p, size, (name,))
 
-    return _largest(looked_at(), len(channels))
+    return largest(looked_at(), len(channels))
 
 
 def drift(series: Sequence[Series]) -> Reason | None:
@@ -120,10 +121,10 @@ def drift(series: Sequence[Series]) -> Reason | None:
                 f"{z / norm * float(np.ptp(times)):.2g} times its noise"
             )
             size = float(np.sqrt(1 + max(z**2 - 1, 0.0) / len(each)))
-            p = _tail(1, each.white_freedom, z**2)
+            p = tail(1, each.white_freedom, z**2)
             yield Reason("drift", sentence, p, size, (each.channel,))
 
-    return _largest(looked_at(), len(usable))
+    return largest(looked_at(), len(usable))
 
 
 def runs_disagree(series: Sequence[Series]) -> Reason | None:
@@ -147,13 +148,13 @@ def runs_disagree(series: Sequence[Series]) -> Reason | None:
                 f"the runs disagree: the residuals of {each.channel} are {size:.3g} times as "
                 f"large in {each.run} as in the others"
             )
-            p = _tail(len(each), freedom, ratio)
+            p = tail(len(each), freedom, ratio)
             yield Reason("runs", sentence, p, size, (each.channel,))
 
-    return _largest(looked_at(), len(pairs))
+    return largest(looked_at(), len(pairs))
 
 
-def _largest(looked_at: Iterable[Reason], looks: int) -> Reason | None:
+def largest(looked_at: Iterable[Reason], looks: int) -> Reason | None:
     """The largest of what is seen that is sure and large enough, for so many looks."""
     corrected = (
         dataclasses.replace(each, p_value=min(looks * each.p_value, 1.0)) for each in looked_at
@@ -162,7 +163,7 @@ def _largest(looked_at: Iterable[Reason], looks: int) -> Reason | None:
     return max(known, key=lambda each: each.size, default=None)
 
 
-def _alone_and_together(series: Sequence[Series]) -> list[tuple[str, ...]]:
+def alone_and_together(series: Sequence[Series]) -> list[tuple[str, ...]]:
     """All channels of some series, and each of several by itself."""
     channels = sorted({each.channel for each in series})
     alone: list[tuple[str, ...]] = [(name,) for name in channels]
@@ -170,13 +171,18 @@ def _alone_and_together(series: Sequence[Series]) -> list[tuple[str, ...]]:
 
 
 def _together(series: Sequence[Series]) -> float:
-    """Degrees of freedom of the white noise of several series (Satterthwaite)."""
-    sizes = np.array([len(each) for each in series], dtype=float)
-    below = float(np.sum(sizes**2 / np.array([each.white_freedom for each in series])))
+    """Degrees of freedom of the white noise of several series."""
+    return satterthwaite([len(each) for each in series], [each.white_freedom for each in series])
+
+
+def satterthwaite(counts: Sequence[int], freedoms: Sequence[float]) -> float:
+    """Degrees of freedom of the mean of several variances, each known by its own."""
+    sizes = np.array(counts, dtype=float)
+    below = float(np.sum(sizes**2 / np.array(freedoms)))
     return float(np.sum(sizes)) ** 2 / below if below else np.inf
 
 
-def _tail(above: float, below: float, ratio: float) -> float:
+def tail(above: float, below: float, ratio: float) -> float:
     """Chance of a larger ratio of two variances of these degrees of freedom."""
     if np.isinf(below):
         return float(chdtrc(above, above * ratio))
