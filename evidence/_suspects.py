@@ -206,7 +206,7 @@ SUSPECTS = Study(
         "how often what is left out, or what the data can hardly tell from it, is among the first "
         "three suspects. A random walk has no right answer."
     ),
-    size=10,
+    size=6,
     seed=1,
     run=run,
     part=part,
