@@ -64,6 +64,21 @@ def test_an_adequate_model_is_seldom_called_inadequate():
 
 
 @pytest.mark.quick
+def test_intervals_hold_the_truth_whatever_the_memory_of_the_noise():
+    """93 to 97 %, and half a percent that the number of records leaves to chance."""
+    _, figures = figures_of("noise")
+    assert len(figures) == 40
+    for case, each in figures.items():
+        assert abs(each["within"] / each["intervals"] - 0.95) < 0.025, case
+        if each["correlation_times"] is not None and each["correlation_times"] < 20:
+            assert each["seen_as_short"] > 0.9 * each["records"], case
+    # What else one could do, with a memory of ten samples.
+    other = figures["rho 0.9, 250 samples, even, 1 channel, not stated"]
+    assert other["within_if_white"] < other["within_hac"] < other["within_glsar"]
+    assert other["within_glsar"] < other["within"]
+
+
+@pytest.mark.quick
 def test_an_omission_is_seen_and_found():
     size, figures = figures_of("suspects")
     assert sum(each["inadequate"] for each in figures.values()) >= 0.95 * size * len(figures)
