@@ -18,7 +18,7 @@ def page(name):
 @pytest.mark.parametrize(
     "name",
     [
-        "physics.md",
+        pytest.param("physics.md", marks=pytest.mark.slow),
         pytest.param("hold_out.md", marks=pytest.mark.slow),
         pytest.param("long_fits.md", marks=pytest.mark.slow),
     ],

@@ -48,6 +48,7 @@ def test_the_triple_pendulum_is_predicted_better_than_by_the_published_parameter
             np.testing.assert_allclose(ratios, [0.85, 0.92, 0.67, 0.95, 0.83, 0.96], atol=0.011)
 
 
+@pytest.mark.slow
 def test_the_published_triple_pendulum_has_the_errors_that_its_authors_report():
     """Median RMSE of the absolute angles over the 22 runs: 0.0035, 0.0032 and 0.0043 rad."""
     ready = prepared("triple_pendulum")

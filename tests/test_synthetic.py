@@ -77,6 +77,7 @@ def test_a_changed_value_is_found_by_simulating(altered):
     assert "link20_z differs by" in found
 
 
+@pytest.mark.slow
 def test_a_changed_command_line_is_found(altered):
     meaning, options = altered.RUNS["base_step"]
     altered.RUNS["base_step"] = (meaning, options.replace("=1.12", "=1.1201"))

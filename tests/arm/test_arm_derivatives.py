@@ -54,7 +54,16 @@ def test_no_public_function_is_left_out():
 
 
 @pytest.mark.parametrize("build", [general_arm, pytest.param(full_arm, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("name", FUNCTIONS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        # Those take longest to compile; `acceleration` goes through both of them.
+        pytest.param(name, marks=pytest.mark.slow)
+        if name in ("forward_dynamics", "inverse_dynamics")
+        else name
+        for name in FUNCTIONS
+    ],
+)
 def test_both_modes_agree_with_differences(name, build):
     """One random direction over every number of the arm, of the state and of the wind at once."""
     function = getattr(mechanics, name)

@@ -62,6 +62,7 @@ def test_a_result_that_cannot_be_written_is_printed(data, monkeypatch):
     assert err.endswith("could not all be written:\ngiajax: no space left: make some\n")
 
 
+@pytest.mark.slow
 def test_numbers_without_figures(data):
     options = ["--max-iterations", "1", "--out", "out", "--no-figures"]
     _, out, _ = giajax("fit", "--data", data, *STARTS, *options)

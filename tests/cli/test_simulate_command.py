@@ -75,6 +75,7 @@ def test_its_command_line_makes_it_again(out, tmp_path):
     assert again.with_suffix(".toml").read_bytes() == out.with_suffix(".toml").read_bytes()
 
 
+@pytest.mark.slow
 def test_a_value_for_each_element(out):
     options = ["--ramp", "1=30", "--channels", "tip", "--set", "camera.origin=0.1,0,-0.2"]
     seen = simulate(out, *SHORT, *options)

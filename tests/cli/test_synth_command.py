@@ -19,6 +19,7 @@ def run(tmp_path):
     return path
 
 
+@pytest.mark.slow
 def test_a_run_is_recorded_again(run, tmp_path):
     out = tmp_path / "new.csv"
     options = ["--noise", "position_m=0.01", "--missing", "10", "--bursts", "10", "--seed", "3"]

@@ -41,6 +41,7 @@ def test_two_omissions_one_after_the_other():
     assert last.bic - last.aic == pytest.approx(4 * (np.log(360) - 2))
 
 
+@pytest.mark.slow
 def test_what_is_no_longer_needed_is_taken_out_again():
     """A shift of z imitates a wrong offset and a delay together, until those are there."""
     recording = recorded(late=0.03, rub=0.05, seed=4)

@@ -103,6 +103,7 @@ def recorded(degrees, truth, noise=0.02, seed=0):
     )
 
 
+@pytest.mark.slow
 def test_alpha_and_beta_come_back_from_50_percent_off():
     """Noise of 2 % of full scale; 2.5 standard errors; what the data do not determine is named."""
     truth = {

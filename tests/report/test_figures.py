@@ -184,6 +184,7 @@ def test_a_figure_is_the_same_file_each_time(result):
     assert b"giajax" in first[:200]
 
 
+@pytest.mark.slow
 def test_nothing_global_of_matplotlib_is_touched(result, run):
     before = dict(mpl.rcParams)
     to_png(residuals_figure(result, [run], result.predictions))

@@ -196,6 +196,7 @@ def test_the_refusal_covers_every_input(part):
         jax.grad(lambda x: last(x, "forward"))(0.0)
 
 
+@pytest.mark.slow
 def test_a_failing_simulation_raises_while_it_is_differentiated():
     @eqx.filter_jit
     def both(coefficient):
