@@ -52,17 +52,25 @@ def command(folder, rng):
     }.get(name, ["check", "run.csv"])
 
 
+# A process of its own: the memory of a child counts from that of the process which starts it, and
+# that of a worker of the tests is large.
+LAUNCHER = """
+import os, subprocess, sys
+running = subprocess.Popen([sys.executable, *sys.argv[2:]], stdout=subprocess.DEVNULL)
+_, status, usage = os.wait4(running.pid, 0)
+running.returncode = os.waitstatus_to_exitcode(status)
+with open(sys.argv[1], "w") as file:
+    print(running.returncode, usage.ru_utime + usage.ru_stime, usage.ru_maxrss, file=file)
+"""
+
+
 def used(words, folder):
     """Exit status of a command, what it says on standard error, and its seconds and memory."""
-    with (folder / "said").open("wb") as said:
-        running = subprocess.Popen(
-            [sys.executable, *words], cwd=folder, stdout=subprocess.DEVNULL, stderr=said
-        )
-        _, status, usage = os.wait4(running.pid, 0)
-    running.returncode = os.waitstatus_to_exitcode(status)
-    message = (folder / "said").read_text(errors="replace")
+    launched = [sys.executable, "-c", LAUNCHER, "usage", *words]
+    ended = subprocess.run(launched, cwd=folder, capture_output=True, check=True)
+    status, seconds, memory = (folder / "usage").read_text().split()
     # Of the processor: what another program takes beside it says nothing of this one.
-    return running.returncode, message, usage.ru_utime + usage.ru_stime, usage.ru_maxrss
+    return int(status), ended.stderr.decode(errors="replace"), float(seconds), int(memory)
 
 
 @pytest.fixture(scope="module")
