@@ -24,6 +24,11 @@ _MORE = 1.05
 # No statement on a memory is made from fewer cells.
 _FEW = 20
 
+# How a deviation is made of white noise and what is correlated, as an angle, rad: its cosine and
+# its sine, of which either may be next to nothing. Where one is, the likelihood depends on the
+# square of it: a search ends there, where it would go on for ever along a logarithm.
+_MIXED = (0.08, np.pi / 2 - 1e-3)
+
 # Of the minimiser. The likelihood is a logarithm of thousands: its differences are of steps that
 # its rounding does not reach, and an iteration that gains less than this is the last.
 _STEP = 1e-5
@@ -87,26 +92,29 @@ def _with_memory(
 ) -> ChannelNoise:
     """The best noise with a memory, where it is worth it; else the white one."""
 
-    def noise_at(share: float, time: float) -> ChannelNoise:
-        return _noise(white.deviation, 1 / (1 + float(np.exp(-share))), float(np.exp(time)))
+    def noise_at(angle: float, time: float) -> ChannelNoise:
+        return ChannelNoise(
+            white=white.deviation * float(np.cos(angle)),
+            correlated=white.deviation * float(np.sin(angle)),
+            time_s=float(np.exp(time)),
+        )
 
-    def along(share: float, time: float) -> Callable[[float], float]:
-        return problem.by_scale(key, noise_at(share, time))
+    def along(angle: float, time: float) -> Callable[[float], float]:
+        return problem.by_scale(key, noise_at(angle, time))
 
     least = problem.value(key, white)
     low, high = bounds
-    tries = [(share, time) for share in (-1.5, 2.0) for time in np.linspace(low + 1, high - 2, 4)]
+    tries = [(angle, time) for angle in (0.45, 1.2) for time in np.linspace(low + 1, high - 2, 4)]
     if not start.is_white:
-        share = (start.correlated / start.deviation) ** 2
-        share = float(np.clip(share, 1e-3, 1 - 1e-3))
-        tries.append((float(np.log(share / (1 - share))), float(np.log(start.time_s))))
+        angle = float(np.clip(np.arctan2(start.correlated, start.white), 0.1, 1.5))
+        tries.append((angle, float(np.log(start.time_s))))
     values = [(problem.value(key, noise_at(*at)), at) for at in tries]
     nearest, at = min(values)
     if least - nearest < -_WORTH:
         return white
-    limits = [(-5.0, 14.0), bounds, (0.0, 0.0) if fixed else (-3.0, 3.0)]
-    (share, time, scale), value = _minimum(along, (*at, 0.0), limits, nearest)
-    return white if least - value < _WORTH else noise_at(share, time).times(float(np.exp(scale)))
+    limits = [_MIXED, bounds, (0.0, 0.0) if fixed else (-3.0, 3.0)]
+    (angle, time, scale), value = _minimum(along, (*at, 0.0), limits, nearest)
+    return white if least - value < _WORTH else noise_at(angle, time).times(float(np.exp(scale)))
 
 
 def _best_scale(problem: Restricted, key: str, noise: ChannelNoise) -> ChannelNoise:
@@ -147,11 +155,3 @@ def _minimum(
     options = {"ftol": _ENOUGH / max(abs(first), 1.0), "maxiter": _ITERATIONS}
     done = minimize(with_slopes, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
     return done.x.tolist(), float(done.fun)
-
-
-def _noise(deviation: float, share: float, time_s: float) -> ChannelNoise:
-    return ChannelNoise(
-        white=deviation * float(np.sqrt(1 - share)),
-        correlated=deviation * float(np.sqrt(share)),
-        time_s=time_s,
-    )
