@@ -18,6 +18,7 @@ from ._records import (
     Correlation as Correlation,
     Estimate as Estimate,
     GradientCheck as GradientCheck,
+    IntegrationFit as IntegrationFit,
     Iteration as Iteration,
     NoiseFit as NoiseFit,
     Seconds as Seconds,

@@ -77,6 +77,12 @@ class Setup:
                 starts[places[column]] = between(known[path], *bounds) if path in known else value
         return starts
 
+    @property
+    def chooses_tolerance(self) -> bool:
+        """Whether the fit chooses the integrator's tolerance: there is one, and none is stated."""
+        integration = self.model.integration()
+        return integration is not None and integration.tolerance is None
+
     def at_start(self) -> Self:
         """With the model where the fit may start (`AbstractModel.at_start`)."""
         model = tied(self.model.at_start(self.runs, self.unstarted), self.ties)

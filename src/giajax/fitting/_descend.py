@@ -13,7 +13,8 @@ from ._identifiability import responds
 from ._records import Iteration
 from ._reestimate import reestimate
 from ._state import FitState
-from ._transitions import release, reweight, step, trial
+from ._tolerance import resolved, smoothed
+from ._transitions import release, reweight, step, tolerance_of, trial
 
 
 def descend(
@@ -95,6 +96,8 @@ def advance(state: FitState) -> FitState:
     if there is not None:
         return _released(state, there)
     if not state.converged:
+        if (smoother := smoothed(state)) is not None:
+            return smoother
         return state.ended(
             "not_converged",
             "no step lowers the cost any further, and the optimum is not reached: "
@@ -115,12 +118,10 @@ def _at_start(state: FitState) -> FitState:
     # As every later evaluation gives the factor, so that a fit that goes on from here is the same.
     factor = jnp.where(jnp.asarray(moves)[None], state.inner.factor, 0)
     inner = eqx.tree_at(lambda inner: inner.factor, state.inner, factor)
-    state = dataclasses.replace(state, active=jnp.asarray(moves), inner=inner, done=False).recorded(
-        accepted=True
-    )
+    state = dataclasses.replace(state, active=jnp.asarray(moves), inner=inner)
     if np.any(moves):
-        return state
-    return state.ended("not_converged", "no channel responds to any of the free parameters")
+        return dataclasses.replace(resolved(state), done=False).recorded(accepted=True)
+    return state.recorded(accepted=True).ended("not_converged", "no channel responds to any of the free parameters")
 
 
 def _released(state: FitState, there: FitState) -> FitState:
@@ -140,12 +141,19 @@ def _next_round(state: FitState) -> FitState:
 
     The last word is always an optimum with the noise that it was fitted with.
     """
-    end = f"converged in {state.trials} iterations"
     if not state.rounds_left:
-        return state.ended("converged", end)
+        return _settled(state)
     noise = reestimate(state)
     settled = noise.values == state.noise.values and noise.weights is state.noise.weights
     state = dataclasses.replace(state, noise=noise)
     if settled:
-        return state.ended("converged", end)
+        return _settled(state)
     return step(reweight(state, noise)).next_round()
+
+
+def _settled(state: FitState) -> FitState:
+    """The end at an optimum; where the tolerance moves that, the same point with a finer one."""
+    finer = resolved(state)
+    if tolerance_of(finer) == tolerance_of(state):
+        return finer.ended("converged", f"converged in {state.trials} iterations")
+    return finer
