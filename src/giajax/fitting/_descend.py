@@ -13,7 +13,7 @@ from ._identifiability import responds
 from ._records import Iteration
 from ._reestimate import reestimate
 from ._state import FitState
-from ._tolerance import resolved, smoothed
+from ._tolerance import is_promising, resolved, smoothed
 from ._transitions import release, reweight, step, tolerance_of, trial
 
 
@@ -121,7 +121,8 @@ def _at_start(state: FitState) -> FitState:
     state = dataclasses.replace(state, active=jnp.asarray(moves), inner=inner)
     if np.any(moves):
         return dataclasses.replace(resolved(state), done=False).recorded(accepted=True)
-    return state.recorded(accepted=True).ended("not_converged", "no channel responds to any of the free parameters")
+    state = state.recorded(accepted=True)
+    return state.ended("not_converged", "no channel responds to any of the free parameters")
 
 
 def _released(state: FitState, there: FitState) -> FitState:
@@ -152,8 +153,8 @@ def _next_round(state: FitState) -> FitState:
 
 
 def _settled(state: FitState) -> FitState:
-    """The end at an optimum; where the tolerance moves that, the same point with a finer one."""
+    """The end at an optimum; one step more where the tolerance moves it, or a step would."""
     finer = resolved(state)
-    if tolerance_of(finer) == tolerance_of(state):
-        return finer.ended("converged", f"converged in {state.trials} iterations")
-    return finer
+    if tolerance_of(finer) != tolerance_of(state) or is_promising(finer):
+        return trial(finer)
+    return finer.ended("converged", f"converged in {state.trials} iterations")

@@ -78,6 +78,18 @@ def smoothed(state: FitState) -> FitState | None:
     return _tightened(state) if roughness > _ROUGH * promise else None
 
 
+def is_promising(state: FitState) -> bool:
+    """Whether a step from an optimum would move it by more than the tolerance may.
+
+    A fit that chooses its tolerance ends as near to the optimum as that asks for, unless the last
+    step was refused.
+    """
+    if not (state.setup.chooses_tolerance and bool(state.inner.accepted)):
+        return False
+    residuals = np.asarray(state.inner.residual)
+    return bool(np.linalg.norm(_explained(state, residuals)) > _allowed(state))
+
+
 def residual_change(state: FitState, factor: float = FINER) -> Float[np.ndarray, " residual"]:
     """What a finer tolerance changes of the residuals; NaN where the finer simulation fails.
 

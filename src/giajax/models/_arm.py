@@ -213,7 +213,7 @@ class ArmModel(AbstractModel):
         model = self if solver is None else dataclasses.replace(self, solver=solver)
         if tolerance is None:
             return model
-        return dataclasses.replace(model, tolerance=tolerance)
+        return dataclasses.replace(model, tolerance=_array(tolerance))
 
     def _tolerance(self) -> Scalar:
         return _array(_TOLERANCE) if self.tolerance is None else self.tolerance
