@@ -17,6 +17,7 @@ from ._transitions import evaluate, tolerance_of
 _DIFFERENCE = 1e-4
 _DIFFERENCE_32 = 3e-2
 _FINER = 1e-3
+_FINE = 1e-9
 
 
 class Checks(NamedTuple):
@@ -56,7 +57,9 @@ def gradient_check(state: FitState, statistics: Statistics) -> GradientCheck | N
     Returns:
         None where no parameter is left, or a simulation beside the optimum failed.
     """
-    problem = dataclasses.replace(state.problem, model=state.problem.model.refined(_FINER))
+    tolerance = tolerance_of(state)
+    finer = _FINER if tolerance is None else min(_FINER, _FINE / tolerance)
+    problem = dataclasses.replace(state.problem, model=state.problem.model.refined(finer))
     centre = np.asarray(state.coordinate)
     offset = _DIFFERENCE if centre.dtype == np.float64 else _DIFFERENCE_32
     jacobian = state.jacobian(evaluate(state, centre, problem))
