@@ -5,6 +5,7 @@ As `_records`, field by field they are the objects of `result.json`.
 
 import dataclasses
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Self
 
 
@@ -58,6 +59,11 @@ class RunFit:
     sha256: str | None
     channels: dict[str, ChannelFit]
     parameters: dict[str, OwnEstimate] = dataclasses.field(default_factory=dict)
+
+    @property
+    def recording(self) -> str:
+        """Name of the recording that it is, or is a window of."""
+        return self.name if self.path is None else Path(self.path).stem
 
     @classmethod
     def of_json(cls, record: Mapping[str, Any]) -> Self:

@@ -183,5 +183,6 @@ def prepare(
     begin = None if record["begin"] is None else Beginning(**record["begin"])
     setup, held_out = set_up_parts(definition, runs, begin)
     free = [parameter.path for parameter in setup.parameters]
-    check_uncertainty(setup.model, free, definition.fit.uncertainty or {})
+    uncertainty = definition.fit.uncertainty or {}
+    check_uncertainty(setup.model, free, uncertainty, setup.config.get("ties"))
     return Preparation(definition, setup, tuple(validation), record, held_out)
