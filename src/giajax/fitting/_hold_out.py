@@ -12,7 +12,7 @@ from ._configuration import Setup
 from ._held_state import held_cells, where_it_ended
 from ._problem import predictions_by_run
 from ._reestimate import TOLERANCE
-from ._residual_cells import residual_cells, shared_and_own
+from ._residual_cells import prior_gram, residual_cells
 from ._result import FitResult
 from ._run_records import HeldChannel, HeldOut
 from ._state import FitState
@@ -88,24 +88,12 @@ def _judged(state: FitState, parts: Sequence[Parted]) -> tuple[Sizes, Reason | N
             lost=0.0,
         )
         channels.append(Foretold(series, cells, held_cells(parts[number], name)))
-    test = Predictions(channels, _priors(state), robust=state.setup.loss != "linear")
+    test = Predictions(channels, prior_gram(state), robust=state.setup.loss != "linear")
     for each in channels:
         if np.any(each.held):
             at = each.cells.run, each.series.channel
             sizes[at] = test.of(*at).size
     return sizes, test.reason()
-
-
-def _priors(state: FitState) -> np.ndarray:
-    """X^T X of the rows of the priors, by the shared coordinates and, last, the residual."""
-    common, _ = shared_and_own(state)
-    count = len(state.problem.priors)
-    rows = np.zeros((count, len(common) + 1))
-    if count:
-        at = [common.index(column) for column in state.problem.priors.columns]
-        rows[:, at] = state.jacobian().blocks[-1]
-        rows[:, -1] = np.asarray(state.inner.residual)[-count:]
-    return np.asarray(rows.T @ rows)
 
 
 def _record(
