@@ -173,13 +173,13 @@ def test_a_prior_is_one_more_row_and_keeps_a_parameter_from_imitating():
 
 
 def test_with_priors_noise_alone_is_significant_as_often_as_it_says():
-    """What is known is drawn, too: 5 % of 1,000, within 4 deviations."""
+    """What is known is drawn, too: 5 % of 500, within 4 deviations."""
     columns, random = smooth(60), np.random.default_rng(8)
     count = 0
-    for _ in range(1000):
+    for _ in range(500):
         truth = random.normal(size=2) / [1.0, 3.0]
         y = columns[:, :2] @ truth + random.normal(size=60)
         known = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 3.0]])
         rest = projected([table(-y, columns[:, :2], columns[:, 2:3])], known)
         count += score(rest, [0], [-np.inf], [np.inf]).p_value < 0.05
-    assert abs(count / 1000 - 0.05) < 4 * np.sqrt(0.05 * 0.95 / 1000)
+    assert abs(count / 500 - 0.05) < 4 * np.sqrt(0.05 * 0.95 / 500)

@@ -19,6 +19,7 @@ from .._typing import Array
 from ..models import AbstractModel
 from ..parameters import get, replace
 from ..runs import Run
+from ._prepared import prepared_with, sharing_a_program
 from ._stack import stacked
 from ._ties import Tie, tied
 
@@ -89,7 +90,7 @@ def responses(
     place = np.argsort(np.asarray(order, dtype=int))
     paths = tuple(directions[index].path for index in order)
     steps = tuple(jnp.asarray(directions[index].step, jnp.result_type(float)) for index in order)
-    for members in _together(model, runs):
+    for members in sharing_a_program(model, runs):
         like = runs[members[0]]
         channels = tuple(like.observations)
         free = model.free_inputs(like)
@@ -126,34 +127,6 @@ def _varied(
 
 def _name(direction: Direction) -> tuple[str, tuple[float, ...]]:
     return direction.path, tuple(np.ravel(direction.step).tolist())
-
-
-def _together(model: AbstractModel, runs: Sequence[Run]) -> list[list[int]]:
-    """Positions of the runs that share a program: of the same channels, and prepared alike."""
-    groups: dict[Any, list[int]] = {}
-    for index, run in enumerate(runs):
-        structure = jax.tree.structure(model.prepare(run))
-        key = tuple(run.observations), structure, model.free_inputs(run)
-        groups.setdefault(key, []).append(index)
-    return list(groups.values())
-
-
-def prepared_with(model: AbstractModel, run: Run, own: Mapping[str, float]) -> Any:
-    """A prepared run with the values of what is free in it alone.
-
-    Arguments:
-        model: prepares the run.
-        run: what was recorded.
-        own: values by label (`initial.angle[0]`); the others are as the run was prepared.
-    """
-    inputs = model.prepare(run)
-    for path in model.free_inputs(run):
-        values = np.array(get(inputs, path), dtype=float)
-        for index in range(values.size):
-            label = f"{path}[{index}]" if values.size > 1 else path
-            values.reshape(-1)[index] = own.get(label, values.reshape(-1)[index])
-        inputs = replace(inputs, {path: values})
-    return inputs
 
 
 @program

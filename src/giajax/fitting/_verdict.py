@@ -32,7 +32,7 @@ def verdict(state: FitState, status: Status, prior_freedom: float) -> Verdict:
 
 def residual_series(state: FitState, prior_freedom: float) -> list[Series]:
     """The residuals of each channel of each run; those of a perfect description are left out."""
-    runs, noise = state.setup.runs, state.noise
+    runs = state.setup.runs
     predictions = predictions_by_run(state.problem, state.inner.aux, runs)
     cells = sum(int(np.sum(~np.isnan(v))) for run in runs for v in run.observations.values())
     lost = float(np.sum(np.asarray(state.active))) - prior_freedom
@@ -45,16 +45,39 @@ def residual_series(state: FitState, prior_freedom: float) -> list[Series]:
             largest = float(np.max(np.abs(recorded[measured]), initial=0.0))
             if not len(difference) or np.max(np.abs(difference)) <= TOLERANCE * largest:
                 continue
-            series.append(
-                Series(
-                    run=run.name,
-                    channel=name,
-                    residual=difference,
-                    times=None if run.times is None else run.times[measured],
-                    stated=noise.stated[number][name].noise,
-                    key=noise.keys[number][name],
-                    adopted=noise.values[number][name].deviation,
-                    lost=share * len(difference),
-                )
-            )
+            times = None if run.times is None else run.times[measured]
+            lost = share * len(difference)
+            series.append(series_of(state, number, name, difference, times, lost=lost))
     return series
+
+
+def series_of(
+    state: FitState,
+    number: int,
+    name: str,
+    residual: np.ndarray,
+    times: np.ndarray | None,
+    *,
+    lost: float,
+) -> Series:
+    """Residuals of a channel of a run, with what is known of their noise.
+
+    Arguments:
+        state: the last one.
+        number: position of the run.
+        name: of the channel.
+        residual: predicted minus recorded, SI, shape (cell,).
+        times: of the cells, s; None for a run without time.
+        lost: degrees of freedom that fitted parameters took from them.
+    """
+    noise = state.noise
+    return Series(
+        run=state.setup.runs[number].name,
+        channel=name,
+        residual=residual,
+        times=times,
+        stated=noise.stated[number][name].noise,
+        key=noise.keys[number][name],
+        adopted=noise.values[number][name].deviation,
+        lost=lost,
+    )

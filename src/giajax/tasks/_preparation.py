@@ -135,6 +135,8 @@ class Preparation:
         except KeyboardInterrupt:  # The fit is done, and took longer.
             message = f"{result.message}; interrupted before its validation was complete"
             result = dataclasses.replace(result, status="interrupted", message=message)
+            if self.held_out is not None and not result.held_out:
+                result = self.held_out.left(result)
         return dataclasses.replace(result, validation=tuple(errors), task=dict(self.record))
 
     def diagnosed(self, result: FitResult, *, suspects: bool = True) -> FitResult:
