@@ -16,7 +16,7 @@ from ..fitting import (
     solve,
 )
 from ..models import AbstractModel
-from ..parameters import Parameter, elements, get, switched_on
+from ..parameters import Parameter, declared, elements, get, switched_on
 from ..runs import Definition, Run
 
 # Of the size of a parameter, or of the range that it has: how far from a bound a fit starts.
@@ -92,8 +92,7 @@ def refit(
     Raises:
         InputError: as `giajax.fit`.
     """
-    # Another choice of the model may have other values of what each run has.
-    own = _own_values(result) if model is None else {}
+    own = _own_values(result, result.model if model is None else model)
     model = switched_on(result.model if model is None else model, free)
     held = set(fix or {})
 
@@ -129,10 +128,19 @@ def refit(
     return solve(setup, max_iterations=max_iterations, check=check)
 
 
-def _own_values(result: FitResult) -> dict[str, dict[str, float]]:
-    """By the name of a run, the values of what it does not share with all others."""
+def _own_values(result: FitResult, model: AbstractModel) -> dict[str, dict[str, float]]:
+    """By the name of a run, the values of what it does not share with all others.
+
+    Only of what a model has as the fitted one does: another choice may scale them all.
+    """
+    known = declared(model)
+    kept = {
+        path
+        for path, estimate in result.free.items()
+        if path.partition("[")[0] in known and float(get(model, path)) == estimate.value
+    }
     return {
-        record.name: {p: e.value for p, e in record.parameters.items() if p in result.free}
+        record.name: {path: own.value for path, own in record.parameters.items() if path in kept}
         for record in result.runs
     }
 
