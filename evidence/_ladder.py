@@ -2,12 +2,11 @@
 
 `data/synthetic/full_air.csv` is of an arm with trim weights, added mass and drag along its links.
 The ladder starts from a fit by the paper's model, which has none of that and 0.047 kg a link, and
-is told nothing of what is missing; and once more with the mass that a link moves with stated.
+is told nothing of what is missing. Positions show what acts on a link for its mass: with the mass
+that a link moves with, which nothing in the recording tells, all of it follows.
 """
 
-import multiprocessing
 from collections.abc import Mapping
-from concurrent.futures import ProcessPoolExecutor
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,56 +24,40 @@ START = {
     "joints.yaw_stiffness": 15.0,
     "joints.damping": 0.15,
 }
-# Steps.
+# Steps, as many as the command takes.
 MOST = 8
-PAPER, STATED = "the paper's model", "with the moving mass stated"
 # Relative, of chi-square; and of parameters, in their standard errors: what rounding on another
 # machine leaves of a fit.
 SAME, NEAR = 1e-3, 0.1
 
 
 def run(size: int, seed: int) -> Figures:
-    """Figures of both ladders; the recording is the stored one, whatever size and seed."""
-    # Most of it is to compile programs, one at a time: a process for each ladder.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(2, mp_context=context) as pool:
-        ladders = [pool.submit(_climbed, name) for name in (PAPER, STATED)]
-        scale = pool.submit(_scale)
-        return {**ladders[0].result(), **ladders[1].result(), "scale": scale.result()}
+    """Figures of the ladder; the recording is the stored one, whatever size and seed."""
+    return {"scale": _scale(), **_climbed(MOST)}
 
 
 def part(size: int, seed: int) -> Figures:
     """The first fit: what the ladder asks of it takes minutes to compile."""
-    return _climbed(PAPER, most=0)
+    return _climbed(0)
 
 
-def _climbed(name: str, most: int = MOST) -> Figures:
-    """Figures of one ladder of so many steps, by its name."""
+def _climbed(most: int) -> Figures:
+    """The rungs of a ladder of so many steps, and what the last one makes of the truth."""
     import jax
 
     jax.config.update("jax_enable_x64", True)
     import giajax
 
     recording = _recording()
-    mass = _moving_mass(giajax.model_for([recording])) if name == STATED else None
-    first = _first_fit(recording, mass)
-    return {name: _figures(giajax.ladder(first, recording, most=most))}
+    model = giajax.ArmModel(giajax.takeichi_20m())
+    first = giajax.fit(model, recording, free=list(START), start=START, check=False)
+    return _figures(giajax.ladder(first, recording, most=most))
 
 
 def _recording() -> "Run":
     import giajax
 
     return giajax.read_run(ROOT / "data" / "synthetic" / "full_air.csv")
-
-
-def _first_fit(recording: "Run", mass: float | None) -> "FitResult":
-    """The fit by the paper's model; with another mass of its links, where one is stated."""
-    import giajax
-
-    model = giajax.ArmModel(giajax.takeichi_20m())
-    if mass is not None:
-        model = giajax.replace(model, {"links.mass": mass})
-    return giajax.fit(model, recording, free=list(START), start=START, check=False)
 
 
 def _moving_mass(model: Any) -> float:
@@ -84,27 +67,26 @@ def _moving_mass(model: Any) -> float:
     return float(np.mean(giajax.arm.bodies(model.arm).mass))
 
 
-def _figures(steps: "Ladder") -> dict[str, Any]:
-    """The rungs, and what the last one makes of what acts on a link for its mass."""
+def _figures(steps: "Ladder") -> Figures:
     import giajax
 
     recording = _recording()
     truth = recording.definition.truth
     moving = _moving_mass(giajax.model_for([recording]))
     last = steps.result
-    mass = _moving_mass(last.model)
+    per = _moving_mass(last.model)
     return {
         "rungs": [_rung(rung) for rung in steps.rungs],
         "ending": steps.ending,
-        "moving_mass": {"value": mass, "truth": moving},
-        "parameters": {
-            path: {**_estimate(last, path), "truth": truth[path]} for path in START
-        },
+        "moving_mass": moving,
         "for_their_mass": {
-            path: {**_estimate(last, path, mass), "truth": truth[path] / moving} for path in START
+            path: {**_estimate(last, path, per), "truth": truth[path] / moving} for path in START
+        },
+        "with_the_mass": {
+            path: {**_estimate(last, path, per / moving), "truth": truth[path]} for path in START
         },
         "imitated": _imitated(steps),
-    }  # fmt: skip
+    }
 
 
 def _rung(rung: "Rung") -> dict[str, Any]:
@@ -155,26 +137,19 @@ def _scale() -> dict[str, Any]:
 
 def disagreements(stored: Figures, new: Figures) -> list[str]:
     """Fits that end elsewhere: the recording is the same, and so must they be."""
-    sentences = []
-    for name, climbed in new.items():
-        if "rungs" not in climbed:
-            continue
-        for before, after in zip(stored[name]["rungs"], climbed["rungs"], strict=False):
-            where = f"{name}, {after['change']}"
-            if after["change"] != before["change"]:
-                sentences.append(f"{where}: {before['change']} is stored")
-                break
-            if abs(after["chi_square"] / before["chi_square"] - 1) > SAME:
-                sentences.append(
-                    f"{where}: chi-square is {after['chi_square']:.6g}, and was "
-                    f"{before['chi_square']:.6g}"
-                )
-            for path, one in after["parameters"].items():
-                other = before["parameters"][path]
-                if abs(one["value"] - other["value"]) > NEAR * (other["error"] or np.inf):
-                    sentences.append(
-                        f"{where}: {path} is {one['value']:.6g}, and was {other['value']:.6g}"
-                    )
+    sentences: list[str] = []
+    for before, after in zip(stored["rungs"], new["rungs"], strict=False):
+        name = after["change"]
+        if name != before["change"]:
+            return [*sentences, f"{name}: {before['change']} is stored"]
+        if abs(after["chi_square"] / before["chi_square"] - 1) > SAME:
+            now, then = after["chi_square"], before["chi_square"]
+            sentences.append(f"{name}: chi-square is {now:.6g}, and was {then:.6g}")
+        for path, one in after["parameters"].items():
+            other = before["parameters"][path]
+            if abs(one["value"] - other["value"]) > NEAR * (other["error"] or np.inf):
+                now, then = one["value"], other["value"]
+                sentences.append(f"{name}: {path} is {now:.6g}, and was {then:.6g}")
     return sentences
 
 
@@ -182,23 +157,19 @@ def table(figures: Figures) -> list[str]:
     """A row for each fit."""
     shown = ("air.drag_coefficient", "joints.pitch_stiffness", "joints.damping")
     rows = [
-        "| from | fit | chi-square | moving mass, kg | C_D | k, N m/rad | c, N m s/rad |",
-        "| --- | --- | --- | --- | --- | --- | --- |",
+        "| fit | chi-square | moving mass, kg | C_D | k, N m/rad | c, N m s/rad |",
+        "| --- | --- | --- | --- | --- | --- |",
     ]
-    for name in (PAPER, STATED):
-        climbed = figures[name]
-        for rung in climbed["rungs"]:
-            cells = [_cell(rung["parameters"][path]) for path in shown]
-            first = name if rung is climbed["rungs"][0] else ""
-            change = "the first" if rung["change"] == "-" else f"`{rung['change']}`"
-            rows.append(
-                f"| {first} | {change} | {rung['chi_square']:,.0f} | {rung['moving_mass']:.4f} | "
-                f"{' | '.join(cells)} |"
-            )
-        true = [f"{climbed['parameters'][path]['truth']:g}" for path in shown]
-        values, mass = climbed["rungs"][-1]["values"], climbed["moving_mass"]["truth"]
-        rows.append(f"| | truth | {values:,} values | {mass:.4f} | {' | '.join(true)} |")
-    return rows
+    for rung in figures["rungs"]:
+        cells = [_cell(rung["parameters"][path]) for path in shown]
+        change = "the paper's model" if rung["change"] == "-" else f"`{rung['change']}`"
+        rows.append(
+            f"| {change} | {rung['chi_square']:,.0f} | {rung['moving_mass']:.4f} | "
+            f"{' | '.join(cells)} |"
+        )
+    values, mass = figures["rungs"][-1]["values"], figures["moving_mass"]
+    true = [f"{figures['with_the_mass'][path]['truth']:g}" for path in shown]
+    return [*rows, f"| truth | {values:,} values | {mass:.4f} | {' | '.join(true)} |"]
 
 
 def _cell(estimate: Mapping[str, float | None]) -> str:
@@ -212,7 +183,7 @@ LADDER = Study(
     meaning=(
         "`giajax suspects --ladder` on `data/synthetic/full_air.csv`, from a fit by the paper's "
         "model, which is told nothing of what is missing: trim weights, added mass and drag along "
-        "the links. The second ladder starts with the mass that a link moves with."
+        "the links."
     ),
     size=1,
     seed=1,

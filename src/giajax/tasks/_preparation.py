@@ -148,8 +148,8 @@ class Preparation:
 
         Returns:
             With systematic errors, where uncertainties are stated, and with suspects. The same
-            result where nothing is asked, where Ctrl-C ends it, or of a fit that has parameters
-            which the tests do not know.
+            result where nothing is asked, where Ctrl-C ends it, or where the model cannot be
+            evaluated with all of its parts on.
         """
         doubted = self.definition.fit.uncertainty
         try:
