@@ -155,7 +155,7 @@ def _candidates(
 
     if value.ndim == 0:
         return [made(path, float(value), np.asarray(1.0))]
-    if about.shape or each:
+    if about.shape or each or (np.sum(held) == 1 and value.size > 1):
         units = np.eye(value.size)
         return [
             made(f"{path}[{i}]", float(value[i]), units[i], group=path)
