@@ -73,6 +73,11 @@ def off(result: FitResult, run: Run, task: FitTask) -> float:
     )
 
 
+def _tolerance(result: FitResult) -> float:
+    assert result.integration is not None
+    return result.integration.tolerance
+
+
 def figures(name: str, draws: int, repeats: int) -> dict[str, Any]:
     """All figures of a definition."""
     task = FitTask.load(f"fits/{name}.toml")
@@ -83,12 +88,12 @@ def figures(name: str, draws: int, repeats: int) -> dict[str, Any]:
         seconds["chosen"].append(step)
         seconds["former"].append(fitted(run, task, **FORMER)[1])
     distances = [off(result, run, task)]
-    tolerances = [result.integration.tolerance]
+    tolerances = [_tolerance(result)]
     for seed in range(draws):
         other = drawn(run, result, seed)
         again, _ = fitted(other, task)
         distances.append(off(again, other, task))
-        tolerances.append(again.integration.tolerance)
+        tolerances.append(_tolerance(again))
     least = {key: min(each) for key, each in seconds.items()}
     return {
         "tolerances": tolerances,

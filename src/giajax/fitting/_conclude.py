@@ -17,7 +17,6 @@ from ._findings import findings
 from ._problem import Problem, predictions_by_run
 from ._records import (
     Correlation,
-    IntegrationFit,
     NoiseFit,
     Seconds,
     finite_or_none,
@@ -26,6 +25,7 @@ from ._result import FitResult
 from ._run_records import ChannelFit, OwnEstimate, RunFit
 from ._state import FitState
 from ._statistics import Statistics, statistics
+from ._tolerance import integration_of
 from ._verdict import verdict
 
 # Residuals of this many times the noise are worth a word.
@@ -73,7 +73,7 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
         model=model,
         parameters=with_tied(estimates(state, known, model), derived, problem.ties),
         noise=_noise(state, known),
-        integration=_integration(state),
+        integration=integration_of(state),
         verdict=verdict(state, status, known.prior_freedom),
         derived=derived,
         findings=findings(state, known, done.curvatures, _lengths(state)),
@@ -171,16 +171,6 @@ def _innovation(noise: ChannelNoise, run: Run, values: np.ndarray) -> float:
     measured = ~np.isnan(values)
     _, _, deviation = gains(noise, run.times, measured.astype(float))
     return float(np.exp(np.mean(np.log(deviation[measured]))))
-
-
-def _integration(state: FitState) -> IntegrationFit | None:
-    """Solver and tolerance in use."""
-    integration = state.problem.model.integration()
-    if integration is None or integration.tolerance is None:
-        return None
-    return IntegrationFit(
-        integration.solver, integration.tolerance, chosen=state.setup.chooses_tolerance
-    )
 
 
 def _noise(state: FitState, known: Statistics) -> NoiseFit:
