@@ -14,6 +14,7 @@ from ._checks import Checks, checks
 from ._derived import derived_estimates, with_tied
 from ._estimates import estimates, own_estimates
 from ._findings import findings
+from ._integration import integration_of
 from ._problem import Problem, predictions_by_run
 from ._records import (
     Correlation,
@@ -25,7 +26,6 @@ from ._result import FitResult
 from ._run_records import ChannelFit, OwnEstimate, RunFit
 from ._state import FitState
 from ._statistics import Statistics, statistics
-from ._tolerance import integration_of
 from ._verdict import verdict
 
 # Residuals of this many times the noise are worth a word.

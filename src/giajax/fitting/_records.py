@@ -144,21 +144,6 @@ class ToleranceEffect:
 
 
 @dataclasses.dataclass(frozen=True)
-class IntegrationFit:
-    """How a fit integrated its model.
-
-    Attributes:
-        solver: one of `giajax.SOLVERS`.
-        tolerance: relative and absolute tolerance of a step, where the fit ended.
-        chosen: whether the fit chose the tolerance; otherwise it was stated.
-    """
-
-    solver: str
-    tolerance: float
-    chosen: bool
-
-
-@dataclasses.dataclass(frozen=True)
 class NoiseFit:
     """What a fit took for noise.
 

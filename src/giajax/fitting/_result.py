@@ -20,13 +20,13 @@ from ..models import AbstractModel, build_model
 from ..runs import Run
 from ..verdict import Verdict
 from ._findings import Finding
+from ._integration import IntegrationFit
 from ._of_runs import model_of_run, rows_of_runs
 from ._predict import predict
 from ._records import (
     Correlation,
     Estimate,
     GradientCheck,
-    IntegrationFit,
     Iteration,
     NoiseFit,
     Seconds,

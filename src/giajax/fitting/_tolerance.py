@@ -12,7 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._typing import Float
-from ._records import IntegrationFit
 from ._state import FitState
 from ._transitions import at_tolerance, evaluate, step, tolerance_of
 
@@ -105,15 +104,6 @@ def residual_change(state: FitState, factor: float = FINER) -> Float[np.ndarray,
     if not bool(jnp.isfinite(finer.cost)):
         return np.full(finer.residual.shape, np.nan)
     return np.asarray(finer.residual) - np.asarray(state.inner.residual)
-
-
-def integration_of(state: FitState) -> IntegrationFit | None:
-    """Solver and tolerance in use; None of a model without them."""
-    integration = state.problem.model.integration()
-    if integration is None or integration.tolerance is None:
-        return None
-    chosen = state.setup.chooses_tolerance
-    return IntegrationFit(integration.solver, integration.tolerance, chosen)
 
 
 def _tightened(state: FitState) -> FitState | None:

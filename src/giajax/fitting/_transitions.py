@@ -2,6 +2,8 @@
 
 None changes the state that it takes, so that whoever holds one (the loop, after Ctrl-C) has a
 whole fit in hand. All of them evaluate the model by the same compiled program.
+
+The file is longer than 200 lines because the ways from a state to another are read together.
 """
 
 import dataclasses
