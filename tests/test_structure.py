@@ -39,6 +39,8 @@ ROOMS = [
         "parameters",
         "quantities",
         "_program",
+        "_kept",
+        "_structure",
         "_maths",
         "_files",
         "_limits",

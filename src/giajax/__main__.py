@@ -13,8 +13,9 @@ def main() -> int:
     """
     listen()
     try:
-        from .cli import main as command_line
+        from .cli import main as command_line, own_process
 
+        own_process()
         return command_line()
     except KeyboardInterrupt:  # while the command line was imported
         print("giajax: interrupted", file=sys.stderr)

@@ -5,9 +5,20 @@ from pathlib import Path
 
 _MIN_COMPILE_SECONDS = 0.5
 
+# Within the folder of the compilation cache.
+_PROGRAMS = "programs"
+
+_own_process = False
+
+
+def own_process() -> None:
+    """Say that this process is the command line's own, and nothing in it changes giajax."""
+    global _own_process
+    _own_process = True
+
 
 def configure() -> None:
-    """Switch on 64-bit numbers and the persistent compilation cache.
+    """Switch on 64-bit numbers, the persistent compilation cache, and programs that are kept.
 
     To be called before anything is computed. A library must not set either; a process that
     belongs to the command line may. The cache is what `JAX_COMPILATION_CACHE_DIR` says, else
@@ -20,10 +31,15 @@ def configure() -> None:
     import jax
 
     jax.config.update("jax_enable_x64", True)
-    if "JAX_COMPILATION_CACHE_DIR" in os.environ:
+    stated = os.environ.get("JAX_COMPILATION_CACHE_DIR")
+    directory = cache_directory() if stated is None else Path(stated)
+    if directory is None or not str(directory):
         return
-    directory = cache_directory()
-    if directory is None:
+    if _own_process:
+        from .._kept import keep_programs
+
+        keep_programs(directory / _PROGRAMS)
+    if stated is not None:
         return
     jax.config.update("jax_compilation_cache_dir", str(directory))
     # JAX's own threshold of a second leaves out most of what a short command compiles.
