@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -34,14 +35,19 @@ sys.exit(main())
 """
 
 
-def run(size: int, seed: int) -> Figures:
+def run(size: int, seed: int, names: Iterable[str] = tuple(CASES)) -> Figures:
     """Figures of `size` kills of each case."""
     figures: Figures = {}
     moments = random.Random(seed)
-    for name, options in CASES.items():
+    for name in names:
         with tempfile.TemporaryDirectory() as folder:
-            figures[name] = _killed(Path(folder), options, size, moments)
+            figures[name] = _killed(Path(folder), CASES[name], size, moments)
     return figures
+
+
+def part(size: int, seed: int) -> Figures:
+    """One case: an untouched fit and its killed twin take half a minute each."""
+    return run(size, seed, ("one start",))
 
 
 def _killed(folder: Path, options: tuple[str, ...], size: int, moments: random.Random) -> Figures:
@@ -117,7 +123,7 @@ def _numbers(folder: Path) -> dict[str, Any]:
 
 def disagreements(stored: Figures, new: Figures) -> list[str]:
     """Numbers that differ after a kill, and journals that cannot be read: none is by chance."""
-    if list(stored) != list(new):
+    if not stored.keys() >= new.keys():
         return ["the cases are others than those that are stored: run the study again"]
     return [
         f"{name}: {each['fits'] - each['same_numbers']} of {each['fits']} fits ended at other "
@@ -151,6 +157,7 @@ KILLS = Study(
     size=10,
     seed=1,
     run=run,
+    part=part,
     disagreements=disagreements,
     table=table,
 )

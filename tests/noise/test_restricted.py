@@ -124,40 +124,6 @@ def test_stated_noise_is_kept_where_the_residuals_allow_it():
     assert estimate(problem, {"x": known}, memory=True).noise["x"] == known.noise
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("stated", [True, False])
-def test_intervals_hold_the_truth(stated):
-    """200 records of 26 correlation times: 95 % of 800 intervals, give or take."""
-    rng = np.random.default_rng(3)
-    times = np.arange(250) * 0.1
-    columns = smooth(times)
-    known = Stated(1.0) if stated else Stated()
-    within = naive = 0
-    for _ in range(200):
-        values = memory(times, 0.95, rng)
-        cells = of_run(times, values, columns)
-        start = np.linalg.lstsq(columns, values, rcond=None)[0]
-        problem = Restricted.of([cells], {"x": ChannelNoise(float(np.std(cells.residual)))})
-        problem = estimate(problem, {"x": known}, memory=True)
-        gram, _ = cells.gram(problem.noise["x"])
-        covariance = np.linalg.inv(gram[:-1, :-1])
-        off = start + covariance @ gram[:-1, -1]
-        spread = small_sample(problem, [cells], covariance, {"x": known})
-        reach = np.abs(off) / np.sqrt(np.diag(spread.covariance))
-        within += np.sum(reach < quantile(spread.freedom))
-        white = np.sqrt(np.diag(np.linalg.inv(columns.T @ columns)))
-        naive += np.sum(np.abs(start) < 1.96 * white)
-    # Four intervals of a record go together: as many as 300 independent ones, say.
-    assert abs(within / 800 - 0.95) < 3 * np.sqrt(0.95 * 0.05 / 300)
-    assert naive / 800 < 0.7
-
-
-def quantile(freedom):
-    from scipy.special import stdtrit
-
-    return stdtrit(np.minimum(freedom, 1e9), 0.975)
-
-
 @pytest.mark.quick
 def test_of_white_noise_the_degrees_of_freedom_are_those_of_students_t():
     rng = np.random.default_rng(4)
