@@ -12,7 +12,7 @@ Runs share some columns of J and have others of their own, which are eliminated 
 
 import dataclasses
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Self
 
 import numpy as np
@@ -103,7 +103,30 @@ class Restricted:
 
     def value(self, key: str, noise: ChannelNoise) -> float:
         """-2 log L where the cells of one key have another noise."""
+        return self._value(self._grams(key, noise))
+
+    def by_scale(self, key: str, noise: ChannelNoise) -> Callable[[float], float]:
+        """-2 log L by the logarithm of a factor of the noise of one key.
+
+        A factor scales all of a Gram matrix: however many it is asked for, the samples are passed
+        over once.
+        """
         grams = self._grams(key, noise)
+
+        def value(log: float) -> float:
+            power = float(np.exp(-2 * log))
+            return self._value(
+                tuple(
+                    (power * gram, determinant + 2 * log * len(cells.residual))
+                    if cells.key == key
+                    else (gram, determinant)
+                    for cells, (gram, determinant) in zip(self.cells, grams, strict=True)
+                )
+            )
+
+        return value
+
+    def _value(self, grams: Sequence[tuple[np.ndarray, float]]) -> float:
         determinant = sum(log for _, log in grams)
         of_runs = [_eliminated(*of_run) for of_run in _by_run(self.cells, grams).values()]
         shared = np.sum([rest for rest, _ in of_runs], axis=0)
