@@ -40,6 +40,7 @@ ROOMS = [
         "quantities",
         "_program",
         "_kept",
+        "_kept_files",
         "_structure",
         "_maths",
         "_files",

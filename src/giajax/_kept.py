@@ -9,13 +9,9 @@ traces as without it.
 """
 
 import dataclasses
-import functools
 import hashlib
 import os
-import sys
-import tempfile
 from collections.abc import Callable, Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -23,12 +19,9 @@ import equinox as eqx
 import jax
 from jax import export
 
+from ._kept_files import SUFFIX, origin, read, write
 from ._structure import NoStructureError, structure
 
-SUFFIX = ".stablehlo"
-"""Of the files' names."""
-
-_LIBRARIES = ("jax", "jaxlib", "equinox", "diffrax", "optimistix", "lineax", "numpy")
 _SETTINGS = ("JAX_", "XLA_", "EQX_")
 
 # Calls whose form JAX may change between versions; a file is read by one version only.
@@ -53,8 +46,9 @@ def keep_programs(folder: Path) -> None:
 
 
 def keeps_programs() -> bool:
-    """Whether programs are kept."""
-    return _folder is not None
+    """Whether programs are kept; not where JAX is to look into them."""
+    looking = ("jax_disable_jit", "jax_debug_nans", "jax_debug_infs")
+    return _folder is not None and not any(jax.config.read(name) for name in looking)
 
 
 class KeptProgram:
@@ -102,10 +96,11 @@ class KeptProgram:
         shapes, tree = jax.tree.flatten(places)
         blank = _blank(shapes, leaves)
         try:
-            module = _verified(path.read_bytes())
+            module = read(path)
         except (OSError, ValueError):
+            # Not there, or not as it was written.
             module = self._traced(args, leaves, like, blank)
-            _write(path, module)
+            write(path, module)
         known = dataclasses.replace(blank, mlir_module_serialized=module)
         # The same text in every process: the compilation cache knows it.
         compiled = jax.jit(known.call, **self._options).lower(*leaves).compile()
@@ -142,7 +137,7 @@ class KeptProgram:
         name = f"{self._function.__module__}.{self._function.__qualname__}"
         settings = sorted((k, v) for k, v in os.environ.items() if k.startswith(_SETTINGS))
         device = jax.devices()[0]
-        parts = (name, key, result, settings, repr(self._options), _origin(), str(device.platform))
+        parts = (name, key, result, settings, repr(self._options), origin(), str(device.platform))
         whole = repr((*parts, jax.config.read("jax_enable_x64")))
         return f"{name}-{hashlib.sha256(whole.encode()).hexdigest()[:40]}{SUFFIX}"
 
@@ -176,42 +171,3 @@ def _calling(program: export.Exported) -> tuple[Any, ...]:
         program.uses_global_constants,
         program.calling_convention_version,
     )
-
-
-@functools.cache
-def _origin() -> str:
-    """What tracing depends on beside the arguments: the source of this package, and versions."""
-    digest = hashlib.sha256(sys.version.encode())
-    for name in _LIBRARIES:
-        digest.update(f"{name} {version(name)}\n".encode())
-    root = Path(__file__).parent
-    for path in sorted(root.rglob("*.py")):
-        digest.update(f"{path.relative_to(root)}\0".encode())
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
-
-
-def _verified(content: bytes) -> bytes:
-    """A module as it was written.
-
-    Raises:
-        ValueError: a file that is cut off, or was changed.
-    """
-    digest, module = content[:32], content[32:]
-    if hashlib.sha256(module).digest() != digest:
-        raise ValueError("the program is not as it was written")
-    return module
-
-
-def _write(path: Path, module: bytes) -> None:
-    """Write a file whole, or not at all; another process may write the same one."""
-    temporary = None
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
-            temporary = Path(file.name)
-            file.write(hashlib.sha256(module).digest() + module)
-        temporary.replace(path)
-    except OSError:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)

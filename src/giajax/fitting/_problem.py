@@ -75,7 +75,7 @@ class Problem(eqx.Module):
         return tied(model, self.ties)
 
     def means(self, values: Array | np.ndarray) -> Array | np.ndarray:
-        """A value for each path of those of all coordinates: of several, the mean; differentiable."""
+        """A value for each path, of those of all coordinates: of several, the mean."""
         means = [values[np.asarray(place)].mean() for place in self.positions]
         if isinstance(values, np.ndarray):
             return np.asarray(means)

@@ -2,6 +2,8 @@
 
 None changes the state that it takes, so that whoever holds one (the loop, after Ctrl-C) has a
 whole fit in hand. All of them evaluate the model by the same compiled program.
+
+Longer than 200 lines because whatever changes a state is read together.
 """
 
 import dataclasses
