@@ -1,12 +1,14 @@
 """Programs kept between processes: traced once, and never in place of another program."""
 
 import equinox as eqx
+import jax
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
 import giajax._kept
 from giajax._kept import KeptProgram, keep_programs
+from giajax._program import program
 from giajax._structure import NoStructureError, structure
 
 TRACED = []
@@ -78,6 +80,24 @@ def test_what_differs_is_another_program(spring, angle):
     assert len(TRACED) == 2
     assert force.shape == angle.shape
     assert_array_equal(force, 2.0 * angle**spring.power)
+
+
+def test_a_program_of_the_package_is_kept(folder):
+    for _ in range(2):
+        _, force = program(pulled, like=as_pulled)(SPRING, ANGLE)
+        assert_array_equal(force, [2.0, 4.0, 6.0])
+    assert TRACED == [1]
+    # As a part of another program it is traced with that.
+    assert_array_equal(
+        jax.jit(lambda x: program(pulled, like=as_pulled)(SPRING, x)[1])(ANGLE), force
+    )
+    assert TRACED == [1, 1]
+
+
+def test_nothing_is_kept_where_jax_is_to_look_into_programs(folder):
+    with jax.debug_nans(True):
+        program(pulled, like=as_pulled)(SPRING, ANGLE)
+    assert not folder.exists()
 
 
 def test_a_changed_source_is_traced_again(monkeypatch):

@@ -48,7 +48,7 @@ def keep_programs(folder: Path) -> None:
 def keeps_programs() -> bool:
     """Whether programs are kept; not where JAX is to look into them."""
     looking = ("jax_disable_jit", "jax_debug_nans", "jax_debug_infs")
-    return _folder is not None and not any(jax.config.read(name) for name in looking)
+    return _folder is not None and not any(getattr(jax.config, name) for name in looking)
 
 
 class KeptProgram:
@@ -138,7 +138,7 @@ class KeptProgram:
         settings = sorted((k, v) for k, v in os.environ.items() if k.startswith(_SETTINGS))
         device = jax.devices()[0]
         parts = (name, key, result, settings, repr(self._options), origin(), str(device.platform))
-        whole = repr((*parts, jax.config.read("jax_enable_x64")))
+        whole = repr((*parts, jax.config.jax_enable_x64))
         return f"{name}-{hashlib.sha256(whole.encode()).hexdigest()[:40]}{SUFFIX}"
 
 
