@@ -45,7 +45,7 @@ def write(path: Path, module: bytes) -> None:
     temporary = None
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=SUFFIX, delete=False) as file:
             temporary = Path(file.name)
             file.write(hashlib.sha256(module).digest() + module)
         temporary.replace(path)
