@@ -138,7 +138,7 @@ class KeptProgram:
         settings = sorted((k, v) for k, v in os.environ.items() if k.startswith(_SETTINGS))
         device = jax.devices()[0]
         parts = (name, key, result, settings, repr(self._options), origin(), str(device.platform))
-        whole = repr((*parts, jax.config.jax_enable_x64))
+        whole = repr((*parts, str(jax.numpy.result_type(float))))
         return f"{name}-{hashlib.sha256(whole.encode()).hexdigest()[:40]}{SUFFIX}"
 
 
