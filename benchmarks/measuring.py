@@ -10,11 +10,15 @@ from typing import Any
 RESULTS = Path(__file__).resolve().parent / "results"
 
 
-def command_line(description: str | None, out: Path, what: str = "JSON file to write") -> Any:
-    """The parsed command line of a benchmark: `quick` and `out`."""
+def command_line(
+    description: str | None, out: Path, what: str = "JSON file to write", **numbers: int
+) -> Any:
+    """The parsed command line of a benchmark: `quick`, `out`, and numbers with their defaults."""
     parser = argparse.ArgumentParser(description=(description or "").partition("\n")[0])
     parser.add_argument("--quick", action="store_true", help="a short arm, once: does it run?")
     parser.add_argument("--out", type=Path, default=out, help=what)
+    for name, default in numbers.items():
+        parser.add_argument(f"--{name}", type=int, default=default)
     return parser.parse_args()
 
 

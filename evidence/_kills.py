@@ -22,6 +22,8 @@ from ._study import Figures, Study
 FIT = ("fit", str(ROOT / "fits" / "joint_loops.toml"), "--loss", "soft_l1", "--no-figures")
 CASES = {"one start": (), "three starts": ("--starts", "3")}
 
+# A process whose fits take as long as those of a long arm, so that there is a moment to stop it;
+# to be formatted with the seconds of a step.
 SLOWLY = """
 import sys, time
 import giajax.cli._progress as command
@@ -29,7 +31,7 @@ from giajax.__main__ import main
 shown = command.Progress.__call__
 def slowly(self, iteration):
     shown(self, iteration)
-    time.sleep(0.2)
+    time.sleep({seconds})
 command.Progress.__call__ = slowly
 sys.exit(main())
 """
@@ -89,7 +91,7 @@ def _killed(folder: Path, options: tuple[str, ...], size: int, moments: random.R
 def _process(*words: str) -> "subprocess.Popen[str]":
     environment = {**os.environ, "JAX_COMPILATION_CACHE_DIR": str(ROOT / ".jax_cache")}
     return subprocess.Popen(
-        [sys.executable, "-c", SLOWLY, *words],
+        [sys.executable, "-c", SLOWLY.format(seconds=0.2), *words],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -4,16 +4,17 @@ import dataclasses
 from collections.abc import Callable
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from .._errors import InputError
+from .._maths import on_device
 from ._budget import Budget
 from ._identifiability import responds
 from ._records import Iteration
 from ._reestimate import reestimate
 from ._state import FitState
-from ._transitions import release, reweight, step, trial
+from ._tolerance import is_promising, resolved, smoothed
+from ._transitions import release, reweight, step, tolerance_of, trial
 
 
 def descend(
@@ -95,6 +96,8 @@ def advance(state: FitState) -> FitState:
     if there is not None:
         return _released(state, there)
     if not state.converged:
+        if (smoother := smoothed(state)) is not None:
+            return smoother
         return state.ended(
             "not_converged",
             "no step lowers the cost any further, and the optimum is not reached: "
@@ -113,13 +116,12 @@ def _at_start(state: FitState) -> FitState:
         )
     moves = responds(state.natural_jacobian().norms(), state.sizes)
     # As every later evaluation gives the factor, so that a fit that goes on from here is the same.
-    factor = jnp.where(jnp.asarray(moves)[None], state.inner.factor, 0)
+    factor = on_device(np.where(np.asarray(moves)[None], np.asarray(state.inner.factor), 0))
     inner = eqx.tree_at(lambda inner: inner.factor, state.inner, factor)
-    state = dataclasses.replace(state, active=jnp.asarray(moves), inner=inner, done=False).recorded(
-        accepted=True
-    )
+    state = dataclasses.replace(state, active=on_device(moves), inner=inner)
     if np.any(moves):
-        return state
+        return dataclasses.replace(resolved(state), done=False).recorded(accepted=True)
+    state = state.recorded(accepted=True)
     return state.ended("not_converged", "no channel responds to any of the free parameters")
 
 
@@ -140,12 +142,19 @@ def _next_round(state: FitState) -> FitState:
 
     The last word is always an optimum with the noise that it was fitted with.
     """
-    end = f"converged in {state.trials} iterations"
     if not state.rounds_left:
-        return state.ended("converged", end)
+        return _settled(state)
     noise = reestimate(state)
     settled = noise.values == state.noise.values and noise.weights is state.noise.weights
     state = dataclasses.replace(state, noise=noise)
     if settled:
-        return state.ended("converged", end)
+        return _settled(state)
     return step(reweight(state, noise)).next_round()
+
+
+def _settled(state: FitState) -> FitState:
+    """The end at an optimum; one step more where the tolerance moves it, or a step would."""
+    finer = resolved(state)
+    if tolerance_of(finer) != tolerance_of(state) or is_promising(finer):
+        return trial(finer)
+    return finer.ended("converged", f"converged in {state.trials} iterations")

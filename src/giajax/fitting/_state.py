@@ -34,6 +34,8 @@ class FitState:
         coordinate: the best point so far, shape (parameter,).
         inner: the solver's own state there.
         active: parameters that may move, shape (parameter,).
+        finer: what a finer tolerance of the integrator changes of the residuals there; None where
+            nobody has asked.
         done: whether the solver wants no further step.
         converged: whether it stopped at an optimum.
         trials: steps that were tried.
@@ -53,6 +55,7 @@ class FitState:
     coordinate: Array
     inner: MarquardtState
     active: Array
+    finer: np.ndarray | None = None
     done: bool = False
     converged: bool = False
     trials: int = 0

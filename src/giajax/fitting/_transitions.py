@@ -2,9 +2,12 @@
 
 None changes the state that it takes, so that whoever holds one (the loop, after Ctrl-C) has a
 whole fit in hand. All of them evaluate the model by the same compiled program.
+
+Longer than 200 lines because whatever changes a state is read together.
 """
 
 import dataclasses
+import functools
 import time
 from typing import Any
 
@@ -13,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 
+from .._maths import on_device
 from .._program import program
 from .._typing import Array
 from ._bijector import Bijector
@@ -29,11 +33,16 @@ from ._state import FitState
 # In the free coordinate: a positive parameter changes by less than a factor of 4.5 in one step.
 _LARGEST_STEP = 1.5
 
+# Where a fit begins that chooses its tolerance.
+_COARSEST = 1e-5
+
 
 def begin(setup: Setup) -> FitState:
     """The state before anything is evaluated."""
     setup = setup.at_start()
     model, parameters, layout = setup.model, setup.parameters, setup.layout
+    if setup.chooses_tolerance:
+        model = model.with_integration(solver=None, tolerance=_COARSEST)
     noise = Noise.of(setup.runs, setup.noise_model, per_run=setup.noise_per_run)
     groups = build_groups(model, setup.runs, noise, layout)
     own = own_begun(groups, setup.runs, setup.own)
@@ -66,7 +75,7 @@ def begin(setup: Setup) -> FitState:
         floor=distance**2 / 2,
         largest_step=_LARGEST_STEP,
     )
-    coordinate = jnp.asarray(bijector.inverse(start), dtype=jnp.result_type(float))
+    coordinate = on_device(bijector.inverse(start), jnp.result_type(float))
     return FitState(
         setup=setup,
         problem=problem,
@@ -76,7 +85,7 @@ def begin(setup: Setup) -> FitState:
         solver=solver,
         coordinate=coordinate,
         inner=_blank(solver, problem, coordinate),
-        active=jnp.ones(problem.size, bool),
+        active=on_device(np.ones(problem.size, bool)),
     )
 
 
@@ -92,6 +101,7 @@ def step(state: FitState) -> FitState:
         state,
         coordinate=coordinate,
         inner=inner,
+        finer=None,
         done=finished,
         converged=optimum,
         step_seconds=(*state.step_seconds, time.perf_counter() - began),
@@ -106,9 +116,9 @@ def trial(state: FitState) -> FitState:
 
 def move(state: FitState, coordinate: Any) -> FitState:
     """Go on from another point, which is not evaluated yet."""
-    coordinate = jnp.asarray(coordinate, dtype=state.coordinate.dtype)
+    coordinate = on_device(coordinate, state.coordinate.dtype)
     inner = _blank(state.solver, state.problem, coordinate)
-    return dataclasses.replace(state, coordinate=coordinate, inner=inner)
+    return dataclasses.replace(state, coordinate=coordinate, inner=inner, finer=None)
 
 
 def reweight(state: FitState, noise: Noise) -> FitState:
@@ -118,6 +128,26 @@ def reweight(state: FitState, noise: Noise) -> FitState:
     loss = state.setup.loss if noise.weights is None else "linear"
     problem = dataclasses.replace(state.problem, groups=groups, loss=loss)
     return move(dataclasses.replace(state, problem=problem, noise=noise), state.coordinate)
+
+
+def at_tolerance(state: FitState, tolerance: float | None) -> FitState:
+    """Go on from the same point with another tolerance of the integrator; not evaluated yet.
+
+    Arguments:
+        state: where the fit is.
+        tolerance: relative and absolute; None leaves the one that it has.
+    """
+    if tolerance == tolerance_of(state):
+        return state
+    model = state.problem.model.with_integration(solver=None, tolerance=tolerance)
+    problem = dataclasses.replace(state.problem, model=model)
+    return move(dataclasses.replace(state, problem=problem), state.coordinate)
+
+
+def tolerance_of(state: FitState) -> float | None:
+    """The tolerance in use; None of a model without an integrator."""
+    integration = state.problem.model.integration()
+    return None if integration is None else integration.tolerance
 
 
 def release(state: FitState) -> FitState | None:
@@ -166,7 +196,7 @@ def evaluate(state: FitState, coordinate: Any, problem: Problem | None = None) -
     Returns:
         The solver's state there.
     """
-    coordinate = jnp.asarray(coordinate, dtype=state.coordinate.dtype)
+    coordinate = on_device(coordinate, state.coordinate.dtype)
     problem = state.problem if problem is None else problem
     fresh = _blank(state.solver, problem, coordinate)
     _, inner, _, _ = _step(state.solver, coordinate, problem, fresh, state.active)
@@ -182,15 +212,25 @@ def _blank(solver: Marquardt, problem: Problem, coordinate: Array) -> MarquardtS
         jax.ShapeDtypeStruct((), bool),
     )
     shape = jax.ShapeDtypeStruct((count,), dtype)
+    # By numpy, as in the solver: each operation of JAX here would be a program of its own.
     blocks = tuple(
-        jnp.zeros((len(g.members), g.observed[0].size, g.columns().shape[1]), dtype) for g in groups
+        np.zeros((len(g.members), g.observed.size // len(g.members), g.columns().shape[1]), dtype)
+        for g in groups
     )
-    options = {"jacobian": (*blocks, jnp.zeros(len(problem.priors), dtype))}
+    options = {"jacobian": (*blocks, np.zeros(len(problem.priors), dtype))}
     return solver.init(residual, coordinate, problem, options, shape, prediction, frozenset())
 
 
+def _stepped(
+    solver: Marquardt, coordinate: Array, problem: Problem, state: MarquardtState, active: Array
+) -> tuple[Array, MarquardtState, Any, Any]:
+    """As `_step` returns it."""
+    truth = jax.ShapeDtypeStruct((), bool)
+    return coordinate, state, truth, truth
+
+
 # At module level: a fresh closure would be compiled again for every fit.
-@program
+@functools.partial(program, like=_stepped)
 def _step(
     solver: Marquardt, coordinate: Array, problem: Problem, state: MarquardtState, active: Array
 ) -> tuple[Array, MarquardtState, Array, Array]:
