@@ -144,7 +144,9 @@ def _slopes(
         known = moved.known_of_runs[number]
         cells = np.concatenate([cells, np.zeros((len(known), cells.shape[1]))])
         own = np.concatenate([own, known[:, 1:]])
-        of_run = np.linalg.lstsq(own, cells, rcond=_RANK)[0]
+        sizes = np.linalg.norm(own, axis=0)
+        sizes = np.where(sizes > 0, sizes, 1.0)
+        of_run = np.linalg.lstsq(own / sizes, cells, rcond=_RANK)[0] / sizes[:, None]
         rows.append(cells - own @ of_run)
         of_runs.append(of_run)
     known = np.pad(moved.known[:, 1:], ((0, 0), (0, len(columns))))

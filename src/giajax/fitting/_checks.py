@@ -101,13 +101,15 @@ def tolerance_effect(state: FitState, statistics: Statistics) -> ToleranceEffect
         statistics: of the fit.
 
     Returns:
-        None where no parameter is determined.
+        None where no parameter is determined, or the finer simulation fails.
     """
     determined = list(statistics.determined)
     if not determined:
         return None
     factor = 0.5 if tolerance_of(state) is None else FINER
     change = residual_change(state, factor)
+    if not np.all(np.isfinite(change)):
+        return None
     jacobian = state.natural_jacobian()
     gram = np.linalg.pinv(jacobian.reduced()[:, determined])
     shifts = -gram @ (gram.T @ jacobian.transposed_times(change)[determined])

@@ -46,7 +46,12 @@ def descend(
     try:
         while reached.ending is None:
             if (reason := _limit(reached, max_iterations, budget)) is not None:
-                return reached.ended("not_converged", reason)
+                # At an optimum only a last step nearer to it was left to try.
+                return (
+                    _converged(reached)
+                    if reached.converged
+                    else reached.ended("not_converged", reason)
+                )
             shown, reached = len(reached.history), advance(reached)
             if keep is not None:
                 keep(reached)
@@ -120,7 +125,8 @@ def _at_start(state: FitState) -> FitState:
     inner = eqx.tree_at(lambda inner: inner.factor, state.inner, factor)
     state = dataclasses.replace(state, active=on_device(moves), inner=inner)
     if np.any(moves):
-        return dataclasses.replace(resolved(state), done=False).recorded(accepted=True)
+        state = dataclasses.replace(resolved(state), done=False, converged=False)
+        return state.recorded(accepted=True)
     state = state.recorded(accepted=True)
     return state.ended("not_converged", "no channel responds to any of the free parameters")
 
@@ -130,7 +136,8 @@ def _released(state: FitState, there: FitState) -> FitState:
     tried = dataclasses.replace(step(there), trials=state.trials + 1)
     if tried.cost < state.cost:
         tried = tried.recorded(accepted=True)
-        return dataclasses.replace(tried, releases_left=state.releases_left - 1, done=False)
+        left = state.releases_left - 1
+        return dataclasses.replace(tried, releases_left=left, done=False, converged=False)
     back = dataclasses.replace(
         state, trials=tried.trials, step_seconds=tried.step_seconds, releases_left=0
     )
@@ -156,5 +163,9 @@ def _settled(state: FitState) -> FitState:
     """The end at an optimum; one step more where the tolerance moves it, or a step would."""
     finer = resolved(state)
     if tolerance_of(finer) != tolerance_of(state) or is_promising(finer):
-        return trial(finer)
-    return finer.ended("converged", f"converged in {state.trials} iterations")
+        return dataclasses.replace(finer, done=False, converged=True)
+    return _converged(finer)
+
+
+def _converged(state: FitState) -> FitState:
+    return state.ended("converged", f"converged in {state.trials} iterations")

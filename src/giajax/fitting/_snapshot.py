@@ -60,7 +60,7 @@ def restored(begun: FitState, journal: FitJournal) -> tuple[FitState, float]:
     if coordinate.shape != begun.coordinate.shape or active.shape != coordinate.shape:
         raise ValueError("another number of free coordinates")
     there = dataclasses.replace(
-        move(at_tolerance(reweight(begun, noise), last["tolerance"]), coordinate),
+        move(at_tolerance(reweight(begun, noise), last.get("tolerance")), coordinate),
         active=jnp.asarray(active),
     )
     there = step(there)

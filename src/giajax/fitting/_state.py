@@ -117,7 +117,11 @@ class FitState:
     def next_round(self) -> Self:
         """With one estimation of the noise less, and the bounds to be believed anew."""
         return dataclasses.replace(
-            self, rounds_left=self.rounds_left - 1, releases_left=_RELEASES, done=False
+            self,
+            rounds_left=self.rounds_left - 1,
+            releases_left=_RELEASES,
+            done=False,
+            converged=False,
         )
 
     def ended(self, status: Status, message: str) -> Self:
