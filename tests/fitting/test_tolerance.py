@@ -11,7 +11,11 @@ import pytest
 
 import giajax
 from giajax.fitting import fit, set_up, solve
+from giajax.fitting._held_state import where_it_ended
+from giajax.fitting._transitions import tolerance_of
 from giajax.models import ArmModel, Integration
+from giajax.runs import hold_out
+from giajax.study import refit
 from giajax.tasks import JOURNAL, Journal, read_journal
 from small_arm import NOISE, START, small_run
 from toy_model import TRUTH, Decay, run
@@ -83,6 +87,47 @@ def test_it_is_the_coarsest_that_moves_nothing_by_much():
     stated = fit(Approximate(bias=300.0), run(), start=BEGIN, tolerance=1e-5)
     assert stated.tolerance_effect.largest_in_standard_errors > 0.01 < off(stated, exact())
     assert (stated.integration.tolerance, stated.integration.chosen) == (1e-5, False)
+
+
+def test_a_refit_and_what_is_held_out_have_a_tolerance_that_suits_them():
+    recorded, settings = run(), {"start": BEGIN}
+    (part,) = hold_out([recorded], ["last"])
+    result = solve(set_up(Approximate(bias=300.0), part.fitted, **settings), check=False)
+    assert result.integration.tolerance < 2e-6
+    whole = set_up(Approximate(bias=300.0), recorded, **settings)
+    assert tolerance_of(where_it_ended(result, whole, [part])) == result.integration.tolerance
+    again = refit(result, [recorded])
+    assert again.integration == result.integration
+    assert again.config["tolerance"] is None
+    # What was coarse enough for the first one may not be so for the next.
+    coarse = fit(Approximate(bias=1.0), recorded, start=BEGIN)
+    worse = dataclasses.replace(coarse.model, bias=_number(300.0))
+    assert refit(coarse, [recorded], model=worse).integration.tolerance < 2e-6
+
+
+def test_the_last_steps_keep_to_the_limits_of_the_fit():
+    free = fit(Approximate(bias=300.0), run(), start=BEGIN, check=False)
+    most = free.iterations
+    ends = [
+        fit(Approximate(bias=300.0), run(), start=BEGIN, check=False, max_iterations=count)
+        for count in range(most)
+    ]
+    assert [each.iterations for each in ends] == list(range(most))
+    # An optimum is one, also where a step nearer to it was left to try.
+    assert {each.status for each in ends} == {"converged", "not_converged"}
+
+
+def test_a_finer_simulation_that_fails_has_no_effect_that_is_known():
+    class Failing(Approximate):
+        def predict(self, inputs, channels):
+            values, successful = super().predict(inputs, channels)
+            enough = self.tolerance > 9e-6
+            values = {name: jnp.where(enough, row, jnp.nan) for name, row in values.items()}
+            return values, successful & enough
+
+    result = fit(Failing(bias=1.0), run(), start=BEGIN)
+    assert result.status == "converged"
+    assert result.tolerance_effect is None
 
 
 def test_a_cost_that_is_too_rough_to_descend_gets_a_finer_one():
