@@ -118,6 +118,7 @@ def test_a_late_camera_shows_what_was(plain):
     np.testing.assert_allclose(late["joint01_angle"], plain["joint01_angle"], atol=1e-7)
 
 
+@pytest.mark.slow
 def test_clocks_of_camera_and_encoder_are_their_own(plain):
     changes = {"camera.delay": 0.3, "encoder.delay": -0.1}
     seen = giajax.predict(model(**changes), run_of(), EVERYTHING)
