@@ -84,7 +84,8 @@ def test_scale_acts_on_what_is_seen_from_the_origin(plain):
     expected = 2 * (points(plain) - [0.1, 0.2, -0.3]) * [1, -1, -1]
     np.testing.assert_allclose(points(seen), expected, atol=1e-12)
     np.testing.assert_allclose(seen["tip_z"], -2 * (plain["tip_z"] + 0.3), atol=1e-12)
-    np.testing.assert_array_equal(seen["joint01_angle"], plain["joint01_angle"])
+    # The same but for rounding: with a camera it is another program.
+    np.testing.assert_allclose(seen["joint01_angle"], plain["joint01_angle"], rtol=1e-12)
 
 
 def test_markers_move_with_their_link():
