@@ -47,6 +47,8 @@ class Setup:
         groups: by path of an element, the runs (by position) that share a value of it; what is
             not in it, all runs share.
         reopened: whether the tolerance that the model has is one that another fit chose.
+        suited: the tolerance that suited another fit of the same data, for one that chooses its
+            own: it begins there, and looks at the end alone whether it suits.
     """
 
     model: AbstractModel
@@ -62,6 +64,7 @@ class Setup:
     ties: tuple[Tie, ...] = ()
     groups: Mapping[str, tuple[tuple[int, ...], ...]] = dataclasses.field(default_factory=dict)
     reopened: bool = False
+    suited: float | None = None
 
     @property
     def layout(self) -> Layout:

@@ -125,8 +125,9 @@ def _at_start(state: FitState) -> FitState:
     inner = eqx.tree_at(lambda inner: inner.factor, state.inner, factor)
     state = dataclasses.replace(state, active=on_device(moves), inner=inner)
     if np.any(moves):
-        state = dataclasses.replace(resolved(state), done=False, converged=False)
-        return state.recorded(accepted=True)
+        if state.setup.suited is None:
+            state = resolved(state)
+        return dataclasses.replace(state, done=False, converged=False).recorded(accepted=True)
     state = state.recorded(accepted=True)
     return state.ended("not_converged", "no channel responds to any of the free parameters")
 

@@ -43,7 +43,7 @@ def begin(setup: Setup) -> FitState:
     setup = setup.at_start()
     model, parameters, layout = setup.model, setup.parameters, setup.layout
     if setup.chooses_tolerance:
-        model = model.with_integration(solver=None, tolerance=_COARSEST)
+        model = model.with_integration(solver=None, tolerance=setup.suited or _COARSEST)
     noise = Noise.of(setup.runs, setup.noise_model, per_run=setup.noise_per_run)
     groups = build_groups(model, setup.runs, noise, layout)
     own = own_begun(groups, setup.runs, setup.own)

@@ -157,7 +157,7 @@ def solve_from_starts(
             if announce is not None:
                 announce(number, values)
             result = solve(
-                setup.started_at(values),
+                _as_fine(setup.started_at(values), results),
                 max_iterations=max_iterations,
                 progress=progress,
                 check=False,
@@ -208,7 +208,7 @@ def _checked(
 ) -> FitResult:
     """The best end fitted again from where it is, with the checks that were left out before."""
     try:
-        inside = setup.started_at(inside_bounds(setup, _end(best)))
+        inside = _as_fine(setup.started_at(inside_bounds(setup, _end(best))), [best])
         again = solve(
             inside,
             max_iterations=max_iterations,
@@ -225,6 +225,13 @@ def _checked(
     return dataclasses.replace(
         again, message=best.message, iterations=best.iterations, history=best.history
     )
+
+
+def _as_fine(setup: Setup, ended: Sequence[FitResult]) -> Setup:
+    """With the tolerance that a fit of the same data chose: it need not be looked for again."""
+    if not ended or ended[0].integration is None or not setup.chooses_tolerance:
+        return setup
+    return dataclasses.replace(setup, suited=ended[0].integration.tolerance)
 
 
 def _interrupted(result: FitResult, when: str) -> FitResult:
