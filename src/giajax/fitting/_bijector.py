@@ -1,32 +1,64 @@
-"""From an unbounded coordinate to a parameter within its bounds, and back."""
+"""From a coordinate that a fit moves along to a parameter within its bounds, and back."""
 
 from collections.abc import Sequence
+from typing import Self
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from .._typing import Array, Float
 
+# Part of the distance between a start and its bound within which the coordinate is linear.
+_NEAR = 0.3
+
 
 class Bijector(eqx.Module):
-    """Smooth, increasing map of the real line onto the open interval between two bounds.
+    """Smooth, increasing map of an interval of coordinates onto the one between two bounds.
 
-    Two bounds: a logistic curve. One bound: an exponential, so that a step of the coordinate is
-    a relative change of the parameter. None: the identity.
+    Far from a bound the coordinate is a logarithm of the distance from it, so that a step is a
+    relative change and a poor model of the cost cannot send a parameter far. Near the bound it is
+    linear in the parameter and ends there: a logarithm would go on for ever towards an optimum
+    that is at the bound, and would bend every valley on the way. A parameter without bounds is
+    its own coordinate.
 
     Arguments:
         lower, upper: bounds, infinite where there is none, shape (parameter,).
+        above_lower, below_upper: distances from a bound up to which the coordinate is linear,
+            shape (parameter,); not used where there is no bound.
     """
 
     lower: tuple[float, ...] = eqx.field(static=True)
     upper: tuple[float, ...] = eqx.field(static=True)
+    above_lower: Float[Array, " parameter"]
+    below_upper: Float[Array, " parameter"]
+
+    @classmethod
+    def of(cls, lower: Sequence[float], upper: Sequence[float], start: Sequence[float]) -> Self:
+        """The map for a fit from a start.
+
+        Arguments:
+            lower, upper: bounds, infinite where there is none, shape (parameter,).
+            start: of the parameters, shape (parameter,); one that is at its bound tells nothing
+                of how near is near, and the unit counts.
+        """
+        low, high, begun = (np.asarray(each, dtype=float) for each in (lower, upper, start))
+        width = np.where(np.isfinite(low) & np.isfinite(high), high - low, np.inf)
+
+        def near(distance: np.ndarray) -> Array:
+            known = np.where(np.isfinite(distance) & (distance > 0), distance, np.minimum(1, width))
+            return jnp.asarray(_NEAR * known, jnp.result_type(float))
+
+        return cls(tuple(low.tolist()), tuple(high.tolist()), near(begun - low), near(high - begun))
 
     def at(self, columns: Sequence[int] | np.ndarray) -> "Bijector":
         """The map of some of the parameters, by their positions."""
+        places = np.asarray(columns, dtype=int)
         return Bijector(
-            tuple(self.lower[i] for i in columns), tuple(self.upper[i] for i in columns)
+            tuple(self.lower[i] for i in places),
+            tuple(self.upper[i] for i in places),
+            self.above_lower[places],
+            self.below_upper[places],
         )
 
     def _kinds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -35,28 +67,47 @@ class Bijector(eqx.Module):
         # Stand-ins that keep the branches which are not taken free of NaN.
         return below, above, np.where(below, lower, 0.0), np.where(above, upper, 1.0)
 
-    def forward(self, coordinate: Float[Array, " parameter"]) -> Float[Array, " parameter"]:
-        """Parameters at unbounded coordinates."""
+    def _bend(self) -> np.ndarray | Array:
+        """How soon the upper bound is felt: near / (width + near), 0 where there is none."""
         below, above, lower, upper = self._kinds()
-        two = lower + (upper - lower) * jax.nn.sigmoid(coordinate)
-        one = jnp.where(below, lower + jnp.exp(coordinate), upper - jnp.exp(-coordinate))
-        return jnp.where(below & above, two, jnp.where(below | above, one, coordinate))
+        return jnp.where(below & above, self.above_lower / (upper - lower + self.below_upper), 0)
+
+    def forward(self, coordinate: Float[Array, " parameter"]) -> Float[Array, " parameter"]:
+        """Parameters at coordinates between those of their bounds."""
+        below, above, lower, upper = self._kinds()
+        # exp(t) of what is not bounded, or by its upper bound alone, may overflow in the other branch.
+        t = jnp.where(below, coordinate, 0)
+        up = lower + self.above_lower * jnp.expm1(t) / (1 + self._bend() * jnp.exp(t))
+        t = jnp.where(above & ~below, coordinate, 0)
+        down = upper - self.below_upper * jnp.expm1(-t)
+        return jnp.where(below, up, jnp.where(above, down, coordinate))
 
     def inverse(self, value: np.ndarray) -> np.ndarray:
-        """Coordinates of parameters strictly within the bounds."""
+        """Coordinates of parameters within the bounds."""
         below, above, lower, upper = self._kinds()
         value = np.asarray(value, dtype=float)
         with np.errstate(all="ignore"):
-            two = np.log(value - lower) - np.log(upper - value)
-            one = np.where(below, np.log(value - lower), -np.log(upper - value))
-        return np.where(below & above, two, np.where(below | above, one, value))
+            part = (value - lower) / np.asarray(self.above_lower, dtype=float)
+            up = np.log1p(part) - np.log1p(-np.asarray(self._bend(), dtype=float) * part)
+            down = -np.log1p((upper - value) / np.asarray(self.below_upper, dtype=float))
+        return np.where(below, up, np.where(above, down, value))
 
     def slope(self, coordinate: np.ndarray) -> np.ndarray:
         """d(parameter)/d(coordinate), shape (parameter,)."""
-        below, above, lower, upper = self._kinds()
+        below, above, _, _ = self._kinds()
         coordinate = np.asarray(coordinate, dtype=float)
+        bend = np.asarray(self._bend(), dtype=float)
         with np.errstate(all="ignore"):
-            logistic = 1 / (1 + np.exp(-coordinate))
-            two = (upper - lower) * logistic * (1 - logistic)
-            one = np.where(below, np.exp(coordinate), np.exp(-coordinate))
-        return np.where(below & above, two, np.where(below | above, one, 1.0))
+            grown = np.exp(coordinate)
+            up = np.asarray(self.above_lower) * grown * (1 + bend) / (1 + bend * grown) ** 2
+            down = np.asarray(self.below_upper) / grown
+        return np.where(below, up, np.where(above, down, 1.0))
+
+    def ends(self) -> tuple[Float[Array, " parameter"], Float[Array, " parameter"]]:
+        """Coordinates of the lower and of the upper bounds, infinite where there is none."""
+        below, above, lower, upper = self._kinds()
+        width = np.where(below & above, upper - lower, 1.0)
+        low, high = self.above_lower, self.below_upper
+        far = jnp.log1p(width / low) + jnp.log1p(width / high)
+        at_upper = jnp.where(below, far, 0)
+        return jnp.where(below, 0, -jnp.inf), jnp.where(above, at_upper, jnp.inf)

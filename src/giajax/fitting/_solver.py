@@ -20,6 +20,10 @@ import optimistix as optx
 from .._typing import Array, Bool, Float, Scalar
 
 
+# How often coordinates that leave the box of a step are put on its sides, and the rest solved anew.
+_SIDES = 3
+
+
 class MarquardtState(eqx.Module):
     """State between two steps.
 
@@ -59,6 +63,7 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
 
     Options (of `optimistix.least_squares`):
         `active`: a boolean array: parameters that may move.
+        `lower`, `upper`: arrays of bounds, which a trial point may lie on; infinite by default.
         `linearise`: a function of `(y, args)` that returns residual, Jacobian (any pytree), R and
         Q^T r of its QR factorisation, and the auxiliary output, for problems with a structure;
         `fn` is then not called. `jacobian` is a template of the pytree.
@@ -122,8 +127,10 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         """Try one step; the first one evaluates the start."""
         first = jnp.isinf(state.cost)
         active = options.get("active", jnp.ones(y.shape, bool))
-        step = jnp.where(first, 0, self._trial_step(state, active))
-        trial = y + step
+        lower, upper = _bounds(y, options)
+        step = jnp.where(first, 0, self._trial_step(state, active, lower - y, upper - y))
+        # Exactly on the bound, not beside it by rounding.
+        trial = jnp.clip(y + step, lower, upper)
         if "linearise" in options:
             residual, jacobian, factor, projected, aux = options["linearise"](trial, args)
         else:
@@ -170,15 +177,19 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         state = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), moved, stayed)
         return jnp.where(accepted, trial, y), state, state.aux
 
-    def _trial_step(self, state: MarquardtState, active: Array) -> Array:
-        """Minimise |R s + Q^T r|^2 + lambda |D s|^2 over the box of the largest step.
+    def _trial_step(
+        self, state: MarquardtState, active: Array, lowest: Array, highest: Array
+    ) -> Array:
+        """Minimise |R s + Q^T r|^2 + lambda |D s|^2 between the bounds and in the largest step.
 
-        Coordinates that want to leave the box stay on its side, and the others are solved for
+        Coordinates that want to leave this box stay on its side, and the others are solved for
         again: to shorten the whole step would let one weak parameter hold up all of them.
         """
         # A column that is zero (a parameter that is held) must not make the system singular.
         scale = jnp.where(state.scale > 0, state.scale, 1)
         damping = jnp.diag(jnp.sqrt(state.damping) * scale)
+        lowest = jnp.maximum(lowest, -self.largest_step)
+        highest = jnp.minimum(highest, self.largest_step)
 
         def solve(direct: Array, held: Array) -> Array:
             matrix = jnp.concatenate([jnp.where(held[None], 0, state.factor), damping])
@@ -187,11 +198,12 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
             operator = lx.MatrixLinearOperator(matrix)
             return lx.linear_solve(operator, vector, solver=lx.QR(), throw=False).value + direct
 
-        free = solve(jnp.zeros_like(scale), ~active)
-        far = jnp.abs(free) > self.largest_step
-        boxed = jnp.clip(free, -self.largest_step, self.largest_step)
-        again = solve(jnp.where(far, boxed, 0), far | ~active)
-        return jnp.clip(again, -self.largest_step, self.largest_step)
+        step, held = jnp.zeros_like(scale), ~active
+        for _ in range(_SIDES):
+            step = solve(jnp.where(held, step, 0), held)
+            far = (step < lowest) | (step > highest)
+            step, held = jnp.clip(step, lowest, highest), held | far
+        return step
 
     def terminate(
         self,
@@ -205,7 +217,7 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         """Converged, stuck, or neither."""
         size = state.residual.shape[0] - state.projected.shape[0]
         noise = jnp.sqrt(2 * state.cost / max(size, 1))
-        near = _explicable(state, self.distance * noise) <= self.distance * noise
+        near = self._explicable(y, options, state, noise) <= self.distance * noise
         # Data without noise: nothing is left that a step could lower.
         perfect = state.cost <= self.floor
         tiny = jnp.all(jnp.abs(state.step) <= self.atol + self.rtol * jnp.abs(y))
@@ -219,6 +231,26 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
             converged | ~stuck, optx.RESULTS.successful, optx.RESULTS.nonlinear_divergence
         )
         return converged | stuck, result
+
+    def _explicable(
+        self, y: Array, options: dict[str, Any], state: MarquardtState, noise: Scalar
+    ) -> Scalar:
+        """Norm of the part of the residual that the parameters could still explain, to first order.
+
+        Directions in which nothing responds (held or collinear parameters) do not count: there
+        Q is arbitrary. Nor do coordinates to which the residual responds by less than the distance
+        that is asked for, as on their way to infinity: they would run on for ever; nor those that
+        are at a bound and would only leave it outwards.
+        """
+        lower, upper = _bounds(y, options)
+        uphill = state.factor.T @ state.projected
+        outwards = ((y <= lower) & (uphill > 0)) | ((y >= upper) & (uphill < 0))
+        scale = jnp.where(state.scale > 0, state.scale, 1)
+        norms = jnp.linalg.norm(state.factor, axis=0)
+        moves = (norms > self.distance * noise) & ~outwards
+        left, singular, _ = jnp.linalg.svd(jnp.where(moves[None], state.factor / scale[None], 0))
+        along = left.T @ state.projected
+        return jnp.linalg.norm(jnp.where(singular > 1e-8 * jnp.max(singular), along, 0))
 
     def postprocess(
         self,
@@ -235,18 +267,10 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         return y, aux, {"cost": state.cost, "evaluations": state.evaluations}
 
 
-def _explicable(state: MarquardtState, least: Scalar) -> Scalar:
-    """Norm of the part of the residual that the parameters could still explain, to first order.
-
-    Directions in which nothing responds (held or collinear parameters) do not count: there
-    Q is arbitrary. Nor do coordinates to which the residual responds by less than `least`, such
-    as the logarithm of a parameter whose optimum is at zero: they would run on for ever.
-    """
-    scale = jnp.where(state.scale > 0, state.scale, 1)
-    moves = jnp.linalg.norm(state.factor, axis=0) > least
-    left, singular, _ = jnp.linalg.svd(jnp.where(moves[None], state.factor / scale[None], 0))
-    along = left.T @ state.projected
-    return jnp.linalg.norm(jnp.where(singular > 1e-8 * jnp.max(singular), along, 0))
+def _bounds(y: Array, options: dict[str, Any]) -> tuple[Array, Array]:
+    """Bounds of the parameters, infinite where the options have none."""
+    unbounded = jnp.full(y.shape, jnp.inf, y.dtype)
+    return options.get("lower", -unbounded), options.get("upper", unbounded)
 
 
 def _linearise(fn: Callable, y: Array, args: Any) -> tuple[Array, Array, Array, Array, Any]:

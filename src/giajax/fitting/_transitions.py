@@ -39,9 +39,13 @@ def begin(setup: Setup) -> FitState:
     own = own_begun(groups, setup.runs, setup.own)
     # Each value of a parameter, of which there is one for all runs or one for each group of them.
     each = [p for p, places in zip(parameters, layout.places, strict=True) for _ in places]
-    bijector = Bijector(
+    start = np.asarray([*setup.starts(), *own])
+    # Values of one path share a map, whose coordinates are those of its first value.
+    first = [places[0] for places in layout.places for _ in places]
+    bijector = Bijector.of(
         (*(p.declaration.lower for p in each), *(-np.inf for _ in own)),
         (*(p.declaration.upper for p in each), *(np.inf for _ in own)),
+        (*start[first], *own),
     )
     problem = Problem(
         model=model,
@@ -54,7 +58,6 @@ def begin(setup: Setup) -> FitState:
     )
     known = Priors.of(setup.priors, coordinate_paths(problem))
     problem = dataclasses.replace(problem, priors=known)
-    start = np.asarray([*setup.starts(), *own])
     # A parameter whose start and default are zero has no size of its own: one unit.
     defaults = np.asarray([*(p.declaration.default for p in each), *(0.0 for _ in own)])
     sizes = np.maximum(np.abs(start), np.abs(defaults))
@@ -194,7 +197,8 @@ def _blank(solver: Marquardt, problem: Problem, coordinate: Array) -> MarquardtS
 def _step(
     solver: Marquardt, coordinate: Array, problem: Problem, state: MarquardtState, active: Array
 ) -> tuple[Array, MarquardtState, Array, Array]:
-    options = {"active": active, "linearise": linearise}
+    lower, upper = problem.bijector.ends()
+    options = {"active": active, "linearise": linearise, "lower": lower, "upper": upper}
     coordinate, state, _ = solver.step(residual, coordinate, problem, options, state, frozenset())
     done, result = solver.terminate(residual, coordinate, problem, options, state, frozenset())
     return coordinate, state, done, done & (result == optx.RESULTS.successful)
