@@ -92,7 +92,9 @@ def problem_of(runs, loss="linear"):
     layout = Layout.of(["decay"], {}, len(runs))
     groups = build_groups(model, runs, Noise.of(runs, "correlated", per_run=False), layout)
     own = own_start(groups)
-    bijector = Bijector((0.0, *(-np.inf for _ in own)), (9.0, *(np.inf for _ in own)))
+    bijector = Bijector.of(
+        (0.0, *(-np.inf for _ in own)), (9.0, *(np.inf for _ in own)), (1.5, *own)
+    )
     problem = Problem(model, groups, bijector, ("decay",), loss)
     coordinate = jnp.asarray(bijector.inverse(np.array([1.5, *own])))
     return problem, coordinate

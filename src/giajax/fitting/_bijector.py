@@ -10,7 +10,10 @@ import numpy as np
 from .._typing import Array, Float
 
 # Part of the distance between a start and its bound within which the coordinate is linear.
-_NEAR = 0.3
+_NEAR = 0.1
+
+# A start that is nearer to its bound than this part of the size of the parameter is at it.
+_AT_BOUND = 1e-6
 
 
 class Bijector(eqx.Module):
@@ -34,20 +37,28 @@ class Bijector(eqx.Module):
     below_upper: Float[Array, " parameter"]
 
     @classmethod
-    def of(cls, lower: Sequence[float], upper: Sequence[float], start: Sequence[float]) -> Self:
+    def of(
+        cls,
+        lower: Sequence[float],
+        upper: Sequence[float],
+        start: Sequence[float],
+        size: float | Sequence[float] = 1.0,
+    ) -> Self:
         """The map for a fit from a start.
 
         Arguments:
             lower, upper: bounds, infinite where there is none, shape (parameter,).
-            start: of the parameters, shape (parameter,); one that is at its bound tells nothing
-                of how near is near, and the unit counts.
+            start: of the parameters, shape (parameter,).
+            size: typical size of each, which tells how near is near where the start is at its
+                bound; shape (parameter,).
         """
         low, high, begun = (np.asarray(each, dtype=float) for each in (lower, upper, start))
         width = np.where(np.isfinite(low) & np.isfinite(high), high - low, np.inf)
+        usual = np.minimum(size, width)
 
         def near(distance: np.ndarray) -> Array:
-            known = np.where(np.isfinite(distance) & (distance > 0), distance, np.minimum(1, width))
-            return jnp.asarray(_NEAR * known, jnp.result_type(float))
+            known = np.isfinite(distance) & (distance > _AT_BOUND * usual)
+            return jnp.asarray(_NEAR * np.where(known, distance, usual), jnp.result_type(float))
 
         return cls(tuple(low.tolist()), tuple(high.tolist()), near(begun - low), near(high - begun))
 

@@ -9,11 +9,12 @@ import numpy as np
 
 from .._errors import InputError
 from ._budget import Budget
+from ._ends import nearly, stopped_by
 from ._identifiability import responds
-from ._records import Iteration
+from ._records import Iteration, Reason
 from ._reestimate import reestimate
 from ._state import FitState
-from ._transitions import release, reweight, step, trial
+from ._transitions import reweight, step, trial
 
 
 def descend(
@@ -44,8 +45,8 @@ def descend(
     reached = state
     try:
         while reached.ending is None:
-            if (reason := _limit(reached, max_iterations, budget)) is not None:
-                return reached.ended("not_converged", reason)
+            if (limit := _limit(reached, max_iterations, budget)) is not None:
+                return reached.ended("not_converged", *limit)
             shown, reached = len(reached.history), advance(reached)
             if keep is not None:
                 keep(reached)
@@ -60,23 +61,28 @@ def descend(
         return reached.ended(
             "interrupted",
             f"interrupted after {reached.trials} iterations; this is the best so far",
+            "interrupted",
         )
     return reached
 
 
-def _limit(state: FitState, max_iterations: int, budget: Budget | None) -> str | None:
+def _limit(
+    state: FitState, max_iterations: int, budget: Budget | None
+) -> tuple[str, Reason] | None:
     """Why no further step may be tried; None where one may."""
     if not state.evaluated or state.done:
         return None
     if state.trials >= max_iterations:
         return (
             f"no optimum after {state.trials} iterations: start nearer, free fewer "
-            "parameters or allow more iterations"
+            "parameters or allow more iterations",
+            "iterations",
         )
     if budget is not None and budget.left() < float(np.median(state.step_seconds[1:] or [0.0])):
         return (
             f"{budget.ended_it} after {state.trials} iterations; this is the best so far: go on "
-            "from there, or allow more time"
+            "from there, or allow more time",
+            "budget",
         )
     return None
 
@@ -90,16 +96,14 @@ def advance(state: FitState) -> FitState:
     if not state.evaluated:
         return _at_start(state)
     if not state.done:
-        return trial(state)
-    there = release(state) if state.releases_left else None
-    if there is not None:
-        return _released(state, there)
-    if not state.converged:
-        return state.ended(
-            "not_converged",
-            "no step lowers the cost any further, and the optimum is not reached: "
-            "start elsewhere or free fewer parameters",
-        )
+        state = trial(state)
+        stopped = stopped_by(state)
+        if stopped is None:
+            return state
+        word, sentence = stopped
+        if word == "rough" and nearly(state):
+            return dataclasses.replace(state, done=True, converged=True)
+        return state.ended("not_converged", sentence, word)
     return _next_round(state)
 
 
@@ -120,19 +124,7 @@ def _at_start(state: FitState) -> FitState:
     )
     if np.any(moves):
         return state
-    return state.ended("not_converged", "no channel responds to any of the free parameters")
-
-
-def _released(state: FitState, there: FitState) -> FitState:
-    """From a point off the bounds where that is better, or else back and believing the bound."""
-    tried = dataclasses.replace(step(there), trials=state.trials + 1)
-    if tried.cost < state.cost:
-        tried = tried.recorded(accepted=True)
-        return dataclasses.replace(tried, releases_left=state.releases_left - 1, done=False)
-    back = dataclasses.replace(
-        state, trials=tried.trials, step_seconds=tried.step_seconds, releases_left=0
-    )
-    return back.recorded(accepted=False)
+    return state.ended("not_converged", "no channel responds to any of the free parameters", "no_response")
 
 
 def _next_round(state: FitState) -> FitState:
@@ -142,10 +134,10 @@ def _next_round(state: FitState) -> FitState:
     """
     end = f"converged in {state.trials} iterations"
     if not state.rounds_left:
-        return state.ended("converged", end)
+        return state.ended("converged", end, "optimum")
     noise = reestimate(state)
     settled = noise.values == state.noise.values and noise.weights is state.noise.weights
     state = dataclasses.replace(state, noise=noise)
     if settled:
-        return state.ended("converged", end)
+        return state.ended("converged", end, "optimum")
     return step(reweight(state, noise)).next_round()

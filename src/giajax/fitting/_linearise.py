@@ -48,7 +48,8 @@ def linearise(
         whole = whitened(jnp.concatenate([block, row[:, None]], axis=1), whitening)
         block, row = whole[:, :-1], whole[:, -1]
         if problem.loss != "linear":
-            ratio = curvature_ratio(problem.loss, row, (weight > 0).ravel() * 1.0)[:, None]
+            measured = (weight > 0).ravel().astype(row.dtype)
+            ratio = curvature_ratio(problem.loss, row, measured)[:, None]
             whole = jnp.concatenate([whole[:, :-1] * ratio, whole[:, -1:] / ratio], axis=1)
         # A failed run has NaN here; its step is rejected, and nobody reads the triangle.
         triangle = jnp.linalg.qr(jnp.where(jnp.isfinite(whole), whole, 0), mode="r")

@@ -112,9 +112,9 @@ def curvature_ratio(
         far = square > 2 * (jnp.sqrt(2.0) - 1)
     else:
         far = square > 1
-        slope = jnp.where(far, 1 / jnp.where(far, square, 1), 1)
+        slope = 1 / jnp.where(far, square, 1)
         reweighted = jnp.where(far, 2 / (square + 1), 1)
-        curvature = jnp.where(far, 0, 1)
-    share = jnp.sum(far * measured) / jnp.maximum(jnp.sum(measured), 1)
+        curvature = jnp.where(far, 0.0, 1.0)
+    share = jnp.sum(jnp.where(far, measured, 0)) / jnp.maximum(jnp.sum(measured), 1)
     off = jnp.clip((share - _NOISE_ALONE) / (_FAR - _NOISE_ALONE), _KEPT, 1)
     return jnp.sqrt((off * reweighted + (1 - off) * curvature) / slope)

@@ -28,6 +28,7 @@ from ._records import (
     GradientCheck,
     Iteration,
     NoiseFit,
+    Reason,
     Seconds,
     Start,
     Status,
@@ -82,6 +83,11 @@ class FitResult:
             empty for a fit of runs without a task.
         predictions: predicted channels (SI) of each run, by name; empty after `load_result`.
         held_predictions: those of each of `held_out`, likewise.
+        reason: what ended the fit: "optimum"; "iterations" or "budget", which were used up;
+            "rough" (no step lowers a cost that is not smooth), "wall" (the model cannot be
+            evaluated beyond), "crawl" (the cost hardly falls any more), "cannot_fit" (the model
+            describes the data hardly better than a constant), "no_response" (of any channel to
+            what is free); "interrupted"; empty in a file of an earlier version.
     """
 
     status: Status
@@ -112,6 +118,7 @@ class FitResult:
     task: dict[str, Any] = dataclasses.field(default_factory=dict)
     predictions: tuple[dict[str, np.ndarray], ...] = ()
     held_predictions: tuple[dict[str, np.ndarray], ...] = ()
+    reason: Reason = ""
 
     @property
     def free(self) -> dict[str, Estimate]:

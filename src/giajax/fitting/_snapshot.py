@@ -18,7 +18,7 @@ from ._state import FitState
 from ._transitions import move, reweight, step
 
 # The numbers of the solver that its next step depends on, apart from what is evaluated anew.
-_SOLVER = ("damping", "growth", "scale", "step", "accepted", "evaluations")
+_SOLVER = ("damping", "growth", "scale", "step", "accepted", "sound", "evaluations")
 
 
 class FitJournal(Protocol):
@@ -73,10 +73,10 @@ def restored(begun: FitState, journal: FitJournal) -> tuple[FitState, float]:
         converged=bool(last["converged"]),
         trials=int(last["trials"]),
         rounds_left=int(last["rounds_left"]),
-        releases_left=int(last["releases_left"]),
+        round_began=int(last["round_began"]),
         history=tuple(Iteration(**item) for line in journal.kept for item in line["history"]),
         step_seconds=tuple(float(item) for line in journal.kept for item in line["step_seconds"]),
-        ending=None if ending is None else (ending[0], str(ending[1])),
+        ending=None if ending is None else (ending[0], str(ending[1]), ending[2]),
     )
     return state, float(last["seconds"])
 
@@ -103,7 +103,7 @@ def keeper(state: FitState, journal: FitJournal, elapsed: Callable[[], float]) -
             "done": reached.done,
             "converged": reached.converged,
             "rounds_left": reached.rounds_left,
-            "releases_left": reached.releases_left,
+            "round_began": reached.round_began,
             "noise": reached.noise.to_plain(),
             "history": [dataclasses.asdict(item) for item in reached.history[shown:]],
             "step_seconds": list(reached.step_seconds[stepped:]),

@@ -36,6 +36,7 @@ class MarquardtState(eqx.Module):
         damping: Marquardt's lambda; `growth` is what the next rejection multiplies it by.
         step: last accepted or rejected step.
         accepted: whether the last step was accepted.
+        sound: whether everything was finite where it led to.
         aux: auxiliary output at the accepted point.
         evaluations: how often value and Jacobian were computed.
     """
@@ -50,6 +51,7 @@ class MarquardtState(eqx.Module):
     growth: Scalar
     step: Float[Array, " parameter"]
     accepted: Bool[Array, ""]
+    sound: Bool[Array, ""]
     aux: Any
     evaluations: Array
 
@@ -111,6 +113,7 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
             growth=jnp.asarray(4.0, dtype),
             step=jnp.zeros(size, dtype),
             accepted=jnp.asarray(False),
+            sound=jnp.asarray(False),
             aux=jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), aux_struct),
             evaluations=jnp.asarray(0),
         )
@@ -160,17 +163,19 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
             growth=jnp.asarray(4.0, y.dtype),
             step=step,
             accepted=jnp.asarray(True),
+            sound=sound,
             aux=aux,
             evaluations=state.evaluations + 1,
         )
         stayed = eqx.tree_at(
-            lambda s: (s.damping, s.growth, s.step, s.accepted, s.evaluations),
+            lambda s: (s.damping, s.growth, s.step, s.accepted, s.sound, s.evaluations),
             state,
             (
                 jnp.maximum(state.damping, 1e-8) * state.growth,
                 state.growth * 2,
                 step,
                 jnp.asarray(False),
+                sound,
                 state.evaluations + 1,
             ),
         )
@@ -217,7 +222,7 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         """Converged, stuck, or neither."""
         size = state.residual.shape[0] - state.projected.shape[0]
         noise = jnp.sqrt(2 * state.cost / max(size, 1))
-        near = self._explicable(y, options, state, noise) <= self.distance * noise
+        near = self.explicable(y, options, state, self.distance * noise) <= self.distance * noise
         # Data without noise: nothing is left that a step could lower.
         perfect = state.cost <= self.floor
         tiny = jnp.all(jnp.abs(state.step) <= self.atol + self.rtol * jnp.abs(y))
@@ -232,22 +237,22 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         )
         return converged | stuck, result
 
-    def _explicable(
-        self, y: Array, options: dict[str, Any], state: MarquardtState, noise: Scalar
+    def explicable(
+        self, y: Array, options: dict[str, Any], state: MarquardtState, least: Scalar | float
     ) -> Scalar:
         """Norm of the part of the residual that the parameters could still explain, to first order.
 
         Directions in which nothing responds (held or collinear parameters) do not count: there
-        Q is arbitrary. Nor do coordinates to which the residual responds by less than the distance
-        that is asked for, as on their way to infinity: they would run on for ever; nor those that
-        are at a bound and would only leave it outwards.
+        Q is arbitrary. Nor do coordinates to which the residual responds by no more than `least`,
+        as on their way to infinity: they would run on for ever; nor those that are at a bound and
+        would only leave it outwards.
         """
         lower, upper = _bounds(y, options)
         uphill = state.factor.T @ state.projected
         outwards = ((y <= lower) & (uphill > 0)) | ((y >= upper) & (uphill < 0))
         scale = jnp.where(state.scale > 0, state.scale, 1)
         norms = jnp.linalg.norm(state.factor, axis=0)
-        moves = (norms > self.distance * noise) & ~outwards
+        moves = (norms > least) & ~outwards
         left, singular, _ = jnp.linalg.svd(jnp.where(moves[None], state.factor / scale[None], 0))
         along = left.T @ state.projected
         return jnp.linalg.norm(jnp.where(singular > 1e-8 * jnp.max(singular), along, 0))

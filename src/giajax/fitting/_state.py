@@ -10,14 +10,11 @@ from ._configuration import Setup
 from ._jacobian import BlockJacobian
 from ._noise import Noise
 from ._problem import Problem
-from ._records import Iteration, Status
+from ._records import Iteration, Reason, Status
 from ._solver import Marquardt, MarquardtState
 
 # How often the noise is estimated anew, unless it settles before.
 _NOISE_ROUNDS = 3
-
-# How often parameters may be moved off their bounds before the bound is believed.
-_RELEASES = 3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,10 +35,11 @@ class FitState:
         converged: whether it stopped at an optimum.
         trials: steps that were tried.
         rounds_left: how often the noise may still be estimated anew.
-        releases_left: how often parameters may still be moved off their bounds.
+        round_began: how long the history was when the noise in use was estimated.
         history: the start and each trial.
         step_seconds: wall time of each evaluation; the first one compiles.
-        ending: how the fit ended and one sentence about it; None while it goes on.
+        ending: how the fit ended, one sentence about it, and the word of `FitResult.reason`; None
+            while it goes on.
     """
 
     setup: Setup
@@ -57,10 +55,10 @@ class FitState:
     converged: bool = False
     trials: int = 0
     rounds_left: int = _NOISE_ROUNDS
-    releases_left: int = _RELEASES
+    round_began: int = 0
     history: tuple[Iteration, ...] = ()
     step_seconds: tuple[float, ...] = ()
-    ending: tuple[Status, str] | None = None
+    ending: tuple[Status, str, Reason] | None = None
 
     @property
     def cost(self) -> float:
@@ -112,11 +110,11 @@ class FitState:
         return dataclasses.replace(self, history=(*self.history, iteration))
 
     def next_round(self) -> Self:
-        """With one estimation of the noise less, and the bounds to be believed anew."""
+        """With one estimation of the noise less."""
         return dataclasses.replace(
-            self, rounds_left=self.rounds_left - 1, releases_left=_RELEASES, done=False
+            self, rounds_left=self.rounds_left - 1, round_began=len(self.history), done=False
         )
 
-    def ended(self, status: Status, message: str) -> Self:
+    def ended(self, status: Status, message: str, reason: Reason) -> Self:
         """The end of the fit."""
-        return dataclasses.replace(self, ending=(status, message))
+        return dataclasses.replace(self, ending=(status, message, reason))
