@@ -6,6 +6,7 @@ from typing import Self
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 
 from .._typing import Array, Float
 
@@ -42,7 +43,7 @@ class Bijector(eqx.Module):
         lower: Sequence[float],
         upper: Sequence[float],
         start: Sequence[float],
-        size: float | Sequence[float] = 1.0,
+        size: npt.ArrayLike = 1.0,
     ) -> Self:
         """The map for a fit from a start.
 
@@ -86,7 +87,7 @@ class Bijector(eqx.Module):
     def forward(self, coordinate: Float[Array, " parameter"]) -> Float[Array, " parameter"]:
         """Parameters at coordinates between those of their bounds."""
         below, above, lower, upper = self._kinds()
-        # exp(t) of what is not bounded, or by its upper bound alone, may overflow in the other branch.
+        # Of what has no such bound exp(t) may overflow, in the branch that is not taken.
         t = jnp.where(below, coordinate, 0)
         up = lower + self.above_lower * jnp.expm1(t) / (1 + self._bend() * jnp.exp(t))
         t = jnp.where(above & ~below, coordinate, 0)

@@ -11,7 +11,8 @@ from .._errors import InputError
 from ._budget import Budget
 from ._ends import nearly, stopped_by
 from ._identifiability import responds
-from ._records import Iteration, Reason
+from ._reason import Reason
+from ._records import Iteration
 from ._reestimate import reestimate
 from ._state import FitState
 from ._transitions import reweight, step, trial
@@ -124,7 +125,9 @@ def _at_start(state: FitState) -> FitState:
     )
     if np.any(moves):
         return state
-    return state.ended("not_converged", "no channel responds to any of the free parameters", "no_response")
+    return state.ended(
+        "not_converged", "no channel responds to any of the free parameters", "no_response"
+    )
 
 
 def _next_round(state: FitState) -> FitState:

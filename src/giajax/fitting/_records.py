@@ -12,20 +12,6 @@ from typing import Any, Literal, Self
 
 Status = Literal["converged", "not_converged", "interrupted"]
 
-Reason = Literal[
-    "optimum",
-    "iterations",
-    "budget",
-    "rough",
-    "wall",
-    "crawl",
-    "cannot_fit",
-    "no_response",
-    "interrupted",
-    "",
-]
-"""What ended a fit; empty in a file of an earlier version."""
-
 
 @dataclasses.dataclass(frozen=True)
 class Iteration:

@@ -22,13 +22,13 @@ from ..verdict import Verdict
 from ._findings import Finding
 from ._of_runs import model_of_run, rows_of_runs
 from ._predict import predict
+from ._reason import Reason
 from ._records import (
     Correlation,
     Estimate,
     GradientCheck,
     Iteration,
     NoiseFit,
-    Reason,
     Seconds,
     Start,
     Status,

@@ -14,14 +14,10 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import lineax as lx
 import optimistix as optx
 
 from .._typing import Array, Bool, Float, Scalar
-
-
-# How often coordinates that leave the box of a step are put on its sides, and the rest solved anew.
-_SIDES = 3
+from ._box import boxed_step, towards
 
 
 class MarquardtState(eqx.Module):
@@ -131,7 +127,10 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         first = jnp.isinf(state.cost)
         active = options.get("active", jnp.ones(y.shape, bool))
         lower, upper = _bounds(y, options)
-        step = jnp.where(first, 0, self._trial_step(state, active, lower - y, upper - y))
+        weights = jnp.sqrt(state.damping) * jnp.where(state.scale > 0, state.scale, 1)
+        box = towards(lower - y, -self.largest_step), towards(upper - y, self.largest_step)
+        step = boxed_step(state.factor, state.projected, weights, box, active)
+        step = jnp.where(first, 0, step)
         # Exactly on the bound, not beside it by rounding.
         trial = jnp.clip(y + step, lower, upper)
         if "linearise" in options:
@@ -141,7 +140,9 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         factor = jnp.where(active[None], factor, 0)
         cost = jnp.sum(residual**2) / 2
         finite = [jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(jacobian)]
+        # Derivatives may be finite and yet so large that their squares are not.
         sound = jnp.isfinite(cost) & jnp.all(jnp.stack(finite))
+        sound = sound & jnp.isfinite(jnp.sum(factor**2))
 
         linear = state.projected + state.factor @ step
         expected = (jnp.sum(state.projected**2) - jnp.sum(linear**2)) / 2
@@ -181,34 +182,6 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         )
         state = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), moved, stayed)
         return jnp.where(accepted, trial, y), state, state.aux
-
-    def _trial_step(
-        self, state: MarquardtState, active: Array, lowest: Array, highest: Array
-    ) -> Array:
-        """Minimise |R s + Q^T r|^2 + lambda |D s|^2 between the bounds and in the largest step.
-
-        Coordinates that want to leave this box stay on its side, and the others are solved for
-        again: to shorten the whole step would let one weak parameter hold up all of them.
-        """
-        # A column that is zero (a parameter that is held) must not make the system singular.
-        scale = jnp.where(state.scale > 0, state.scale, 1)
-        damping = jnp.diag(jnp.sqrt(state.damping) * scale)
-        lowest = jnp.maximum(lowest, -self.largest_step)
-        highest = jnp.minimum(highest, self.largest_step)
-
-        def solve(direct: Array, held: Array) -> Array:
-            matrix = jnp.concatenate([jnp.where(held[None], 0, state.factor), damping])
-            load = state.projected + state.factor @ direct
-            vector = jnp.concatenate([-load, jnp.zeros_like(load)])
-            operator = lx.MatrixLinearOperator(matrix)
-            return lx.linear_solve(operator, vector, solver=lx.QR(), throw=False).value + direct
-
-        step, held = jnp.zeros_like(scale), ~active
-        for _ in range(_SIDES):
-            step = solve(jnp.where(held, step, 0), held)
-            far = (step < lowest) | (step > highest)
-            step, held = jnp.clip(step, lowest, highest), held | far
-        return step
 
     def terminate(
         self,

@@ -10,7 +10,8 @@ from ._configuration import Setup
 from ._jacobian import BlockJacobian
 from ._noise import Noise
 from ._problem import Problem
-from ._records import Iteration, Reason, Status
+from ._reason import Reason
+from ._records import Iteration, Status
 from ._solver import Marquardt, MarquardtState
 
 # How often the noise is estimated anew, unless it settles before.
