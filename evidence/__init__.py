@@ -10,6 +10,7 @@ module with a `Study`, and a line in `STUDIES`.
 
 from ._coverage import COVERAGE
 from ._kills import KILLS
+from ._ladder import LADDER
 from ._noise import NOISE
 from ._page import PAGE as PAGE, page as page
 from ._record import (
@@ -22,4 +23,4 @@ from ._record import (
 from ._study import Study as Study
 from ._suspects import SUSPECTS
 
-STUDIES = {study.name: study for study in (COVERAGE, NOISE, KILLS, SUSPECTS)}
+STUDIES = {study.name: study for study in (COVERAGE, NOISE, KILLS, SUSPECTS, LADDER)}

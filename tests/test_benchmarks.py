@@ -12,10 +12,14 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def benchmark(name, *options):
-    """Run a benchmark as its users do, in the root of the project; returns what it prints."""
+    """Run a benchmark as its users do, in the root of the project; returns what it prints.
+
+    Status 1 says that a limit is not held: that is for `make bench` on an idle machine.
+    """
     command = [sys.executable, "-m", f"benchmarks.{name}", *map(str, options)]
     ended = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
-    assert ended.returncode == 0, ended.stderr
+    assert ended.returncode in (0, 1), ended.stderr
+    assert "Traceback" not in ended.stderr, ended.stderr
     return ended.stdout
 
 
@@ -86,10 +90,7 @@ def test_the_cost_of_every_option_is_measured(tmp_path):
 
 @pytest.mark.slow
 def test_the_benchmark_of_the_start_runs():
-    command = [sys.executable, "-m", "benchmarks.startup", "--quick"]
-    ended = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
-    assert ended.stderr == ""
-    assert re.search(r"ratio +[0-9.]+, at most 1.5", ended.stdout)
+    assert re.search(r"ratio +[0-9.]+, at most 1.5", benchmark("startup", "--quick"))
 
 
 @pytest.mark.slow

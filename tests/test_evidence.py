@@ -88,6 +88,25 @@ def test_an_omission_is_seen_and_found():
     assert sum(each["found"] for each in known) >= 0.8 * size * len(known)
 
 
+@pytest.mark.quick
+def test_the_ladder_leads_to_what_acts_on_a_link_for_its_mass():
+    """Within 3 standard errors, from a fit that has a third of it; with the mass, to all of it."""
+    _, figures = figures_of("ladder")
+    drag, stiffness = "air.drag_coefficient", "joints.pitch_stiffness"
+    for path in (drag, stiffness, "joints.damping"):
+        assert is_within(figures["for_their_mass"][path]), path
+        assert is_within(figures["with_the_mass"][path]), path
+    first = figures["rungs"][0]["parameters"][drag]
+    assert abs(first["value"] - 1.2) > 100 * first["error"]
+    # With the masses free, too, neither has an error.
+    assert "only_combinations" in figures["scale"]["findings"]
+    assert {"links.mass[0]", drag, stiffness} <= set(figures["scale"]["without_error"])
+
+
+def is_within(one):
+    return abs(one["value"] - one["truth"]) < 3 * one["error"]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("study", STORED.values(), ids=list(STORED))
 def test_a_part_of_a_study_run_again_agrees_with_what_is_stored(study):

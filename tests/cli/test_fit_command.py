@@ -12,6 +12,7 @@ import sys
 import numpy as np
 import pytest
 
+from evidence._kills import SLOWLY
 from giajax import InputError
 from giajax.cli import main
 from giajax.fitting import load_result
@@ -338,27 +339,14 @@ def test_an_interruption_in_the_loop_writes_the_best_so_far(data, tmp_path, monk
     assert (result.status, result.iterations) == ("interrupted", 2)
 
 
-SLOWLY = """
-import sys, time
-import giajax.cli._progress as command
-from giajax import InputError
-from giajax.cli import main
-shown = command.Progress.__call__
-def slowly(self, iteration):
-    shown(self, iteration)
-    time.sleep(1.0)
-command.Progress.__call__ = slowly
-sys.exit(main())
-"""
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("moment", ["compiling", "1"])
 def test_ctrl_c_of_the_process(data, tmp_path, moment):
     environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path / "cache")}
     del environment["JAX_COMPILATION_CACHE_DIR"]
+    code = SLOWLY.format(seconds=1.0)
     process = subprocess.Popen(
-        [sys.executable, "-c", SLOWLY, "fit", "--data", str(data), *STARTS, "--out", "out"],
+        [sys.executable, "-c", code, "fit", "--data", str(data), *STARTS, "--out", "out"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from evidence._kills import SLOWLY
 from giajax import load_result
 from giajax.cli import main
 from giajax.cli._time_left import TimeLeft
@@ -20,19 +21,6 @@ from giajax.tasks import read_journal
 from small_loops import write_task
 
 FIT = ("fit", "loops_fit.toml", "--no-figures", "--out", "out")
-
-# A fit whose steps take as long as those of a long arm, so that there is a moment to stop it.
-SLOWLY = """
-import sys, time
-import giajax.cli._progress as command
-from giajax.__main__ import main
-shown = command.Progress.__call__
-def slowly(self, iteration):
-    shown(self, iteration)
-    time.sleep({seconds})
-command.Progress.__call__ = slowly
-sys.exit(main())
-"""
 
 
 @pytest.fixture

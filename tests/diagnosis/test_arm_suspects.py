@@ -17,8 +17,6 @@ CHANNELS = [f"link{link:02d}_{axis}" for link in (2, 4) for axis in "xyz"]
 TIMES = np.linspace(0.0, 4.0, 41)
 RAMP = np.clip(TIMES / 0.5, 0, 1)
 COMMANDS = {"joint01_command": 0.6 * RAMP, "joint02_command": -0.5 * RAMP}
-# Each kind at full size is a study, `evidence/_suspects.py`.
-OMISSIONS = {"camera.delay": 0.1, "joints.friction": 0.06}
 
 
 def arm(**options):
@@ -33,13 +31,12 @@ def recorded(truth, seed=0):
 
 @pytest.mark.slow
 def test_an_omission_comes_first():
-    for path, value in OMISSIONS.items():
-        recording = recorded({path: value})
-        result = giajax.fit(arm(), recording, start=small_arm.START, check=False)
-        first = suspects(result, recording).promising[0]
-        names = {name.partition("[")[0] for name in (first.path, *first.alike)}
-        assert path in names, first
-        assert first.p_value < 0.05
+    """A late camera; each kind at full size is a study, `evidence/_suspects.py`."""
+    recording = recorded({"camera.delay": 0.1})
+    result = giajax.fit(arm(), recording, start=small_arm.START, check=False)
+    first = suspects(result, recording).promising[0]
+    assert "camera.delay" in (first.path, *first.alike), first
+    assert first.p_value < 0.05
 
 
 @pytest.mark.slow

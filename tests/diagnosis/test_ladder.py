@@ -11,6 +11,7 @@ from giajax import fit, ladder, suspects
 from giajax.diagnosis import Rung
 from giajax.diagnosis._axes import all_axes, name_of, turned_back
 from giajax.diagnosis._ladder import _spare
+from giajax.noise import by_second_differences
 from giajax.runs import parted
 from giajax.study import refit
 
@@ -125,3 +126,29 @@ def test_axes_of_a_run_are_turned_back():
     assert np.array_equal(back.values["tip_x"], recording.values["tip_y"])
     assert back.channels["tip_x"].component == 0
     assert set(back.observations) == set(recording.observations)
+
+
+def test_rungs_among_outliers_are_compared_by_one_likelihood():
+    """Each fit takes less noise than the one before: no weight of its own may enter."""
+    recording = recorded(late=0.05, seed=2, noise=False)
+    random = np.random.default_rng(0)
+    wild = {
+        name: values + np.where(random.uniform(size=120) < 0.05, 0.4, 0.0)
+        for name, values in recording.values.items()
+    }
+    outlying = dataclasses.replace(recording, values=wild)
+    steps = ladder(fitted(outlying, loss="huber"), outlying)
+    assert steps.rungs[1].suspect.path == "late"
+
+    def left_over(rung):
+        predicted = rung.result.predict(outlying)
+        return [predicted[name] - wild[name] for name in predicted]
+
+    sigmas = [by_second_differences(rest) for rest in left_over(steps.rungs[-1])]
+    for rung in steps.rungs:
+        far = np.concatenate(
+            [np.abs(rest) / sigma for rest, sigma in zip(left_over(rung), sigmas, strict=True)]
+        )
+        expected = np.sum(np.where(far < 1, far**2, 2 * far - 1))
+        assert rung.chi_square == pytest.approx(expected, rel=1e-9)
+    assert steps.rungs[0].bic - steps.rungs[-1].bic > 100

@@ -1,5 +1,7 @@
 """The score test by itself: against refits of linear problems, and as often wrong as it says."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -138,3 +140,46 @@ def test_columns_that_the_fit_cannot_tell_apart_are_alike():
     rest = projected([table(np.ones(200), columns[:, :2], asked)])
     assert alike(rest, [0], [1]) == pytest.approx(1, abs=1e-9)
     assert alike(rest, [0], [2]) < 0.99
+
+
+def with_priors(y, columns, known):
+    """Weighted squares that a fit leaves, each prior a row more."""
+    rows = np.concatenate([columns, np.pad(known[:, 1:], ((0, 0), (0, columns.shape[1] - 2)))])
+    return squares(np.append(y, -known[:, 0]), rows)
+
+
+def test_a_prior_is_one_more_row_and_keeps_a_parameter_from_imitating():
+    columns, random = smooth(), np.random.default_rng(7)
+    y = columns @ [0.1, 0.2, 0.3, 0.0] + random.normal(size=200)
+    known = np.array([[0.5, 20.0, 0.0]])
+    rest = projected([table(-y, columns[:, :2], columns[:, 2:3])], known)
+    one = score(rest, [0], [-np.inf], [np.inf])
+    drop = with_priors(y, columns[:, :2], known) - with_priors(y, columns[:, :3], known)
+    assert one.drop == pytest.approx(drop, rel=1e-9)
+    assert (rest.values, rest.parameters, list(rest.known)) == (200, 2, [200])
+    # The trace of the hat matrix: what is known beforehand costs less than a degree of freedom.
+    gram = columns[:, :2].T @ columns[:, :2]
+    trace = np.trace(np.linalg.solve(gram + np.diag([400.0, 0.0]), gram))
+    assert rest.lost == pytest.approx(trace, rel=1e-9)
+    assert 1 < rest.lost < 1.2
+    # Of what one run has alone, too.
+    own = dataclasses.replace(
+        table(-y, columns[:, 1:2], columns[:, 2:3], own=columns[:, :1]), known=known[:, :2]
+    )
+    alone = projected([own])
+    assert score(alone, [0], [-np.inf], [np.inf]).drop == pytest.approx(drop, rel=1e-9)
+    assert alone.lost == pytest.approx(trace, rel=1e-9)
+    assert (alone.values, alone.parameters) == (200, 2)
+
+
+def test_with_priors_noise_alone_is_significant_as_often_as_it_says():
+    """What is known is drawn, too: 5 % of 500, within 4 deviations."""
+    columns, random = smooth(60), np.random.default_rng(8)
+    count = 0
+    for _ in range(500):
+        truth = random.normal(size=2) / [1.0, 3.0]
+        y = columns[:, :2] @ truth + random.normal(size=60)
+        known = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 3.0]])
+        rest = projected([table(-y, columns[:, :2], columns[:, 2:3])], known)
+        count += score(rest, [0], [-np.inf], [np.inf]).p_value < 0.05
+    assert abs(count / 500 - 0.05) < 4 * np.sqrt(0.05 * 0.95 / 500)

@@ -180,9 +180,6 @@ def test_bad_input():
     result = fitted(recording)
     with pytest.raises(InputError, match=r"not those of the result: give"):
         suspects(result, other)
-    tied = dataclasses.replace(result, config={**result.config, "ties": {"offset": "twin"}})
-    with pytest.raises(InputError, match=r"the fit has ties, .*: fit without"):
-        suspects(tied, recording)
     with pytest.raises(InputError, match=r"'offset' has no elements .*: name"):
         suspects(result, recording, each=["offset"])
     with pytest.raises(InputError, match=r"'wrong' has no elements .*: name"):

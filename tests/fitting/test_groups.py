@@ -226,3 +226,16 @@ def test_a_fit_again_keeps_what_was_known():
         error = estimate.standard_error
         assert again.parameters[path].value == pytest.approx(estimate.value, abs=0.05 * error)
     assert again.parameters["amplitude"].upper == 1.9
+
+
+def test_a_prior_of_each_group_of_runs_counts_as_often_as_there_are_groups():
+    """Four values and two priors determine five parameters; without the priors they do not."""
+    short = [
+        dataclasses.replace(one, times=one.times[:2], values={"tip_z": one.values["tip_z"][:2]})
+        for one in RUNS[:2]
+    ]
+    options = {"free": ["amplitude", "decay", "offset"], "per_run": ["idle"]}
+    setup = set_up(Decay(), short, priors={"idle": Prior(3.0, deviation=0.5)}, **options)
+    assert setup.layout.size == 5
+    with pytest.raises(InputError, match=r"4 measured values cannot determine 5 parameters"):
+        set_up(Decay(), short, **options)

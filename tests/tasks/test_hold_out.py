@@ -14,6 +14,7 @@ from giajax.parameters import replace, switched_on
 from giajax.report import recorded_figure, summary
 from giajax.runs import Run, write_run
 from giajax.tasks import JOURNAL, compared, fitted_runs, held_out_runs, stored_result
+from giajax.tasks._hold_out import HoldOut
 from small_arm import LINKS, START, TRUTH
 from small_loops import write_task
 
@@ -233,3 +234,33 @@ def test_a_result_that_does_not_say_what_was_held_out(task, read, damage):
     damaged = dataclasses.replace(result, config={**result.config, **damage})
     with pytest.raises(InputError, match="fit the data anew"):
         read(damaged)
+
+
+def test_an_interruption_of_the_judgement_keeps_what_was_held_out(task, monkeypatch):
+    """A result says of all its runs what was fitted of them, also where no error is known."""
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(HoldOut, "judge", interrupt)
+    last = task.on_top(hold_out=["last"])
+    ready, result = last.prepare(), written(last, check=False)
+    assert result.status == "interrupted"
+    assert result.message.endswith("; interrupted before its validation was complete")
+    channels = [record.channels["output"] for record in result.held_out]
+    assert [(one.rmse, one.n, one.size) for one in channels] == [(None, 11, None), (None, 9, None)]
+    stored = load_result(task.out)
+    assert stored.held_out == result.held_out
+    assert summary(stored) == summary(result)
+    for again, run in zip(held_out_runs(stored), ready.held_out_runs, strict=True):
+        assert np.array_equal(again.values["output"], run.values["output"], equal_nan=True)
+
+
+def test_another_number_of_runs_is_another_fit(task):
+    result = written(task.on_top(hold_out=["other"]), check=False)
+    before = stored_result(task.out)[1]
+    assert compared(result, before) == "the numbers are the same, bit for bit"
+    before["held_out"] *= 2
+    assert compared(result, before) == (
+        "it is not the same fit: 1 runs with a part held out now, and 2 before"
+    )

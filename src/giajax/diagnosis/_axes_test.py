@@ -4,11 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..fitting import FitResult, Response, Suspect
+from ..fitting import FitResult, Response, Suspect, resolved_ties, tied
 from ..parameters import replace
 from ..runs import Run
 from ..study import begun_where_it_ended
 from ._axes import IDENTITY, Axes, coordinates, distinct_axes, name_of, seen_as
+from ._ended import models_of_runs
 from ._projection import Projected
 from ._weights import Weighing
 
@@ -25,13 +26,15 @@ def axes_row(
     ways = distinct_axes(runs)
     if not ways:
         return [], 0
-    points = [result.model]
+    points = [models_of_runs(result)]
     if result.history:
-        points.append(replace(result.model, result.history[0].parameters))
+        first = replace(result.model, result.history[0].parameters)
+        ties = resolved_ties(first, result.config.get("ties", {}))
+        points.append([tied(first, ties)] * len(runs))
     begun = begun_where_it_ended(result, runs)
     best: tuple[float, Axes, bool] | None = None
-    for number, model in enumerate(points):
-        whole = [coordinates(model, run) for run in begun]
+    for number, models in enumerate(points):
+        whole = [coordinates(model, run) for model, run in zip(models, begun, strict=True)]
         for way in ways:
             seen = [
                 seen_as(way, run, predicted, response.channels)

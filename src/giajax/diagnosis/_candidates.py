@@ -1,12 +1,12 @@
 """What may be asked of a fitted model: each parameter that it holds or leaves out."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from .._errors import InputError
-from ..fitting import Direction, SuspectKind
+from ..fitting import Direction, SuspectKind, Tie, resolved_ties
 from ..models import AbstractModel
 from ..parameters import Parameter, declared, left_out
 
@@ -44,17 +44,29 @@ class Inquiry:
     Attributes:
         model: what was left out has its neutral value.
         free: directions of the parameters that were fitted, in their order.
-        candidates: all others.
+        candidates: all others, apart from what follows from others.
         impossible: what cannot be switched on in this model, with the reason, by path.
+        ties: what follows from others, in their order.
     """
 
     model: AbstractModel
     free: tuple[Direction, ...]
     candidates: tuple[Candidate, ...]
     impossible: dict[str, str]
+    ties: tuple[Tie, ...] = ()
+
+    @property
+    def following(self) -> set[str]:
+        """Paths of the elements that follow from others."""
+        return {path for tie in self.ties for path in tie.elements}
 
 
-def inquiry(model: AbstractModel, free: Sequence[str], each: Sequence[str] = ()) -> Inquiry:
+def inquiry(
+    model: AbstractModel,
+    free: Sequence[str],
+    each: Sequence[str] = (),
+    ties: Mapping[str, str] | None = None,
+) -> Inquiry:
     """All that may be asked of a fitted model.
 
     Arguments:
@@ -62,6 +74,7 @@ def inquiry(model: AbstractModel, free: Sequence[str], each: Sequence[str] = ())
         free: paths of the parameters that were fitted.
         each: paths of arrays whose elements are asked for one by one, and together, in place of
             all in proportion.
+        ties: expressions by the paths of what follows from them.
 
     Returns:
         The model with everything on, and the directions of its parameters.
@@ -85,15 +98,18 @@ def inquiry(model: AbstractModel, free: Sequence[str], each: Sequence[str] = ())
         # One number for all joints becomes one for each.
         model = _in_full(model, known[path])
     known = declared(model)
+    order = resolved_ties(model, ties or {})
+    moved = {*free, *(path for tie in order for path in tie.elements)}
     return Inquiry(
         model=model,
         free=tuple(_free_direction(model, known, path) for path in free),
         candidates=tuple(
             candidate
             for parameter in known.values()
-            for candidate in _candidates(model, parameter, set(free), parameter.path in each)
+            for candidate in _candidates(model, parameter, moved, parameter.path in each)
         ),
         impossible=impossible,
+        ties=order,
     )
 
 
@@ -121,13 +137,13 @@ def _free_direction(model: AbstractModel, known: dict[str, Parameter], path: str
 
 
 def _candidates(
-    model: AbstractModel, parameter: Parameter, free: set[str], each: bool
+    model: AbstractModel, parameter: Parameter, moved: set[str], each: bool
 ) -> list[Candidate]:
-    """The directions of one parameter that was not fitted, or of what was not fitted of it."""
+    """The directions of one parameter that is held, or of what is held of it."""
     path, about = parameter.path, parameter.declaration
     value = np.asarray(parameter.value(model), dtype=float)
-    held = np.asarray([f"{path}[{i}]" not in free for i in range(value.size)])
-    if path in free or not np.any(held):
+    held = np.asarray([f"{path}[{i}]" not in moved for i in range(value.size)])
+    if path in moved or not np.any(held):
         return []
 
     def made(name: str, number: float, step: np.ndarray, group: str = "") -> Candidate:
@@ -139,7 +155,7 @@ def _candidates(
 
     if value.ndim == 0:
         return [made(path, float(value), np.asarray(1.0))]
-    if about.shape or each:
+    if about.shape or each or (np.sum(held) == 1 and value.size > 1):
         units = np.eye(value.size)
         return [
             made(f"{path}[{i}]", float(value[i]), units[i], group=path)

@@ -29,7 +29,10 @@ class Doubt:
 
 
 def check_uncertainty(
-    model: AbstractModel, free: Sequence[str], uncertainty: Mapping[str, npt.ArrayLike]
+    model: AbstractModel,
+    free: Sequence[str],
+    uncertainty: Mapping[str, npt.ArrayLike],
+    ties: Mapping[str, str] | None = None,
 ) -> None:
     """Refuse uncertainties that `systematic_errors` would refuse, before anything is fitted.
 
@@ -37,12 +40,14 @@ def check_uncertainty(
         model: to be fitted.
         free: paths of the parameters to fit.
         uncertainty: standard deviations of held numbers, SI, by path.
+        ties: expressions by the paths of what follows from them.
 
     Raises:
-        InputError: an unknown path, one that is fitted, or an uncertainty that is not positive.
+        InputError: an unknown path, one that is fitted or tied, or an uncertainty that is not
+            positive.
     """
     if uncertainty:
-        stated_doubts(free, inquiry(model, free), uncertainty)
+        stated_doubts(free, inquiry(model, free, ties=ties), uncertainty)
 
 
 def is_doubtful(one: Candidate, known: set[str]) -> bool:
@@ -76,6 +81,11 @@ def stated_doubts(
             raise InputError(
                 f"{fitted[0]} is fitted, and its uncertainty is what the fit finds: hold it, or "
                 "leave its uncertainty out"
+            )
+        if asked.following.issuperset(part.path for part in parts):
+            raise InputError(
+                f"{path} is tied to others, and as uncertain as they are: state how uncertain "
+                "those are"
             )
         name = path.partition("[")[0]
         whole = np.asarray(get(model, name), dtype=float)

@@ -6,15 +6,17 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from .._errors import InputError
-from ..fitting import FitResult, Suspect, predict, responses
+from ..fitting import FitResult, Suspect
 from ..models import AbstractModel
 from ..parameters import elements, left_out, switched_on
 from ..runs import Run
-from ..study import begun_as_fitted, refit
+from ..study import refit
 from ._axes import all_axes, name_of, turned_back
+from ._ended import matching_runs
+from ._measured import Measured, Noise
+from ._records import Suspects
 from ._rung import Ladder, Rung
 from ._suspects import suspects
-from ._weights import Weighing, matching_runs, own_values, robust_weights, white_noise
 
 MOST = 6
 """Steps of a ladder."""
@@ -39,6 +41,11 @@ def ladder(
     or where what is tried makes BIC larger. A suspect that is one number for many elements
     (the mass of all links) is no single parameter of a fit, and is passed over.
 
+    All fits are compared by one likelihood: that of the loss of the fit, with white noise that is
+    the same for both. It is what the runs state, or else what second differences of the residuals
+    show, those of the fit with more in it; and where the samples do not follow each other, what
+    that fit took for noise. The table that comes out has the noise of its last row.
+
     Arguments:
         result: of `giajax.fit` or `giajax.load_result`.
         runs: the runs that were fitted, in their order.
@@ -52,67 +59,58 @@ def ladder(
     Raises:
         InputError: as `giajax.suspects`.
     """
-    now, several = result, matching_runs(result, runs)
-    at = responses(now.model, several, (), own_values(now))
-    noise = white_noise(now, several, at)
-    rungs: list[Rung] = []
+    several, apart = matching_runs(result, runs), list(held_out)
+    fits: list[Measured] = []
+    asked: list[Suspects | None] = []
 
-    apart = list(held_out)
-
-    def added(
-        one: FitResult, own: Sequence[Run], apart: Sequence[Run], suspect: Suspect | None
-    ) -> Rung:
-        near = responses(one.model, own, (), own_values(one))
-        weighing = Weighing.of(near, noise, robust_weights(one, own, near))
-        values = sum(int(np.sum(~np.isnan(each.observed))) for each in near)
-        return Rung(
-            suspect=suspect,
-            chi_square=weighing.chi_square(near, [each.predicted for each in near]),
-            parameters=len(one.free) + sum(len(record.parameters) for record in one.runs),
-            values=values,
-            held_out=_error_of(one, apart, noise[0]),
-            result=one,
-        )
-
-    def climb(rung: Rung) -> None:
-        rungs.append(rung)
+    def climb(fit: Measured) -> None:
+        fits.append(fit)
+        asked.append(None)
         if progress is not None:
-            progress(rung)
+            progress(fit.rung(fit.noise))
 
-    climb(added(now, several, apart, None))
+    climb(Measured.of(result, several, apart))
     ending = f"{most} steps were allowed"
     for _ in range(most):
-        asked = suspects(now, several)
-        rungs[-1] = dataclasses.replace(rungs[-1], suspects=asked)
-        step: tuple[FitResult, list[Run], list[Run], Suspect] | None = None
-        for suspect in asked.significant:
-            if not _is_one(now.model, suspect):
+        asked[-1] = found = suspects(fits[-1].result, several)
+        step: tuple[FitResult, list[Run], list[Run]] | None = None
+        for suspect in found.significant:
+            if not _is_one(fits[-1].result.model, suspect):
                 continue
             try:
-                step = (*_with(now, several, apart, suspect), suspect)
+                step = _with(fits[-1].result, several, apart, suspect)
                 break
             except InputError:  # It cannot be evaluated so; the next one may be.
                 continue
         if step is None:
             ending = "no suspect that could be freed is significant"
             break
-        rung = added(*step)
-        if not rung.bic < rungs[-1].bic:
-            ending = f"{step[3].path} was tried, and makes BIC larger"
+        tried = Measured.of(*step, suspect)
+        if not _is_better(tried, fits[-1], tried.noise):
+            ending = f"{suspect.path} was tried, and makes BIC larger"
             break
-        now, several, apart = step[:3]
-        climb(rung)
-        for spare in _spare(rungs):
+        _, several, apart = step
+        climb(tried)
+        for spare in _spare(fits):
             assert spare.value is not None
-            again = refit(now, several, fix={spare.path: spare.value})
-            fewer = dataclasses.replace(added(again, several, apart, spare), removed=True)
-            if fewer.bic < rungs[-1].bic:
-                now = fewer.result
+            again = refit(fits[-1].result, several, fix={spare.path: spare.value})
+            fewer = Measured.of(again, several, apart, spare, removed=True)
+            if _is_better(fewer, fits[-1], fits[-1].noise):
                 climb(fewer)
+    noise = fits[-1].noise
+    rungs = [
+        dataclasses.replace(fit.rung(noise), suspects=found)
+        for fit, found in zip(fits, asked, strict=True)
+    ]
     return Ladder(tuple(rungs), ending)
 
 
-def _spare(rungs: Sequence[Rung]) -> list[Suspect]:
+def _is_better(one: Measured, other: Measured, noise: Noise) -> bool:
+    """Whether BIC prefers one of two fits, with the noise that the one with more in it shows."""
+    return one.rung(noise).bic < other.rung(noise).bic
+
+
+def _spare(rungs: Sequence[Rung | Measured]) -> list[Suspect]:
     """What was freed before the last rung, and is near the value that it was held at again."""
     last = rungs[-1].result.free
     taken = {rung.suspect.path for rung in rungs if rung.removed and rung.suspect is not None}
@@ -163,13 +161,3 @@ def _neutrally(model: AbstractModel, path: str) -> AbstractModel:
     if absent is None:
         return switched_on(model, [path])
     return absent.set(model, absent.declaration.neutral)
-
-
-def _error_of(result: FitResult, runs: Sequence[Run], noise: dict[str, float]) -> float | None:
-    squares = []
-    for run in runs:
-        for name, predicted in predict(result.model, begun_as_fitted(result, run)).items():
-            sigma = run.noise(name) or noise.get(name) or float(np.mean(list(noise.values())))
-            rest = (predicted - run.observations[name]) / sigma
-            squares.append(rest[~np.isnan(rest)] ** 2)
-    return float(np.sqrt(np.mean(np.concatenate(squares)))) if squares else None

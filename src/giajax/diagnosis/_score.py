@@ -90,7 +90,10 @@ def _spread(
     """Covariance of the score under the noise that is left, and its degrees of freedom."""
     spread = np.zeros((columns.shape[1],) * 2)
     effective = 0.0
-    share = 1 - (rest.parameters + tests) / max(rest.values, 1)
+    # A prior has the deviation that it states, and no neighbour.
+    of_priors = columns[rest.known]
+    spread += of_priors.T @ of_priors
+    share = 1 - (rest.lost + tests) / max(rest.values, 1)
     for place, timed in zip(rest.series, rest.timed, strict=True):
         measured = place >= 0
         count = int(np.sum(measured))
@@ -105,7 +108,7 @@ def _spread(
         common = part.T @ before
         spread += variance * (part.T @ part + common + common.T)
         effective += count * (1 - rho) / (1 + rho)
-    return spread, max(effective - rest.parameters - tests, 3.0)
+    return spread, max(effective - rest.lost - tests, 3.0)
 
 
 def _neighbours(noise: np.ndarray, measured: np.ndarray) -> float:

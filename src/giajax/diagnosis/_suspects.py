@@ -6,16 +6,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from .._errors import InputError
-from ..fitting import FitResult, Response, Suspect, responses
+from ..fitting import FitResult, Response, Suspect
 from ..models import AbstractModel
 from ..parameters import declared
 from ..runs import Run
 from ._axes_test import axes_row
 from ._candidates import Inquiry, inquiry
+from ._ended import Moved, matching_runs, responses_of
 from ._projection import projected
 from ._records import Suspects
 from ._rows import impossible_row, parameter_rows, switch_row
-from ._weights import Weighing, matching_runs, own_values, robust_weights, white_noise
+from ._weights import Weighing, robust_weights, white_noise
 
 
 def suspects(result: FitResult, runs: Run | Sequence[Run], *, each: Sequence[str] = ()) -> Suspects:
@@ -57,14 +58,14 @@ def suspects(result: FitResult, runs: Run | Sequence[Run], *, each: Sequence[str
         'camera.delay'
     """
     runs = matching_runs(result, runs)
-    asked = inquiry(result.model, list(result.free), each)
+    asked = inquiry(result.model, list(result.free), each, result.config.get("ties"))
     return tested(result, runs, asked, linearised(result, runs, asked))
 
 
 def linearised(result: FitResult, runs: Sequence[Run], asked: Inquiry) -> list[Response]:
     """The responses of each run where the fit ended, those to the fitted parameters first."""
     directions = [*asked.free, *(candidate.direction for candidate in asked.candidates)]
-    return responses(asked.model, runs, directions, own_values(result))
+    return responses_of(result, runs, asked.model, directions)
 
 
 def tested(
@@ -74,13 +75,15 @@ def tested(
     weights = robust_weights(result, runs, at)
     weighing = Weighing.of(at, white_noise(result, runs, at), weights)
     switches = _switches(result, asked, runs, at)
-    tables = weighing.tables(at, runs, len(asked.free), list(switches.values()))
-    rest = projected(tables)
-    chi_square = weighing.chi_square(at, [response.predicted for response in at])
+    moved = Moved.of(result)
+    tables = weighing.tables(at, runs, moved, list(switches.values()))
+    rest = projected(tables, moved.known)
+    cells = weighing.chi_square(at, [response.predicted for response in at])
+    chi_square = cells + moved.squares
     rows = parameter_rows(rest, asked)
     first = len(asked.candidates)
     rows += [switch_row(rest, first + i, name) for i, name in enumerate(switches)]
-    axes, ways = axes_row(result, runs, at, weighing, chi_square, rest)
+    axes, ways = axes_row(result, runs, at, weighing, cells, rest)
     rows += axes
     rows += [impossible_row(path, reason) for path, reason in asked.impossible.items()]
     rows, number = _corrected(rows, further=max(ways - 1, 0))
@@ -105,7 +108,6 @@ def _switches(
     result: FitResult, asked: Inquiry, runs: Sequence[Run], at: Sequence[Response]
 ) -> dict[str, list[np.ndarray]]:
     """By the name of each choice of the model: how it changes the predictions of each run."""
-    own = own_values(result)
     paths = [direction.path for direction in asked.free]
     changes: dict[str, list[np.ndarray]] = {}
     base: list[Response] | None = None
@@ -113,9 +115,9 @@ def _switches(
         if not set(paths) <= set(declared(variant)):
             continue
         if base is None:
-            base = responses(_stepped(result.model, asked), runs, (), own)
+            base = responses_of(result, runs, _stepped(result.model, asked))
         try:
-            other = responses(_stepped(variant, asked), runs, (), own)
+            other = responses_of(result, runs, _stepped(variant, asked), variant=name)
         except InputError:  # It cannot be evaluated with these values.
             continue
         changes[name] = [a.predicted - b.predicted for a, b in zip(other, base, strict=True)]

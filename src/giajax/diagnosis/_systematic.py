@@ -1,7 +1,6 @@
 """Systematic errors: what a held number that is a little wrong does to the fitted ones."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,13 +11,12 @@ from ..fitting import (
     Response,
     SystematicError,
     influence,
-    responses,
 )
 from ..noise import ChannelNoise, whitened
 from ..runs import Channel, Run
 from ._candidates import inquiry
 from ._doubts import Doubt, is_doubtful, one_percent, stated_doubts
-from ._weights import matching_runs, own_values
+from ._ended import Moved, matching_runs, responses_of
 
 _RANK = 1e-9
 # Of a cell that a robust loss leaves out: a weight of 0 would be no measurement.
@@ -58,7 +56,7 @@ def systematic_errors(
     several = matching_runs(result, runs)
     if uncertainty is None:
         uncertainty = result.config.get("uncertainty") or {}
-    asked = inquiry(result.model, list(result.free))
+    asked = inquiry(result.model, list(result.free), ties=result.config.get("ties"))
     stated = stated_doubts(list(result.free), asked, uncertainty)
     known = {doubt.path.partition("[")[0] for doubt in stated}
     doubts = [*stated, *(one_percent(one) for one in asked.candidates if is_doubtful(one, known))]
@@ -69,9 +67,9 @@ def systematic_errors(
         if id(doubt.direction) not in places:
             places[id(doubt.direction)] = len(directions)
             directions.append(doubt.direction)
-    at = responses(asked.model, several, directions, own_values(result))
+    at = responses_of(result, several, asked.model, directions)
     columns = [places[id(doubt.direction)] for doubt in doubts]
-    slopes = _slopes(result, several, at, len(asked.free), columns)
+    slopes = _slopes(result, several, at, columns)
     errors = [_error(result, doubt, slopes[:, index]) for index, doubt in enumerate(doubts)]
     kept = [(error, _weight(result, error)) for error in errors]
     # The stated ones first, then what decides most; what moves nothing is not worth a row.
@@ -131,37 +129,56 @@ def _weight(result: FitResult, error: SystematicError) -> float:
 
 
 def _slopes(
-    result: FitResult,
-    runs: Sequence[Run],
-    at: Sequence[Response],
-    fitted: int,
-    columns: Sequence[int],
-) -> Any:
-    """d(fitted)/d(held), shape (fitted, held)."""
-    loss = result.config.get("loss", "linear")
-    rows = []
-    for response, run, record in zip(at, runs, result.runs, strict=True):
-        parts = []
-        for index, name in enumerate(response.channels):
-            measured = ~np.isnan(response.observed[:, index])
-            noise = _noise_of(run.channels[name], record.channels[name])
-            rest = (response.predicted - response.observed)[measured, index] / noise.deviation
-            # The second derivative of the loss: a residual beyond its corner does not pull.
-            weights = np.maximum(influence(loss, rest)[1], _LEAST_WEIGHT)
-            several = [response.columns[measured, index], response.own[measured, index]]
-            times = None if run.times is None else run.times[measured]
-            parts.append(whitened(noise, times, np.concatenate(several, axis=1), weights))
-        cells = np.concatenate(parts)
-        count = response.columns.shape[2]
-        cells, own = cells[:, :count], cells[:, count:]
-        if own.shape[1]:
-            cells = cells - own @ np.linalg.lstsq(own, cells, rcond=_RANK)[0]
-        rows.append(cells)
-    whole = np.concatenate(rows)
-    jacobian, held = whole[:, :fitted], whole[:, list(columns)]
+    result: FitResult, runs: Sequence[Run], at: Sequence[Response], columns: Sequence[int]
+) -> np.ndarray:
+    """d(fitted)/d(held), shape (fitted, held); of what not all runs share, the mean."""
+    moved = Moved.of(result)
+    fitted, shared = len(result.free), len(moved.shared)
+    rows, of_runs = [], []
+    for number, (response, run) in enumerate(zip(at, runs, strict=True)):
+        common, own = moved.split(number, response.columns[..., :fitted], response.own)
+        several = np.concatenate([common, response.columns[..., list(columns)], own], axis=-1)
+        cells = _whitened(result, number, run, response, several)
+        cells, own = np.split(cells, [shared + len(columns)], axis=1)
+        # A prior is one more row, to which nothing that is held responds.
+        known = moved.known_of_runs[number]
+        cells = np.concatenate([cells, np.zeros((len(known), cells.shape[1]))])
+        own = np.concatenate([own, known[:, 1:]])
+        of_run = np.linalg.lstsq(own, cells, rcond=_RANK)[0]
+        rows.append(cells - own @ of_run)
+        of_runs.append(of_run)
+    known = np.pad(moved.known[:, 1:], ((0, 0), (0, len(columns))))
+    jacobian, held = np.split(np.concatenate([*rows, known]), [shared], axis=1)
     norms = np.linalg.norm(jacobian, axis=0)
     norms = np.where(norms > 0, norms, 1.0)
-    return -np.linalg.lstsq(jacobian / norms, held, rcond=_RANK)[0] / norms[:, None]
+    common = -np.linalg.lstsq(jacobian / norms, held, rcond=_RANK)[0] / norms[:, None]
+    by_path: list[list[np.ndarray]] = [[] for _ in result.free]
+    for index, slope in zip(moved.shared, common, strict=True):
+        by_path[index].append(slope)
+    for places, of_run in zip(moved.places, of_runs, strict=True):
+        alone = -(of_run[:, shared:] + of_run[:, :shared] @ common)
+        # The values of the run's own state, which come after, are no parameters of the model.
+        mine = [index for index, place in enumerate(places) if place < 0]
+        for index, slope in zip(mine, alone, strict=False):
+            by_path[index].append(slope)
+    return np.stack([np.mean(slopes, axis=0) for slopes in by_path])
+
+
+def _whitened(
+    result: FitResult, number: int, run: Run, response: Response, columns: np.ndarray
+) -> np.ndarray:
+    """Columns (sample, channel, column) over the measured cells, as the fit weighed them."""
+    loss, record = result.config.get("loss", "linear"), result.runs[number]
+    parts = []
+    for index, name in enumerate(response.channels):
+        measured = ~np.isnan(response.observed[:, index])
+        noise = _noise_of(run.channels[name], record.channels[name])
+        rest = (response.predicted - response.observed)[measured, index] / noise.deviation
+        # The second derivative of the loss: a residual beyond its corner does not pull.
+        weights = np.maximum(influence(loss, rest)[1], _LEAST_WEIGHT)
+        times = None if run.times is None else run.times[measured]
+        parts.append(whitened(noise, times, columns[measured, index], weights))
+    return np.concatenate(parts)
 
 
 def _noise_of(channel: Channel, known: ChannelFit) -> ChannelNoise:

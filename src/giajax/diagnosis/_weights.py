@@ -5,42 +5,13 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from .._errors import InputError
 from ..fitting import FitResult, Response, influence
 from ..noise import by_second_differences
 from ..runs import Run
+from ._ended import Moved
 from ._projection import Table
 
 Array = np.ndarray
-
-
-def matching_runs(result: FitResult, runs: Run | Sequence[Run]) -> list[Run]:
-    """The runs of a result, checked to be those.
-
-    Raises:
-        InputError: they are others, or in another order; or the fit tied parameters to others, or
-            had values of them for single runs, of which these tests know nothing.
-    """
-    beyond = [key for key in ("ties", "per_run", "groups", "priors") if result.config.get(key)]
-    if beyond:
-        raise InputError(
-            f"the fit has {', '.join(beyond)}, which its suspects would not see: fit without them "
-            "to ask for suspects"
-        )
-    several = [runs] if isinstance(runs, Run) else list(runs)
-    if [run.sha256 for run in several] != [record.sha256 for record in result.runs] or [
-        list(run.observations) for run in several
-    ] != [list(record.channels) for record in result.runs]:
-        raise InputError("the runs are not those of the result: give the same ones in their order")
-    return several
-
-
-def own_values(result: FitResult) -> list[dict[str, float]]:
-    """What was fitted of each run alone, by label."""
-    return [
-        {label: estimate.value for label, estimate in record.parameters.items()}
-        for record in result.runs
-    ]
 
 
 def fitted_noise(result: FitResult, runs: Sequence[Run]) -> list[dict[str, float]]:
@@ -120,7 +91,7 @@ class Weighing:
         self,
         at: Sequence[Response],
         runs: Sequence[Run],
-        fitted: int,
+        moved: Moved,
         switches: Sequence[Sequence[Array]] = (),
     ) -> list[Table]:
         """Weighted residuals and columns of each run.
@@ -128,27 +99,30 @@ class Weighing:
         Arguments:
             at: responses, the columns of the fitted parameters first.
             runs: their runs.
-            fitted: how many those are.
+            moved: what these are the coordinates of.
             switches: of each switch, the change of the predictions of each run that it makes;
                 they are tested after the other columns.
         """
         tables = []
+        count = len(moved.places[0])
         for index, (response, run, factor) in enumerate(zip(at, runs, self.factors, strict=True)):
             rest = np.where(factor > 0, response.predicted - np.nan_to_num(response.observed), 0.0)
             changes = np.stack(
-                [response.columns[..., i] for i in range(fitted, response.columns.shape[2])]
+                [response.columns[..., i] for i in range(count, response.columns.shape[2])]
                 + [changed[index] for changed in switches],
                 axis=-1,
             )
             each = factor[..., None]
+            fitted, own = moved.split(index, response.columns[..., :count], response.own)
             tables.append(
                 Table(
                     residual=rest * factor,
                     measured=~np.isnan(response.observed),
-                    fitted=response.columns[..., :fitted] * each,
-                    own=response.own * each,
+                    fitted=fitted * each,
+                    own=own * each,
                     asked=changes * each,
                     timed=run.times is not None,
+                    known=moved.known_of_runs[index],
                 )
             )
         return tables

@@ -6,13 +6,20 @@ from ._conclude import versions as versions
 from ._configuration import Setup as Setup, set_up as set_up
 from ._findings import Finding as Finding
 from ._fit import MAX_ITERATIONS as MAX_ITERATIONS, fit as fit, solve as solve
-from ._hold_out import with_held_out as with_held_out
-from ._loss import influence as influence
+from ._hold_out import not_judged as not_judged, with_held_out as with_held_out
+from ._loss import influence as influence, rho as rho
 from ._noise import NOISE_MODELS as NOISE_MODELS, NoiseModel as NoiseModel
+from ._of_runs import layout_of as layout_of
 from ._predict import (
     errors_of as errors_of,
     predict as predict,
     prediction_errors as prediction_errors,
+)
+from ._prepared import prepared_with as prepared_with
+from ._priors import (
+    checked_priors as checked_priors,
+    prior_of as prior_of,
+    prior_row as prior_row,
 )
 from ._records import (
     Correlation as Correlation,
@@ -28,7 +35,6 @@ from ._records import (
 from ._responses import (
     Direction as Direction,
     Response as Response,
-    prepared_with as prepared_with,
     responses as responses,
 )
 from ._result import FitResult as FitResult, load_result as load_result
@@ -49,6 +55,7 @@ from ._suspect import (
     SystematicError as SystematicError,
 )
 from ._table import estimate_table as estimate_table
+from ._ties import Tie as Tie, resolved_ties as resolved_ties, tied as tied
 from ._units import (
     column_factors as column_factors,
     in_column_units as in_column_units,

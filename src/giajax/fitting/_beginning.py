@@ -65,10 +65,19 @@ def inside_bounds(
     return values
 
 
-def between(value: float, lower: float, upper: float) -> float:
-    """The nearest value strictly between two bounds, which may be infinite."""
+def between(value: float, lower: float, upper: float, *, margin: float = 0.0) -> float:
+    """The nearest value strictly between two bounds, which may be infinite.
+
+    Arguments:
+        value: any.
+        lower, upper: bounds.
+        margin: how far from a bound it has to be, at least; less than half of the way between two.
+    """
     if np.isfinite(lower) and np.isfinite(upper):
-        margin = 1e-9 * (upper - lower)
+        margin = max(margin, 1e-9 * (upper - lower))
         return float(np.clip(value, lower + margin, upper - margin))
-    tiny = np.finfo(float).tiny
-    return max(value, lower + tiny) if np.isfinite(lower) else min(value, upper)
+    # Next to 0 are numbers that a logarithm does not take.
+    margin = max(margin, float(np.finfo(float).tiny))
+    if np.isfinite(lower):
+        return max(value, lower + margin, float(np.nextafter(lower, np.inf)))
+    return min(value, upper - margin, float(np.nextafter(upper, -np.inf)))

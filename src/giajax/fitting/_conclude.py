@@ -73,7 +73,7 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
         model=model,
         parameters=with_tied(estimates(state, known, model), derived, problem.ties),
         noise=_noise(state, known),
-        verdict=verdict(state, status),
+        verdict=verdict(state, status, known.prior_freedom),
         derived=derived,
         findings=findings(state, known, done.curvatures, _lengths(state)),
         correlation=_correlation(known, problem),

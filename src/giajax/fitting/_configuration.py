@@ -20,7 +20,7 @@ from ._free import Free, resolve
 from ._layout import Layout, sharing
 from ._loss import check_loss
 from ._noise import NOISE_MODELS, NoiseModel
-from ._priors import checked_priors
+from ._priors import checked_priors, prior_of
 from ._ties import Tie, tied
 
 
@@ -211,17 +211,21 @@ def _about(run: Run) -> dict[str, Any]:
 
 
 def _check_determined(asked: Free, runs: Sequence[Run]) -> None:
-    """Refuse a fit of nothing, and one of more parameters than there are values."""
-    count = sum(len(asked.groups.get(p.path, [runs])) for p in asked.parameters)
+    """Refuse a fit of nothing, and one of more parameters than there are values and priors."""
+    paths = [p.path for p in asked.parameters for _ in asked.groups.get(p.path, [runs])]
     for run in runs:
         inputs = asked.model.prepare(run)
-        count += sum(get(inputs, path).size for path in asked.model.free_inputs(run))
-    measured = sum(int(np.sum(~np.isnan(v))) for run in runs for v in run.observations.values())
-    if not count:
+        for path in asked.model.free_inputs(run):
+            size = get(inputs, path).size
+            paths += [f"{path}[{index}]" for index in range(size)] if size > 1 else [path]
+    if not paths:
         raise InputError("no parameter is free: free at least one")
-    if measured + len(asked.priors) <= count:
+    measured = sum(int(np.sum(~np.isnan(v))) for run in runs for v in run.observations.values())
+    # A prior is a row of the residual for each value that it is of.
+    known = sum(prior_of(asked.priors, path) is not None for path in paths)
+    if measured + known <= len(paths):
         raise InputError(
-            f"{measured} measured values cannot determine {count} parameters and their "
+            f"{measured} measured values cannot determine {len(paths)} parameters and their "
             "standard errors: free fewer parameters or give a longer run"
         )
 

@@ -7,15 +7,16 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ..runs import Parted, Run
-from ..verdict import Foretold, Predictions, Reason, Series
+from ..verdict import Foretold, Predictions, Reason
 from ._configuration import Setup
 from ._held_state import held_cells, where_it_ended
 from ._problem import predictions_by_run
 from ._reestimate import TOLERANCE
-from ._residual_cells import residual_cells, shared_and_own
+from ._residual_cells import prior_gram, residual_cells
 from ._result import FitResult
 from ._run_records import HeldChannel, HeldOut
 from ._state import FitState
+from ._verdict import series_of
 
 # By the position of a run and the name of a channel.
 Sizes = dict[tuple[int, str], float | None]
@@ -53,7 +54,8 @@ def with_held_out(result: FitResult, setup: Setup, parts: Sequence[Parted]) -> F
             names = list(part.held.observations)
             known = {name: channels[name] for name in names if name in channels}
             of_run = {name: sizes.get((number, name), math.inf) for name in names}
-            records.append(_record(part.whole, part.held, known, of_run))
+            errors = _errors(part.whole, part.held, known)
+            records.append(_record(part.whole, part.held, errors, of_run))
             of_held.append(known)
         if part.fitted is not None:
             of_fitted.append({**known, **next(fitted)})
@@ -77,18 +79,9 @@ def _judged(state: FitState, parts: Sequence[Parted]) -> tuple[Sizes, Reason | N
             # What a solver's tolerance leaves is no noise to compare with.
             sizes[number, name] = 0.0
             continue
-        series = Series(
-            run=whole.name,
-            channel=name,
-            residual=cells.residual,
-            times=cells.times,
-            stated=stated,
-            key=cells.key,
-            adopted=state.noise.values[number][name].deviation,
-            lost=0.0,
-        )
+        series = series_of(state, number, name, cells.residual, cells.times, lost=0.0)
         channels.append(Foretold(series, cells, held_cells(parts[number], name)))
-    test = Predictions(channels, _priors(state), robust=state.setup.loss != "linear")
+    test = Predictions(channels, prior_gram(state), robust=state.setup.loss != "linear")
     for each in channels:
         if np.any(each.held):
             at = each.cells.run, each.series.channel
@@ -96,32 +89,45 @@ def _judged(state: FitState, parts: Sequence[Parted]) -> tuple[Sizes, Reason | N
     return sizes, test.reason()
 
 
-def _priors(state: FitState) -> np.ndarray:
-    """X^T X of the rows of the priors, by the shared coordinates and, last, the residual."""
-    common, _ = shared_and_own(state)
-    count = len(state.problem.priors)
-    rows = np.zeros((count, len(common) + 1))
-    if count:
-        at = [common.index(column) for column in state.problem.priors.columns]
-        rows[:, at] = state.jacobian().blocks[-1]
-        rows[:, -1] = np.asarray(state.inner.residual)[-count:]
-    return np.asarray(rows.T @ rows)
+def not_judged(result: FitResult, parts: Sequence[Parted]) -> FitResult:
+    """The result with what was held out of its runs, of which no error is known.
+
+    Arguments:
+        result: of a fit of the fitted parts.
+        parts: of each run.
+    """
+    records = [
+        _record(part.whole, part.held, unknown, unknown)
+        for part in parts
+        if part.held is not None
+        for unknown in [dict.fromkeys(part.held.observations)]
+    ]
+    return dataclasses.replace(result, held_out=tuple(records))
+
+
+def _errors(whole: Run, held: Run, predicted: Mapping[str, np.ndarray]) -> dict[str, float]:
+    """Root mean square error of the held cells of each channel, in the unit of the recording."""
+    errors = dict.fromkeys(held.observations, math.inf)
+    for name, values in predicted.items():
+        observed = held.observations[name]
+        off = (values - observed)[~np.isnan(observed)]
+        rmse = float(np.sqrt(np.mean(off**2)))
+        errors[name] = float(whole.channels[name].from_si(rmse))
+    return errors
 
 
 def _record(
     whole: Run,
     held: Run,
-    predicted: Mapping[str, np.ndarray],
+    errors: Mapping[str, float | None],
     sizes: Mapping[str, float | None],
 ) -> HeldOut:
-    """What was held out of a run, in the units of the recording."""
-    channels = {}
-    for name, values in held.observations.items():
-        channel, measured = whole.channels[name], ~np.isnan(values)
-        rmse = math.inf
-        if name in predicted:
-            off = (predicted[name] - values)[measured]
-            rmse = float(channel.from_si(float(np.sqrt(np.mean(off**2)))))
-        channels[name] = HeldChannel(channel.unit, rmse, int(np.sum(measured)), sizes[name])
+    """What was held out of a run."""
+    channels = {
+        name: HeldChannel(
+            whole.channels[name].unit, errors[name], int(np.sum(~np.isnan(values))), sizes[name]
+        )
+        for name, values in held.observations.items()
+    }
     path = None if whole.path is None else str(whole.path)
     return HeldOut(whole.name, path, whole.sha256, channels)

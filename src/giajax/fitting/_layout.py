@@ -5,7 +5,7 @@ A parameter has one value for all runs, or one for each group of runs.
 
 import difflib
 from collections.abc import Collection, Mapping, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -14,6 +14,18 @@ from ..runs import Run
 
 Groups = Mapping[str, Sequence[Sequence[int]]]
 """By path, the groups of runs (by position) that have a value of their own."""
+
+
+class Named(Protocol):
+    """A run, or what a result says of one."""
+
+    @property
+    def name(self) -> str:
+        """Of the run."""
+
+    @property
+    def recording(self) -> str:
+        """Name of the recording that it is, or is a window of."""
 
 
 class Layout(NamedTuple):
@@ -83,7 +95,7 @@ def sharing(
 
 
 def members(
-    path: str, runs: Sequence[Run], groups: Sequence[Collection[str]]
+    path: str, runs: Sequence[Named], groups: Sequence[Collection[str]]
 ) -> tuple[tuple[int, ...], ...]:
     """Positions of the runs in each group of a path, by their names or those of recordings.
 

@@ -51,6 +51,20 @@ def transform(loss: str, r: Float[Array, "*n"]) -> Float[Array, "*n"]:
     return jnp.where(jnp.abs(r) <= 1, r, jnp.sign(r) * jnp.sqrt(2 * outside - 1))
 
 
+def rho(loss: str, r: np.ndarray) -> np.ndarray:
+    """Of each residual what it counts as: r^2 with the linear loss, else less.
+
+    Arguments:
+        loss: one of `LOSSES`.
+        r: weighted residuals, any shape.
+    """
+    if loss == "linear":
+        return np.asarray(r**2)
+    if loss == "soft_l1":
+        return np.asarray(2 * (np.sqrt(1 + r * r) - 1))
+    return np.where(np.abs(r) <= 1, r**2, 2 * np.maximum(np.abs(r), 1) - 1)
+
+
 def influence(loss: str, r: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """psi = rho'/2, its derivative, and t', each at the residuals: what a covariance needs.
 

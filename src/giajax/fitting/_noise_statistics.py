@@ -44,9 +44,9 @@ def noise_statistics(state: FitState, alive: np.ndarray, spread: Uncertainty) ->
     Returns:
         Them; a covariance of the same shape.
     """
-    known = np.full(len(alive), np.inf)
+    infinite = np.full(len(alive), np.inf)
     if state.problem.loss != "linear" or not 0 < len(alive) <= _MANY:
-        return NoiseStatistics(spread.covariance, known, None, None)
+        return NoiseStatistics(spread.covariance, infinite, None, None)
     covariance = spread.as_stated
     noise = state.noise
     by_key, stated = noise.by_key(), noise.stated_by_key()
@@ -57,11 +57,13 @@ def noise_statistics(state: FitState, alive: np.ndarray, spread: Uncertainty) ->
     ]
     # Outliers have no part in what is known of the noise.
     inliers = [each.where(each.weights > OUTLIER) for each in dense]
-    small = small_sample(Restricted.of(inliers, by_key), inliers, covariance, stated)
+    prior, off = _prior_rows(state, alive)
+    known = np.column_stack([prior, off])
+    problem = Restricted.of(inliers, by_key, known.T @ known)
+    small = small_sample(problem, inliers, covariance, stated)
     with np.errstate(divide="ignore", invalid="ignore"):
         wider = np.sqrt(np.diag(small.covariance) / np.diag(covariance))
     larger = spread.covariance * np.outer(wider, wider)
-    prior = _prior_rows(state, alive)
     # What a prior says has the variance that it states, whatever the noise is.
     scores = score_covariance(dense, by_key, covariance)
     sandwich = np.sqrt(np.diag(scores + covariance @ prior.T @ prior @ covariance))
@@ -75,13 +77,15 @@ def noise_statistics(state: FitState, alive: np.ndarray, spread: Uncertainty) ->
     return NoiseStatistics(larger, small.freedom, sandwich, widening)
 
 
-def _prior_rows(state: FitState, alive: np.ndarray) -> Float[np.ndarray, "prior parameter"]:
-    """The rows of the Jacobian that are those of priors, by the parameters that respond."""
+def _prior_rows(
+    state: FitState, alive: np.ndarray
+) -> tuple[Float[np.ndarray, "prior parameter"], Float[np.ndarray, " prior"]]:
+    """The rows that are those of priors, by the parameters that respond, and their residuals."""
     count, columns = len(state.problem.priors), list(state.problem.priors.columns)
     rows = np.zeros((count, state.problem.size))
     if count:
         rows[:, columns] = state.natural_jacobian().blocks[-1]
-    return rows[:, alive]
+    return rows[:, alive], np.asarray(state.inner.residual)[len(state.inner.residual) - count :]
 
 
 def _weighted(state: FitState, at: tuple[int, str], cells: Cells) -> Cells:

@@ -2,11 +2,11 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 from ..models import AbstractModel
 from ..parameters import declared, replace
 from ..runs import Run
+from ._layout import Layout, members
 from ._records import Estimate
 from ._run_records import OwnEstimate, RunFit
 from ._ties import resolved_ties, tied
@@ -27,7 +27,7 @@ def rows_of_runs(runs: Sequence[RunFit], free: Mapping[str, Estimate]) -> dict[s
     """
     sharing: dict[tuple[str, OwnEstimate], list[str]] = {}
     for run in runs:
-        name = run.name if run.path is None else Path(run.path).stem
+        name = run.recording
         for path, own in run.parameters.items():
             if path in free:
                 names = sharing.setdefault((path, own), [])
@@ -43,6 +43,26 @@ def rows_of_runs(runs: Sequence[RunFit], free: Mapping[str, Estimate]) -> dict[s
         )
         for (path, own), names in sharing.items()
     }
+
+
+def layout_of(
+    runs: Sequence[RunFit],
+    paths: Sequence[str],
+    groups: Mapping[str, Sequence[Sequence[str]]],
+) -> Layout:
+    """Where a value of a parameter is that of one run, of some, or of all of them.
+
+    Arguments:
+        runs: the fitted ones.
+        paths: of the free parameters.
+        groups: names of the runs that share a value, by the path of a parameter or of its array.
+    """
+    shared = {path: groups.get(path, groups.get(path.partition("[")[0])) for path in paths}
+    return Layout.of(
+        paths,
+        {path: members(path, runs, names) for path, names in shared.items() if names},
+        len(runs),
+    )
 
 
 def model_of_run(

@@ -1,5 +1,6 @@
 """Priors as rows of the residual: what is known of a parameter counts as one more measurement."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Self
 
@@ -41,7 +42,7 @@ class Priors(eqx.Module):
             priors: by path, of an element or of a whole array.
             paths: of the parameter at each position of the free coordinate.
         """
-        known = [priors.get(path, priors.get(path.partition("[")[0])) for path in paths]
+        known = [prior_of(priors, path) for path in paths]
         rows = [(column, prior) for column, prior in enumerate(known) if prior is not None]
         dtype = jnp.result_type(float)
         return cls(
@@ -73,6 +74,18 @@ class Priors(eqx.Module):
 
         part = coordinate[columns]
         return jax.jvp(row, (part,), (jnp.ones_like(part),))
+
+
+def prior_of(priors: Mapping[str, Prior], path: str) -> Prior | None:
+    """What is known of a scalar parameter: by itself, or as an element of its array."""
+    return priors.get(path, priors.get(path.partition("[")[0]))
+
+
+def prior_row(prior: Prior, value: float) -> tuple[float, float]:
+    """The row of the residual that a prior is, and its derivative by the parameter itself."""
+    if prior.logarithmic:
+        return (math.log(value) - prior.centre) / prior.spread, 1 / (value * prior.spread)
+    return (value - prior.centre) / prior.spread, 1 / prior.spread
 
 
 def checked_priors(priors: Mapping[str, Any]) -> dict[str, Prior]:

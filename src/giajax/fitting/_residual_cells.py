@@ -60,6 +60,29 @@ def residual_cells(state: FitState, *, together: bool = False) -> dict[tuple[int
     return cells
 
 
+def prior_gram(state: FitState) -> np.ndarray:
+    """X^T X of the rows of the priors, by the shared coordinates that move and the residual.
+
+    Arguments:
+        state: evaluated.
+
+    Returns:
+        Shape (shared + 1, shared + 1): by the shared columns of `residual_cells`, and, last, the
+        residual.
+    """
+    common, _ = shared_and_own(state)
+    count, columns = len(state.problem.priors), state.problem.priors.columns
+    rows = np.zeros((count, len(common) + 1))
+    if count:
+        slopes = np.diag(state.jacobian().blocks[-1])
+        residual = np.asarray(state.inner.residual)[-count:]
+        for row, column, slope, value in zip(rows, columns, slopes, residual, strict=True):
+            # What is held stays as far off whatever the others do.
+            if column in common:
+                row[common.index(column)], row[-1] = slope, value
+    return np.asarray(rows.T @ rows)
+
+
 def shared_and_own(state: FitState) -> tuple[list[int], set[int]]:
     """Positions of the coordinates that move: shared ones; of single runs, without a prior.
 

@@ -19,7 +19,9 @@ from .._typing import Array
 from ..models import AbstractModel
 from ..parameters import get, replace
 from ..runs import Run
+from ._prepared import prepared_with, sharing_a_program
 from ._stack import stacked
+from ._ties import Tie, tied
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,6 +61,9 @@ def responses(
     runs: Sequence[Run],
     directions: Sequence[Direction],
     own: Sequence[Mapping[str, float]] = (),
+    *,
+    values: Sequence[Mapping[str, float]] = (),
+    ties: Sequence[Tie] = (),
 ) -> list[Response]:
     """Predictions and their derivatives at one point.
 
@@ -68,6 +73,9 @@ def responses(
         directions: what to differentiate by. Without any there are predictions alone, and no
             columns of what is free in one run either.
         own: of each run, values of what is free in it alone, by label; others start as prepared.
+        values: of each run, those of the model's parameters that it does not share with all others,
+            by path, the same paths for all.
+        ties: what follows from other parameters, and moves with them.
 
     Returns:
         A response for each run, in their order.
@@ -82,13 +90,15 @@ def responses(
     place = np.argsort(np.asarray(order, dtype=int))
     paths = tuple(directions[index].path for index in order)
     steps = tuple(jnp.asarray(directions[index].step, jnp.result_type(float)) for index in order)
-    for members in _together(model, runs):
+    for members in sharing_a_program(model, runs):
         like = runs[members[0]]
         channels = tuple(like.observations)
         free = model.free_inputs(like)
         inputs = stacked([prepared_with(model, runs[i], own[i] if own else {}) for i in members])
         sizes = tuple((path, get(inputs, path)[0].size) for path in free)
-        answer = _respond(model, paths, steps, channels, sizes, inputs)
+        answer = _respond(
+            model, paths, steps, channels, sizes, inputs, *_varied(values, members), tuple(ties)
+        )
         tables, blocks, successful = map(np.asarray, answer)
         if not np.all(successful):
             first = jax.tree.map(lambda leaf: leaf[0], inputs)
@@ -106,36 +116,17 @@ def responses(
     return [answers[index] for index in range(len(runs))]
 
 
+def _varied(
+    values: Sequence[Mapping[str, float]], members: Sequence[int]
+) -> tuple[tuple[str, ...], Array]:
+    """Paths of what is not the same in all runs, and its values, shape (run, path)."""
+    paths = tuple(values[0]) if values else ()
+    rows = [[values[index][path] for path in paths] for index in members]
+    return paths, jnp.asarray(np.asarray(rows, dtype=float), jnp.result_type(float))
+
+
 def _name(direction: Direction) -> tuple[str, tuple[float, ...]]:
     return direction.path, tuple(np.ravel(direction.step).tolist())
-
-
-def _together(model: AbstractModel, runs: Sequence[Run]) -> list[list[int]]:
-    """Positions of the runs that share a program: of the same channels, and prepared alike."""
-    groups: dict[Any, list[int]] = {}
-    for index, run in enumerate(runs):
-        structure = jax.tree.structure(model.prepare(run))
-        key = tuple(run.observations), structure, model.free_inputs(run)
-        groups.setdefault(key, []).append(index)
-    return list(groups.values())
-
-
-def prepared_with(model: AbstractModel, run: Run, own: Mapping[str, float]) -> Any:
-    """A prepared run with the values of what is free in it alone.
-
-    Arguments:
-        model: prepares the run.
-        run: what was recorded.
-        own: values by label (`initial.angle[0]`); the others are as the run was prepared.
-    """
-    inputs = model.prepare(run)
-    for path in model.free_inputs(run):
-        values = np.array(get(inputs, path), dtype=float)
-        for index in range(values.size):
-            label = f"{path}[{index}]" if values.size > 1 else path
-            values.reshape(-1)[index] = own.get(label, values.reshape(-1)[index])
-        inputs = replace(inputs, {path: values})
-    return inputs
 
 
 @program
@@ -146,14 +137,19 @@ def _respond(
     channels: tuple[str, ...],
     own: tuple[tuple[str, int], ...],
     inputs: Any,
+    varied: tuple[str, ...],
+    rows: Array,
+    ties: tuple[Tie, ...],
 ) -> tuple[Array, Array, Array]:
     """Tables (run, sample, channel), their derivatives (run, amount, sample, channel), success."""
     count = len(paths) + sum(size for _, size in own) if paths else 0
     differentiated = (*dict.fromkeys(paths), *(path for path, _ in own))
     ready = model.for_derivatives(differentiated) if count else model
-    held = {path: get(ready, path) for path in paths}
 
-    def one(prepared: Any) -> tuple[Array, Array, Array]:
+    def one(prepared: Any, row: Array) -> tuple[Array, Array, Array]:
+        there = replace(ready, {path: row[index] for index, path in enumerate(varied)})
+        held = {path: get(there, path) for path in paths}
+
         def predicted(amounts: Array) -> tuple[Array, Array]:
             values = dict(held)
             for index, path in enumerate(paths):
@@ -164,7 +160,7 @@ def _respond(
                 change = amounts[start : start + size].reshape(value.shape)
                 moved = replace(moved, {path: value + change})
                 start += size
-            table, successful = replace(ready, values).predict(moved, channels)
+            table, successful = tied(replace(there, values), ties).predict(moved, channels)
             return jnp.stack([table[name] for name in channels], axis=-1), successful
 
         def push(tangent: Array) -> tuple[Array, Array, Array]:
@@ -179,7 +175,7 @@ def _respond(
         return table, block, successful
 
     if jax.tree.leaves(inputs)[0].shape[0] == 1:
-        result = one(jax.tree.map(lambda leaf: leaf[0], inputs))
+        result = one(*jax.tree.map(lambda leaf: leaf[0], (inputs, rows)))
         return jax.tree.map(lambda leaf: leaf[None], result)
     # One run after the other: each keeps its own steps; the program is compiled once.
-    return jax.lax.map(one, inputs)
+    return jax.lax.map(lambda each: one(*each), (inputs, rows))

@@ -5,7 +5,10 @@ As `_records`, field by field they are the objects of `result.json`.
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, Self
+from pathlib import Path
+from typing import Any, Self, TypeVar
+
+Channel = TypeVar("Channel")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,6 +62,11 @@ class RunFit:
     channels: dict[str, ChannelFit]
     parameters: dict[str, OwnEstimate] = dataclasses.field(default_factory=dict)
 
+    @property
+    def recording(self) -> str:
+        """Name of the recording that it is, or is a window of."""
+        return self.name if self.path is None else Path(self.path).stem
+
     @classmethod
     def of_json(cls, record: Mapping[str, Any]) -> Self:
         """The record that an object of `result.json` holds."""
@@ -66,7 +74,7 @@ class RunFit:
             name=record["name"],
             path=record["path"],
             sha256=record["sha256"],
-            channels={name: ChannelFit(**item) for name, item in record["channels"].items()},
+            channels=_channels(ChannelFit, record),
             parameters={
                 path: OwnEstimate(**item) for path, item in record.get("parameters", {}).items()
             },
@@ -107,8 +115,7 @@ class PredictionErrors:
     @classmethod
     def of_json(cls, record: Mapping[str, Any]) -> Self:
         """The record that an object of `result.json` holds."""
-        channels = {name: ChannelErrors(**item) for name, item in record["channels"].items()}
-        return cls(record["name"], record["path"], channels)
+        return cls(record["name"], record["path"], _channels(ChannelErrors, record))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -121,7 +128,7 @@ class HeldChannel:
     Attributes:
         unit: of the recording.
         rmse: root mean square error of the held-out cells; infinite (None from a file) where the
-            simulation failed.
+            simulation failed; None where Ctrl-C came before.
         n: number of these cells.
         size: how many times as far off they are as noise and the uncertainty of the parameters
             allow, in the root mean square; infinite likewise. None where there is nothing to judge,
@@ -153,5 +160,10 @@ class HeldOut:
     @classmethod
     def of_json(cls, record: Mapping[str, Any]) -> Self:
         """The record that an object of `result.json` holds."""
-        channels = {name: HeldChannel(**item) for name, item in record["channels"].items()}
+        channels = _channels(HeldChannel, record)
         return cls(record["name"], record["path"], record["sha256"], channels)
+
+
+def _channels(kind: type[Channel], record: Mapping[str, Any]) -> dict[str, Channel]:
+    """The records of the channels that an object of `result.json` holds."""
+    return {name: kind(**item) for name, item in record["channels"].items()}

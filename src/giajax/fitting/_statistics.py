@@ -39,6 +39,8 @@ class Statistics:
         reduced_chi_square: sum of squared weighted residuals per degree of freedom.
         scale: factor on the covariance, 1 unless the residuals exceed the noise.
         bounds: of the parameters that ended at one: "lower" or "upper".
+        prior_freedom: how many degrees of freedom of the parameters their priors know, and the
+            measured values do not lose: they lose the trace of the hat matrix.
         prior_shares: how much of what is known of a parameter is its prior's: the variance of the
             estimate, were the noise as stated, over that of the prior.
     """
@@ -58,6 +60,7 @@ class Statistics:
     reduced_chi_square: float
     scale: float
     bounds: dict[int, str]
+    prior_freedom: float
     prior_shares: dict[int, float] = dataclasses.field(default_factory=dict)
 
 
@@ -73,6 +76,8 @@ def statistics(state: FitState) -> Statistics:
     determined = tuple(int(i) for i in alive if i not in loose)
     residuals, measured = weighted_residuals(state)
     cells = len(residuals) - len(problem.priors)
+    shares = _prior_shares(problem.priors, jacobian, alive, root)
+    known = sum(shares.values())
     white = np.asarray(state.inner.residual) if problem.loss == "linear" else residuals
     spread = uncertainty(
         white,
@@ -81,6 +86,7 @@ def statistics(state: FitState) -> Statistics:
         measured=measured,
         columns=alive,
         priors=len(problem.priors),
+        known=known,
         scaled=state.noise.weights is None,
     )
     by_noise = noise_statistics(state, alive, spread)
@@ -105,11 +111,12 @@ def statistics(state: FitState) -> Statistics:
             (residuals * _against_stated(state))[:cells],
             loss=state.setup.loss,
             measured=measured[:cells],
-            parameters=max(len(alive) - len(problem.priors), 0),
+            parameters=len(alive) - known,
         ),
         scale=spread.scale,
         bounds=_at_bounds(state, standard_errors),
-        prior_shares=_prior_shares(problem.priors, jacobian, alive, root),
+        prior_freedom=known,
+        prior_shares=shares,
     )
 
 

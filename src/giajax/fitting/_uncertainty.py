@@ -34,6 +34,7 @@ def uncertainty(
     measured: np.ndarray,
     columns: np.ndarray,
     priors: int = 0,
+    known: float = 0.0,
     scaled: bool = True,
 ) -> Uncertainty:
     """Covariance of least-squares and M-estimates.
@@ -51,6 +52,7 @@ def uncertainty(
         measured: which residuals stand for a measured cell, shape (residual,).
         columns: the parameters that the covariance is for.
         priors: how many of the last rows are those of priors, which no loss transforms.
+        known: how many of the parameters' degrees of freedom the priors know.
         scaled: whether residuals beyond the noise scale the covariance; not where cells have
             weights, because outliers are in the residuals still.
 
@@ -59,8 +61,8 @@ def uncertainty(
     """
     data = np.arange(len(residual)) < len(residual) - priors
     count, size = int(np.sum(measured & data)), len(columns)
-    # A prior determines as much as it says; how far it is off says nothing of the noise.
-    freedom = max(count - max(size - priors, 0), 1)
+    # How far a prior is off says nothing of the noise.
+    freedom = max(count - (size - known), 1)
     reduced = float(np.sum(residual[measured & data] ** 2) / freedom)
     psi, curvature, slope = influence(loss, residual)
 
@@ -86,7 +88,7 @@ def uncertainty(
 
 
 def reduced_chi_square(
-    residual: np.ndarray, *, loss: str, measured: np.ndarray, parameters: int
+    residual: np.ndarray, *, loss: str, measured: np.ndarray, parameters: float
 ) -> float:
     """Squared residuals over the noise, per degree of freedom.
 
@@ -97,7 +99,7 @@ def reduced_chi_square(
         residual: residuals over the deviation of their cell, shape (residual,).
         loss: name of the loss.
         measured: which of them stand for a measured cell.
-        parameters: number of fitted ones.
+        parameters: number of fitted ones, less what priors know of them.
     """
     psi = influence(loss, residual[measured])[0]
     freedom = max(int(np.sum(measured)) - parameters, 1)

@@ -1,6 +1,6 @@
 """White and correlated noise of each channel, by restricted likelihood."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from scipy.optimize import minimize
@@ -24,9 +24,16 @@ _MORE = 1.05
 # No statement on a memory is made from fewer cells.
 _FEW = 20
 
+# How a deviation is made of white noise and what is correlated, as an angle, rad: its cosine and
+# its sine, of which either may be next to nothing. Where one is, the likelihood depends on the
+# square of it: a search ends there, where it would go on for ever along a logarithm.
+_MIXED = (0.08, np.pi / 2 - 1e-3)
+
 # Of the minimiser. The likelihood is a logarithm of thousands: its differences are of steps that
-# its rounding does not reach, and what changes it by less than a thousandth changes no error.
-_OPTIONS = {"eps": 1e-5, "ftol": 1e-7, "maxiter": 30}
+# its rounding does not reach, and an iteration that gains less than this is the last.
+_STEP = 1e-5
+_ENOUGH = 2e-5
+_ITERATIONS = 30
 
 
 def estimate(problem: Restricted, stated: Mapping[str, Stated], *, memory: bool) -> Restricted:
@@ -85,45 +92,66 @@ def _with_memory(
 ) -> ChannelNoise:
     """The best noise with a memory, where it is worth it; else the white one."""
 
-    def noise_at(x: np.ndarray) -> ChannelNoise:
-        size = white.deviation if fixed else white.deviation * float(np.exp(x[2]))
-        return _noise(size, 1 / (1 + float(np.exp(-x[0]))), float(np.exp(x[1])))
+    def noise_at(angle: float, time: float) -> ChannelNoise:
+        return ChannelNoise(
+            white=white.deviation * float(np.cos(angle)),
+            correlated=white.deviation * float(np.sin(angle)),
+            time_s=float(np.exp(time)),
+        )
 
-    def target(x: np.ndarray) -> float:
-        return problem.value(key, noise_at(x))
+    def along(angle: float, time: float) -> Callable[[float], float]:
+        return problem.by_scale(key, noise_at(angle, time))
 
     least = problem.value(key, white)
     low, high = bounds
-    tries = [(share, time) for share in (-1.5, 2.0) for time in np.linspace(low + 1, high - 2, 4)]
+    tries = [(angle, time) for angle in (0.45, 1.2) for time in np.linspace(low + 1, high - 2, 4)]
     if not start.is_white:
-        share = (start.correlated / start.deviation) ** 2
-        share = float(np.clip(share, 1e-3, 1 - 1e-3))
-        tries.append((float(np.log(share / (1 - share))), float(np.log(start.time_s))))
-    values = [(target(np.array([*at, 0.0])), at) for at in tries]
+        angle = float(np.clip(np.arctan2(start.correlated, start.white), 0.1, 1.5))
+        tries.append((angle, float(np.log(start.time_s))))
+    values = [(problem.value(key, noise_at(*at)), at) for at in tries]
     nearest, at = min(values)
     if least - nearest < -_WORTH:
         return white
-    first = np.array([*at, 0.0])
-    limits = [(-5.0, 14.0), bounds, (0.0, 0.0) if fixed else (-3.0, 3.0)]
-    done = minimize(target, first, method="L-BFGS-B", bounds=limits, options=_OPTIONS)
-    if least - float(done.fun) < _WORTH:
-        return white
-    return noise_at(done.x)
+    limits = [_MIXED, bounds, (0.0, 0.0) if fixed else (-3.0, 3.0)]
+    (angle, time, scale), value = _minimum(along, (*at, 0.0), limits, nearest)
+    return white if least - value < _WORTH else noise_at(angle, time).times(float(np.exp(scale)))
 
 
 def _best_scale(problem: Restricted, key: str, noise: ChannelNoise) -> ChannelNoise:
     """The noise times the factor that makes the likelihood largest."""
-
-    def target(x: np.ndarray) -> float:
-        return problem.value(key, noise.times(float(np.exp(x[0]))))
-
-    done = minimize(target, np.zeros(1), method="L-BFGS-B", bounds=[(-8.0, 8.0)], options=_OPTIONS)
-    return noise.times(float(np.exp(done.x[0])))
+    by_scale = problem.by_scale(key, noise)
+    (scale,), _ = _minimum(lambda: by_scale, (0.0,), [(-8.0, 8.0)], by_scale(0.0))
+    return noise.times(float(np.exp(scale)))
 
 
-def _noise(deviation: float, share: float, time_s: float) -> ChannelNoise:
-    return ChannelNoise(
-        white=deviation * float(np.sqrt(1 - share)),
-        correlated=deviation * float(np.sqrt(share)),
-        time_s=time_s,
-    )
+def _minimum(
+    along: Callable[..., Callable[[float], float]],
+    start: Sequence[float],
+    bounds: Sequence[tuple[float, float]],
+    first: float,
+) -> tuple[list[float], float]:
+    """Where a likelihood is largest, and -2 log L there.
+
+    Arguments:
+        along: of all variables but the last, the logarithm of a factor: -2 log L by that one,
+            which costs no more passes over the samples.
+        start: of the variables.
+        bounds: of each.
+        first: -2 log L at the start.
+    """
+
+    def with_slopes(x: np.ndarray) -> tuple[float, np.ndarray]:
+        *shape, scale = x.tolist()
+        here = along(*shape)
+        value = here(scale)
+        slopes = [(here(scale + _STEP) - value) / _STEP]
+        for i in reversed(range(len(shape))):
+            step = _STEP if shape[i] + _STEP < bounds[i][1] else -_STEP
+            moved = [*shape[:i], shape[i] + step, *shape[i + 1 :]]
+            slopes.insert(0, (along(*moved)(scale) - value) / step)
+        return value, np.array(slopes)
+
+    # SciPy's is relative to the likelihood, which is as large as there are cells.
+    options = {"ftol": _ENOUGH / max(abs(first), 1.0), "maxiter": _ITERATIONS}
+    done = minimize(with_slopes, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+    return done.x.tolist(), float(done.fun)

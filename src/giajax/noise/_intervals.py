@@ -12,8 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from .._typing import Float
+from ._cells import Cells
 from ._model import ChannelNoise, Stated
-from ._restricted import Cells, Restricted
+from ._restricted import Restricted
 
 # Of differences, in the logarithm of a parameter of the noise.
 _STEP = 0.03

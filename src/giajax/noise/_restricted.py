@@ -7,67 +7,26 @@ parameters, with V the covariance of the cells, J the Jacobian and e the residua
 
     -2 log L = log|V| + log|J^T V^-1 J| + min_d (e + J d)^T V^-1 (e + J d).
 
+What is known of a parameter before is one more row of residuals, of variance one: what takes part
+in both J^T V^-1 J and the minimum. It is then the likelihood of all cells, with the parameter drawn
+from its prior: of a parameter that is known well, the plain one.
+
 Runs share some columns of J and have others of their own, which are eliminated run by run.
 """
 
 import dataclasses
-import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Self
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dtrtrs
 
-from .._typing import Bool, Float
+from .._typing import Float
+from ._cells import Cells
 from ._model import ChannelNoise
-from ._segment import solve
 
 # Column-normalised singular value below which a combination of parameters is not determined.
 _COLLINEAR = 1e-6
-
-
-@dataclasses.dataclass(frozen=True)
-class Cells:
-    """The measured cells of one channel of one run.
-
-    Attributes:
-        key: of their noise: cells of the same key have the same.
-        run: number of the run.
-        times: s, increasing, shape (cell,); None for a run without time.
-        weights: of the cells, 1 but for outliers (`ChannelNoise.white` is divided by their root).
-        residual: predicted minus recorded, SI, shape (cell,).
-        shared: its derivatives by the parameters that the runs share, shape (cell, shared).
-        own: its derivatives by those of the run, shape (cell, own).
-    """
-
-    key: str
-    run: int
-    times: Float[np.ndarray, " cell"] | None
-    weights: Float[np.ndarray, " cell"]
-    residual: Float[np.ndarray, " cell"]
-    shared: Float[np.ndarray, "cell shared"]
-    own: Float[np.ndarray, "cell own"]
-
-    def where(self, kept: Bool[np.ndarray, " cell"]) -> Self:
-        """Some of the cells."""
-        return dataclasses.replace(
-            self,
-            times=None if self.times is None else self.times[kept],
-            weights=self.weights[kept],
-            residual=self.residual[kept],
-            shared=self.shared[kept],
-            own=self.own[kept],
-        )
-
-    def gram(self, noise: ChannelNoise) -> tuple[np.ndarray, float]:
-        """X^T V^-1 X of own and shared columns and the residual, in that order; and log|V|."""
-        solved = solve(noise, self.times, self.weights, self._columns)
-        return self._columns.T @ solved.columns, solved.log_determinant
-
-    @functools.cached_property
-    def _columns(self) -> np.ndarray:
-        """Own, shared and residual, those of a column side by side in memory."""
-        return np.asfortranarray(np.column_stack([self.own, self.shared, self.residual]))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,22 +37,32 @@ class Restricted:
         cells: of all channels of all runs, their columns of about the same size and independent.
         noise: of each key.
         grams: of each of `cells`, with that noise.
+        prior: X^T X of the rows of priors; X are the shared columns and, last, the residual.
     """
 
     cells: tuple[Cells, ...]
     noise: Mapping[str, ChannelNoise]
     grams: tuple[tuple[np.ndarray, float], ...]
+    prior: Float[np.ndarray, "column column"]
 
     @classmethod
-    def of(cls, cells: Sequence[Cells], noise: Mapping[str, ChannelNoise]) -> Self:
+    def of(
+        cls,
+        cells: Sequence[Cells],
+        noise: Mapping[str, ChannelNoise],
+        prior: Float[np.ndarray, "column column"] | None = None,
+    ) -> Self:
         """The likelihood of the noise of some cells.
 
         Arguments:
             cells: of all channels of all runs.
             noise: of each key, to begin with.
+            prior: as the attribute, of the columns of `cells`; None where nothing is known.
         """
-        known = conditioned(cells, noise)
-        return cls(known, noise, tuple(each.gram(noise[each.key]) for each in known))
+        if prior is None:
+            prior = np.zeros((cells[0].shared.shape[1] + 1,) * 2)
+        those, prior = conditioned(cells, noise, prior)
+        return cls(those, noise, tuple(each.gram(noise[each.key]) for each in those), prior)
 
     def with_noise(self, key: str, noise: ChannelNoise) -> Self:
         """The same with another noise of one key."""
@@ -103,10 +72,33 @@ class Restricted:
 
     def value(self, key: str, noise: ChannelNoise) -> float:
         """-2 log L where the cells of one key have another noise."""
+        return self._value(self._grams(key, noise))
+
+    def by_scale(self, key: str, noise: ChannelNoise) -> Callable[[float], float]:
+        """-2 log L by the logarithm of a factor of the noise of one key.
+
+        A factor scales all of a Gram matrix: however many it is asked for, the samples are passed
+        over once.
+        """
         grams = self._grams(key, noise)
+
+        def value(log: float) -> float:
+            power = float(np.exp(-2 * log))
+            return self._value(
+                tuple(
+                    (power * gram, determinant + 2 * log * len(cells.residual))
+                    if cells.key == key
+                    else (gram, determinant)
+                    for cells, (gram, determinant) in zip(self.cells, grams, strict=True)
+                )
+            )
+
+        return value
+
+    def _value(self, grams: Sequence[tuple[np.ndarray, float]]) -> float:
         determinant = sum(log for _, log in grams)
         of_runs = [_eliminated(*of_run) for of_run in _by_run(self.cells, grams).values()]
-        shared = np.sum([rest for rest, _ in of_runs], axis=0)
+        shared = np.sum([rest for rest, _ in of_runs], axis=0) + self.prior
         rest, log = _eliminated(shared, len(shared) - 1)
         return determinant + sum(log for _, log in of_runs) + log + float(rest[0, 0])
 
@@ -117,10 +109,18 @@ class Restricted:
         )
 
 
-def conditioned(cells: Sequence[Cells], noise: Mapping[str, ChannelNoise]) -> tuple[Cells, ...]:
-    """The cells with other columns that span the same: orthonormal with the given noise.
+def conditioned(
+    cells: Sequence[Cells],
+    noise: Mapping[str, ChannelNoise],
+    prior: Float[np.ndarray, "column column"],
+) -> tuple[tuple[Cells, ...], np.ndarray]:
+    """The cells with other columns that span the same: orthonormal with the given noise and prior.
 
-    Directions that no cell responds to are left out; so are own columns that do not respond.
+    Directions that neither cells nor prior respond to are left out; so are own columns that do not
+    respond.
+
+    Returns:
+        The cells, and the prior by their columns.
     """
     runs = sorted({each.run for each in cells})
     changed = dict(enumerate(cells))
@@ -137,10 +137,11 @@ def conditioned(cells: Sequence[Cells], noise: Mapping[str, ChannelNoise]) -> tu
             changed[i] = dataclasses.replace(
                 cells[i], own=basis, shared=cells[i].shared - basis @ across
             )
-    shared = orthonormal(np.sum(triangles, axis=0))
-    return tuple(
-        dataclasses.replace(each, shared=each.shared @ shared) for each in changed.values()
-    )
+    shared = orthonormal(np.sum(triangles, axis=0) + prior[:-1, :-1])
+    across = shared.T @ prior[:-1, -1:]
+    known = np.block([[shared.T @ prior[:-1, :-1] @ shared, across], [across.T, prior[-1:, -1:]]])
+    those = (dataclasses.replace(each, shared=each.shared @ shared) for each in changed.values())
+    return tuple(those), known
 
 
 def _marginal(noise: ChannelNoise) -> ChannelNoise:

@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 
 from .._typing import Float
+from ._cells import Cells
 from ._model import ChannelNoise
-from ._restricted import Cells
 from ._segment import solve
 
 # 1.4826 median(|x|) estimates the standard deviation of a normal variable.

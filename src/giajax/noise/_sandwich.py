@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from .._typing import Float
+from ._cells import Cells
 from ._model import ChannelNoise
-from ._restricted import Cells
 from ._segment import whitened
 
 

@@ -17,9 +17,9 @@ def _lines(record: HeldOut) -> list[str]:
     lines = []
     for unit, names in by_unit.items():
         channels = [record.channels[name] for name in names]
-        errors = _range([channel.rmse for channel in channels]) or "not finite"
+        errors = _range([channel.rmse for channel in channels]) or "not known"
         if len(names) <= 4:
-            each = [f"{n} {_range([record.channels[n].rmse]) or 'not finite'}" for n in names]
+            each = [f"{n} {_range([record.channels[n].rmse]) or 'not known'}" for n in names]
             errors = ", ".join(each)
         sizes = _range([channel.size for channel in channels])
         values = sum(channel.n for channel in channels)

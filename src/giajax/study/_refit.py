@@ -6,12 +6,20 @@ from typing import Any
 
 import numpy as np
 
-from ..fitting import MAX_ITERATIONS, FitResult, RunFit, fit, prepared_with
+from ..fitting import (
+    MAX_ITERATIONS,
+    FitResult,
+    RunFit,
+    between,
+    prepared_with,
+    set_up,
+    solve,
+)
 from ..models import AbstractModel
-from ..parameters import elements, get, switched_on
+from ..parameters import Parameter, declared, elements, get, switched_on
 from ..runs import Definition, Run
 
-# Of the way from a bound to the value, for a start that would lie on the bound.
+# Of the size of a parameter, or of the range that it has: how far from a bound a fit starts.
 _INSIDE = 1e-3
 
 
@@ -84,13 +92,18 @@ def refit(
     Raises:
         InputError: as `giajax.fit`.
     """
+    own = _own_values(result, result.model if model is None else model)
     model = switched_on(result.model if model is None else model, free)
     held = set(fix or {})
-    paths = [
-        path
-        for path in (*result.free, *free)
-        if path not in held and path.partition("[")[0] not in held
-    ]
+
+    def is_held(path: str) -> bool:
+        return path in held or path.partition("[")[0] in held
+
+    limits: dict[str, Any] = {
+        key: {path: item for path, item in result.config.get(key, {}).items() if not is_held(path)}
+        for key in ("priors", "bounds", "ties", "groups")
+    }
+    paths = [path for path in (*result.free, *free) if not is_held(path)]
     begin: dict[str, Any] = dict(start or {})
     values: dict[str, float] = {}
     for path in paths:
@@ -99,18 +112,8 @@ def refit(
             np.asarray(begin.get(path, get(model, path)), dtype=float), (len(parts),)
         )
         for part, value in zip(parts, wanted, strict=True):
-            values[part.path] = _inside(part.declaration, float(value))
-    limits: dict[str, Any] = {
-        key: {path: item for path, item in result.config.get(key, {}).items() if path not in held}
-        for key in ("priors", "bounds", "ties", "groups")
-    }
-    for path, value in values.items():
-        low, high = limits["bounds"].get(
-            path, limits["bounds"].get(path.partition("[")[0], (-np.inf, np.inf))
-        )
-        margin = _INSIDE * (high - low) if np.isfinite(high - low) else 0.0
-        values[path] = float(np.clip(value, low + margin, high - margin))
-    return fit(
+            values[part.path] = _inside(part, float(value), limits["bounds"])
+    setup = set_up(
         model,
         begun_where_it_ended(result, runs),
         free=paths,
@@ -120,13 +123,32 @@ def refit(
         noise_model=result.config.get("noise_model", "correlated"),
         noise_per_run=result.config.get("noise_per_run", False),
         **limits,
-        max_iterations=max_iterations,
-        check=check,
     )
+    setup = dataclasses.replace(setup, own=own)
+    return solve(setup, max_iterations=max_iterations, check=check)
 
 
-def _inside(declaration: Any, value: float) -> float:
-    """A value strictly within its bounds."""
-    lower, upper, default = declaration.lower, declaration.upper, abs(declaration.default)
-    width = min(upper - lower, default or 1.0)
-    return float(np.clip(value, lower + _INSIDE * width, upper - _INSIDE * width))
+def _own_values(result: FitResult, model: AbstractModel) -> dict[str, dict[str, float]]:
+    """By the name of a run, the values of what it does not share with all others.
+
+    Only of what a model has as the fitted one does: another choice may scale them all.
+    """
+    known = declared(model)
+    kept = {
+        path
+        for path, estimate in result.free.items()
+        if path.partition("[")[0] in known and float(get(model, path)) == estimate.value
+    }
+    return {
+        record.name: {path: own.value for path, own in record.parameters.items() if path in kept}
+        for record in result.runs
+    }
+
+
+def _inside(parameter: Parameter, value: float, bounds: Mapping[str, Sequence[float]]) -> float:
+    """A value well within the bounds of a fit, where a start on one of them would stay."""
+    declaration, path = parameter.declaration, parameter.path
+    stated = bounds.get(path, bounds.get(path.partition("[")[0]))
+    lower, upper = stated or (declaration.lower, declaration.upper)
+    width = min(upper - lower, abs(declaration.default) or 1.0)
+    return between(value, lower, upper, margin=_INSIDE * width)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..fitting import Beginning, FitResult, Setup, set_up, with_held_out
+from ..fitting import Beginning, FitResult, Setup, not_judged, set_up, with_held_out
 from ..models import AbstractModel, model_for
 from ..runs import Definition, Parted, Run, hold_out
 
@@ -28,6 +28,10 @@ class HoldOut:
     def judge(self, result: FitResult) -> FitResult:
         """The result with how well it predicts what was held out."""
         return with_held_out(result, self.whole, self.parts)
+
+    def left(self, result: FitResult) -> FitResult:
+        """The result with what was held out, where nothing is known of how it is predicted."""
+        return not_judged(result, self.parts)
 
 
 def set_up_parts(

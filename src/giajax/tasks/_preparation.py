@@ -137,6 +137,8 @@ class Preparation:
             result = dataclasses.replace(
                 result, status="interrupted", message=message, reason="interrupted"
             )
+            if self.held_out is not None and not result.held_out:
+                result = self.held_out.left(result)
         return dataclasses.replace(result, validation=tuple(errors), task=dict(self.record))
 
     def diagnosed(self, result: FitResult, *, suspects: bool = True) -> FitResult:
@@ -148,8 +150,8 @@ class Preparation:
 
         Returns:
             With systematic errors, where uncertainties are stated, and with suspects. The same
-            result where nothing is asked, where Ctrl-C ends it, or of a fit that has parameters
-            which the tests do not know.
+            result where nothing is asked, where Ctrl-C ends it, or where the model cannot be
+            evaluated with all of its parts on.
         """
         doubted = self.definition.fit.uncertainty
         try:
@@ -185,5 +187,6 @@ def prepare(
     begin = None if record["begin"] is None else Beginning(**record["begin"])
     setup, held_out = set_up_parts(definition, runs, begin)
     free = [parameter.path for parameter in setup.parameters]
-    check_uncertainty(setup.model, free, definition.fit.uncertainty or {})
+    uncertainty = definition.fit.uncertainty or {}
+    check_uncertainty(setup.model, free, uncertainty, setup.config.get("ties"))
     return Preparation(definition, setup, tuple(validation), record, held_out)

@@ -90,12 +90,14 @@ def compared(result: "FitResult", before: Mapping[str, Any]) -> str:
     now = json.loads(result.to_json())
     keys = ("parameters", "correlation", "cost", "reduced_chi_square", "history")
     same = all(now[key] == before[key] for key in keys)
-    for one, other in zip(now["runs"], before["runs"], strict=False):
-        # Their files may be elsewhere now.
-        same = same and one["channels"] == other["channels"]
-        same = same and one["parameters"] == other.get("parameters", {})
-    pairs = zip(now["held_out"], before.get("held_out", ()), strict=False)
-    same = same and all(one["channels"] == other["channels"] for one, other in pairs)
+    for key, what in (("runs", "runs fitted"), ("held_out", "runs with a part held out")):
+        ours, theirs = now[key], before.get(key, [])
+        if len(ours) != len(theirs):
+            return f"it is not the same fit: {len(ours)} {what} now, and {len(theirs)} before"
+        for one, other in zip(ours, theirs, strict=True):
+            # Their files may be elsewhere now.
+            same = same and one["channels"] == other["channels"]
+            same = same and one.get("parameters", {}) == other.get("parameters", {})
     if same:
         return "the numbers are the same, bit for bit"
     moved = {}

@@ -1,0 +1,194 @@
+"""The ladder: from the paper's model to what an arm in all of its air is like.
+
+`data/synthetic/full_air.csv` is of an arm with trim weights, added mass and drag along its links.
+The ladder starts from a fit by the paper's model, which has none of that and 0.047 kg a link, and
+is told nothing of what is missing. Positions show what acts on a link for its mass: with the mass
+that a link moves with, which nothing in the recording tells, all of it follows.
+"""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ._record import ROOT
+from ._study import Figures, Study
+
+if TYPE_CHECKING:
+    from giajax import FitResult, Run
+    from giajax.diagnosis import Ladder, Rung
+
+START = {
+    "air.drag_coefficient": 0.6,
+    "joints.pitch_stiffness": 1.6,
+    "joints.yaw_stiffness": 15.0,
+    "joints.damping": 0.15,
+}
+# Steps, as many as the command takes.
+MOST = 8
+# Relative, of chi-square; and of parameters, in their standard errors: what rounding on another
+# machine leaves of a fit.
+SAME, NEAR = 1e-3, 0.1
+
+
+def run(size: int, seed: int) -> Figures:
+    """Figures of the ladder; the recording is the stored one, whatever size and seed."""
+    return {"scale": _scale(), **_climbed(MOST)}
+
+
+def part(size: int, seed: int) -> Figures:
+    """The first fit: what the ladder asks of it takes minutes to compile."""
+    return _climbed(0)
+
+
+def _climbed(most: int) -> Figures:
+    """The rungs of a ladder of so many steps, and what the last one makes of the truth."""
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    import giajax
+
+    recording = _recording()
+    model = giajax.ArmModel(giajax.takeichi_20m())
+    first = giajax.fit(model, recording, free=list(START), start=START, check=False)
+    return _figures(giajax.ladder(first, recording, most=most))
+
+
+def _recording() -> "Run":
+    import giajax
+
+    return giajax.read_run(ROOT / "data" / "synthetic" / "full_air.csv")
+
+
+def _moving_mass(model: Any) -> float:
+    """What a link moves with, apart from the air across it, kg; it is that of all links."""
+    import giajax.arm
+
+    return float(np.mean(giajax.arm.bodies(model.arm).mass))
+
+
+def _figures(steps: "Ladder") -> Figures:
+    import giajax
+
+    recording = _recording()
+    truth = recording.definition.truth
+    moving = _moving_mass(giajax.model_for([recording]))
+    last = steps.result
+    per = _moving_mass(last.model)
+    return {
+        "rungs": [_rung(rung) for rung in steps.rungs],
+        "ending": steps.ending,
+        "moving_mass": moving,
+        "for_their_mass": {
+            path: {**_estimate(last, path, per), "truth": truth[path] / moving} for path in START
+        },
+        "with_the_mass": {
+            path: {**_estimate(last, path, per / moving), "truth": truth[path]} for path in START
+        },
+        "imitated": _imitated(steps),
+    }
+
+
+def _rung(rung: "Rung") -> dict[str, Any]:
+    return {
+        "change": rung.change,
+        "chi_square": rung.chi_square,
+        "values": rung.values,
+        "bic": rung.bic,
+        "moving_mass": _moving_mass(rung.result.model),
+        "parameters": {path: _estimate(rung.result, path) for path in rung.result.free},
+    }
+
+
+def _estimate(result: "FitResult", path: str, per: float = 1.0) -> dict[str, float | None]:
+    """Value and standard error of a parameter, for a unit of something."""
+    one = result.parameters[path]
+    error = None if one.standard_error is None else one.standard_error / per
+    return {"value": one.value / per, "error": error}
+
+
+def _imitated(steps: "Ladder") -> list[str]:
+    """Of the last fit that was asked: what its fitted parameters imitate."""
+    asked = [rung.suspects for rung in steps.rungs if rung.suspects is not None]
+    return [row.path for row in asked[-1].untestable if "imitates" in row.note] if asked else []
+
+
+def _scale() -> dict[str, Any]:
+    """What a fit says whose masses are free, too: which parameters have no error of their own."""
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    import giajax
+
+    recording = _recording()
+    model = giajax.ArmModel(giajax.takeichi_20m())
+    links = model.arm.links
+    ties = {"links.mass": "links.mass[0]"}
+    for name in ("inertia_transverse", "inertia_axial"):
+        ratio = float(getattr(links, name)[0] / links.mass[0])
+        ties[f"links.{name}"] = f"{ratio} * links.mass"
+    free = ["links.mass", *START]
+    result = giajax.fit(model, recording, free=free, start=START, ties=ties, check=False)
+    return {
+        "without_error": [path for path, one in result.free.items() if one.standard_error is None],
+        "findings": [finding.code for finding in result.findings],
+    }
+
+
+def disagreements(stored: Figures, new: Figures) -> list[str]:
+    """Fits that end elsewhere: the recording is the same, and so must they be."""
+    sentences: list[str] = []
+    for before, after in zip(stored["rungs"], new["rungs"], strict=False):
+        name = after["change"]
+        if name != before["change"]:
+            return [*sentences, f"{name}: {before['change']} is stored"]
+        if abs(after["chi_square"] / before["chi_square"] - 1) > SAME:
+            now, then = after["chi_square"], before["chi_square"]
+            sentences.append(f"{name}: chi-square is {now:.6g}, and was {then:.6g}")
+        for path, one in after["parameters"].items():
+            other = before["parameters"][path]
+            if abs(one["value"] - other["value"]) > NEAR * (other["error"] or np.inf):
+                now, then = one["value"], other["value"]
+                sentences.append(f"{name}: {path} is {now:.6g}, and was {then:.6g}")
+    return sentences
+
+
+def table(figures: Figures) -> list[str]:
+    """A row for each fit."""
+    shown = ("air.drag_coefficient", "joints.pitch_stiffness", "joints.damping")
+    rows = [
+        "| fit | chi-square | moving mass, kg | C_D | k, N m/rad | c, N m s/rad |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    for rung in figures["rungs"]:
+        cells = [_cell(rung["parameters"][path]) for path in shown]
+        change = "the paper's model" if rung["change"] == "-" else f"`{rung['change']}`"
+        rows.append(
+            f"| {change} | {rung['chi_square']:,.0f} | {rung['moving_mass']:.4f} | "
+            f"{' | '.join(cells)} |"
+        )
+    values, mass = figures["rungs"][-1]["values"], figures["moving_mass"]
+    true = [f"{figures['with_the_mass'][path]['truth']:g}" for path in shown]
+    return [*rows, f"| truth | {values:,} values | {mass:.4f} | {' | '.join(true)} |"]
+
+
+def _cell(estimate: Mapping[str, float | None]) -> str:
+    error = estimate["error"]
+    said = "-" if error is None else f"{error:.4f}"
+    return f"{estimate['value']:.4f} +- {said}"
+
+
+LADDER = Study(
+    name="ladder",
+    meaning=(
+        "`giajax suspects --ladder` on `data/synthetic/full_air.csv`, from a fit by the paper's "
+        "model, which is told nothing of what is missing: trim weights, added mass and drag along "
+        "the links."
+    ),
+    size=1,
+    seed=1,
+    run=run,
+    part=part,
+    disagreements=disagreements,
+    table=table,
+)

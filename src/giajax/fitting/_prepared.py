@@ -1,0 +1,39 @@
+"""Runs as a model prepares them, with values that a fit found for each."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+
+from ..models import AbstractModel
+from ..parameters import get, replace
+from ..runs import Run
+
+
+def sharing_a_program(model: AbstractModel, runs: Sequence[Run]) -> list[list[int]]:
+    """Positions of the runs that share a program: of the same channels, and prepared alike."""
+    groups: dict[Any, list[int]] = {}
+    for index, run in enumerate(runs):
+        structure = jax.tree.structure(model.prepare(run))
+        key = tuple(run.observations), structure, model.free_inputs(run)
+        groups.setdefault(key, []).append(index)
+    return list(groups.values())
+
+
+def prepared_with(model: AbstractModel, run: Run, own: Mapping[str, float]) -> Any:
+    """A prepared run with the values of what is free in it alone.
+
+    Arguments:
+        model: prepares the run.
+        run: what was recorded.
+        own: values by label (`initial.angle[0]`); the others are as the run was prepared.
+    """
+    inputs = model.prepare(run)
+    for path in model.free_inputs(run):
+        values = np.array(get(inputs, path), dtype=float)
+        for index in range(values.size):
+            label = f"{path}[{index}]" if values.size > 1 else path
+            values.reshape(-1)[index] = own.get(label, values.reshape(-1)[index])
+        inputs = replace(inputs, {path: values})
+    return inputs
