@@ -1,5 +1,7 @@
 """The step of least squares in a box: between the bounds, and no longer than it may be."""
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 import lineax as lx
@@ -7,8 +9,8 @@ import lineax as lx
 from .._typing import Array, Bool, Float
 
 # How often coordinates that leave the box are put on its sides, those that want to come back let
-# go, and the rest solved anew.
-_SIDES = 10
+# go, and the rest solved anew; and how often all of them at once.
+_SIDES, _AT_ONCE = 40, 6
 
 # A bound is reached from near it: farther off a step covers this part of the way at most.
 _AT_HAND, _WAY = 0.1, 0.9
@@ -25,6 +27,16 @@ def towards(bound: Float[Array, " parameter"], most: float) -> Float[Array, " pa
     return jnp.clip(way, -abs(most), abs(most))
 
 
+class _Sides(NamedTuple):
+    """Which coordinates are held on which side of the box, and the step with them there."""
+
+    step: Array
+    side: Array
+    held: Array
+    wrong: Array
+    count: Array
+
+
 def boxed_step(
     factor: Float[Array, "parameter parameter"],
     projected: Float[Array, " parameter"],
@@ -34,9 +46,9 @@ def boxed_step(
 ) -> Float[Array, " parameter"]:
     """Minimise |R s + Q^T r|^2 + |D s|^2 over a box.
 
-    By an active set: coordinates that want to leave the box stay on its side, the others are
-    solved for again, and those that then want to come back are let go. To shorten the whole step
-    would let one weak parameter hold up all of them.
+    By block principal pivoting (Kim and Park 2011): coordinates that want to leave the box stay on
+    its side, the others are solved for again, and those that then want to come back are let go.
+    To shorten the whole step would let one weak parameter hold up all of them.
 
     Arguments:
         factor, projected: R and Q^T r of the Jacobian's QR factorisation.
@@ -57,21 +69,27 @@ def boxed_step(
         operator = lx.MatrixLinearOperator(matrix)
         return lx.linear_solve(operator, vector, solver=lx.QR(), throw=False).value + direct
 
-    def again(carry: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
-        step, held, _, count = carry
-        step = solve(jnp.where(held, step, 0), held | ~active)
-        outside = (step < lowest) | (step > highest)
-        step = jnp.clip(step, lowest, highest)
-        uphill = factor.T @ (projected + factor @ step) + damping**2 * step
-        inwards = jnp.where(step <= lowest, uphill < 0, uphill > 0)
-        now = outside | (held & ~inwards)
-        return step, now, jnp.any(now != held), count + 1
+    places = jnp.arange(active.shape[0])
 
-    begin = (
-        jnp.zeros_like(damping),
+    def again(carry: _Sides) -> _Sides:
+        step = solve(jnp.where(carry.held, carry.side, 0), carry.held | ~active)
+        below, above = step < lowest, step > highest
+        uphill = factor.T @ (projected + factor @ step) + damping**2 * step
+        back = carry.held & jnp.where(carry.side <= lowest, uphill < 0, uphill > 0)
+        wrong = active & ((~carry.held & (below | above)) | back)
+        # All at once is quick, and may go round in circles; one by one, by place, does not.
+        last = jnp.max(jnp.where(wrong, places, -1))
+        wrong = wrong & ((carry.count < _AT_ONCE) | (places == last))
+        side = jnp.where(wrong & below, lowest, jnp.where(wrong & above, highest, carry.side))
+        return _Sides(step, side, carry.held ^ wrong, jnp.any(wrong), carry.count + 1)
+
+    nothing = jnp.zeros_like(damping)
+    begin = _Sides(
+        nothing,
+        nothing,
         jnp.zeros_like(active),
         jnp.asarray(True),
         jnp.asarray(0, dtype=jnp.int32),
     )
-    step, *_ = jax.lax.while_loop(lambda carry: carry[2] & (carry[3] < _SIDES), again, begin)
-    return step
+    end = jax.lax.while_loop(lambda now: now.wrong & (now.count < _SIDES), again, begin)
+    return jnp.clip(end.step, lowest, highest)

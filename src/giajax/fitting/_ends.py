@@ -21,6 +21,9 @@ _STEPS, _CRAWL = 10, 1e-3
 # constants do describe them, it need not even be slow.
 _FEW, _SOME, _LAST, _GAIN, _UNEXPLAINED = 6, 10, 5, 0.05, 0.8
 
+# Part of the cost that is not worth to be promised.
+_LITTLE = 0.01
+
 # Above this reduced chi-square something is missing.
 _MISFIT = 4.0
 
@@ -42,7 +45,9 @@ def stopped_by(state: FitState) -> tuple[Reason, str] | None:
     if state.done:
         return None
     costs = np.asarray([step.cost for step in steps])
-    if len(costs) > _FEW and 2 * state.cost > _MISFIT * len(state.inner.residual):
+    # Where the linear model promises little, the fit is about to end by itself.
+    hopeful = promised(state) < _LITTLE * state.cost
+    if len(costs) > _FEW and not hopeful and 2 * state.cost > _MISFIT * len(state.inner.residual):
         constant = constant_cost(state)
         still = 2 * constant < _MISFIT * len(state.inner.residual)
         slow = len(costs) > _SOME and costs[-1 - _LAST] - costs[-1] < _GAIN * costs[-1]
