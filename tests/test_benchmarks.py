@@ -99,3 +99,15 @@ def test_the_benchmark_of_the_noise_runs(tmp_path):
     each = json.loads((tmp_path / "noise.json").read_text())["joint_loops"]
     assert f"ratio {each['ratio']:.2f}" in printed
     assert set(each["seconds"]) == set(each["iterations"]) == {"white", "correlated"}
+
+
+@pytest.mark.slow
+def test_the_benchmark_of_a_fit_as_a_process_runs(tmp_path):
+    benchmark("fit_process", "--quick", "--out", tmp_path / "fit.json")
+    processes = json.loads((tmp_path / "fit.json").read_text())["processes"]["here"]
+    cold, warm = processes["cold"], processes["warm"]
+    # The program of the fit is the one that is worth keeping.
+    assert (cold["cached"], warm["cached"]) == (0, 1)
+    assert warm["compiled"] < cold["compiled"]
+    assert 0 < warm["first_iteration_s"] < warm["processor_s"]
+    assert warm["estimates"] == cold["estimates"]

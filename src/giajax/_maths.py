@@ -4,9 +4,25 @@ Vectors of a chain are stored component first, `(3, link)`: every operation belo
 whole rows, which is what makes one evaluation of the dynamics a few microseconds.
 """
 
+from typing import Any
+
+import jax
 import jax.numpy as jnp
+import numpy as np
 
 from ._typing import Array, Float
+
+
+def on_device(values: Any, dtype: Any = None) -> Array:
+    """Numbers that are known now as an array of JAX, without a program.
+
+    `jnp.asarray` compiles one for every shape, in each process anew.
+
+    Arguments:
+        values: what NumPy takes; must not be changed afterwards.
+        dtype: of the array; that of the values by default.
+    """
+    return jax.device_put(np.asarray(values, dtype))
 
 
 def dot(a: Float[Array, "3 *shape"], b: Float[Array, "3 *shape"]) -> Float[Array, "*shape"]:

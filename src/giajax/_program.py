@@ -13,6 +13,8 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from ._kept import KeptProgram, keeps_programs
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 CPU_OPTIONS = {
@@ -22,7 +24,7 @@ CPU_OPTIONS = {
 """Names and values of `jax.jit(compiler_options=...)`."""
 
 
-def program(function: Function) -> Function:
+def program(function: Function, *, like: Callable[..., Any] | None = None) -> Function:
     """Compile a function as `equinox.filter_jit` does, on a CPU with `CPU_OPTIONS`.
 
     XLA takes options for whole programs only: within another program, and under a transformation
@@ -30,15 +32,24 @@ def program(function: Function) -> Function:
 
     Arguments:
         function: a pure function of pytrees; what is no array is static.
+        like: from the same arguments, a tree as the function returns (`jax.ShapeDtypeStruct` will
+            do for an array). Its programs are then kept between processes, where the process
+            keeps any (`giajax._kept`), and are not traced again.
     """
     part = eqx.filter_jit(function)
     whole: Callable[..., Any] | None = None
+    kept: KeptProgram | None = None
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
-        nonlocal whole
+        nonlocal whole, kept
         if _is_traced((args, kwargs)):
             return part(*args, **kwargs)
+        if like is not None and keeps_programs() and not kwargs:
+            if kept is None:
+                kept = KeptProgram(function, like, _options())
+            if (known := kept.ready(args)) is not None:
+                return known(*args)
         if whole is None:
             # Asks for the device, which an import must not do.
             options = _options()

@@ -41,6 +41,7 @@ def check(result, freed, row):
     return drop
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [{"ties": TIES}, {"priors": PRIORS}])
 def test_drop_and_estimate_are_those_of_a_refit(options):
     """A delay, which a larger amplitude imitates where nothing keeps it."""
@@ -55,6 +56,7 @@ def test_drop_and_estimate_are_those_of_a_refit(options):
     assert (found.values, found.parameters) == (120, 2)
 
 
+@pytest.mark.slow
 def test_what_is_tied_is_no_suspect_and_moves_with_what_it_follows_from():
     recording = recorded(offset=0.1, shift=[0.0, 0.004, 0.0])
     result = fitted(recording, ties={"offset": "0.05 * twin + 0.05", "weights[1]": "weights[0]"})
@@ -67,6 +69,7 @@ def test_what_is_tied_is_no_suspect_and_moves_with_what_it_follows_from():
         check(result, freed, found.of(path))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options",
     [

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from giajax import InputError
+from giajax.fitting import between
 from giajax.fitting._bijector import Bijector
 from giajax.fitting._identifiability import responds, undetermined_groups
 from giajax.fitting._jacobian import BlockJacobian
-from giajax.fitting._loss import LOSSES, check_loss, influence, transform
+from giajax.fitting._loss import LOSSES, check_loss, influence, rho as counts_as, transform
 from giajax.fitting._uncertainty import uncertainty
 from giajax.noise import from_differences, robust_deviation
 
@@ -60,6 +61,7 @@ def test_a_loss_is_the_square_of_its_transformation(loss):
     r = np.linspace(-6.0, 6.0, 241)
     t = np.asarray(transform(loss, jnp.asarray(r)))
     np.testing.assert_allclose(t**2, rho(loss, r), atol=1e-14)
+    np.testing.assert_allclose(counts_as(loss, r), rho(loss, r), atol=1e-14)
     np.testing.assert_array_equal(np.sign(t), np.sign(r))
     psi, curvature, slope = influence(loss, r)
     numeric = jax.vmap(jax.grad(lambda x: transform(loss, x)))(jnp.asarray(r))
@@ -162,3 +164,19 @@ def test_standard_errors_are_the_spread_of_repeated_fits(loss):
         claimed.append(np.sqrt(np.diag(found.covariance)))
     seen = np.std(estimates, axis=0)
     np.testing.assert_allclose(np.mean(claimed, axis=0), seen, rtol=0.12)
+
+
+@pytest.mark.quick
+def test_a_start_on_a_bound_is_moved_inside_by_a_margin():
+    assert between(0.4, 0.0, 1.0) == 0.4
+    assert between(-3.0, 0.0, 1.0, margin=0.01) == 0.01
+    assert between(3.0, 0.0, 1.0, margin=0.01) == 0.99
+    assert between(5.0, 5.0, INF, margin=0.5) == 5.5
+    assert between(9.0, -INF, 5.0, margin=0.5) == 4.5
+    assert between(-7.0, -INF, INF, margin=0.5) == -7.0
+    # Strictly inside also where nothing is asked, and of 0 by a number that has a logarithm.
+    for lower, upper in ((0.0, INF), (5.0, INF), (-INF, 5.0), (-1.0, 1e-12), (2.0, 3.0)):
+        for value in (lower, upper):
+            if np.isfinite(value):
+                assert lower < between(value, lower, upper) < upper
+    assert np.isfinite(np.log(between(0.0, 0.0, INF)))

@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from inspect import signature
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from .._errors import InputError
@@ -117,7 +116,7 @@ def chain(
         air=Air(drag=drag, strip_points=strip_points, drag_curve=drag_curve, **air),
         buoyancy=Buoyancy(trim_position=length / 2) if buoyancy or trim else None,
         point_masses=point_masses,
-        base_rotation=jnp.asarray(base_rotation, dtype=float),
+        base_rotation=base_rotation,
         gravity=gravity,
     )
     values = dict(parameters or {})

@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from . import (
+    _cache,
     _check,
     _choose,
     _compensate,
@@ -70,6 +71,7 @@ _COMMANDS: tuple[tuple[Callable[..., None], str], ...] = (
     (_suspects.suspects, _suspects.EXAMPLES),
     (_synth.synth, _synth.EXAMPLES),
     (_examples.examples, _examples.EXAMPLES),
+    (_cache.cache, _cache.EXAMPLES),
 )
 
 

@@ -5,9 +5,20 @@ from pathlib import Path
 
 _MIN_COMPILE_SECONDS = 0.5
 
+PROGRAMS = "programs"
+"""Folder of the traced programs that are kept, within that of the compilation cache."""
+
+_own_process = False
+
+
+def own_process() -> None:
+    """Say that this process is the command line's own, and nothing in it changes giajax."""
+    global _own_process
+    _own_process = True
+
 
 def configure() -> None:
-    """Switch on 64-bit numbers and the persistent compilation cache.
+    """Switch on 64-bit numbers, the persistent compilation cache, and programs that are kept.
 
     To be called before anything is computed. A library must not set either; a process that
     belongs to the command line may. The cache is what `JAX_COMPILATION_CACHE_DIR` says, else
@@ -20,15 +31,27 @@ def configure() -> None:
     import jax
 
     jax.config.update("jax_enable_x64", True)
-    if "JAX_COMPILATION_CACHE_DIR" in os.environ:
-        return
-    directory = cache_directory()
+    directory, stated = compilation_cache()
     if directory is None:
+        return
+    if _own_process:
+        from .._kept import keep_programs
+
+        keep_programs(directory / PROGRAMS)
+    if stated:
         return
     jax.config.update("jax_compilation_cache_dir", str(directory))
     # JAX's own threshold of a second leaves out most of what a short command compiles.
     if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", _MIN_COMPILE_SECONDS)
+
+
+def compilation_cache() -> tuple[Path | None, bool]:
+    """Where compiled programs are kept, if anywhere, and whether the user's environment says so."""
+    stated = os.environ.get("JAX_COMPILATION_CACHE_DIR")
+    if stated is None:
+        return cache_directory(), False
+    return (Path(stated) if stated else None), True
 
 
 def cache_directory() -> Path | None:

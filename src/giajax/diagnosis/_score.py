@@ -12,8 +12,7 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.signal import lfilter
-from scipy.stats import f as f_distribution, t as t_distribution
+from scipy.special import fdtrc, stdtr
 
 from ._projection import Projected, basis_of
 
@@ -72,7 +71,7 @@ def score(
     if len(tests) == 1:
         ratio = float(np.sqrt(drop * gram[0, 0] / spread[0, 0]))
         one_sided = lower[0] == 0 or upper[0] == 0
-        p_value = float(t_distribution.sf(ratio, effective)) * (1 if one_sided else 2)
+        p_value = float(stdtr(effective, -ratio)) * (1 if one_sided else 2)
         if one_sided and step[0] == 0:
             p_value = 1.0
     else:
@@ -80,7 +79,7 @@ def score(
         wald = float(gradient @ np.linalg.pinv(spread, rcond=1e-10, hermitian=True) @ gradient)
         whole = float(gradient @ inverse @ gradient)
         wald *= drop / whole if whole > 0 else 0.0
-        p_value = float(f_distribution.sf(wald / count, count, effective))
+        p_value = float(fdtrc(count, effective, wald / count))
     return Score(step, errors, drop, p_value)
 
 
@@ -88,6 +87,9 @@ def _spread(
     rest: Projected, left: np.ndarray, columns: np.ndarray, tests: int
 ) -> tuple[np.ndarray, float]:
     """Covariance of the score under the noise that is left, and its degrees of freedom."""
+    # Slow to import, and only a fit whose model is inadequate comes here.
+    from scipy.signal import lfilter
+
     spread = np.zeros((columns.shape[1],) * 2)
     effective = 0.0
     # A prior has the deviation that it states, and no neighbour.

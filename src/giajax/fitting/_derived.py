@@ -39,8 +39,7 @@ def derived_estimates(problem: Problem, statistics: Statistics) -> dict[str, Est
         value for each group of runs, the mean counts.
     """
     count = problem.shared
-    values = jnp.asarray(statistics.values[:count], dtype=jnp.result_type(float))
-    model = problem.with_values(problem.means(values))
+    model = problem.with_values(problem.means(statistics.values[:count]))
     units = {name: quantity.unit for name, quantity in model.derived().items()}
     followers = _followers(model, problem.ties)
     if not units and not followers:
@@ -51,6 +50,7 @@ def derived_estimates(problem: Problem, statistics: Statistics) -> dict[str, Est
         tied = {path: get(model, part) for path, (part, _) in followers.items()}
         return {**tied, **{name: d.value for name, d in model.derived().items()}}
 
+    values = jnp.asarray(statistics.values[:count], dtype=jnp.result_type(float))
     at, slopes = quantities(values), jax.jacfwd(quantities)(values)
     norms, loose = _loose(statistics.root)
     alive = statistics.alive[statistics.alive < count]

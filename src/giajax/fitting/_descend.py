@@ -4,10 +4,10 @@ import dataclasses
 from collections.abc import Callable
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from .._errors import InputError
+from .._maths import on_device
 from ._budget import Budget
 from ._ends import nearly, stopped_by
 from ._identifiability import responds
@@ -118,9 +118,9 @@ def _at_start(state: FitState) -> FitState:
         )
     moves = responds(state.natural_jacobian().norms(), state.sizes)
     # As every later evaluation gives the factor, so that a fit that goes on from here is the same.
-    factor = jnp.where(jnp.asarray(moves)[None], state.inner.factor, 0)
+    factor = on_device(np.where(np.asarray(moves)[None], np.asarray(state.inner.factor), 0))
     inner = eqx.tree_at(lambda inner: inner.factor, state.inner, factor)
-    state = dataclasses.replace(state, active=jnp.asarray(moves), inner=inner, done=False).recorded(
+    state = dataclasses.replace(state, active=on_device(moves), inner=inner, done=False).recorded(
         accepted=True
     )
     if np.any(moves):

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .._maths import on_device
 from .._typing import Array, Float
 from ..models import AbstractModel
 from ..parameters import get
@@ -185,4 +186,4 @@ def own_begun(
 
 def _padded(arrays: Sequence[np.ndarray], length: int) -> Array:
     rows = [np.pad(a, ((0, length - len(a)), (0, 0))) for a in arrays]
-    return jnp.asarray(np.stack(rows), dtype=jnp.result_type(float))
+    return on_device(np.stack(rows), jnp.result_type(float))

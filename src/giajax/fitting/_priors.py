@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._errors import InputError
+from .._maths import on_device
 from .._typing import Array, Float
 from ..quantities import Prior
 from ._bijector import Bijector
@@ -46,8 +47,8 @@ class Priors(eqx.Module):
         rows = [(column, prior) for column, prior in enumerate(known) if prior is not None]
         dtype = jnp.result_type(float)
         return cls(
-            centre=jnp.asarray([prior.centre for _, prior in rows], dtype=dtype),
-            spread=jnp.asarray([prior.spread for _, prior in rows], dtype=dtype),
+            centre=on_device([prior.centre for _, prior in rows], dtype),
+            spread=on_device([prior.spread for _, prior in rows], dtype),
             columns=tuple(column for column, _ in rows),
             logarithmic=tuple(prior.logarithmic for _, prior in rows),
         )

@@ -74,13 +74,11 @@ class Problem(eqx.Module):
         model = replace(self.model, {path: values[i] for i, path in enumerate(self.paths)})
         return tied(model, self.ties)
 
-    def means(self, values: Array) -> Array:
-        """A value for each path: of what has several, the mean.
-
-        Arguments:
-            values: of all free coordinates, shape (parameter,); differentiable.
-        """
+    def means(self, values: Array | np.ndarray) -> Array | np.ndarray:
+        """A value for each path, of those of all coordinates: of several, the mean."""
         means = [values[np.asarray(place)].mean() for place in self.positions]
+        if isinstance(values, np.ndarray):
+            return np.asarray(means)
         return jnp.stack(means) if means else jnp.zeros(0)
 
     def free_paths(self, group: Group) -> tuple[str, ...]:

@@ -8,12 +8,14 @@ and Jacobian of the trial point together, so that an accepted step costs one eva
 The file is longer than 200 lines because the methods of one algorithm are read together.
 """
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optimistix as optx
 
 from .._typing import Array, Bool, Float, Scalar
@@ -98,21 +100,24 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         """State before the first evaluation, which is the first step."""
         count, size = f_struct.shape[0], y.shape[0]
         dtype = f_struct.dtype
-        return MarquardtState(
-            residual=jnp.zeros(count, dtype),
-            jacobian=options.get("jacobian", jnp.zeros((count, size), dtype)),
-            factor=jnp.eye(size, dtype=dtype),
-            projected=jnp.zeros(size, dtype),
-            cost=jnp.asarray(jnp.inf, dtype),
-            scale=jnp.zeros(size, dtype),
-            damping=jnp.asarray(1e-3, dtype),
-            growth=jnp.asarray(4.0, dtype),
-            step=jnp.zeros(size, dtype),
-            accepted=jnp.asarray(False),
-            sound=jnp.asarray(False),
-            aux=jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), aux_struct),
-            evaluations=jnp.asarray(0),
-        )
+        # By numpy: outside a program each operation of JAX is one, and compiled by itself.
+        zeros = functools.partial(np.zeros, dtype=dtype)
+        blank = {
+            "residual": zeros(count),
+            "jacobian": options.get("jacobian", zeros((count, size))),
+            "factor": np.eye(size, dtype=dtype),
+            "projected": zeros(size),
+            "cost": np.full((), np.inf, dtype),
+            "scale": zeros(size),
+            "damping": np.full((), 1e-3, dtype),
+            "growth": np.full((), 4.0, dtype),
+            "step": zeros(size),
+            "accepted": np.zeros((), bool),
+            "sound": np.zeros((), bool),
+            "aux": jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), aux_struct),
+            "evaluations": np.zeros((), jnp.result_type(int)),
+        }
+        return MarquardtState(**jax.device_put(blank))
 
     def step(
         self,

@@ -2,9 +2,12 @@
 
 None changes the state that it takes, so that whoever holds one (the loop, after Ctrl-C) has a
 whole fit in hand. All of them evaluate the model by the same compiled program.
+
+Longer than 200 lines because whatever changes a state is read together.
 """
 
 import dataclasses
+import functools
 import time
 from typing import Any
 
@@ -13,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 
+from .._maths import on_device
 from .._program import program
 from .._typing import Array
 from ._bijector import Bijector
@@ -71,7 +75,7 @@ def begin(setup: Setup) -> FitState:
         floor=distance**2 / 2,
         largest_step=_LARGEST_STEP,
     )
-    coordinate = jnp.asarray(bijector.inverse(start), dtype=jnp.result_type(float))
+    coordinate = on_device(bijector.inverse(start), jnp.result_type(float))
     return FitState(
         setup=setup,
         problem=problem,
@@ -81,7 +85,7 @@ def begin(setup: Setup) -> FitState:
         solver=solver,
         coordinate=coordinate,
         inner=_blank(solver, problem, coordinate),
-        active=jnp.ones(problem.size, bool),
+        active=on_device(np.ones(problem.size, bool)),
     )
 
 
@@ -111,7 +115,7 @@ def trial(state: FitState) -> FitState:
 
 def move(state: FitState, coordinate: Any) -> FitState:
     """Go on from another point, which is not evaluated yet."""
-    coordinate = jnp.asarray(coordinate, dtype=state.coordinate.dtype)
+    coordinate = on_device(coordinate, state.coordinate.dtype)
     inner = _blank(state.solver, state.problem, coordinate)
     return dataclasses.replace(state, coordinate=coordinate, inner=inner)
 
@@ -136,7 +140,7 @@ def evaluate(state: FitState, coordinate: Any, problem: Problem | None = None) -
     Returns:
         The solver's state there.
     """
-    coordinate = jnp.asarray(coordinate, dtype=state.coordinate.dtype)
+    coordinate = on_device(coordinate, state.coordinate.dtype)
     problem = state.problem if problem is None else problem
     fresh = _blank(state.solver, problem, coordinate)
     _, inner, _, _ = _step(state.solver, coordinate, problem, fresh, state.active)
@@ -152,15 +156,25 @@ def _blank(solver: Marquardt, problem: Problem, coordinate: Array) -> MarquardtS
         jax.ShapeDtypeStruct((), bool),
     )
     shape = jax.ShapeDtypeStruct((count,), dtype)
+    # By numpy, as in the solver: each operation of JAX here would be a program of its own.
     blocks = tuple(
-        jnp.zeros((len(g.members), g.observed[0].size, g.columns().shape[1]), dtype) for g in groups
+        np.zeros((len(g.members), g.observed.size // len(g.members), g.columns().shape[1]), dtype)
+        for g in groups
     )
-    options = {"jacobian": (*blocks, jnp.zeros(len(problem.priors), dtype))}
+    options = {"jacobian": (*blocks, np.zeros(len(problem.priors), dtype))}
     return solver.init(residual, coordinate, problem, options, shape, prediction, frozenset())
 
 
+def _stepped(
+    solver: Marquardt, coordinate: Array, problem: Problem, state: MarquardtState, active: Array
+) -> tuple[Array, MarquardtState, Any, Any]:
+    """As `_step` returns it."""
+    truth = jax.ShapeDtypeStruct((), bool)
+    return coordinate, state, truth, truth
+
+
 # At module level: a fresh closure would be compiled again for every fit.
-@program
+@functools.partial(program, like=_stepped)
 def _step(
     solver: Marquardt, coordinate: Array, problem: Problem, state: MarquardtState, active: Array
 ) -> tuple[Array, MarquardtState, Array, Array]:

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .._maths import on_device
 from .._typing import Array, Float
 from ..noise import ChannelNoise, gains
 
@@ -53,7 +54,7 @@ class Whitening(eqx.Module):
         more = 0 if length is None else length - len(times)
         # By numpy: each shape would be a program of its own, compiled before the fit begins.
         leaves = [
-            jnp.asarray(np.pad(np.stack(part, axis=-1), ((0, more), (0, 0))))
+            on_device(np.pad(np.stack(part, axis=-1), ((0, more), (0, 0))))
             for part in zip(*parts, strict=True)
         ]
         return cls(*leaves)

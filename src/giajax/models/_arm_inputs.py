@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._errors import InputError
+from .._maths import on_device
 from .._typing import Array, Float
 from ..arm import Arm
 from ..kinds import CommandSection, InitialSection, WindSection
@@ -51,7 +52,7 @@ def arm_inputs(arm: Arm, encoder: Encoder, run: Run) -> ArmInputs:
     check_wind(arm, wind)
     driven = any(run.channels[name].kind == "joint_torque" for name in run.commands)
     return ArmInputs(
-        times=jnp.asarray(run.times, dtype=jnp.result_type(float)),
+        times=on_device(run.times, jnp.result_type(float)),
         command=_rows(arm, run, run.times, "joint_command"),
         wind=wind,
         torque=_rows(arm, run, run.times, "joint_torque") if driven else None,
@@ -61,7 +62,7 @@ def arm_inputs(arm: Arm, encoder: Encoder, run: Run) -> ArmInputs:
 
 def _initial(arm: Arm, encoder: Encoder, run: Run, times: np.ndarray) -> InitialState:
     """The state at the first sample; a first row was seen by the angle sensors."""
-    angle, rate = map(jnp.asarray, initial_state(run, times, arm.count))
+    angle, rate = map(on_device, initial_state(run, times, arm.count))
     if run.definition.section(InitialSection).first_row:
         angle, rate = encoder.true_angles(angle), encoder.true_rates(rate)
     return InitialState(angle, rate)

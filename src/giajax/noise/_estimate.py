@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from scipy.optimize import minimize
 
 from ._model import ChannelNoise, Stated
 from ._restricted import Restricted
@@ -139,6 +138,8 @@ def _minimum(
         bounds: of each.
         first: -2 log L at the start.
     """
+    # Slow to import, and most fits estimate no noise.
+    from scipy.optimize import minimize
 
     def with_slopes(x: np.ndarray) -> tuple[float, np.ndarray]:
         *shape, scale = x.tolist()

@@ -4,9 +4,11 @@ from collections.abc import Callable
 from typing import Any, overload
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .._maths import on_device
 from ..quantities import Declaration
 
 DECLARED = "giajax.parameter"
@@ -71,7 +73,11 @@ def _converter(declaration: Declaration) -> Callable[[Any], Any]:
     def convert(value: Any) -> Any:
         if value is None and declaration.optional:
             return None
-        array = jnp.asarray(value, dtype=jnp.result_type(float))
+        dtype = jnp.result_type(float)
+        if not any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(value)):
+            # By numpy: JAX would compile a program to convert a list, or integers.
+            value = on_device(np.array(value, dtype))
+        array = jnp.asarray(value, dtype=dtype)
         shape = declaration.shape
         return jnp.broadcast_to(array, shape) if shape and array.ndim == 0 else array
 

@@ -49,6 +49,11 @@ def unfinished(result: FitResult) -> str:
 
 def to_png(figure: Figure) -> bytes:
     """The picture as a PNG file; the same bytes for the same picture."""
+    figure.set_dpi(_DPI)
+    if (engine := figure.get_layout_engine()) is not None:
+        # Matplotlib draws a picture twice to lay it out once.
+        engine.execute(figure)
+        figure.set_layout_engine("none")
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=_DPI, metadata={"Software": SIGNATURE})
     return buffer.getvalue()

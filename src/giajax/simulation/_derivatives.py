@@ -1,25 +1,30 @@
 """Which way a simulation can be differentiated, and a sentence for the way it cannot."""
 
-from typing import Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
-import diffrax
 import equinox as eqx
 import equinox.internal as eqxi
 import jax
 
 from .._errors import InputError
 
+if TYPE_CHECKING:
+    from diffrax import AbstractAdjoint
+
 T = TypeVar("T")
 
 Derivatives = Literal["forward", "reverse"]
 
 
-def adjoint(derivatives: str) -> diffrax.AbstractAdjoint:
+def adjoint(derivatives: str) -> "AbstractAdjoint":
     """The diffrax adjoint that offers a mode of differentiation.
 
     Raises:
         InputError: neither "forward" nor "reverse".
     """
+    # Slow to import, and needed only where a program is traced.
+    import diffrax
+
     if derivatives == "forward":
         return diffrax.ForwardMode()
     if derivatives == "reverse":

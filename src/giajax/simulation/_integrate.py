@@ -1,22 +1,22 @@
 """The compiled core of a simulation: diffrax on the equation of motion."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import diffrax
 import equinox.internal as eqxi
 import jax.numpy as jnp
 
 from .._program import program
 from .._typing import Array, Float, Scalar
 from ..arm import Arm
-from ._controller import Rates, fastest_rate, step_size_controller
 from ._derivatives import adjoint
 from ._disturbances import refuse_disturbances
-from ._linearly_implicit import LinearlyImplicit
 from ._motion import Inputs, motion
 from ._signal import Signal
 from ._solvers import solver as solver_named
 from ._trajectory import RESULTS, Trajectory
+
+if TYPE_CHECKING:
+    from diffrax import Solution
 
 
 @program
@@ -50,6 +50,12 @@ def integrate(
     Raises:
         TypeError: differentiated by a disturbance with `steps_for="motion"`.
     """
+    # Slow to import, and needed only here, where the program is traced.
+    import diffrax
+
+    from ._controller import Rates, fastest_rate, step_size_controller
+    from ._linearly_implicit import LinearlyImplicit
+
     begin, end = (times[0], times[-1]) if span is None else span
     inputs = [signal for signal in (command, wind, torque) if signal is not None]
     corners = jnp.concatenate([signal.times for signal in inputs])
@@ -96,7 +102,9 @@ def integrate(
     )
 
 
-def _result(solution: diffrax.Solution, finite: Array) -> RESULTS:
+def _result(solution: "Solution", finite: Array) -> RESULTS:
+    import diffrax
+
     def where(condition: Any, code: Any, otherwise: Any) -> Any:
         return RESULTS.where(condition, code, otherwise)
 

@@ -2,28 +2,44 @@
 
 from collections.abc import Callable
 from functools import partial
-
-import diffrax
+from typing import TYPE_CHECKING
 
 from .._errors import InputError
-from ._linearly_implicit import LinearlyImplicit
 from ._motion import springs
 
-SOLVERS: dict[str, Callable[[], diffrax.AbstractAdaptiveSolver]] = {
-    "tsit5": diffrax.Tsit5,
-    "dopri5": diffrax.Dopri5,
-    "dopri8": diffrax.Dopri8,
-    "bosh3": diffrax.Bosh3,
-    "heun": diffrax.Heun,
-    "springs5": partial(LinearlyImplicit, springs),
-    "kvaerno3": diffrax.Kvaerno3,
-    "kvaerno5": diffrax.Kvaerno5,
+if TYPE_CHECKING:
+    from diffrax import AbstractAdaptiveSolver
+
+
+def _of_diffrax(name: str) -> "AbstractAdaptiveSolver":
+    # Slow to import, and needed only where a program is traced.
+    import diffrax
+
+    solver: AbstractAdaptiveSolver = getattr(diffrax, name)()
+    return solver
+
+
+def _springs5() -> "AbstractAdaptiveSolver":
+    from ._linearly_implicit import LinearlyImplicit
+
+    return LinearlyImplicit(springs)
+
+
+SOLVERS: dict[str, Callable[[], "AbstractAdaptiveSolver"]] = {
+    "tsit5": partial(_of_diffrax, "Tsit5"),
+    "dopri5": partial(_of_diffrax, "Dopri5"),
+    "dopri8": partial(_of_diffrax, "Dopri8"),
+    "bosh3": partial(_of_diffrax, "Bosh3"),
+    "heun": partial(_of_diffrax, "Heun"),
+    "springs5": _springs5,
+    "kvaerno3": partial(_of_diffrax, "Kvaerno3"),
+    "kvaerno5": partial(_of_diffrax, "Kvaerno5"),
 }
 """Explicit methods, then the one that is implicit in the joints' springs and dampers alone, the
 fastest of all where they are stiff, then fully implicit ones."""
 
 
-def solver(name: str) -> diffrax.AbstractAdaptiveSolver:
+def solver(name: str) -> "AbstractAdaptiveSolver":
     """The solver of a name.
 
     Raises:

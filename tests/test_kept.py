@@ -1,0 +1,145 @@
+"""Programs kept between processes: traced once, and never in place of another program."""
+
+import equinox as eqx
+import jax
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+import giajax._kept
+from giajax._kept import KeptProgram, keep_programs
+from giajax._program import program
+from giajax._structure import NoStructureError, structure
+
+TRACED = []
+
+
+def as_law(angle):
+    return angle
+
+
+class Spring(eqx.Module):
+    stiffness: np.ndarray
+    power: int = eqx.field(static=True, default=1)
+    law: object = eqx.field(static=True, default=as_law)
+
+
+def pulled(spring, angle):
+    TRACED.append(spring.power)
+    return spring, spring.stiffness * angle**spring.power
+
+
+def as_pulled(spring, angle):
+    return spring, angle
+
+
+def narrower(spring, angle):
+    return spring, angle[:1]
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setattr(giajax._kept, "_folder", None)
+    TRACED.clear()
+    keep_programs(tmp_path / "programs")
+    return tmp_path / "programs"
+
+
+def in_a_process(spring, angle, *, like=as_pulled):
+    """What a process that starts now computes, and whether it kept the program."""
+    call = KeptProgram(pulled, like, {}).ready((spring, angle))
+    return None if call is None else call(spring, angle)
+
+
+SPRING, ANGLE = Spring(np.array(2.0)), np.array([1.0, 2.0, 3.0])
+
+
+def test_a_later_process_does_not_trace_it_again(folder):
+    _, first = in_a_process(SPRING, ANGLE)
+    same, second = in_a_process(SPRING, ANGLE + 1)
+    assert TRACED == [1]
+    assert_array_equal(first, [2.0, 4.0, 6.0])
+    assert_array_equal(second, [4.0, 6.0, 8.0])
+    assert same.law is SPRING.law
+    assert len(list(folder.iterdir())) == 1
+
+
+@pytest.mark.parametrize(
+    ("spring", "angle"),
+    [
+        (Spring(np.array(2.0), power=2), ANGLE),
+        (SPRING, ANGLE[:2]),
+        (Spring(np.float32(2.0)), ANGLE.astype(np.float32)),
+        (Spring(np.array(2.0), law=narrower), ANGLE),
+    ],
+    ids=["a static value", "a shape", "a type", "a function"],
+)
+def test_what_differs_is_another_program(spring, angle):
+    in_a_process(SPRING, ANGLE)
+    _, force = in_a_process(spring, angle)
+    assert len(TRACED) == 2
+    assert force.shape == angle.shape
+    assert_array_equal(force, 2.0 * angle**spring.power)
+
+
+def test_a_program_of_the_package_is_kept(folder):
+    for _ in range(2):
+        _, force = program(pulled, like=as_pulled)(SPRING, ANGLE)
+        assert_array_equal(force, [2.0, 4.0, 6.0])
+    assert TRACED == [1]
+    # As a part of another program it is traced with that.
+    assert_array_equal(
+        jax.jit(lambda x: program(pulled, like=as_pulled)(SPRING, x)[1])(ANGLE), force
+    )
+    assert TRACED == [1, 1]
+
+
+def test_nothing_is_kept_where_jax_is_to_look_into_programs(folder):
+    with jax.debug_nans(True):
+        program(pulled, like=as_pulled)(SPRING, ANGLE)
+    assert not folder.exists()
+
+
+def test_a_changed_source_is_traced_again(monkeypatch):
+    in_a_process(SPRING, ANGLE)
+    monkeypatch.setattr(giajax._kept, "origin", lambda: "another")
+    in_a_process(SPRING, ANGLE)
+    assert len(TRACED) == 2
+
+
+@pytest.mark.parametrize("damaged", [lambda b: b[:-1], lambda b: b"", lambda b: b"x" + b[1:]])
+def test_a_damaged_file_is_traced_again_and_mended(folder, damaged):
+    in_a_process(SPRING, ANGLE)
+    [path] = folder.iterdir()
+    path.write_bytes(damaged(path.read_bytes()))
+    assert_array_equal(in_a_process(SPRING, ANGLE)[1], [2.0, 4.0, 6.0])
+    in_a_process(SPRING, ANGLE)
+    assert len(TRACED) == 2
+
+
+def test_a_result_other_than_promised_is_not_kept(folder):
+    assert in_a_process(SPRING, ANGLE, like=narrower) is None
+    assert not folder.exists()
+
+
+def test_what_has_no_name_is_not_kept():
+    assert in_a_process(Spring(np.array(2.0), law=lambda x: x), ANGLE) is None
+    with pytest.raises(NoStructureError):
+        structure(object())
+
+
+def test_where_nothing_can_be_written_it_is_used_all_the_same(tmp_path):
+    (tmp_path / "file").write_text("")
+    keep_programs(tmp_path / "file" / "programs")
+    assert_array_equal(in_a_process(SPRING, ANGLE)[1], [2.0, 4.0, 6.0])
+
+
+def test_arrays_that_are_parts_of_a_program_count_by_their_numbers():
+    def fixed(*values):
+        with pytest.warns(UserWarning, match="static"):
+            return Spring(np.array(1.0), law=np.asarray(values))
+
+    assert structure(fixed(1.0, 2.0)) == structure(fixed(1.0, 2.0))
+    assert structure(fixed(1.0, 2.0)) != structure(fixed(1.0, 3.0))
+    assert structure(Spring(np.array(1.0))) == structure(Spring(np.array(2.0)))
+    assert structure({"a": 1, "b": (True,)}) != structure({"a": 1, "b": (1,)})
