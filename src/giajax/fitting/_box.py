@@ -34,7 +34,7 @@ class _Sides(NamedTuple):
     side: Array
     held: Array
     wrong: Array
-    count: Array
+    rounds: Array
 
 
 def boxed_step(
@@ -79,9 +79,9 @@ def boxed_step(
         wrong = active & ((~carry.held & (below | above)) | back)
         # All at once is quick, and may go round in circles; one by one, by place, does not.
         last = jnp.max(jnp.where(wrong, places, -1))
-        wrong = wrong & ((carry.count < _AT_ONCE) | (places == last))
+        wrong = wrong & ((carry.rounds < _AT_ONCE) | (places == last))
         side = jnp.where(wrong & below, lowest, jnp.where(wrong & above, highest, carry.side))
-        return _Sides(step, side, carry.held ^ wrong, jnp.any(wrong), carry.count + 1)
+        return _Sides(step, side, carry.held ^ wrong, jnp.any(wrong), carry.rounds + 1)
 
     nothing = jnp.zeros_like(damping)
     begin = _Sides(
@@ -91,5 +91,5 @@ def boxed_step(
         jnp.asarray(True),
         jnp.asarray(0, dtype=jnp.int32),
     )
-    end = jax.lax.while_loop(lambda now: now.wrong & (now.count < _SIDES), again, begin)
+    end = jax.lax.while_loop(lambda now: now.wrong & (now.rounds < _SIDES), again, begin)
     return jnp.clip(end.step, lowest, highest)
