@@ -7,7 +7,6 @@ processor time, which another program beside them lengthens less than the time o
     python -m benchmarks.fit_process [--quick] [--beside CHECKOUT] [--out FILE]
 """
 
-import argparse
 import json
 import os
 import subprocess
@@ -19,7 +18,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.measuring import RESULTS, store
+from benchmarks.measuring import RESULTS, command_line, store
 
 ROOT = Path(__file__).resolve().parents[1]
 FIT = "fits/base_step.toml"
@@ -167,11 +166,8 @@ def show(found: dict[str, Any], console: Console) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--quick", action="store_true", help="one step, once: does it run?")
-    parser.add_argument("--beside", type=Path, help="another checkout of giajax")
-    parser.add_argument("--out", type=Path, default=RESULTS / "fit_process.json")
-    arguments = parser.parse_args()
+    paths = {"beside": "another checkout of giajax"}
+    arguments = command_line(__doc__, RESULTS / "fit_process.json", paths=paths)
     checkouts = {"here": ROOT}
     if arguments.beside is not None:
         checkouts["beside"] = arguments.beside.resolve()

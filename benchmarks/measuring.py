@@ -3,18 +3,37 @@
 import argparse
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 RESULTS = Path(__file__).resolve().parent / "results"
 
 
-def command_line(description: str | None, out: Path, what: str = "JSON file to write") -> Any:
-    """The parsed command line of a benchmark: `quick` and `out`."""
+def command_line(
+    description: str | None,
+    out: Path,
+    what: str = "JSON file to write",
+    *,
+    paths: Mapping[str, str] | None = None,
+    **numbers: int,
+) -> Any:
+    """The parsed command line of a benchmark: `quick`, `out`, and what else it may be told.
+
+    Arguments:
+        description: of the benchmark; its first line is shown.
+        out: where it writes by default.
+        what: meaning of `out`.
+        paths: further files or folders, and what each is for.
+        numbers: further numbers with their defaults.
+    """
     parser = argparse.ArgumentParser(description=(description or "").partition("\n")[0])
     parser.add_argument("--quick", action="store_true", help="a short arm, once: does it run?")
     parser.add_argument("--out", type=Path, default=out, help=what)
+    for name, meaning in (paths or {}).items():
+        parser.add_argument(f"--{name}", type=Path, help=meaning)
+    for name, default in numbers.items():
+        parser.add_argument(f"--{name}", type=int, default=default)
     return parser.parse_args()
 
 

@@ -18,7 +18,9 @@ from benchmarks.measuring import RESULTS, command_line, store
 from giajax import FitTask
 
 MOST = 1.3
-DEFINITIONS = ("joint_loops", "muscle", "base_step", "independent_base_step", "full_air")
+DEFINITIONS = (
+    "joint_loops", "muscle", "base_step", "independent_base_step", "full_air", "pitch_yaw"
+)  # fmt: skip
 # What nobody notices, s: a fit of a few hundred cells takes a tenth of a second.
 UNNOTICED = 0.25
 

@@ -138,6 +138,9 @@ def _scale() -> dict[str, Any]:
 def disagreements(stored: Figures, new: Figures) -> list[str]:
     """Fits that end elsewhere: the recording is the same, and so must they be."""
     sentences: list[str] = []
+    # A part of the study is the first fit alone.
+    if 1 < len(new["rungs"]) != len(stored["rungs"]):
+        sentences.append(f"{len(new['rungs'])} fits in place of {len(stored['rungs'])}")
     for before, after in zip(stored["rungs"], new["rungs"], strict=False):
         name = after["change"]
         if name != before["change"]:

@@ -12,7 +12,7 @@ _INTRODUCTION = """\
 
 What takes too long for a test. Each table is written by `make evidence NAME` from the file
 beside it, which has the commit, the versions and the seed; `make test-all` runs a fiftieth of
-each study again, with other random numbers, and compares.
+each study, or of some of its cases, again with other random numbers, and compares.
 """
 
 

@@ -102,6 +102,16 @@ def test_the_benchmark_of_the_noise_runs(tmp_path):
 
 
 @pytest.mark.slow
+def test_the_benchmark_of_the_tolerance_runs(tmp_path):
+    out = tmp_path / "tolerance.json"
+    printed = benchmark("tolerance", "--quick", "--out", out)
+    (each,) = json.loads(out.read_text()).values()
+    # How long it takes is for an idle machine; how far off it is, is not.
+    assert max(each["off_in_standard_errors"]) < 0.01
+    assert "of the former" in printed
+
+
+@pytest.mark.slow
 def test_the_benchmark_of_a_fit_as_a_process_runs(tmp_path):
     benchmark("fit_process", "--quick", "--out", tmp_path / "fit.json")
     processes = json.loads((tmp_path / "fit.json").read_text())["processes"]["here"]

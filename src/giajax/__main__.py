@@ -1,6 +1,7 @@
 """The command `giajax`, and `python -m giajax`: it listens for signals before all else."""
 
 import gc
+import os
 import sys
 
 from ._signals import listen, stopped_status
@@ -18,6 +19,9 @@ def main() -> int:
     """
     listen()
     gc.set_threshold(_OBJECTS, 50, 100)
+    # The matrices of NumPy and SciPy are small here, and threads of theirs wait for each other by
+    # keeping the cores busy; read when NumPy is imported.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         from .cli import main as command_line, own_process
 

@@ -19,7 +19,7 @@ import equinox as eqx
 import jax
 from jax import export
 
-from ._kept_files import SUFFIX, origin, read, write
+from ._kept_files import SUFFIX, origin, read, sources, write
 from ._structure import NoStructureError, structure
 
 _SETTINGS = ("JAX_", "XLA_", "EQX_")
@@ -43,6 +43,7 @@ def keep_programs(folder: Path) -> None:
     """
     global _folder
     _folder = folder
+    origin()
 
 
 def keeps_programs() -> bool:
@@ -100,7 +101,9 @@ class KeptProgram:
         except (OSError, ValueError):
             # Not there, or not as it was written.
             module = self._traced(args, leaves, like, blank)
-            write(path, module)
+            # Where somebody edits meanwhile, nobody knows which source was traced.
+            if sources() == origin():
+                write(path, module)
         known = dataclasses.replace(blank, mlir_module_serialized=module)
         # The same text in every process: the compilation cache knows it.
         compiled = jax.jit(known.call, **self._options).lower(*leaves).compile()

@@ -13,8 +13,7 @@ SUFFIX = ".stablehlo"
 _LIBRARIES = ("jax", "jaxlib", "equinox", "diffrax", "optimistix", "lineax", "numpy")
 
 
-@functools.cache
-def origin() -> str:
+def sources() -> str:
     """What tracing depends on beside the arguments: the source of this package, and versions."""
     digest = hashlib.sha256(sys.version.encode())
     for name in _LIBRARIES:
@@ -24,6 +23,12 @@ def origin() -> str:
         digest.update(f"{path.relative_to(root)}\0".encode())
         digest.update(path.read_bytes())
     return digest.hexdigest()
+
+
+@functools.cache
+def origin() -> str:
+    """`sources`, as they were when the process began to keep programs."""
+    return sources()
 
 
 def read(path: Path) -> bytes:

@@ -121,6 +121,7 @@ def test_drag_of_a_resting_arm_has_no_slope_but_that_of_moving_air_has():
     assert_allclose([across, along], [-force * 0.2 * 0.495, -2 * force * 0.2 * 0.495], rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_acceleration_from_rest_is_that_of_the_springs():
     """At rest d(acceleration)/d(command) = M^-1 K, and of the arm only gravity would move it."""
     arm, still = takeichi_20m(LINKS), jnp.zeros(LINKS)

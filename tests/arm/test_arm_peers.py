@@ -42,6 +42,7 @@ def without_what_mujoco_lacks(arm):
     return dataclasses.replace(arm, air=air, point_masses=bodies)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("links", [2, 8])
 def test_everything_that_mujoco_can_do_at_once(links):
     """Armature, helium, trim weights and point masses off the axis as MuJoCo's own bodies; lift,

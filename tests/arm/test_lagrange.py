@@ -200,6 +200,7 @@ def test_the_torque_is_that_of_lagrange_with_every_option_on(arm, numbers):
         assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 def test_inverse_dynamics_undoes_forward_dynamics_with_every_option_on(arm):
     @jax.jit
     @jax.vmap

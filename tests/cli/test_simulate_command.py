@@ -153,6 +153,7 @@ def test_an_arm_of_ones_own(out, tmp_path):
     assert windy.definition.wind.velocity_m_per_s == [-1.0, 0.0, 0.0]
 
 
+@pytest.mark.slow
 def test_wind_alone_moves_the_arm(out):
     run = simulate(out, *SHORT, "--wind", "0,0,0.2", "--channels", "all")
     assert run.definition.free_motion

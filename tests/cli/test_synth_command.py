@@ -37,6 +37,7 @@ def test_a_run_is_recorded_again(run, tmp_path):
     assert main(["check", str(out)]) == 0
 
 
+@pytest.mark.slow
 def test_a_file_that_states_a_model_is_true(run, tmp_path):
     """As for `giajax predict`: --model takes a fit, or the TOML file of a model."""
     arm = tmp_path / "long.toml"

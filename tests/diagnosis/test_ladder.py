@@ -63,6 +63,7 @@ def test_what_is_no_longer_needed_is_taken_out_again():
     assert set(held.free) == {"amplitude", "decay", "late", "rub"}
 
 
+@pytest.mark.slow
 def test_a_choice_is_made_the_other_way_and_axes_are_exchanged():
     recording = recorded(wave=0.05)
     steps = ladder(fitted(recording), recording)

@@ -120,6 +120,7 @@ def test_what_a_prior_holds_is_imitated_no_more():
     assert row.estimate == pytest.approx(amplitude / 2.1, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_nothing_is_asked_for_where_the_model_is_right():
     alarms = 0
     for seed in range(12):

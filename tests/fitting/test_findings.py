@@ -86,6 +86,7 @@ def _statistics(jacobian, values):
         root=np.linalg.qr(jacobian, mode="r"),
         covariance=inverse_gram(jacobian),
         reduced_chi_square=1.0,
+        prior_freedom=0.0,
         scale=1.0,
         bounds={},
     )

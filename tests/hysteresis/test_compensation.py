@@ -113,6 +113,7 @@ def test_a_loop_without_branches_is_refused():
             branches_from_loop(back, back, travel=travel)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "operator",
     [

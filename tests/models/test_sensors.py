@@ -84,7 +84,8 @@ def test_scale_acts_on_what_is_seen_from_the_origin(plain):
     expected = 2 * (points(plain) - [0.1, 0.2, -0.3]) * [1, -1, -1]
     np.testing.assert_allclose(points(seen), expected, atol=1e-12)
     np.testing.assert_allclose(seen["tip_z"], -2 * (plain["tip_z"] + 0.3), atol=1e-12)
-    np.testing.assert_array_equal(seen["joint01_angle"], plain["joint01_angle"])
+    # The same but for rounding: with a camera it is another program.
+    np.testing.assert_allclose(seen["joint01_angle"], plain["joint01_angle"], rtol=1e-12)
 
 
 def test_markers_move_with_their_link():
@@ -118,6 +119,7 @@ def test_a_late_camera_shows_what_was(plain):
     np.testing.assert_allclose(late["joint01_angle"], plain["joint01_angle"], atol=1e-7)
 
 
+@pytest.mark.slow
 def test_clocks_of_camera_and_encoder_are_their_own(plain):
     changes = {"camera.delay": 0.3, "encoder.delay": -0.1}
     seen = giajax.predict(model(**changes), run_of(), EVERYTHING)

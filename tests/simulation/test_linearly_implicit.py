@@ -135,6 +135,7 @@ def test_the_order_is_five_where_nothing_is_stiff():
     assert rates.mean() > 4.7
 
 
+@pytest.mark.slow
 def test_the_order_is_five_on_a_stiff_arm_once_steps_are_short():
     angles, rates = observed_orders(300.0, [128, 256, 512])
     assert np.all(angles > 4.4)

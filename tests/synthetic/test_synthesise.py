@@ -75,6 +75,7 @@ def test_noise_is_white_and_as_large_as_stated(model, clean):
         assert abs(np.mean(error[1:] * error[:-1])) < 4 / np.sqrt(count)
 
 
+@pytest.mark.slow
 def test_the_noise_of_a_channel_depends_on_the_seed_and_its_name_alone(model):
     run = noisy(model, missing=0.2)
     same = noisy(model, missing=0.2, channels=("tip_z", "tip_x", "link01_y"))

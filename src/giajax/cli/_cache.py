@@ -21,20 +21,29 @@ def cache(
     in the user's cache directory, or what JAX_COMPILATION_CACHE_DIR says: of that, only what
     giajax alone wrote is removed.
     """
+    from .._errors import InputError
     from .._kept_files import SUFFIX
     from ._jax import PROGRAMS, compilation_cache
     from ._output import print_table
 
     directory, stated = compilation_cache()
     if directory is None:
-        typer.echo("there is no folder for a cache, and nothing is kept")
+        typer.echo(
+            "there is no folder for a cache, and nothing is kept: set XDG_CACHE_HOME to one that "
+            "can be written"
+        )
         return
     traced = sorted((directory / PROGRAMS).glob(f"*{SUFFIX}"))
     compiled = sorted(directory.glob("*-cache"))
     if clear:
         removed = traced if stated else [*traced, *compiled]
         for path in removed:
-            path.unlink(missing_ok=True)
+            try:
+                path.unlink(missing_ok=True)
+            except OSError as error:
+                raise InputError(
+                    f"{path} cannot be removed ({error.strerror}): remove the folder yourself"
+                ) from None
         typer.echo(f"{directory}: removed {len(removed)} of {len(traced) + len(compiled)} programs")
         return
     typer.echo(str(directory))
@@ -48,4 +57,5 @@ def cache(
 
 
 def _megabytes(paths: list[Path]) -> str:
-    return f"{sum(path.stat().st_size for path in paths) / 1e6:.1f}"
+    # Another process may remove one meanwhile.
+    return f"{sum(path.stat().st_size for path in paths if path.exists()) / 1e6:.1f}"

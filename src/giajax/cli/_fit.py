@@ -158,11 +158,11 @@ def fit(
     ] = None,
     solver: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Integration method, such as tsit5, springs5."),
+        typer.Option(metavar="NAME", help="Integration method (springs5), such as tsit5."),
     ] = None,
     tolerance: Annotated[
         float | None,
-        typer.Option(metavar="TOL", help="Tolerance of the integration (1e-7)."),
+        typer.Option(metavar="TOL", help="Tolerance of the integration (chosen by what it moves)."),
     ] = None,
     max_iterations: Annotated[
         int | None,

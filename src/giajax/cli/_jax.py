@@ -34,7 +34,8 @@ def configure() -> None:
     directory, stated = compilation_cache()
     if directory is None:
         return
-    if _own_process:
+    # JAX itself may keep what it compiles at an address of a network.
+    if _own_process and "://" not in os.environ.get("JAX_COMPILATION_CACHE_DIR", ""):
         from .._kept import keep_programs
 
         keep_programs(directory / PROGRAMS)

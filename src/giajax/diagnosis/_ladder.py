@@ -74,18 +74,19 @@ def ladder(
     for _ in range(most):
         asked[-1] = found = suspects(fits[-1].result, several)
         step: tuple[FitResult, list[Run], list[Run]] | None = None
+        tried: Measured | None = None
         for suspect in found.significant:
             if not _is_one(fits[-1].result.model, suspect):
                 continue
             try:
                 step = _with(fits[-1].result, several, apart, suspect)
+                tried = Measured.of(*step, suspect)
                 break
             except InputError:  # It cannot be evaluated so; the next one may be.
                 continue
-        if step is None:
+        if step is None or tried is None:
             ending = "no suspect that could be freed is significant"
             break
-        tried = Measured.of(*step, suspect)
         if not _is_better(tried, fits[-1], tried.noise):
             ending = f"{suspect.path} was tried, and makes BIC larger"
             break
@@ -93,8 +94,11 @@ def ladder(
         climb(tried)
         for spare in _spare(fits):
             assert spare.value is not None
-            again = refit(fits[-1].result, several, fix={spare.path: spare.value})
-            fewer = Measured.of(again, several, apart, spare, removed=True)
+            try:
+                again = refit(fits[-1].result, several, fix={spare.path: spare.value})
+                fewer = Measured.of(again, several, apart, spare, removed=True)
+            except InputError:  # It cannot do without.
+                continue
             if _is_better(fewer, fits[-1], fits[-1].noise):
                 climb(fewer)
     noise = fits[-1].noise

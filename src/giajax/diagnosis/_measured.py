@@ -83,8 +83,12 @@ class Measured:
 
 
 def _deviation(deviations: Mapping[str, float], name: str) -> float:
-    """That of a channel; of one that had another name, or was not fitted, the mean."""
-    return deviations.get(name) or float(np.mean(list(deviations.values())))
+    """That of a channel; of one that had another name, or was not fitted, the mean of its kind."""
+    if known := deviations.get(name):
+        return known
+    kind = name.rpartition("_")[0]
+    alike = [one for other, one in deviations.items() if other.rpartition("_")[0] == kind]
+    return float(np.mean(alike or list(deviations.values())))
 
 
 def _errors(result: FitResult, runs: Sequence[Run]) -> list[tuple[str, float | None, np.ndarray]]:

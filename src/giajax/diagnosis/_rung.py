@@ -15,7 +15,8 @@ class Rung:
     Attributes:
         suspect: what was added to the fit before; None for the first.
         removed: whether it was taken out again: with what came later, nothing asks for it.
-        chi_square: sum of squared residuals in units of white noise, the same for all rungs.
+        chi_square: sum of what the loss makes of residuals in units of white noise, the same for
+            all rungs, and of the squares of the priors.
         parameters: number of fitted parameters.
         values: number of measured values.
         held_out: root mean square error of the runs that were held out, in units of their noise

@@ -144,14 +144,12 @@ def _slopes(
         known = moved.known_of_runs[number]
         cells = np.concatenate([cells, np.zeros((len(known), cells.shape[1]))])
         own = np.concatenate([own, known[:, 1:]])
-        of_run = np.linalg.lstsq(own, cells, rcond=_RANK)[0]
+        of_run = _explained(own, cells)
         rows.append(cells - own @ of_run)
         of_runs.append(of_run)
     known = np.pad(moved.known[:, 1:], ((0, 0), (0, len(columns))))
     jacobian, held = np.split(np.concatenate([*rows, known]), [shared], axis=1)
-    norms = np.linalg.norm(jacobian, axis=0)
-    norms = np.where(norms > 0, norms, 1.0)
-    common = -np.linalg.lstsq(jacobian / norms, held, rcond=_RANK)[0] / norms[:, None]
+    common = -_explained(jacobian, held)
     by_path: list[list[np.ndarray]] = [[] for _ in result.free]
     for index, slope in zip(moved.shared, common, strict=True):
         by_path[index].append(slope)
@@ -162,6 +160,14 @@ def _slopes(
         for index, slope in zip(mine, alone, strict=False):
             by_path[index].append(slope)
     return np.stack([np.mean(slopes, axis=0) for slopes in by_path])
+
+
+def _explained(columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Least squares, shape (column, row); columns may be of very different size, or depend."""
+    norms = np.linalg.norm(columns, axis=0)
+    norms = np.where(norms > 0, norms, 1.0)
+    coefficients: np.ndarray = np.linalg.lstsq(columns / norms, rows, rcond=_RANK)[0]
+    return coefficients / norms[:, None]
 
 
 def _whitened(

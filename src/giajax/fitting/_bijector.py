@@ -1,13 +1,14 @@
 """From a coordinate that a fit moves along to a parameter within its bounds, and back."""
 
 from collections.abc import Sequence
-from typing import Self
+from typing import Any, Self
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 
+from .._maths import on_device
 from .._typing import Array, Float
 
 # Part of the distance between a start and its bound within which the coordinate is linear.
@@ -30,12 +31,14 @@ class Bijector(eqx.Module):
         lower, upper: bounds, infinite where there is none, shape (parameter,).
         above_lower, below_upper: distances from a bound up to which the coordinate is linear,
             shape (parameter,); not used where there is no bound.
+        last: coordinates of the upper bounds, infinite where there is none, shape (parameter,).
     """
 
     lower: tuple[float, ...] = eqx.field(static=True)
     upper: tuple[float, ...] = eqx.field(static=True)
     above_lower: Float[Array, " parameter"]
     below_upper: Float[Array, " parameter"]
+    last: Float[Array, " parameter"]
 
     @classmethod
     def of(
@@ -57,11 +60,16 @@ class Bijector(eqx.Module):
         width = np.where(np.isfinite(low) & np.isfinite(high), high - low, np.inf)
         usual = np.minimum(size, width)
 
-        def near(distance: np.ndarray) -> Array:
+        def near(distance: np.ndarray) -> np.ndarray:
             known = np.isfinite(distance) & (distance > _AT_BOUND * usual)
-            return jnp.asarray(_NEAR * np.where(known, distance, usual), jnp.result_type(float))
+            return np.asarray(_NEAR * np.where(known, distance, usual))
 
-        return cls(tuple(low.tolist()), tuple(high.tolist()), near(begun - low), near(high - begun))
+        linear = near(begun - low), near(high - begun)
+        with np.errstate(invalid="ignore"):
+            both = np.log1p(width / linear[0]) + np.log1p(width / linear[1])
+        last = np.where(np.isfinite(high), np.where(np.isfinite(low), both, 0), np.inf)
+        numbers = [on_device(each, jnp.result_type(float)) for each in (*linear, last)]
+        return cls(tuple(low.tolist()), tuple(high.tolist()), *numbers)
 
     def at(self, columns: Sequence[int] | np.ndarray) -> "Bijector":
         """The map of some of the parameters, by their positions."""
@@ -71,6 +79,7 @@ class Bijector(eqx.Module):
             tuple(self.upper[i] for i in places),
             self.above_lower[places],
             self.below_upper[places],
+            self.last[places],
         )
 
     def _kinds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -79,47 +88,47 @@ class Bijector(eqx.Module):
         # Stand-ins that keep the branches which are not taken free of NaN.
         return below, above, np.where(below, lower, 0.0), np.where(above, upper, 1.0)
 
-    def _bend(self) -> np.ndarray | Array:
-        """How soon the upper bound is felt: near / (width + near), 0 where there is none."""
+    def _near(self, maths: Any = np) -> tuple[Any, Any, Any]:
+        """The distances, and how soon the upper bound is felt: near / (width + near), or 0."""
         below, above, lower, upper = self._kinds()
-        return jnp.where(below & above, self.above_lower / (upper - lower + self.below_upper), 0)
+        low, high = maths.asarray(self.above_lower), maths.asarray(self.below_upper)
+        return low, high, maths.where(below & above, low / (upper - lower + high), 0)
 
-    def forward(self, coordinate: Float[Array, " parameter"]) -> Float[Array, " parameter"]:
-        """Parameters at coordinates between those of their bounds."""
+    def forward(self, coordinate: Float[Any, " parameter"]) -> Float[Any, " parameter"]:
+        """Parameters at coordinates between those of their bounds; by NumPy for its arrays."""
+        maths = np if isinstance(coordinate, np.ndarray) else jnp
         below, above, lower, upper = self._kinds()
+        low, high, bend = self._near(maths)
         # Of what has no such bound exp(t) may overflow, in the branch that is not taken.
-        t = jnp.where(below, coordinate, 0)
-        up = lower + self.above_lower * jnp.expm1(t) / (1 + self._bend() * jnp.exp(t))
-        t = jnp.where(above & ~below, coordinate, 0)
-        down = upper - self.below_upper * jnp.expm1(-t)
-        return jnp.where(below, up, jnp.where(above, down, coordinate))
+        t = maths.where(below, coordinate, 0)
+        up = lower + low * maths.expm1(t) / (1 + bend * maths.exp(t))
+        t = maths.where(above & ~below, coordinate, 0)
+        down = upper - high * maths.expm1(-t)
+        return maths.where(below, up, maths.where(above, down, coordinate))
 
     def inverse(self, value: np.ndarray) -> np.ndarray:
         """Coordinates of parameters within the bounds."""
         below, above, lower, upper = self._kinds()
         value = np.asarray(value, dtype=float)
+        low, high, bend = self._near()
         with np.errstate(all="ignore"):
-            part = (value - lower) / np.asarray(self.above_lower, dtype=float)
-            up = np.log1p(part) - np.log1p(-np.asarray(self._bend(), dtype=float) * part)
-            down = -np.log1p((upper - value) / np.asarray(self.below_upper, dtype=float))
+            part = (value - lower) / low
+            up = np.log1p(part) - np.log1p(-bend * part)
+            down = -np.log1p((upper - value) / high)
         return np.where(below, up, np.where(above, down, value))
 
     def slope(self, coordinate: np.ndarray) -> np.ndarray:
         """d(parameter)/d(coordinate), shape (parameter,)."""
         below, above, _, _ = self._kinds()
         coordinate = np.asarray(coordinate, dtype=float)
-        bend = np.asarray(self._bend(), dtype=float)
+        low, high, bend = self._near()
         with np.errstate(all="ignore"):
             grown = np.exp(coordinate)
-            up = np.asarray(self.above_lower) * grown * (1 + bend) / (1 + bend * grown) ** 2
-            down = np.asarray(self.below_upper) / grown
+            up = low * grown * (1 + bend) / (1 + bend * grown) ** 2
+            down = high / grown
         return np.where(below, up, np.where(above, down, 1.0))
 
-    def ends(self) -> tuple[Float[Array, " parameter"], Float[Array, " parameter"]]:
+    def ends(self) -> tuple[Float[Any, " parameter"], Float[Any, " parameter"]]:
         """Coordinates of the lower and of the upper bounds, infinite where there is none."""
-        below, above, lower, upper = self._kinds()
-        width = np.where(below & above, upper - lower, 1.0)
-        low, high = self.above_lower, self.below_upper
-        far = jnp.log1p(width / low) + jnp.log1p(width / high)
-        at_upper = jnp.where(below, far, 0)
-        return jnp.where(below, 0, -jnp.inf), jnp.where(above, at_upper, jnp.inf)
+        first = np.where(np.isfinite(self.lower), 0.0, -np.inf)
+        return np.asarray(first, self.last.dtype), self.last

@@ -9,13 +9,15 @@ from ._curvature import Curvature, curvatures
 from ._records import GradientCheck, Shift, ToleranceEffect, finite_or_none
 from ._state import FitState
 from ._statistics import Statistics
-from ._transitions import evaluate
+from ._tolerance import FINER, residual_change
+from ._transitions import evaluate, tolerance_of
 
 # Central differences in the free coordinate, at a tolerance where the steps of the integrator
 # do not show: truncation and noise are then both near 1e-8.
 _DIFFERENCE = 1e-4
 _DIFFERENCE_32 = 3e-2
 _FINER = 1e-3
+_FINE = 1e-9
 
 
 class Checks(NamedTuple):
@@ -55,7 +57,9 @@ def gradient_check(state: FitState, statistics: Statistics) -> GradientCheck | N
     Returns:
         None where no parameter is left, or a simulation beside the optimum failed.
     """
-    problem = dataclasses.replace(state.problem, model=state.problem.model.refined(_FINER))
+    tolerance = tolerance_of(state)
+    finer = _FINER if tolerance is None else min(_FINER, _FINE / tolerance)
+    problem = dataclasses.replace(state.problem, model=state.problem.model.refined(finer))
     centre = np.asarray(state.coordinate)
     offset = _DIFFERENCE if centre.dtype == np.float64 else _DIFFERENCE_32
     jacobian = state.jacobian(evaluate(state, centre, problem))
@@ -88,22 +92,24 @@ def gradient_check(state: FitState, statistics: Statistics) -> GradientCheck | N
 
 
 def tolerance_effect(state: FitState, statistics: Statistics) -> ToleranceEffect | None:
-    """How far the optimum moves, to first order, when the solver tolerance is halved.
+    """How far the optimum moves, to first order, with a finer solver tolerance.
+
+    A hundredth of it; of a model that has no tolerance, but steps of its own, half of those.
 
     Arguments:
         state: the last one.
         statistics: of the fit.
 
     Returns:
-        None where no parameter is determined.
+        None where no parameter is determined, or the finer simulation fails.
     """
     determined = list(statistics.determined)
     if not determined:
         return None
-    factor = 0.5
-    problem = dataclasses.replace(state.problem, model=state.problem.model.refined(factor))
-    finer = np.asarray(evaluate(state, state.coordinate, problem).residual)
-    change = finer - np.asarray(state.inner.residual)
+    factor = 0.5 if tolerance_of(state) is None else FINER
+    change = residual_change(state, factor)
+    if not np.all(np.isfinite(change)):
+        return None
     jacobian = state.natural_jacobian()
     gram = np.linalg.pinv(jacobian.reduced()[:, determined])
     shifts = -gram @ (gram.T @ jacobian.transposed_times(change)[determined])

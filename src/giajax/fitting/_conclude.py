@@ -14,6 +14,7 @@ from ._checks import Checks, checks
 from ._derived import derived_estimates, with_tied
 from ._estimates import estimates, own_estimates
 from ._findings import findings
+from ._integration import integration_of
 from ._problem import Problem, predictions_by_run
 from ._records import (
     Correlation,
@@ -73,6 +74,7 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
         model=model,
         parameters=with_tied(estimates(state, known, model), derived, problem.ties),
         noise=_noise(state, known),
+        integration=integration_of(state),
         verdict=verdict(state, status, known.prior_freedom),
         derived=derived,
         findings=findings(state, known, done.curvatures, _lengths(state)),

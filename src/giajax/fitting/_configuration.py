@@ -7,6 +7,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, Self
 
+import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 
@@ -45,6 +46,7 @@ class Setup:
         ties: parameters that follow from others, in their order.
         groups: by path of an element, the runs (by position) that share a value of it; what is
             not in it, all runs share.
+        reopened: whether the tolerance that the model has is one that another fit chose.
     """
 
     model: AbstractModel
@@ -59,6 +61,7 @@ class Setup:
     priors: Mapping[str, Prior] = dataclasses.field(default_factory=dict)
     ties: tuple[Tie, ...] = ()
     groups: Mapping[str, tuple[tuple[int, ...], ...]] = dataclasses.field(default_factory=dict)
+    reopened: bool = False
 
     @property
     def layout(self) -> Layout:
@@ -76,6 +79,15 @@ class Setup:
                 known = self.own.get(run.name, {}) if path in self.groups else {}
                 starts[places[column]] = between(known[path], *bounds) if path in known else value
         return starts
+
+    @property
+    def chooses_tolerance(self) -> bool:
+        """Whether the fit chooses the tolerance of an integrator, where nobody states it."""
+        integration = self.model.integration()
+        # 32-bit rounding hides what a finer tolerance changes.
+        if integration is None or jnp.result_type(float) == jnp.float32:
+            return False
+        return self.reopened or integration.tolerance is None
 
     def at_start(self) -> Self:
         """With the model where the fit may start (`AbstractModel.at_start`)."""

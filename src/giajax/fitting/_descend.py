@@ -15,7 +15,8 @@ from ._reason import Reason
 from ._records import Iteration
 from ._reestimate import reestimate
 from ._state import FitState
-from ._transitions import reweight, step, trial
+from ._tolerance import is_promising, resolved, smoothed
+from ._transitions import reweight, step, tolerance_of, trial
 
 
 def descend(
@@ -47,7 +48,12 @@ def descend(
     try:
         while reached.ending is None:
             if (limit := _limit(reached, max_iterations, budget)) is not None:
-                return reached.ended("not_converged", *limit)
+                # At an optimum only a last step nearer to it was left to try.
+                return (
+                    _converged(reached)
+                    if reached.converged
+                    else reached.ended("not_converged", *limit)
+                )
             shown, reached = len(reached.history), advance(reached)
             if keep is not None:
                 keep(reached)
@@ -97,14 +103,9 @@ def advance(state: FitState) -> FitState:
     if not state.evaluated:
         return _at_start(state)
     if not state.done:
-        state = trial(state)
-        stopped = stopped_by(state)
-        if stopped is None:
-            return state
-        word, sentence = stopped
-        if word == "rough" and nearly(state):
-            return dataclasses.replace(state, done=True, converged=True)
-        return state.ended("not_converged", sentence, word)
+        tried = trial(state)
+        stopped = stopped_by(tried)
+        return tried if stopped is None else _stopped(tried, *stopped)
     return _next_round(state)
 
 
@@ -120,14 +121,23 @@ def _at_start(state: FitState) -> FitState:
     # As every later evaluation gives the factor, so that a fit that goes on from here is the same.
     factor = on_device(np.where(np.asarray(moves)[None], np.asarray(state.inner.factor), 0))
     inner = eqx.tree_at(lambda inner: inner.factor, state.inner, factor)
-    state = dataclasses.replace(state, active=on_device(moves), inner=inner, done=False).recorded(
-        accepted=True
-    )
+    state = dataclasses.replace(state, active=on_device(moves), inner=inner)
     if np.any(moves):
-        return state
+        state = dataclasses.replace(resolved(state), done=False, converged=False)
+        return state.recorded(accepted=True)
+    state = state.recorded(accepted=True)
     return state.ended(
         "not_converged", "no channel responds to any of the free parameters", "no_response"
     )
+
+
+def _stopped(state: FitState, reason: Reason, sentence: str) -> FitState:
+    """What may still be done where a fit does not get on; else its end."""
+    if reason in ("rough", "crawl") and (smoother := smoothed(state)) is not None:
+        return smoother
+    if reason == "rough" and nearly(state):
+        return dataclasses.replace(state, done=True, converged=True)
+    return state.ended("not_converged", sentence, reason)
 
 
 def _next_round(state: FitState) -> FitState:
@@ -135,12 +145,23 @@ def _next_round(state: FitState) -> FitState:
 
     The last word is always an optimum with the noise that it was fitted with.
     """
-    end = f"converged in {state.trials} iterations"
     if not state.rounds_left:
-        return state.ended("converged", end, "optimum")
+        return _settled(state)
     noise = reestimate(state)
     settled = noise.values == state.noise.values and noise.weights is state.noise.weights
     state = dataclasses.replace(state, noise=noise)
     if settled:
-        return state.ended("converged", end, "optimum")
+        return _settled(state)
     return step(reweight(state, noise)).next_round()
+
+
+def _settled(state: FitState) -> FitState:
+    """The end at an optimum; one step more where the tolerance moves it, or a step would."""
+    finer = resolved(state)
+    if tolerance_of(finer) != tolerance_of(state) or is_promising(finer):
+        return dataclasses.replace(finer, done=False, converged=True)
+    return _converged(finer)
+
+
+def _converged(state: FitState) -> FitState:
+    return state.ended("converged", f"converged in {state.trials} iterations", "optimum")

@@ -46,7 +46,7 @@ def stopped_by(state: FitState) -> tuple[Reason, str] | None:
         return None
     costs = np.asarray([step.cost for step in steps])
     # Where the linear model promises little, the fit is about to end by itself.
-    hopeful = promised(state) < _LITTLE * state.cost
+    hopeful = state.promised() < _LITTLE * state.cost
     if len(costs) > _FEW and not hopeful and 2 * state.cost > _MISFIT * len(state.inner.residual):
         constant = constant_cost(state)
         still = 2 * constant < _MISFIT * len(state.inner.residual)
@@ -59,7 +59,7 @@ def stopped_by(state: FitState) -> tuple[Reason, str] | None:
             )
     if len(costs) > _STEPS:
         gain = costs[-1 - _STEPS] - costs[-1]
-        if gain < _CRAWL * costs[-1] and gain < promised(state):
+        if gain < _CRAWL * costs[-1] and gain < state.promised():
             return "crawl", (
                 f"the last {_STEPS} iterations lowered the cost by {gain / costs[-1]:.1g} of it, "
                 f"mostly along {_direction(state)}: give that a prior, hold it or start elsewhere"
@@ -69,17 +69,7 @@ def stopped_by(state: FitState) -> tuple[Reason, str] | None:
 
 def nearly(state: FitState) -> bool:
     """Whether the optimum is so near that a cost which is not smooth hides the rest of the way."""
-    size = max(len(state.inner.residual) - state.problem.size, 1)
-    noise = float(np.sqrt(2 * state.cost / size))
-    return bool(np.sqrt(2 * promised(state)) <= _NEAR * noise)
-
-
-def promised(state: FitState) -> float:
-    """By how much the linear model would lower the cost with its best step."""
-    lower, upper = state.problem.bijector.ends()
-    options = {"lower": lower, "upper": upper}
-    part = state.solver.explicable(state.coordinate, options, state.inner, 0.0)
-    return float(part) ** 2 / 2
+    return bool(np.sqrt(2 * state.promised()) <= _NEAR * state.shown_noise())
 
 
 def constant_cost(state: FitState) -> float:

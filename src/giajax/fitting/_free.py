@@ -158,7 +158,8 @@ def _element_priors(
 ) -> dict[str, Prior]:
     """The priors by element; those of single runs' parameters as they are."""
     known: dict[str, Prior] = {}
-    for path, prior in priors.items():
+    # What is said of one element goes before what is said of all.
+    for path, prior in sorted(priors.items(), key=lambda item: "[" in item[0]):
         if path.partition("[")[0] not in declared(model) and path in _own_paths(model, runs):
             known[path] = prior
             continue

@@ -14,7 +14,7 @@ from ._noise import Noise
 from ._residual_cells import residual_cells, shared_and_own
 from ._result import FitResult
 from ._state import FitState
-from ._transitions import begin, move, reweight, step
+from ._transitions import at_tolerance, begin, move, reweight, step
 
 # Steps of what only the held cells know, such as where a held run starts: the test that follows is
 # exact to first order, and a state that was guessed may be further off than that.
@@ -43,6 +43,8 @@ def where_it_ended(result: FitResult, setup: Setup, parts: Sequence[Parted]) -> 
             for name in names if known else ():
                 own.setdefault(name, {})[path] = known[0]
     state = begin(dataclasses.replace(setup.started_at(values), own=own))
+    if result.integration is not None:
+        state = at_tolerance(state, result.integration.tolerance)
     state = _at_own_values(state, result, parts)
     state = step(reweight(state, _noise(result, state.noise, parts)))
     if not state.evaluated:

@@ -15,7 +15,7 @@ from ..noise import (
 )
 from ..runs import Run
 from ._noise import Noise
-from ._residual_cells import prior_gram, residual_cells
+from ._residual_cells import residual_cells
 from ._state import FitState
 
 # Residuals below this part of the largest recorded value are what a solver's tolerance leaves.
@@ -48,8 +48,9 @@ def reestimate(state: FitState) -> Noise:
         return noise
     cells = residual_cells(state)
     if state.setup.loss != "linear":
-        return _among_outliers(noise, cells, state.setup.runs, prior_gram(state))
-    before = Restricted.of(list(cells.values()), noise.by_key(), prior_gram(state))
+        return _among_outliers(noise, cells, state.setup.runs)
+    # Without the priors: one that is wrong would pass for noise with a long memory.
+    before = Restricted.of(list(cells.values()), noise.by_key())
     memory = noise.memory and not _perfect(cells, state.setup.runs)
     after = estimate(before, noise.stated_by_key(), memory=memory)
     if _gain(before, after) < _SETTLED:
@@ -72,10 +73,7 @@ def _gain(before: Restricted, after: Restricted) -> float:
 
 
 def _among_outliers(
-    noise: Noise,
-    cells: dict[tuple[int, str], Cells],
-    runs: Sequence[Run],
-    prior: np.ndarray,
+    noise: Noise, cells: dict[tuple[int, str], Cells], runs: Sequence[Run]
 ) -> Noise:
     """The noise by robust statistics; with a memory, each cell gets a weight of its own."""
     stated, old = noise.stated_by_key(), noise.by_key()
@@ -89,7 +87,7 @@ def _among_outliers(
         weights = {at: outlier_weights(each, sizes[each.key]) for at, each in cells.items()}
         # An outlier is no noise: it has no part in its size, only little in the fit.
         inliers = [each.where(weights[at] > OUTLIER) for at, each in cells.items()]
-        before = Restricted.of(inliers, sizes, prior)
+        before = Restricted.of(inliers, sizes)
         after = estimate(before, stated, memory=True)
         if not all(each.is_white for each in after.noise.values()):
             return _weighted(noise, weights, runs, _gain(before, after), after)

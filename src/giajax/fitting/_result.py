@@ -20,6 +20,7 @@ from ..models import AbstractModel, build_model
 from ..runs import Run
 from ..verdict import Verdict
 from ._findings import Finding
+from ._integration import IntegrationFit
 from ._of_runs import model_of_run, rows_of_runs
 from ._predict import predict
 from ._reason import Reason
@@ -60,7 +61,7 @@ class FitResult:
         reduced_chi_square: squared weighted residuals per degree of freedom.
         iterations: trial steps after the evaluation of the start.
         gradient_check: derivatives by autodiff against central differences at the optimum.
-        tolerance_effect: shift of the parameters when the solver tolerance is halved.
+        tolerance_effect: shift of the parameters with a finer solver tolerance.
         conditions: sentences on what the values are conditional on.
         seconds: wall time, compiling apart.
         versions: of giajax and of the libraries that computed it.
@@ -72,6 +73,8 @@ class FitResult:
         held_out: what was held out of the fit (`FitTask.on_top(hold_out=)`), and how well it is
             predicted.
         noise: what was taken for noise; None from a file without it.
+        integration: how the model was integrated; None of one without a solver to choose, and
+            from a file without it.
         verdict: whether the model describes the data, apart from convergence.
         derived: `Estimate` by name of what follows from the free parameters: the tied ones, and
             what the model derives (`AbstractModel.derived`).
@@ -110,6 +113,7 @@ class FitResult:
     validation: tuple[PredictionErrors, ...] = ()
     held_out: tuple[HeldOut, ...] = ()
     noise: NoiseFit | None = None
+    integration: IntegrationFit | None = None
     verdict: Verdict = dataclasses.field(default_factory=Verdict.missing)
     derived: dict[str, Estimate] = dataclasses.field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
@@ -207,6 +211,8 @@ def load_result(path: str | Path) -> FitResult:
         records = _records(record)
         values = {name: estimate.value for name, estimate in records["parameters"].items()}
         model = build_model(kind, record["config"]["definition"], values)
+        if (integration := records["integration"]) is not None:
+            model = model.with_integration(solver=None, tolerance=integration.tolerance)
         return FitResult(model=model, **{**record, **records})
     except FileNotFoundError:
         raise InputError(f"{path} does not exist: give the folder of a finished fit") from None
@@ -220,6 +226,7 @@ def _records(record: Mapping[str, Any]) -> dict[str, Any]:
     """The typed fields of a stored result; earlier versions lack some of them."""
     check, effect = record["gradient_check"], record["tolerance_effect"]
     noise, verdict = record.get("noise"), record.get("verdict")
+    integration = record.get("integration")
     return {
         "parameters": {path: Estimate.of_json(item) for path, item in record["parameters"].items()},
         "derived": {
@@ -231,6 +238,7 @@ def _records(record: Mapping[str, Any]) -> dict[str, Any]:
         "gradient_check": None if check is None else GradientCheck.of_json(check),
         "tolerance_effect": None if effect is None else ToleranceEffect.of_json(effect),
         "noise": None if noise is None else NoiseFit(**noise),
+        "integration": None if integration is None else IntegrationFit(**integration),
         "verdict": Verdict.missing() if verdict is None else Verdict.of_json(verdict),
         "seconds": Seconds(**record["seconds"]),
         "conditions": tuple(record["conditions"]),

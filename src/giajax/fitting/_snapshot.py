@@ -15,7 +15,7 @@ import numpy as np
 from ._records import Iteration
 from ._solver import MarquardtState
 from ._state import FitState
-from ._transitions import move, reweight, step
+from ._transitions import at_tolerance, move, reweight, step, tolerance_of
 
 # The numbers of the solver that its next step depends on, apart from what is evaluated anew.
 _SOLVER = ("damping", "growth", "scale", "step", "accepted", "sound", "evaluations")
@@ -60,7 +60,8 @@ def restored(begun: FitState, journal: FitJournal) -> tuple[FitState, float]:
     if coordinate.shape != begun.coordinate.shape or active.shape != coordinate.shape:
         raise ValueError("another number of free coordinates")
     there = dataclasses.replace(
-        move(reweight(begun, noise), coordinate), active=jnp.asarray(active)
+        move(at_tolerance(reweight(begun, noise), last.get("tolerance")), coordinate),
+        active=jnp.asarray(active),
     )
     there = step(there)
     if there.cost != float(last["cost"]):
@@ -105,6 +106,7 @@ def keeper(state: FitState, journal: FitJournal, elapsed: Callable[[], float]) -
             "rounds_left": reached.rounds_left,
             "round_began": reached.round_began,
             "noise": reached.noise.to_plain(),
+            "tolerance": tolerance_of(reached),
             "history": [dataclasses.asdict(item) for item in reached.history[shown:]],
             "step_seconds": list(reached.step_seconds[stepped:]),
             "seconds": elapsed(),

@@ -198,9 +198,7 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         tags: frozenset[object],
     ) -> tuple[Bool[Array, ""], optx.RESULTS]:
         """Converged, stuck, or neither."""
-        size = state.residual.shape[0] - state.projected.shape[0]
-        noise = jnp.sqrt(2 * state.cost / max(size, 1))
-        near = self.explicable(y, options, state, self.distance * noise) <= self.distance * noise
+        near = self.explicable(y, options, state) <= self.distance * shown_noise(state)
         # Data without noise: nothing is left that a step could lower.
         perfect = state.cost <= self.floor
         tiny = jnp.all(jnp.abs(state.step) <= self.atol + self.rtol * jnp.abs(y))
@@ -216,24 +214,29 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         return converged | stuck, result
 
     def explicable(
-        self, y: Array, options: dict[str, Any], state: MarquardtState, least: Scalar | float
-    ) -> Scalar:
+        self, y: Any, options: dict[str, Any], state: MarquardtState, maths: Any = jnp
+    ) -> Any:
         """Norm of the part of the residual that the parameters could still explain, to first order.
 
         Directions in which nothing responds (held or collinear parameters) do not count: there
-        Q is arbitrary. Nor do coordinates to which the residual responds by no more than `least`,
-        as on their way to infinity: they would run on for ever; nor those that are at a bound and
-        would only leave it outwards.
+        Q is arbitrary. Nor do coordinates to which the residual responds by no more than what a
+        fit may be off by, as on their way to infinity: they would run on for ever; nor those that
+        are at a bound and would only leave it outwards.
+
+        Arguments:
+            y, options, state: as `terminate` has them.
+            maths: NumPy, where all of them are its arrays.
         """
         lower, upper = _bounds(y, options)
         uphill = state.factor.T @ state.projected
         outwards = ((y <= lower) & (uphill > 0)) | ((y >= upper) & (uphill < 0))
-        scale = jnp.where(state.scale > 0, state.scale, 1)
-        norms = jnp.linalg.norm(state.factor, axis=0)
-        moves = (norms > least) & ~outwards
-        left, singular, _ = jnp.linalg.svd(jnp.where(moves[None], state.factor / scale[None], 0))
+        scale = maths.where(state.scale > 0, state.scale, 1)
+        norms = maths.linalg.norm(state.factor, axis=0)
+        moves = (norms > self.distance * shown_noise(state)) & ~outwards
+        scaled = maths.where(moves[None], state.factor / scale[None], 0)
+        left, singular, _ = maths.linalg.svd(scaled)
         along = left.T @ state.projected
-        return jnp.linalg.norm(jnp.where(singular > 1e-8 * jnp.max(singular), along, 0))
+        return maths.linalg.norm(maths.where(singular > 1e-8 * maths.max(singular), along, 0))
 
     def postprocess(
         self,
@@ -250,9 +253,15 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         return y, aux, {"cost": state.cost, "evaluations": state.evaluations}
 
 
+def shown_noise(state: MarquardtState) -> Any:
+    """The root of the reduced chi-square: the noise that the residual itself shows."""
+    size = state.residual.shape[0] - state.projected.shape[0]
+    return (2 * state.cost / max(size, 1)) ** 0.5
+
+
 def _bounds(y: Array, options: dict[str, Any]) -> tuple[Array, Array]:
     """Bounds of the parameters, infinite where the options have none."""
-    unbounded = jnp.full(y.shape, jnp.inf, y.dtype)
+    unbounded = np.full(y.shape, np.inf, y.dtype)
     return options.get("lower", -unbounded), options.get("upper", unbounded)
 
 

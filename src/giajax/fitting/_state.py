@@ -12,7 +12,7 @@ from ._noise import Noise
 from ._problem import Problem
 from ._reason import Reason
 from ._records import Iteration, Status
-from ._solver import Marquardt, MarquardtState
+from ._solver import Marquardt, MarquardtState, shown_noise
 
 # How often the noise is estimated anew, unless it settles before.
 _NOISE_ROUNDS = 3
@@ -32,11 +32,13 @@ class FitState:
         coordinate: the best point so far, shape (parameter,).
         inner: the solver's own state there.
         active: parameters that may move, shape (parameter,).
+        finer: what a finer tolerance of the integrator changes of the residuals there; None where
+            nobody has asked.
         done: whether the solver wants no further step.
         converged: whether it stopped at an optimum.
         trials: steps that were tried.
         rounds_left: how often the noise may still be estimated anew.
-        round_began: how long the history was when the noise in use was estimated.
+        round_began: how long the history was when noise or tolerance last changed.
         history: the start and each trial.
         step_seconds: wall time of each evaluation; the first one compiles.
         ending: how the fit ended, one sentence about it, and the word of `FitResult.reason`; None
@@ -52,6 +54,7 @@ class FitState:
     coordinate: Array
     inner: MarquardtState
     active: Array
+    finer: np.ndarray | None = None
     done: bool = False
     converged: bool = False
     trials: int = 0
@@ -73,7 +76,8 @@ class FitState:
 
     def values(self) -> np.ndarray:
         """Values of all free parameters at the best point, shape (parameter,)."""
-        values = np.asarray(self.problem.bijector.forward(self.coordinate), dtype=float)
+        coordinate = np.asarray(self.coordinate, dtype=float)
+        values = self.problem.bijector.forward(coordinate)
         # What is held keeps its start exactly, not as it comes back from its coordinate.
         return np.where(np.asarray(self.active), values, self.start)
 
@@ -99,6 +103,22 @@ class FitState:
         slope = self.problem.bijector.slope(np.asarray(self.coordinate))
         return self.jacobian().scaled(1 / np.maximum(slope, 1e-300))
 
+    def promised(self) -> float:
+        """By how much the linear model would lower the cost with its best step within the bounds.
+
+        A fit has converged where that is little, and this is how little it is.
+        """
+        names = ("residual", "factor", "projected", "cost", "scale")
+        parts = {name: np.asarray(getattr(self.inner, name)) for name in names}
+        inner = dataclasses.replace(self.inner, **parts)
+        lower, upper = (np.asarray(each) for each in self.problem.bijector.ends())
+        options, coordinate = {"lower": lower, "upper": upper}, np.asarray(self.coordinate)
+        return float(self.solver.explicable(coordinate, options, inner, maths=np)) ** 2 / 2
+
+    def shown_noise(self) -> float:
+        """The size of the residuals in units of their noise: the root of the reduced chi-square."""
+        return float(shown_noise(self.inner))
+
     def recorded(self, *, accepted: bool) -> Self:
         """With the present point as the last entry of the history."""
         iteration = Iteration(
@@ -113,7 +133,11 @@ class FitState:
     def next_round(self) -> Self:
         """With one estimation of the noise less."""
         return dataclasses.replace(
-            self, rounds_left=self.rounds_left - 1, round_began=len(self.history), done=False
+            self,
+            rounds_left=self.rounds_left - 1,
+            round_began=len(self.history),
+            done=False,
+            converged=False,
         )
 
     def ended(self, status: Status, message: str, reason: Reason) -> Self:

@@ -33,11 +33,16 @@ from ._state import FitState
 # In the free coordinate: a positive parameter changes by less than a factor of 4.5 in one step.
 _LARGEST_STEP = 1.5
 
+# Where a fit begins that chooses its tolerance.
+_COARSEST = 1e-5
+
 
 def begin(setup: Setup) -> FitState:
     """The state before anything is evaluated."""
     setup = setup.at_start()
     model, parameters, layout = setup.model, setup.parameters, setup.layout
+    if setup.chooses_tolerance:
+        model = model.with_integration(solver=None, tolerance=_COARSEST)
     noise = Noise.of(setup.runs, setup.noise_model, per_run=setup.noise_per_run)
     groups = build_groups(model, setup.runs, noise, layout)
     own = own_begun(groups, setup.runs, setup.own)
@@ -101,6 +106,7 @@ def step(state: FitState) -> FitState:
         state,
         coordinate=coordinate,
         inner=inner,
+        finer=None,
         done=finished,
         converged=optimum,
         step_seconds=(*state.step_seconds, time.perf_counter() - began),
@@ -117,7 +123,7 @@ def move(state: FitState, coordinate: Any) -> FitState:
     """Go on from another point, which is not evaluated yet."""
     coordinate = on_device(coordinate, state.coordinate.dtype)
     inner = _blank(state.solver, state.problem, coordinate)
-    return dataclasses.replace(state, coordinate=coordinate, inner=inner)
+    return dataclasses.replace(state, coordinate=coordinate, inner=inner, finer=None)
 
 
 def reweight(state: FitState, noise: Noise) -> FitState:
@@ -127,6 +133,28 @@ def reweight(state: FitState, noise: Noise) -> FitState:
     loss = state.setup.loss if noise.weights is None else "linear"
     problem = dataclasses.replace(state.problem, groups=groups, loss=loss)
     return move(dataclasses.replace(state, problem=problem, noise=noise), state.coordinate)
+
+
+def at_tolerance(state: FitState, tolerance: float | None) -> FitState:
+    """Go on from the same point with another tolerance of the integrator; not evaluated yet.
+
+    Arguments:
+        state: where the fit is.
+        tolerance: relative and absolute; None leaves the one that it has.
+    """
+    if tolerance == tolerance_of(state):
+        return state
+    model = state.problem.model.with_integration(solver=None, tolerance=tolerance)
+    problem = dataclasses.replace(state.problem, model=model)
+    # Costs before it say nothing of those to come.
+    state = dataclasses.replace(state, problem=problem, round_began=len(state.history))
+    return move(state, state.coordinate)
+
+
+def tolerance_of(state: FitState) -> float | None:
+    """The tolerance in use; None of a model without an integrator."""
+    integration = state.problem.model.integration()
+    return None if integration is None else integration.tolerance
 
 
 def evaluate(state: FitState, coordinate: Any, problem: Problem | None = None) -> MarquardtState:

@@ -45,7 +45,8 @@ from ._protocol import AbstractModel, Channels, Derived, Integration
 from ._scene import Scene
 from ._sensors import Sensors
 
-# Positions of the 20 m arm are then right to about 1e-6 m, far below the noise of a camera.
+# Of a prediction, where none is stated. Positions of the 20 m arm are then right to about 1e-6 m,
+# far below the noise of a camera.
 _TOLERANCE = 1e-7
 
 # Fifty times what the paper's arm needs for 25 s. A trial step of a fit that makes the chain
@@ -59,12 +60,22 @@ def step_limit(duration: float) -> int:
     return max(_MAX_STEPS, int(np.ceil(_STEPS_PER_SECOND * duration)))
 
 
+def _array(value: Any) -> Scalar:
+    # Strongly typed: another tolerance must not compile anything anew.
+    return jnp.asarray(value, dtype=jnp.result_type(float))
+
+
+def _array_or_none(value: Any) -> Scalar | None:
+    return None if value is None else _array(value)
+
+
 class ArmModel(AbstractModel):
     """Predicts the arm channels of the column table: links, tip, joint angles and rates.
 
     Arguments:
         arm: the arm; its parameters keep their own paths (`air.drag_coefficient`).
-        tolerance: relative and absolute tolerance of the integrator.
+        tolerance: relative and absolute tolerance of the integrator; where it is left open (None),
+            a fit chooses it, and a prediction takes 1e-7.
         solver: one of `giajax.SOLVERS`.
         max_steps: step limit of one simulation.
         sensors: what stands between the motion and its recording; exact by default.
@@ -74,10 +85,10 @@ class ArmModel(AbstractModel):
     kind: ClassVar[str] = "arm"
 
     arm: Arm = inline()
-    tolerance: Scalar = eqx.field(
-        default=_TOLERANCE, converter=lambda x: jnp.asarray(x, dtype=jnp.result_type(float))
-    )
-    solver: str = eqx.field(default="tsit5", static=True)
+    tolerance: Scalar | None = eqx.field(default=None, converter=_array_or_none)
+    # Its motion changes smoothly with the parameters; that of an explicit method, whose steps stiff
+    # springs bring to the limit of stability, does not.
+    solver: str = eqx.field(default="springs5", static=True)
     max_steps: int = eqx.field(default=_MAX_STEPS, static=True)
     sensors: Sensors = inline(default_factory=Sensors)
     steps_for: StepsFor = eqx.field(default="motion", static=True)
@@ -144,7 +155,7 @@ class ArmModel(AbstractModel):
 
     def _motion(self, inputs: ArmInputs, times: Array, end: Array) -> Trajectory:
         # Below this a step is all rounding, which matters in 32-bit.
-        tolerance = jnp.maximum(self.tolerance, 50 * jnp.finfo(self.tolerance.dtype).eps)
+        tolerance = jnp.maximum(self._tolerance(), 50 * jnp.finfo(jnp.result_type(float)).eps)
         return integrate(
             self.arm,
             inputs.command,
@@ -174,7 +185,7 @@ class ArmModel(AbstractModel):
 
     def refined(self, factor: float) -> Self:
         """The same model with the integrator's tolerances multiplied by a factor."""
-        return eqx.tree_at(lambda model: model.tolerance, self, self.tolerance * factor)
+        return dataclasses.replace(self, tolerance=self._tolerance() * factor)
 
     def for_derivatives(self, paths: Sequence[str]) -> Self:
         """With the steps that a parameter needs which may set moving what is at rest."""
@@ -190,7 +201,7 @@ class ArmModel(AbstractModel):
 
     def integration(self) -> Integration:
         """Its solver, and the relative and absolute tolerance."""
-        return Integration(self.solver, float(self.tolerance))
+        return Integration(self.solver, None if self.tolerance is None else float(self.tolerance))
 
     def with_integration(self, *, solver: str | None, tolerance: float | None) -> Self:
         """The same arm with another solver or tolerance."""
@@ -202,7 +213,10 @@ class ArmModel(AbstractModel):
         model = self if solver is None else dataclasses.replace(self, solver=solver)
         if tolerance is None:
             return model
-        return dataclasses.replace(model, tolerance=jnp.asarray(tolerance))
+        return dataclasses.replace(model, tolerance=_array(tolerance))
+
+    def _tolerance(self) -> Scalar:
+        return _array(_TOLERANCE) if self.tolerance is None else self.tolerance
 
     def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
         """The same: derivatives lead away from every start."""
@@ -224,7 +238,7 @@ class ArmModel(AbstractModel):
             **({"sensors": sensors} if sensors else {}),
             "simulation": {
                 "solver": self.solver,
-                "tolerance": float(self.tolerance),
+                "tolerance": self.integration().tolerance,
                 "max_steps": self.max_steps,
             },
         }

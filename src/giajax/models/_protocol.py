@@ -21,10 +21,13 @@ class Derived(NamedTuple):
 
 
 class Integration(NamedTuple):
-    """How a model is integrated: its solver by name, and the tolerance of a step."""
+    """How a model is integrated: its solver by name, and the tolerance of a step.
+
+    The tolerance is None where nobody stated one: a fit then chooses it.
+    """
 
     solver: str
-    tolerance: float
+    tolerance: float | None
 
 
 class AbstractModel(eqx.Module):

@@ -15,6 +15,7 @@ Runs share some columns of J and have others of their own, which are eliminated 
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Self
 
@@ -72,35 +73,44 @@ class Restricted:
 
     def value(self, key: str, noise: ChannelNoise) -> float:
         """-2 log L where the cells of one key have another noise."""
-        return self._value(self._grams(key, noise))
+        return self.by_scale(key, noise)(0.0)
 
     def by_scale(self, key: str, noise: ChannelNoise) -> Callable[[float], float]:
         """-2 log L by the logarithm of a factor of the noise of one key.
 
-        A factor scales all of a Gram matrix: however many it is asked for, the samples are passed
-        over once.
+        A factor scales a Gram matrix: the samples of the key are passed over once for all of them.
         """
-        grams = self._grams(key, noise)
+        cells = [each for each in self.cells if each.key == key]
+        grams = [each.gram(noise) for each in cells]
+        others, known = self._without(key)
+        count, own = sum(len(each.residual) for each in cells), sum(log for _, log in grams)
+        of_key = _by_run(cells, grams)
 
         def value(log: float) -> float:
-            power = float(np.exp(-2 * log))
-            return self._value(
-                tuple(
-                    (power * gram, determinant + 2 * log * len(cells.residual))
-                    if cells.key == key
-                    else (gram, determinant)
-                    for cells, (gram, determinant) in zip(self.cells, grams, strict=True)
-                )
-            )
+            runs, power = dict(others), float(np.exp(-2 * log))
+            for run, (gram, width) in of_key.items():
+                before = others.get(run)
+                runs[run] = (power * gram if before is None else before[0] + power * gram, width)
+            of_runs = [_eliminated(*of_run) for of_run in runs.values()]
+            shared = np.sum([rest for rest, _ in of_runs], axis=0) + self.prior
+            rest, last = _eliminated(shared, len(shared) - 1)
+            determinant = known + own + 2 * log * count + last
+            return determinant + sum(each for _, each in of_runs) + float(rest[0, 0])
 
         return value
 
-    def _value(self, grams: Sequence[tuple[np.ndarray, float]]) -> float:
-        determinant = sum(log for _, log in grams)
-        of_runs = [_eliminated(*of_run) for of_run in _by_run(self.cells, grams).values()]
-        shared = np.sum([rest for rest, _ in of_runs], axis=0) + self.prior
-        rest, log = _eliminated(shared, len(shared) - 1)
-        return determinant + sum(log for _, log in of_runs) + log + float(rest[0, 0])
+    def _without(self, key: str) -> tuple[dict[int, tuple[np.ndarray, int]], float]:
+        """Gram matrix of each run and log|V|, of all cells but those of one key."""
+        if key not in self._sums:
+            pairs = zip(self.cells, self.grams, strict=True)
+            others = [pair for pair in pairs if pair[0].key != key]
+            runs = _by_run([cells for cells, _ in others], [gram for _, gram in others])
+            self._sums[key] = runs, sum(log for _, (_, log) in others)
+        return self._sums[key]
+
+    @functools.cached_property
+    def _sums(self) -> dict[str, tuple[dict[int, tuple[np.ndarray, int]], float]]:
+        return {}
 
     def _grams(self, key: str, noise: ChannelNoise) -> tuple[tuple[np.ndarray, float], ...]:
         return tuple(

@@ -205,8 +205,13 @@ def _gradient(result: FitResult) -> str:
 
 
 def _tolerance(result: FitResult) -> str:
-    effect = result.tolerance_effect
-    largest = None if effect is None else effect.largest_in_standard_errors
-    if largest is None:
-        return "effect not known"
-    return f"halving it moves no parameter by more than {largest:.1e} standard errors"
+    effect, integration = result.tolerance_effect, result.integration
+    which = ""
+    if integration is not None:
+        chosen = ", chosen by what it moves" if integration.chosen else ""
+        which = f"{integration.tolerance:.0e} of {integration.solver}{chosen}; "
+    if effect is None or effect.largest_in_standard_errors is None:
+        return f"{which}effect not known"
+    finer = "half" if effect.factor == 0.5 else "a hundredth"
+    largest = effect.largest_in_standard_errors
+    return f"{which}{finer} of it moves no parameter by more than {largest:.1e} standard errors"

@@ -181,7 +181,7 @@ class Fit(Section):
     noise_per_run: bool | None = key("true or false", "estimate noise in each run by itself")
     solver: Name | None = key("the name of a solver", "of the simulation")
     tolerance: Positive | None = key(
-        "a positive number", "relative and absolute tolerance of the simulation"
+        "a positive number", "relative and absolute tolerance of the simulation (default: chosen)"
     )
     max_iterations: Annotated[int, Field(ge=1)] | None = key(
         "a whole number of at least 1", "trial steps before the fit gives up"

@@ -124,7 +124,16 @@ def refit(
         noise_per_run=result.config.get("noise_per_run", False),
         **limits,
     )
+    begun = {path.partition("[")[0] for path in begin}
+    own = {
+        name: {path: value for path, value in values.items() if path.partition("[")[0] not in begun}
+        for name, values in own.items()
+    }
     setup = dataclasses.replace(setup, own=own)
+    if result.integration is not None and result.integration.chosen:
+        # What moved nothing of one model may move another.
+        config = {**setup.config, "tolerance": None}
+        setup = dataclasses.replace(setup, reopened=True, config=config)
     return solve(setup, max_iterations=max_iterations, check=check)
 
 

@@ -1,0 +1,127 @@
+"""The tolerance of the integrator: chosen by what it moves the estimates by, in standard errors.
+
+That a residual is off by a small part of the noise says little: what counts is how much of the
+error the parameters can imitate, because by that the optimum moves. To first order it is
+R^-1 Q^T dr, of the factors of the Jacobian and the change dr of the residuals with a far finer
+tolerance; in standard errors, along all directions that the data determine, it is Q^T dr.
+"""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+
+from .._typing import Float
+from ._state import FitState
+from ._transitions import at_tolerance, evaluate, step, tolerance_of
+
+FINER = 0.01
+"""What a tolerance is multiplied by to see what it moves; half of it would understate that."""
+
+# What it may move, in standard errors: five times less than a converged fit may be off.
+_ALLOWED = 0.002
+_TIGHTER = 0.1
+# Against a finer one there is nothing but rounding to compare with.
+_FINEST = 1e-10
+
+# A coordinate to which the residuals respond by less, in units of the noise, is no direction, ...
+_RESPONSE = 1e-2
+# ... nor is a combination that the data tell from the others by less than this.
+_SINGULAR = 1e-8
+
+# A cost that is rough by more than this part of what a step promises may hide what it gains.
+_ROUGH = 0.01
+
+
+def resolved(state: FitState) -> FitState:
+    """The same point with a tolerance that moves nothing by more than the data tell.
+
+    Arguments:
+        state: evaluated; where the tolerance is stated, it is returned as it is.
+
+    Returns:
+        The same state, where its tolerance will do; else the point with the coarsest that does,
+        in steps of ten, evaluated anew.
+    """
+    while state.setup.chooses_tolerance:
+        change = residual_change(state)
+        moved = np.linalg.norm(_explained(state, change))
+        # Of a finer simulation that fails nothing is known.
+        if not moved > _allowed(state):
+            return dataclasses.replace(state, finer=change)
+        tighter = _tightened(state)
+        if tighter is None:
+            return dataclasses.replace(state, finer=change)
+        state = tighter
+    return state
+
+
+def smoothed(state: FitState) -> FitState | None:
+    """The point at which no step lowers the cost, where that may be the tolerance's fault.
+
+    Steps of the integrator come and go as the parameters change, by which residuals jump. Near the
+    optimum the jumps of the cost are larger than what a step could gain.
+
+    Arguments:
+        state: evaluated, at which no step is left.
+
+    Returns:
+        The point evaluated with a finer tolerance; None where the tolerance is stated or as fine
+        as may be, or where the cost is smooth enough for a step to be seen.
+    """
+    if not state.setup.chooses_tolerance:
+        return None
+    residuals = np.asarray(state.inner.residual)
+    change = residual_change(state)
+    roughness = abs(residuals @ change + change @ change / 2)
+    return _tightened(state) if roughness > _ROUGH * state.promised() else None
+
+
+def is_promising(state: FitState) -> bool:
+    """Whether a step from an optimum would move it by more than the tolerance may.
+
+    A fit that chooses its tolerance ends as near to the optimum as that asks for, unless the last
+    step was refused.
+    """
+    if not (state.setup.chooses_tolerance and bool(state.inner.accepted)):
+        return False
+    return bool(np.sqrt(2 * state.promised()) > _allowed(state))
+
+
+def residual_change(state: FitState, factor: float = FINER) -> Float[np.ndarray, " residual"]:
+    """What a finer tolerance changes of the residuals; NaN where the finer simulation fails.
+
+    Arguments:
+        state: evaluated.
+        factor: on the tolerance, or on what the model has in its place.
+    """
+    if state.finer is not None and factor == FINER:
+        return state.finer
+    problem = dataclasses.replace(state.problem, model=state.problem.model.refined(factor))
+    finer = evaluate(state, state.coordinate, problem)
+    if not bool(jnp.isfinite(finer.cost)):
+        return np.full(finer.residual.shape, np.nan)
+    return np.asarray(finer.residual) - np.asarray(state.inner.residual)
+
+
+def _tightened(state: FitState) -> FitState | None:
+    tolerance = tolerance_of(state)
+    if tolerance is None or tolerance < _FINEST * 1.5:
+        return None
+    tighter = step(at_tolerance(state, tolerance * _TIGHTER))
+    return tighter if tighter.evaluated else None
+
+
+def _allowed(state: FitState) -> float:
+    """What may change along a unit direction: residuals larger than the noise widen the errors."""
+    return _ALLOWED * max(1.0, state.shown_noise())
+
+
+def _explained(state: FitState, row: np.ndarray) -> Float[np.ndarray, " direction"]:
+    """The part of a row of residuals that parameters can explain: Q^T of it, but for a rotation."""
+    jacobian = state.jacobian()
+    norms = jacobian.norms()
+    scaled = jacobian.scaled(np.divide(1, norms, out=np.zeros_like(norms), where=norms > _RESPONSE))
+    _, singular, directions = np.linalg.svd(scaled.reduced(), full_matrices=False)
+    told = singular > _SINGULAR * np.max(singular, initial=0.0)
+    return (directions @ scaled.transposed_times(row))[told] / singular[told]
