@@ -10,7 +10,14 @@ from giajax.fitting import between
 from giajax.fitting._bijector import Bijector
 from giajax.fitting._identifiability import responds, undetermined_groups
 from giajax.fitting._jacobian import BlockJacobian
-from giajax.fitting._loss import LOSSES, check_loss, influence, rho as counts_as, transform
+from giajax.fitting._loss import (
+    LOSSES,
+    check_loss,
+    curvature_ratio,
+    influence,
+    rho as counts_as,
+    transform,
+)
 from giajax.fitting._uncertainty import uncertainty
 from giajax.noise import from_differences, robust_deviation
 
@@ -72,6 +79,20 @@ def test_a_loss_is_the_square_of_its_transformation(loss):
     np.testing.assert_allclose(psi, (rho(loss, r + h) - rho(loss, r - h)) / (4 * h), atol=1e-5)
     ahead, behind = influence(loss, r + h)[0], influence(loss, r - h)[0]
     np.testing.assert_allclose(curvature[smooth], ((ahead - behind) / (2 * h))[smooth], atol=1e-6)
+
+
+@pytest.mark.parametrize("loss", LOSSES[1:])
+def test_far_off_a_step_is_that_of_reweighted_least_squares_and_at_the_end_that_of_newton(loss):
+    """By what the Jacobian of t is multiplied with, over a table of residuals."""
+    few, many = np.linspace(-3.0, 3.0, 60), np.linspace(-30.0, 30.0, 60)
+    few[np.abs(few) > 0.9] *= 0.2
+    few[::20] = [-8.0, 5.0, 12.0]
+    for r, far in ((few, 0.05), (many, 1.0)):
+        psi, curvature, slope = influence(loss, r)
+        t = transform(loss, jnp.asarray(r))
+        ratio = np.asarray(curvature_ratio(loss, t, jnp.ones(60)))
+        expected = far * psi / r + (1 - far) * curvature
+        np.testing.assert_allclose((ratio * slope) ** 2, expected, rtol=1e-9)
 
 
 def test_an_unknown_loss_is_refused():

@@ -1,7 +1,7 @@
 """Where a fit stands between two steps of its loop, as frozen data."""
 
 import dataclasses
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -109,7 +109,7 @@ class FitState:
         A fit has converged where that is little, and this is how little it is.
         """
         names = ("residual", "factor", "projected", "cost", "scale")
-        parts = {name: np.asarray(getattr(self.inner, name)) for name in names}
+        parts: dict[str, Any] = {name: np.asarray(getattr(self.inner, name)) for name in names}
         inner = dataclasses.replace(self.inner, **parts)
         lower, upper = (np.asarray(each) for each in self.problem.bijector.ends())
         options, coordinate = {"lower": lower, "upper": upper}, np.asarray(self.coordinate)
