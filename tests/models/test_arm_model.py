@@ -79,7 +79,8 @@ def test_predictions_are_those_of_simulate(run):
 def test_the_truth_is_recovered(run):
     result = fit(model_for([run]), run, start=START)
     assert result.status == "converged"
-    assert result.iterations <= 10
+    # Four of them with the noise that was estimated on the way.
+    assert result.iterations <= 12
     for path, value in TRUTH.items():
         estimate = result.parameters[path]
         assert abs(estimate.value - value) < 3 * estimate.standard_error
