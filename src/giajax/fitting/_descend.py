@@ -158,8 +158,11 @@ def _next_round(state: FitState) -> FitState:
 def _settled(state: FitState) -> FitState:
     """The end at an optimum; one step more where the tolerance moves it, or a step would."""
     finer = resolved(state)
-    if tolerance_of(finer) != tolerance_of(state) or is_promising(finer):
+    if tolerance_of(finer) != tolerance_of(state):
         return dataclasses.replace(finer, done=False, converged=True)
+    if is_promising(finer):
+        # So near to the optimum the noise is settled: it is not estimated once more.
+        return dataclasses.replace(finer, done=False, converged=True, rounds_left=0)
     return _converged(finer)
 
 

@@ -51,8 +51,11 @@ def reestimate(state: FitState) -> Noise:
         return _among_outliers(noise, cells, state.setup.runs)
     # Without the priors: one that is wrong would pass for noise with a long memory.
     before = Restricted.of(list(cells.values()), noise.by_key())
-    memory = noise.memory and not _perfect(cells, state.setup.runs)
-    after = estimate(before, noise.stated_by_key(), memory=memory)
+    perfect = _perfect(cells, state.setup.runs)
+    if perfect and noise.estimated:
+        # What rounding leaves has no size to be estimated again.
+        return noise
+    after = estimate(before, noise.stated_by_key(), memory=noise.memory and not perfect)
     if _gain(before, after) < _SETTLED:
         return dataclasses.replace(noise, estimated=not noise.complete)
     return noise.with_values(after.noise)

@@ -11,6 +11,7 @@ import functools
 import time
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -132,7 +133,12 @@ def reweight(state: FitState, noise: Noise) -> FitState:
     # Weights of cells take the place of a robust loss: whitened residuals are no single cells.
     loss = state.setup.loss if noise.weights is None else "linear"
     problem = dataclasses.replace(state.problem, groups=groups, loss=loss)
-    return move(dataclasses.replace(state, problem=problem, noise=noise), state.coordinate)
+    moved = move(dataclasses.replace(state, problem=problem, noise=noise), state.coordinate)
+    # The valley is nearly the same one: a fit that knew it keeps its long steps.
+    damping = jnp.minimum(state.inner.damping, moved.inner.damping)
+    return dataclasses.replace(
+        moved, inner=eqx.tree_at(lambda inner: inner.damping, moved.inner, damping)
+    )
 
 
 def at_tolerance(state: FitState, tolerance: float | None) -> FitState:

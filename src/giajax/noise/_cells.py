@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from collections.abc import Sequence
 from typing import Self
 
 import numpy as np
@@ -9,6 +10,9 @@ import numpy as np
 from .._typing import Bool, Float
 from ._model import ChannelNoise
 from ._segment import solve
+
+# Numbers that are passed over together, at most: what is near the processor.
+_TOGETHER = 2**17
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,3 +57,35 @@ class Cells:
     def _columns(self) -> np.ndarray:
         """Own, shared and residual, those of a column side by side in memory."""
         return np.asfortranarray(np.column_stack([self.own, self.shared, self.residual]))
+
+    @functools.cached_property
+    def instants(self) -> tuple[bytes, bytes]:
+        """Cells of the same ones have the same times and weights, whatever they measure."""
+        return b"" if self.times is None else self.times.tobytes(), self.weights.tobytes()
+
+
+def grams(cells: Sequence[Cells], noise: ChannelNoise) -> list[tuple[np.ndarray, float]]:
+    """`Cells.gram` of each; those at the same instants go through their samples together."""
+    results: dict[int, tuple[np.ndarray, float]] = {}
+    for at in _batches(cells):
+        first = cells[at[0]]
+        columns = [cells[i]._columns for i in at]
+        solved = solve(noise, first.times, first.weights, np.hstack(columns))
+        ends = np.cumsum([each.shape[1] for each in columns])[:-1]
+        for i, of_cells, one in zip(at, columns, np.hsplit(solved.columns, ends), strict=True):
+            results[i] = of_cells.T @ one, solved.log_determinant
+    return [results[i] for i in range(len(cells))]
+
+
+def _batches(cells: Sequence[Cells]) -> list[list[int]]:
+    """Positions of cells at the same instants, of no more numbers than go together."""
+    batches: list[list[int]] = []
+    open_ones: dict[tuple[bytes, bytes], tuple[list[int], int]] = {}
+    for i, each in enumerate(cells):
+        batch, size = open_ones.get(each.instants, ([], _TOGETHER))
+        if size + each._columns.size > _TOGETHER:
+            batch, size = [], 0
+            batches.append(batch)
+        batch.append(i)
+        open_ones[each.instants] = batch, size + each._columns.size
+    return batches

@@ -17,17 +17,32 @@ Runs share some columns of J and have others of their own, which are eliminated 
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping, Sequence
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from .._typing import Float
-from ._cells import Cells
+from ._basis import conditioned
+from ._cells import Cells, grams
 from ._model import ChannelNoise
 
-# Column-normalised singular value below which a combination of parameters is not determined.
-_COLLINEAR = 1e-6
+ByScale = Callable[[Float[np.ndarray, "noise scale"]], Float[np.ndarray, "noise scale"]]
+"""-2 log L by the logarithms of factors of each of several noises of one key."""
+
+
+class _Others(NamedTuple):
+    """What the likelihood is made of apart from the cells of one key.
+
+    Attributes:
+        runs: Gram matrix of each run that has cells of the key, without them; and how many of its
+            columns are its own.
+        shared: of the other runs and the prior: Gram matrix without their own columns.
+        known: log|V| of the cells, and log-determinants of the columns that are eliminated.
+    """
+
+    runs: dict[int, tuple[np.ndarray, int]]
+    shared: np.ndarray
+    known: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,134 +82,108 @@ class Restricted:
 
     def with_noise(self, key: str, noise: ChannelNoise) -> Self:
         """The same with another noise of one key."""
-        return dataclasses.replace(
-            self, noise={**self.noise, key: noise}, grams=self._grams(key, noise)
-        )
-
-    def value(self, key: str, noise: ChannelNoise) -> float:
-        """-2 log L where the cells of one key have another noise."""
-        return self.by_scale(key, noise)(0.0)
-
-    def by_scale(self, key: str, noise: ChannelNoise) -> Callable[[float], float]:
-        """-2 log L by the logarithm of a factor of the noise of one key.
-
-        A factor scales a Gram matrix: the samples of the key are passed over once for all of them.
-        """
-        cells = [each for each in self.cells if each.key == key]
-        grams = [each.gram(noise) for each in cells]
-        others, known = self._without(key)
-        count, own = sum(len(each.residual) for each in cells), sum(log for _, log in grams)
-        of_key = _by_run(cells, grams)
-
-        def value(log: float) -> float:
-            runs, power = dict(others), float(np.exp(-2 * log))
-            for run, (gram, width) in of_key.items():
-                before = others.get(run)
-                runs[run] = (power * gram if before is None else before[0] + power * gram, width)
-            of_runs = [_eliminated(*of_run) for of_run in runs.values()]
-            shared = np.sum([rest for rest, _ in of_runs], axis=0) + self.prior
-            rest, last = _eliminated(shared, len(shared) - 1)
-            determinant = known + own + 2 * log * count + last
-            return determinant + sum(each for _, each in of_runs) + float(rest[0, 0])
-
-        return value
-
-    def _without(self, key: str) -> tuple[dict[int, tuple[np.ndarray, int]], float]:
-        """Gram matrix of each run and log|V|, of all cells but those of one key."""
-        if key not in self._sums:
-            pairs = zip(self.cells, self.grams, strict=True)
-            others = [pair for pair in pairs if pair[0].key != key]
-            runs = _by_run([cells for cells, _ in others], [gram for _, gram in others])
-            self._sums[key] = runs, sum(log for _, (_, log) in others)
-        return self._sums[key]
-
-    @functools.cached_property
-    def _sums(self) -> dict[str, tuple[dict[int, tuple[np.ndarray, int]], float]]:
-        return {}
-
-    def _grams(self, key: str, noise: ChannelNoise) -> tuple[tuple[np.ndarray, float], ...]:
-        return tuple(
+        if noise == self.noise[key]:
+            return self
+        changed = (
             cells.gram(noise) if cells.key == key else before
             for cells, before in zip(self.cells, self.grams, strict=True)
         )
+        return dataclasses.replace(self, noise={**self.noise, key: noise}, grams=tuple(changed))
 
+    def of_key(self, key: str) -> tuple[Cells, ...]:
+        """The cells of a key."""
+        return tuple(each for each in self.cells if each.key == key)
 
-def conditioned(
-    cells: Sequence[Cells],
-    noise: Mapping[str, ChannelNoise],
-    prior: Float[np.ndarray, "column column"],
-) -> tuple[tuple[Cells, ...], np.ndarray]:
-    """The cells with other columns that span the same: orthonormal with the given noise and prior.
+    def value(self, key: str, noise: ChannelNoise) -> float:
+        """-2 log L where the cells of one key have another noise."""
+        return float(self.by_scale(key, [noise])(np.zeros((1, 1)))[0, 0])
 
-    Directions that neither cells nor prior respond to are left out; so are own columns that do not
-    respond.
+    def by_scale(self, key: str, noises: Sequence[ChannelNoise]) -> ByScale:
+        """-2 log L by the logarithms of factors of each of several noises of one key.
 
-    Returns:
-        The cells, and the prior by their columns.
-    """
-    runs = sorted({each.run for each in cells})
-    changed = dict(enumerate(cells))
-    triangles = []
-    for run in runs:
-        at = [i for i, each in enumerate(cells) if each.run == run]
-        gram = np.sum([cells[i].gram(_marginal(noise[cells[i].key]))[0] for i in at], axis=0)
-        width = cells[at[0]].own.shape[1]
-        own = orthonormal(gram[:width, :width])
-        across = own.T @ gram[:width, width:-1]
-        triangles.append(gram[width:-1, width:-1] - across.T @ across)
-        for i in at:
-            basis = cells[i].own @ own
-            changed[i] = dataclasses.replace(
-                cells[i], own=basis, shared=cells[i].shared - basis @ across
+        A factor scales a Gram matrix: the samples are passed over once for all factors.
+        """
+        return self.by_scales([key], noises)[key]
+
+    def by_scales(self, keys: Sequence[str], noises: Sequence[ChannelNoise]) -> dict[str, ByScale]:
+        """As `by_scale`, of each of some keys with all others as they are.
+
+        Cells at the same instants are passed over together.
+        """
+        those = [each for each in self.cells if each.key in keys]
+        passes = [grams(those, noise) for noise in noises]
+        of_keys: dict[str, dict[int, list[tuple[np.ndarray, np.ndarray]]]] = {}
+        for at, each in enumerate(those):
+            gram, log = (
+                np.array(parts) for parts in zip(*(one[at] for one in passes), strict=True)
             )
-    shared = orthonormal(np.sum(triangles, axis=0) + prior[:-1, :-1])
-    across = shared.T @ prior[:-1, -1:]
-    known = np.block([[shared.T @ prior[:-1, :-1] @ shared, across], [across.T, prior[-1:, -1:]]])
-    those = (dataclasses.replace(each, shared=each.shared @ shared) for each in changed.values())
-    return tuple(those), known
+            of_keys.setdefault(each.key, {}).setdefault(each.run, []).append((gram, log))
+        return {
+            key: self._by_scale(
+                key,
+                {
+                    run: np.sum([gram for gram, _ in parts], axis=0)
+                    for run, parts in of_runs.items()
+                },
+                np.sum([log for parts in of_runs.values() for _, log in parts], axis=0),
+            )
+            for key, of_runs in of_keys.items()
+        }
+
+    def _by_scale(
+        self,
+        key: str,
+        of_runs: Mapping[int, Float[np.ndarray, "noise column column"]],
+        determinants: Float[np.ndarray, " noise"],
+    ) -> ByScale:
+        """`by_scale`, of the Gram matrices of each run that has cells of the key, and of log|V|."""
+        others = self._without(key)
+        count = sum(len(each.residual) for each in self.of_key(key))
+
+        def value(logs: Float[np.ndarray, "noise scale"]) -> Float[np.ndarray, "noise scale"]:
+            powers = np.exp(-2 * logs)[..., None, None]
+            total = others.known + determinants[:, None] + 2 * logs * count
+            shared = others.shared
+            for run, grams_of_run in of_runs.items():
+                before, width = others.runs[run]
+                rest, log = _eliminated(before + powers * grams_of_run[:, None], width)
+                shared, total = shared + rest, total + log
+            rest, log = _eliminated(shared, shared.shape[-1] - 1)
+            return total + log + rest[..., 0, 0]
+
+        return value
+
+    def _without(self, key: str) -> _Others:
+        """All but the cells of a key."""
+        if key not in self._sums:
+            mine = {each.run for each in self.of_key(key)}
+            runs: dict[int, tuple[np.ndarray, int]] = {}
+            known = 0.0
+            for each, (gram, log) in zip(self.cells, self.grams, strict=True):
+                before, width = runs.get(each.run, (np.zeros_like(gram), each.own.shape[1]))
+                if each.key != key:
+                    before, known = before + gram, known + log
+                runs[each.run] = before, width
+            shared = self.prior
+            for run in sorted(runs.keys() - mine):
+                rest, determinant = _eliminated(*runs[run])
+                shared, known = shared + rest, known + float(determinant)
+            self._sums[key] = _Others({run: runs[run] for run in mine}, shared, known)
+        return self._sums[key]
+
+    @functools.cached_property
+    def _sums(self) -> dict[str, _Others]:
+        return {}
 
 
-def _marginal(noise: ChannelNoise) -> ChannelNoise:
-    return ChannelNoise(noise.deviation)
-
-
-def orthonormal(gram: np.ndarray) -> np.ndarray:
-    """B with B^T gram B = 1, of the directions that count.
-
-    Arguments:
-        gram: X^T X of columns of any size, shape (column, column).
-
-    Returns:
-        Of shape (column, rank).
-    """
-    if not len(gram):
-        return gram
-    norms = np.sqrt(np.maximum(np.diag(gram), 0))
-    norms = np.where(norms > 0, norms, np.inf)
-    values, vectors = np.linalg.eigh(gram / np.outer(norms, norms))
-    kept = values > max(_COLLINEAR**2, 1e-12) * max(values[-1], 1e-300)
-    return vectors[:, kept] / np.sqrt(values[kept]) / norms[:, None]
-
-
-def _by_run(
-    cells: Sequence[Cells], grams: Sequence[tuple[np.ndarray, float]]
-) -> dict[int, tuple[np.ndarray, int]]:
-    """Gram matrix of each run over its channels, and how many of its columns are its own."""
-    runs: dict[int, tuple[np.ndarray, int]] = {}
-    for each, (gram, _) in zip(cells, grams, strict=True):
-        before = runs.get(each.run)
-        total = gram if before is None else before[0] + gram
-        runs[each.run] = (total, each.own.shape[1])
-    return runs
-
-
-def _eliminated(gram: np.ndarray, width: int) -> tuple[np.ndarray, float]:
-    """The Schur complement of the first columns of a Gram matrix, and their log-determinant."""
+def _eliminated(
+    gram: Float[np.ndarray, "... column column"], width: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """The Schur complements of the first columns of Gram matrices, and their log-determinants."""
     if not width:
-        return gram, 0.0
-    # LAPACK itself: these matrices are so small that the functions around it take longer.
-    factor, failed = dpotrf(gram[:width, :width], 1)
-    if failed:
-        raise np.linalg.LinAlgError("the columns of a run depend on each other")
-    across, _ = dtrtrs(factor, gram[:width, width:], 1)
-    return gram[width:, width:] - across.T @ across, 2 * float(np.sum(np.log(np.diag(factor))))
+        return gram, np.zeros(gram.shape[:-2])
+    factor = np.linalg.cholesky(gram[..., :width, :width])
+    across = np.linalg.solve(factor, gram[..., :width, width:])
+    rest = gram[..., width:, width:] - np.swapaxes(across, -1, -2) @ across
+    diagonal = np.diagonal(factor, axis1=-2, axis2=-1)
+    return rest, 2 * np.sum(np.log(diagonal), axis=-1)
