@@ -18,6 +18,7 @@ from giajax.fitting._group import build_groups, own_start
 from giajax.fitting._jacobian import BlockJacobian
 from giajax.fitting._layout import Layout
 from giajax.fitting._linearise import linearise
+from giajax.fitting._loss import curvature_ratio
 from giajax.fitting._noise import Noise
 from giajax.fitting._problem import Problem, residual
 from giajax.kinds import InitialSection
@@ -92,10 +93,28 @@ def problem_of(runs, loss="linear"):
     layout = Layout.of(["decay"], {}, len(runs))
     groups = build_groups(model, runs, Noise.of(runs, "correlated", per_run=False), layout)
     own = own_start(groups)
-    bijector = Bijector((0.0, *(-np.inf for _ in own)), (9.0, *(np.inf for _ in own)))
+    bijector = Bijector.of(
+        (0.0, *(-np.inf for _ in own)), (9.0, *(np.inf for _ in own)), (1.5, *own)
+    )
     problem = Problem(model, groups, bijector, ("decay",), loss)
     coordinate = jnp.asarray(bijector.inverse(np.array([1.5, *own])))
     return problem, coordinate
+
+
+def bends(problem, row):
+    """The ratio of curvatures of each row; how far a model is off is told in each run."""
+    priors = np.ones(len(problem.priors))
+    if problem.loss == "linear":
+        return np.ones(len(row))
+    ratios, first = [], 0
+    for group in problem.groups:
+        for weight in np.asarray(group.weight):
+            part = row[first : first + weight.size]
+            measured = (weight.ravel() > 0).astype(float)
+            ratios.append(np.asarray(curvature_ratio(problem.loss, part, measured)))
+            first += weight.size
+    assert np.ptp(np.concatenate(ratios)) > 0.1
+    return np.concatenate([*ratios, priors])
 
 
 @pytest.mark.slow
@@ -108,7 +127,9 @@ def test_blocks_are_the_whole_jacobian(loss):
     row, blocks, factor, projected, _ = linearise(coordinate, problem)
     whole = np.asarray(jax.jacfwd(lambda z: residual(z, problem)[0])(coordinate))
     assert_allclose(row, residual(coordinate, problem)[0], rtol=1e-13)
-    assert_allclose(factor.T @ factor, whole.T @ whole, rtol=1e-10, atol=1e-8)
+    # The triangle has the curvature of the loss, with the gradient of the cost as it is.
+    bent = whole * bends(problem, np.asarray(row))[:, None]
+    assert_allclose(factor.T @ factor, bent.T @ bent, rtol=1e-10, atol=1e-8)
     assert_allclose(factor.T @ projected, whole.T @ row, rtol=1e-10, atol=1e-8)
 
     found = BlockJacobian.of(problem, blocks)

@@ -10,12 +10,19 @@ from giajax.fitting import between
 from giajax.fitting._bijector import Bijector
 from giajax.fitting._identifiability import responds, undetermined_groups
 from giajax.fitting._jacobian import BlockJacobian
-from giajax.fitting._loss import LOSSES, check_loss, influence, rho as counts_as, transform
+from giajax.fitting._loss import (
+    LOSSES,
+    check_loss,
+    curvature_ratio,
+    influence,
+    rho as counts_as,
+    transform,
+)
 from giajax.fitting._uncertainty import uncertainty
 from giajax.noise import from_differences, robust_deviation
 
 INF = float("inf")
-BOUNDS = Bijector((0.0, -INF, -2.0, -INF), (INF, 3.0, 5.0, INF))
+BOUNDS = Bijector.of((0.0, -INF, -2.0, -INF), (INF, 3.0, 5.0, INF), (0.2, 1.0, 4.0, 0.0))
 INSIDE = np.array([1e-3, -40.0, 4.9, -7.0])
 
 
@@ -23,14 +30,29 @@ def test_a_bijector_comes_back():
     np.testing.assert_allclose(BOUNDS.forward(jnp.asarray(BOUNDS.inverse(INSIDE))), INSIDE)
 
 
-@pytest.mark.parametrize("far", [-30.0, 30.0])
-def test_a_bijector_stays_within_bounds_and_increases(far):
-    values = np.asarray(BOUNDS.forward(jnp.full(4, far)))
-    assert np.all(values >= np.asarray(BOUNDS.lower))
-    assert np.all(values <= np.asarray(BOUNDS.upper))
+def test_a_bijector_has_its_bounds_at_its_ends_and_increases_between_them():
+    lower, upper = BOUNDS.ends()
+    assert np.asarray(lower).tolist()[1::2] == [-INF, -INF]
+    for ends, bounds in ((lower, BOUNDS.lower), (upper, BOUNDS.upper)):
+        known = np.isfinite(bounds)
+        values = np.asarray(BOUNDS.forward(jnp.where(known, ends, 0)))
+        np.testing.assert_allclose(values[known], np.asarray(bounds)[known], rtol=1e-15)
+    # A parameter that may not be negative is none by rounding either.
+    assert BOUNDS.forward(jnp.zeros(4))[0] == 0
     slopes = jax.jacfwd(BOUNDS.forward)(jnp.asarray(BOUNDS.inverse(INSIDE)))
     np.testing.assert_allclose(np.diag(slopes), BOUNDS.slope(BOUNDS.inverse(INSIDE)), rtol=1e-12)
     assert np.all(np.diag(slopes) > 0)
+
+
+def test_a_coordinate_is_linear_near_its_bound_and_a_logarithm_far_from_it():
+    at = lambda value: BOUNDS.inverse(np.array([value, 0.0, 0.0, 0.0]))[0]  # noqa: E731
+    np.testing.assert_allclose(at(2e-6), 2 * at(1e-6), rtol=1e-4)
+    np.testing.assert_allclose(at(2e6) - at(1e6), np.log(2), rtol=1e-4)
+
+
+def test_the_map_of_a_start_on_its_bound_has_a_size_all_the_same():
+    there = Bijector.of((0.0, 0.0), (INF, 0.5), (0.0, 0.5))
+    assert np.all(np.isfinite(there.slope(there.inverse(np.array([0.0, 0.5])))))
 
 
 def rho(loss, r):
@@ -57,6 +79,20 @@ def test_a_loss_is_the_square_of_its_transformation(loss):
     np.testing.assert_allclose(psi, (rho(loss, r + h) - rho(loss, r - h)) / (4 * h), atol=1e-5)
     ahead, behind = influence(loss, r + h)[0], influence(loss, r - h)[0]
     np.testing.assert_allclose(curvature[smooth], ((ahead - behind) / (2 * h))[smooth], atol=1e-6)
+
+
+@pytest.mark.parametrize("loss", LOSSES[1:])
+def test_far_off_a_step_is_that_of_reweighted_least_squares_and_at_the_end_that_of_newton(loss):
+    """By what the Jacobian of t is multiplied with, over a table of residuals."""
+    few, many = np.linspace(-3.0, 3.0, 60), np.linspace(-30.0, 30.0, 60)
+    few[np.abs(few) > 0.9] *= 0.2
+    few[::20] = [-8.0, 5.0, 12.0]
+    for r, far in ((few, 0.05), (many, 1.0)):
+        psi, curvature, slope = influence(loss, r)
+        t = transform(loss, jnp.asarray(r))
+        ratio = np.asarray(curvature_ratio(loss, t, jnp.ones(60)))
+        expected = far * psi / r + (1 - far) * curvature
+        np.testing.assert_allclose((ratio * slope) ** 2, expected, rtol=1e-9)
 
 
 def test_an_unknown_loss_is_refused():

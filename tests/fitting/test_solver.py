@@ -7,8 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 import pytest
+import scipy.optimize
 
 from giajax.fitting import Marquardt
+from giajax.fitting._box import boxed_step
 
 
 def rosenbrock(y, args):
@@ -58,10 +60,16 @@ def drive(fn, start, solver, steps=40):
     shape, aux = jax.eval_shape(fn, start, None)
     state = solver.init(fn, start, None, {}, shape, aux, frozenset())
     point, history = start, []
-    for _ in range(steps):
+
+    @jax.jit
+    def once(point, state):
         point, state, _ = solver.step(fn, point, None, {}, state, frozenset())
+        return point, state, solver.terminate(fn, point, None, {}, state, frozenset())[0]
+
+    for _ in range(steps):
+        point, state, done = once(point, state)
         history.append((np.asarray(point), float(state.cost), bool(state.accepted)))
-        if solver.terminate(fn, point, None, {}, state, frozenset())[0]:
+        if done:
             break
     return history
 
@@ -118,3 +126,38 @@ def test_what_is_not_active_stays():
     solution = optx.least_squares(fn, solver, start, options=options, has_aux=True)
     assert solution.value[1] == 0.25
     np.testing.assert_allclose(solution.value[0], (3 - 0.25) / 2, atol=1e-6)
+
+
+def test_an_optimum_on_a_bound_is_reached_and_left_again():
+    """Of two correlated parameters the first has to wait on its bound, and comes back."""
+    start = jnp.array([0.3, 2.0])
+    options = {"lower": jnp.zeros(2), "upper": jnp.full(2, jnp.inf)}
+
+    def fn(y, args):
+        return jnp.stack([y[0] + 0.9 * y[1] - args[0], y[0] - 0.5 * y[1] - args[1]]), None
+
+    for target in (jnp.array([1.0, -2.0]), jnp.array([-3.0, 2.0]), jnp.array([2.0, 1.0])):
+        solution = optx.least_squares(
+            fn, Marquardt(distance=1e-9), start, args=target, options=options, has_aux=True
+        )
+        matrix = np.array([[1, 0.9], [1, -0.5]])
+        expected = scipy.optimize.lsq_linear(matrix, np.asarray(target), (0, np.inf)).x
+        np.testing.assert_allclose(solution.value, expected, atol=1e-6)
+        assert np.all(np.asarray(solution.value) >= 0)
+
+
+def test_a_step_in_a_box_is_that_of_a_quadratic_program():
+    rng = np.random.default_rng(3)
+    solve = jax.jit(boxed_step)
+    for _ in range(20):
+        matrix, vector = rng.normal(size=(6, 6)), rng.normal(size=6) * 3
+        q, r = np.linalg.qr(matrix)
+        sides = -jnp.ones(6), jnp.full(6, 0.4)
+        ours = solve(
+            jnp.asarray(r), jnp.asarray(q.T @ vector), jnp.full(6, 0.1), sides, jnp.ones(6, bool)
+        )
+        whole = np.concatenate([matrix, 0.1 * np.eye(6)])
+        goal = np.concatenate([-vector, np.zeros(6)])
+        best = scipy.optimize.lsq_linear(whole, goal, (-1, 0.4), method="bvls")
+        reached = np.sum((whole @ np.asarray(ours) - goal) ** 2) / 2
+        assert reached <= best.cost * (1 + 1e-9)

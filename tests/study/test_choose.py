@@ -57,10 +57,10 @@ def test_the_criteria_are_what_they_say(choice):
 
 @pytest.mark.slow
 def test_fits_that_did_not_converge_sink(monkeypatch):
-    """The operator behind the data is given six steps, and the play all that it needs."""
+    """The operator behind the data is given three steps, and the play all that it needs."""
 
     def hurried(model, runs, **options):
-        iterations = 6 if "saturation" in declared(model) else 100
+        iterations = 3 if "saturation" in declared(model) else 100
         return fit(model, runs, **{**options, "max_iterations": iterations})
 
     monkeypatch.setattr("giajax.study._choose.fit", hurried)

@@ -46,7 +46,7 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
     """
     if state.ending is None:
         raise ValueError("the fit has not ended: call `descend` first")
-    status, message = state.ending
+    status, message, reason = state.ending
     setup, problem = state.setup, state.problem
     model = problem.with_values(np.asarray(list(state.parameters().values())))
     known = statistics(state)
@@ -55,7 +55,7 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
     if check and status != "interrupted" and np.any(np.asarray(state.active)):
         done = checks(state, known)
     if done.interrupted:
-        status = "interrupted"
+        status = reason = "interrupted"
         message += ", then interrupted before its result was checked"
     predictions = predictions_by_run(problem, state.inner.aux, setup.runs)
     active = np.asarray(state.active)
@@ -70,6 +70,7 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
     return FitResult(
         status=status,
         message=message + _note(state, known),
+        reason=reason,
         model=model,
         parameters=with_tied(estimates(state, known, model), derived, problem.ties),
         noise=_noise(state, known),

@@ -9,12 +9,14 @@ import numpy as np
 from .._errors import InputError
 from .._maths import on_device
 from ._budget import Budget
+from ._ends import nearly, stopped_by
 from ._identifiability import responds
+from ._reason import Reason
 from ._records import Iteration
 from ._reestimate import reestimate
 from ._state import FitState
 from ._tolerance import is_promising, resolved, smoothed
-from ._transitions import release, reweight, step, tolerance_of, trial
+from ._transitions import reweight, step, tolerance_of, trial
 
 
 def descend(
@@ -45,12 +47,12 @@ def descend(
     reached = state
     try:
         while reached.ending is None:
-            if (reason := _limit(reached, max_iterations, budget)) is not None:
+            if (limit := _limit(reached, max_iterations, budget)) is not None:
                 # At an optimum only a last step nearer to it was left to try.
                 return (
                     _converged(reached)
                     if reached.converged
-                    else reached.ended("not_converged", reason)
+                    else reached.ended("not_converged", *limit)
                 )
             shown, reached = len(reached.history), advance(reached)
             if keep is not None:
@@ -66,23 +68,28 @@ def descend(
         return reached.ended(
             "interrupted",
             f"interrupted after {reached.trials} iterations; this is the best so far",
+            "interrupted",
         )
     return reached
 
 
-def _limit(state: FitState, max_iterations: int, budget: Budget | None) -> str | None:
+def _limit(
+    state: FitState, max_iterations: int, budget: Budget | None
+) -> tuple[str, Reason] | None:
     """Why no further step may be tried; None where one may."""
     if not state.evaluated or state.done:
         return None
     if state.trials >= max_iterations:
         return (
             f"no optimum after {state.trials} iterations: start nearer, free fewer "
-            "parameters or allow more iterations"
+            "parameters or allow more iterations",
+            "iterations",
         )
     if budget is not None and budget.left() < float(np.median(state.step_seconds[1:] or [0.0])):
         return (
             f"{budget.ended_it} after {state.trials} iterations; this is the best so far: go on "
-            "from there, or allow more time"
+            "from there, or allow more time",
+            "budget",
         )
     return None
 
@@ -96,18 +103,9 @@ def advance(state: FitState) -> FitState:
     if not state.evaluated:
         return _at_start(state)
     if not state.done:
-        return trial(state)
-    there = release(state) if state.releases_left else None
-    if there is not None:
-        return _released(state, there)
-    if not state.converged:
-        if (smoother := smoothed(state)) is not None:
-            return smoother
-        return state.ended(
-            "not_converged",
-            "no step lowers the cost any further, and the optimum is not reached: "
-            "start elsewhere or free fewer parameters",
-        )
+        tried = trial(state)
+        stopped = stopped_by(tried)
+        return tried if stopped is None else _stopped(tried, *stopped)
     return _next_round(state)
 
 
@@ -129,20 +127,18 @@ def _at_start(state: FitState) -> FitState:
             state = resolved(state)
         return dataclasses.replace(state, done=False, converged=False).recorded(accepted=True)
     state = state.recorded(accepted=True)
-    return state.ended("not_converged", "no channel responds to any of the free parameters")
-
-
-def _released(state: FitState, there: FitState) -> FitState:
-    """From a point off the bounds where that is better, or else back and believing the bound."""
-    tried = dataclasses.replace(step(there), trials=state.trials + 1)
-    if tried.cost < state.cost:
-        tried = tried.recorded(accepted=True)
-        left = state.releases_left - 1
-        return dataclasses.replace(tried, releases_left=left, done=False, converged=False)
-    back = dataclasses.replace(
-        state, trials=tried.trials, step_seconds=tried.step_seconds, releases_left=0
+    return state.ended(
+        "not_converged", "no channel responds to any of the free parameters", "no_response"
     )
-    return back.recorded(accepted=False)
+
+
+def _stopped(state: FitState, reason: Reason, sentence: str) -> FitState:
+    """What may still be done where a fit does not get on; else its end."""
+    if reason in ("rough", "crawl") and (smoother := smoothed(state)) is not None:
+        return smoother
+    if reason == "rough" and nearly(state):
+        return dataclasses.replace(state, done=True, converged=True)
+    return state.ended("not_converged", sentence, reason)
 
 
 def _next_round(state: FitState) -> FitState:
@@ -172,4 +168,4 @@ def _settled(state: FitState) -> FitState:
 
 
 def _converged(state: FitState) -> FitState:
-    return state.ended("converged", f"converged in {state.trials} iterations")
+    return state.ended("converged", f"converged in {state.trials} iterations", "optimum")

@@ -165,7 +165,7 @@ def solve(
         # What was computed is worth keeping; all but the checks takes little.
         if state.ending is not None and state.ending[0] != "interrupted":
             message = f"{state.ending[1]}, then interrupted before its result was checked"
-            state = state.ended("interrupted", message)
+            state = state.ended("interrupted", message, "interrupted")
         result = conclude(state, check=False, max_iterations=max_iterations, began=began)
     if budget is None:
         return result

@@ -8,6 +8,7 @@ import numpy as np
 
 from .._typing import Array, Float
 from ._group import Group
+from ._loss import curvature_ratio
 from ._problem import Prediction, Problem, over_runs, run_residual, whitened
 
 
@@ -46,6 +47,10 @@ def linearise(
         # Linear, so it comes after the derivatives, and costs one pass over all columns.
         whole = whitened(jnp.concatenate([block, row[:, None]], axis=1), whitening)
         block, row = whole[:, :-1], whole[:, -1]
+        if problem.loss != "linear":
+            measured = (weight > 0).ravel().astype(row.dtype)
+            ratio = curvature_ratio(problem.loss, row, measured)[:, None]
+            whole = jnp.concatenate([whole[:, :-1] * ratio, whole[:, -1:] / ratio], axis=1)
         # A failed run has NaN here; its step is rejected, and nobody reads the triangle.
         triangle = jnp.linalg.qr(jnp.where(jnp.isfinite(whole), whole, 0), mode="r")
         missing = whole.shape[1] - triangle.shape[0]

@@ -89,3 +89,46 @@ def influence(loss: str, r: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndar
     slope = np.where(t == 0, 1.0, psi / np.where(t == 0, 1.0, t))
     curvature = root**-3 if loss == "soft_l1" else (np.abs(r) <= 1).astype(float)
     return psi, curvature, slope
+
+
+# Shares of a run's cells outside the quadratic part of a loss: of a third, noise alone is the
+# cause; of two thirds, the model is still far from the data.
+_NOISE_ALONE, _FAR = 0.35, 0.65
+
+# Part of the curvature of far cells that is kept at an optimum, where they have none or little.
+_KEPT = 0.05
+
+
+def curvature_ratio(
+    loss: str, t: Float[Array, " cell"], measured: Float[Array, " cell"]
+) -> Float[Array, " cell"]:
+    """By what to multiply rows of the Jacobian of t for a good second derivative of the cost.
+
+    Gauss-Newton on t takes t'^2 for the curvature of a cell, which is right for none of the far
+    ones. Where the model is off, psi / r is: the step of reweighted least squares, which would
+    remove all residuals, where that of t would be twice as long. At the optimum, where outliers
+    stay, it is psi'. What is between the two is told by the share of the cells that are far.
+
+    Arguments:
+        loss: one of `LOSSES`, not linear.
+        t: transformed residuals.
+        measured: 1 for measured cells, 0 for others.
+
+    Returns:
+        Root of the curvature over t'. With rows of t divided by it the gradient stays the same.
+    """
+    square = t * t
+    if loss == "soft_l1":
+        root = 1 + square / 2
+        # r^2 / t^2 = 1 + t^2 / 4.
+        slope = (1 + square / 4) / root**2
+        reweighted, curvature = 1 / root, 1 / root**3
+        far = square > 2 * (jnp.sqrt(2.0) - 1)
+    else:
+        far = square > 1
+        slope = 1 / jnp.where(far, square, 1)
+        reweighted = jnp.where(far, 2 / (square + 1), 1)
+        curvature = jnp.where(far, 0.0, 1.0)
+    share = jnp.sum(jnp.where(far, measured, 0)) / jnp.maximum(jnp.sum(measured), 1)
+    off = jnp.clip((share - _NOISE_ALONE) / (_FAR - _NOISE_ALONE), _KEPT, 1)
+    return jnp.sqrt((off * reweighted + (1 - off) * curvature) / slope)

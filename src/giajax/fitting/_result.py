@@ -23,6 +23,7 @@ from ._findings import Finding
 from ._integration import IntegrationFit
 from ._of_runs import model_of_run, rows_of_runs
 from ._predict import predict
+from ._reason import Reason
 from ._records import (
     Correlation,
     Estimate,
@@ -85,6 +86,11 @@ class FitResult:
             empty for a fit of runs without a task.
         predictions: predicted channels (SI) of each run, by name; empty after `load_result`.
         held_predictions: those of each of `held_out`, likewise.
+        reason: what ended the fit: "optimum"; "iterations" or "budget", which were used up;
+            "rough" (no step lowers a cost that is not smooth), "wall" (the model cannot be
+            evaluated beyond), "crawl" (the cost hardly falls any more), "cannot_fit" (the model
+            describes the data hardly better than a constant), "no_response" (of any channel to
+            what is free); "interrupted"; empty in a file of an earlier version.
     """
 
     status: Status
@@ -116,6 +122,7 @@ class FitResult:
     task: dict[str, Any] = dataclasses.field(default_factory=dict)
     predictions: tuple[dict[str, np.ndarray], ...] = ()
     held_predictions: tuple[dict[str, np.ndarray], ...] = ()
+    reason: Reason = ""
 
     @property
     def free(self) -> dict[str, Estimate]:

@@ -18,7 +18,7 @@ from ._state import FitState
 from ._transitions import at_tolerance, move, reweight, step, tolerance_of
 
 # The numbers of the solver that its next step depends on, apart from what is evaluated anew.
-_SOLVER = ("damping", "growth", "scale", "step", "accepted", "evaluations")
+_SOLVER = ("damping", "growth", "scale", "step", "accepted", "sound", "evaluations")
 
 
 class FitJournal(Protocol):
@@ -74,10 +74,10 @@ def restored(begun: FitState, journal: FitJournal) -> tuple[FitState, float]:
         converged=bool(last["converged"]),
         trials=int(last["trials"]),
         rounds_left=int(last["rounds_left"]),
-        releases_left=int(last["releases_left"]),
+        round_began=int(last["round_began"]),
         history=tuple(Iteration(**item) for line in journal.kept for item in line["history"]),
         step_seconds=tuple(float(item) for line in journal.kept for item in line["step_seconds"]),
-        ending=None if ending is None else (ending[0], str(ending[1])),
+        ending=None if ending is None else (ending[0], str(ending[1]), ending[2]),
     )
     return state, float(last["seconds"])
 
@@ -104,7 +104,7 @@ def keeper(state: FitState, journal: FitJournal, elapsed: Callable[[], float]) -
             "done": reached.done,
             "converged": reached.converged,
             "rounds_left": reached.rounds_left,
-            "releases_left": reached.releases_left,
+            "round_began": reached.round_began,
             "noise": reached.noise.to_plain(),
             "tolerance": tolerance_of(reached),
             "history": [dataclasses.asdict(item) for item in reached.history[shown:]],

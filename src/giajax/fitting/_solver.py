@@ -15,11 +15,11 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import lineax as lx
 import numpy as np
 import optimistix as optx
 
 from .._typing import Array, Bool, Float, Scalar
+from ._box import boxed_step, towards
 
 
 class MarquardtState(eqx.Module):
@@ -34,6 +34,7 @@ class MarquardtState(eqx.Module):
         damping: Marquardt's lambda; `growth` is what the next rejection multiplies it by.
         step: last accepted or rejected step.
         accepted: whether the last step was accepted.
+        sound: whether everything was finite where it led to.
         aux: auxiliary output at the accepted point.
         evaluations: how often value and Jacobian were computed.
     """
@@ -48,6 +49,7 @@ class MarquardtState(eqx.Module):
     growth: Scalar
     step: Float[Array, " parameter"]
     accepted: Bool[Array, ""]
+    sound: Bool[Array, ""]
     aux: Any
     evaluations: Array
 
@@ -61,6 +63,7 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
 
     Options (of `optimistix.least_squares`):
         `active`: a boolean array: parameters that may move.
+        `lower`, `upper`: arrays of bounds, which a trial point may lie on; infinite by default.
         `linearise`: a function of `(y, args)` that returns residual, Jacobian (any pytree), R and
         Q^T r of its QR factorisation, and the auxiliary output, for problems with a structure;
         `fn` is then not called. `jacobian` is a template of the pytree.
@@ -110,6 +113,7 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
             "growth": np.full((), 4.0, dtype),
             "step": zeros(size),
             "accepted": np.zeros((), bool),
+            "sound": np.zeros((), bool),
             "aux": jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), aux_struct),
             "evaluations": np.zeros((), jnp.result_type(int)),
         }
@@ -127,8 +131,13 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         """Try one step; the first one evaluates the start."""
         first = jnp.isinf(state.cost)
         active = options.get("active", jnp.ones(y.shape, bool))
-        step = jnp.where(first, 0, self._trial_step(state, active))
-        trial = y + step
+        lower, upper = _bounds(y, options)
+        weights = jnp.sqrt(state.damping) * jnp.where(state.scale > 0, state.scale, 1)
+        box = towards(lower - y, -self.largest_step), towards(upper - y, self.largest_step)
+        step = boxed_step(state.factor, state.projected, weights, box, active)
+        step = jnp.where(first, 0, step)
+        # Exactly on the bound, not beside it by rounding.
+        trial = jnp.clip(y + step, lower, upper)
         if "linearise" in options:
             residual, jacobian, factor, projected, aux = options["linearise"](trial, args)
         else:
@@ -136,7 +145,9 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         factor = jnp.where(active[None], factor, 0)
         cost = jnp.sum(residual**2) / 2
         finite = [jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(jacobian)]
+        # Derivatives may be finite and yet so large that their squares are not.
         sound = jnp.isfinite(cost) & jnp.all(jnp.stack(finite))
+        sound = sound & jnp.isfinite(jnp.sum(factor**2))
 
         linear = state.projected + state.factor @ step
         expected = (jnp.sum(state.projected**2) - jnp.sum(linear**2)) / 2
@@ -158,45 +169,24 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
             growth=jnp.asarray(4.0, y.dtype),
             step=step,
             accepted=jnp.asarray(True),
+            sound=sound,
             aux=aux,
             evaluations=state.evaluations + 1,
         )
         stayed = eqx.tree_at(
-            lambda s: (s.damping, s.growth, s.step, s.accepted, s.evaluations),
+            lambda s: (s.damping, s.growth, s.step, s.accepted, s.sound, s.evaluations),
             state,
             (
                 jnp.maximum(state.damping, 1e-8) * state.growth,
                 state.growth * 2,
                 step,
                 jnp.asarray(False),
+                sound,
                 state.evaluations + 1,
             ),
         )
         state = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), moved, stayed)
         return jnp.where(accepted, trial, y), state, state.aux
-
-    def _trial_step(self, state: MarquardtState, active: Array) -> Array:
-        """Minimise |R s + Q^T r|^2 + lambda |D s|^2 over the box of the largest step.
-
-        Coordinates that want to leave the box stay on its side, and the others are solved for
-        again: to shorten the whole step would let one weak parameter hold up all of them.
-        """
-        # A column that is zero (a parameter that is held) must not make the system singular.
-        scale = jnp.where(state.scale > 0, state.scale, 1)
-        damping = jnp.diag(jnp.sqrt(state.damping) * scale)
-
-        def solve(direct: Array, held: Array) -> Array:
-            matrix = jnp.concatenate([jnp.where(held[None], 0, state.factor), damping])
-            load = state.projected + state.factor @ direct
-            vector = jnp.concatenate([-load, jnp.zeros_like(load)])
-            operator = lx.MatrixLinearOperator(matrix)
-            return lx.linear_solve(operator, vector, solver=lx.QR(), throw=False).value + direct
-
-        free = solve(jnp.zeros_like(scale), ~active)
-        far = jnp.abs(free) > self.largest_step
-        boxed = jnp.clip(free, -self.largest_step, self.largest_step)
-        again = solve(jnp.where(far, boxed, 0), far | ~active)
-        return jnp.clip(again, -self.largest_step, self.largest_step)
 
     def terminate(
         self,
@@ -208,9 +198,7 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         tags: frozenset[object],
     ) -> tuple[Bool[Array, ""], optx.RESULTS]:
         """Converged, stuck, or neither."""
-        size = state.residual.shape[0] - state.projected.shape[0]
-        noise = jnp.sqrt(2 * state.cost / max(size, 1))
-        near = _explicable(state, self.distance * noise) <= self.distance * noise
+        near = self.explicable(y, options, state) <= self.distance * shown_noise(state)
         # Data without noise: nothing is left that a step could lower.
         perfect = state.cost <= self.floor
         tiny = jnp.all(jnp.abs(state.step) <= self.atol + self.rtol * jnp.abs(y))
@@ -224,6 +212,31 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
             converged | ~stuck, optx.RESULTS.successful, optx.RESULTS.nonlinear_divergence
         )
         return converged | stuck, result
+
+    def explicable(
+        self, y: Any, options: dict[str, Any], state: MarquardtState, maths: Any = jnp
+    ) -> Any:
+        """Norm of the part of the residual that the parameters could still explain, to first order.
+
+        Directions in which nothing responds (held or collinear parameters) do not count: there
+        Q is arbitrary. Nor do coordinates to which the residual responds by no more than what a
+        fit may be off by, as on their way to infinity: they would run on for ever; nor those that
+        are at a bound and would only leave it outwards.
+
+        Arguments:
+            y, options, state: as `terminate` has them.
+            maths: NumPy, where all of them are its arrays.
+        """
+        lower, upper = _bounds(y, options)
+        uphill = state.factor.T @ state.projected
+        outwards = ((y <= lower) & (uphill > 0)) | ((y >= upper) & (uphill < 0))
+        scale = maths.where(state.scale > 0, state.scale, 1)
+        norms = maths.linalg.norm(state.factor, axis=0)
+        moves = (norms > self.distance * shown_noise(state)) & ~outwards
+        scaled = maths.where(moves[None], state.factor / scale[None], 0)
+        left, singular, _ = maths.linalg.svd(scaled)
+        along = left.T @ state.projected
+        return maths.linalg.norm(maths.where(singular > 1e-8 * maths.max(singular), along, 0))
 
     def postprocess(
         self,
@@ -240,18 +253,16 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         return y, aux, {"cost": state.cost, "evaluations": state.evaluations}
 
 
-def _explicable(state: MarquardtState, least: Scalar) -> Scalar:
-    """Norm of the part of the residual that the parameters could still explain, to first order.
+def shown_noise(state: MarquardtState) -> Any:
+    """The root of the reduced chi-square: the noise that the residual itself shows."""
+    size = state.residual.shape[0] - state.projected.shape[0]
+    return (2 * state.cost / max(size, 1)) ** 0.5
 
-    Directions in which nothing responds (held or collinear parameters) do not count: there
-    Q is arbitrary. Nor do coordinates to which the residual responds by less than `least`, such
-    as the logarithm of a parameter whose optimum is at zero: they would run on for ever.
-    """
-    scale = jnp.where(state.scale > 0, state.scale, 1)
-    moves = jnp.linalg.norm(state.factor, axis=0) > least
-    left, singular, _ = jnp.linalg.svd(jnp.where(moves[None], state.factor / scale[None], 0))
-    along = left.T @ state.projected
-    return jnp.linalg.norm(jnp.where(singular > 1e-8 * jnp.max(singular), along, 0))
+
+def _bounds(y: Array, options: dict[str, Any]) -> tuple[Array, Array]:
+    """Bounds of the parameters, infinite where the options have none."""
+    unbounded = np.full(y.shape, np.inf, y.dtype)
+    return options.get("lower", -unbounded), options.get("upper", unbounded)
 
 
 def _linearise(fn: Callable, y: Array, args: Any) -> tuple[Array, Array, Array, Array, Any]:

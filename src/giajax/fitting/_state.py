@@ -1,7 +1,7 @@
 """Where a fit stands between two steps of its loop, as frozen data."""
 
 import dataclasses
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -10,14 +10,12 @@ from ._configuration import Setup
 from ._jacobian import BlockJacobian
 from ._noise import Noise
 from ._problem import Problem
+from ._reason import Reason
 from ._records import Iteration, Status
-from ._solver import Marquardt, MarquardtState
+from ._solver import Marquardt, MarquardtState, shown_noise
 
 # How often the noise is estimated anew, unless it settles before.
 _NOISE_ROUNDS = 3
-
-# How often parameters may be moved off their bounds before the bound is believed.
-_RELEASES = 3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,10 +38,11 @@ class FitState:
         converged: whether it stopped at an optimum.
         trials: steps that were tried.
         rounds_left: how often the noise may still be estimated anew.
-        releases_left: how often parameters may still be moved off their bounds.
+        round_began: how long the history was when noise or tolerance last changed.
         history: the start and each trial.
         step_seconds: wall time of each evaluation; the first one compiles.
-        ending: how the fit ended and one sentence about it; None while it goes on.
+        ending: how the fit ended, one sentence about it, and the word of `FitResult.reason`; None
+            while it goes on.
     """
 
     setup: Setup
@@ -60,10 +59,10 @@ class FitState:
     converged: bool = False
     trials: int = 0
     rounds_left: int = _NOISE_ROUNDS
-    releases_left: int = _RELEASES
+    round_began: int = 0
     history: tuple[Iteration, ...] = ()
     step_seconds: tuple[float, ...] = ()
-    ending: tuple[Status, str] | None = None
+    ending: tuple[Status, str, Reason] | None = None
 
     @property
     def cost(self) -> float:
@@ -77,7 +76,8 @@ class FitState:
 
     def values(self) -> np.ndarray:
         """Values of all free parameters at the best point, shape (parameter,)."""
-        values = np.asarray(self.problem.bijector.forward(self.coordinate), dtype=float)
+        coordinate = np.asarray(self.coordinate, dtype=float)
+        values = self.problem.bijector.forward(coordinate)
         # What is held keeps its start exactly, not as it comes back from its coordinate.
         return np.where(np.asarray(self.active), values, self.start)
 
@@ -103,6 +103,22 @@ class FitState:
         slope = self.problem.bijector.slope(np.asarray(self.coordinate))
         return self.jacobian().scaled(1 / np.maximum(slope, 1e-300))
 
+    def promised(self) -> float:
+        """By how much the linear model would lower the cost with its best step within the bounds.
+
+        A fit has converged where that is little, and this is how little it is.
+        """
+        names = ("residual", "factor", "projected", "cost", "scale")
+        parts: dict[str, Any] = {name: np.asarray(getattr(self.inner, name)) for name in names}
+        inner = dataclasses.replace(self.inner, **parts)
+        lower, upper = (np.asarray(each) for each in self.problem.bijector.ends())
+        options, coordinate = {"lower": lower, "upper": upper}, np.asarray(self.coordinate)
+        return float(self.solver.explicable(coordinate, options, inner, maths=np)) ** 2 / 2
+
+    def shown_noise(self) -> float:
+        """The size of the residuals in units of their noise: the root of the reduced chi-square."""
+        return float(shown_noise(self.inner))
+
     def recorded(self, *, accepted: bool) -> Self:
         """With the present point as the last entry of the history."""
         iteration = Iteration(
@@ -115,15 +131,15 @@ class FitState:
         return dataclasses.replace(self, history=(*self.history, iteration))
 
     def next_round(self) -> Self:
-        """With one estimation of the noise less, and the bounds to be believed anew."""
+        """With one estimation of the noise less."""
         return dataclasses.replace(
             self,
             rounds_left=self.rounds_left - 1,
-            releases_left=_RELEASES,
+            round_began=len(self.history),
             done=False,
             converged=False,
         )
 
-    def ended(self, status: Status, message: str) -> Self:
+    def ended(self, status: Status, message: str, reason: Reason) -> Self:
         """The end of the fit."""
-        return dataclasses.replace(self, ending=(status, message))
+        return dataclasses.replace(self, ending=(status, message, reason))

@@ -73,9 +73,8 @@ def smoothed(state: FitState) -> FitState | None:
         return None
     residuals = np.asarray(state.inner.residual)
     change = residual_change(state)
-    promise = np.sum(_explained(state, residuals) ** 2) / 2
     roughness = abs(residuals @ change + change @ change / 2)
-    return _tightened(state) if roughness > _ROUGH * promise else None
+    return _tightened(state) if roughness > _ROUGH * state.promised() else None
 
 
 def is_promising(state: FitState) -> bool:
@@ -86,8 +85,7 @@ def is_promising(state: FitState) -> bool:
     """
     if not (state.setup.chooses_tolerance and bool(state.inner.accepted)):
         return False
-    residuals = np.asarray(state.inner.residual)
-    return bool(np.linalg.norm(_explained(state, residuals)) > _allowed(state))
+    return bool(np.sqrt(2 * state.promised()) > _allowed(state))
 
 
 def residual_change(state: FitState, factor: float = FINER) -> Float[np.ndarray, " residual"]:
@@ -116,8 +114,7 @@ def _tightened(state: FitState) -> FitState | None:
 
 def _allowed(state: FitState) -> float:
     """What may change along a unit direction: residuals larger than the noise widen the errors."""
-    freedom = max(len(np.asarray(state.inner.residual)) - state.problem.size, 1)
-    return _ALLOWED * max(1.0, np.sqrt(2 * state.cost / freedom))
+    return _ALLOWED * max(1.0, state.shown_noise())
 
 
 def _explained(state: FitState, row: np.ndarray) -> Float[np.ndarray, " direction"]:

@@ -49,9 +49,18 @@ def begin(setup: Setup) -> FitState:
     own = own_begun(groups, setup.runs, setup.own)
     # Each value of a parameter, of which there is one for all runs or one for each group of them.
     each = [p for p, places in zip(parameters, layout.places, strict=True) for _ in places]
-    bijector = Bijector(
+    start = np.asarray([*setup.starts(), *own])
+    # Values of one path share a map, whose coordinates are those of its first value.
+    first = [places[0] for places in layout.places for _ in places]
+    # A parameter whose start and default are zero has no size of its own: one unit.
+    defaults = np.asarray([*(p.declaration.default for p in each), *(0.0 for _ in own)])
+    sizes = np.maximum(np.abs(start), np.abs(defaults))
+    sizes = np.where(sizes > 0, sizes, 1.0)
+    bijector = Bijector.of(
         (*(p.declaration.lower for p in each), *(-np.inf for _ in own)),
         (*(p.declaration.upper for p in each), *(np.inf for _ in own)),
+        (*start[first], *own),
+        sizes,
     )
     problem = Problem(
         model=model,
@@ -64,10 +73,6 @@ def begin(setup: Setup) -> FitState:
     )
     known = Priors.of(setup.priors, coordinate_paths(problem))
     problem = dataclasses.replace(problem, priors=known)
-    start = np.asarray([*setup.starts(), *own])
-    # A parameter whose start and default are zero has no size of its own: one unit.
-    defaults = np.asarray([*(p.declaration.default for p in each), *(0.0 for _ in own)])
-    sizes = np.maximum(np.abs(start), np.abs(defaults))
     # In 32-bit the rounding of a simulation hides the last hundredth of a standard error.
     distance = 0.1 if jnp.result_type(float) == jnp.float32 else 0.01
     solver = Marquardt(
@@ -82,7 +87,7 @@ def begin(setup: Setup) -> FitState:
         problem=problem,
         noise=noise,
         start=start,
-        sizes=np.where(sizes > 0, sizes, 1.0),
+        sizes=sizes,
         solver=solver,
         coordinate=coordinate,
         inner=_blank(solver, problem, coordinate),
@@ -147,48 +152,15 @@ def at_tolerance(state: FitState, tolerance: float | None) -> FitState:
         return state
     model = state.problem.model.with_integration(solver=None, tolerance=tolerance)
     problem = dataclasses.replace(state.problem, model=model)
-    return move(dataclasses.replace(state, problem=problem), state.coordinate)
+    # Costs before it say nothing of those to come.
+    state = dataclasses.replace(state, problem=problem, round_began=len(state.history))
+    return move(state, state.coordinate)
 
 
 def tolerance_of(state: FitState) -> float | None:
     """The tolerance in use; None of a model without an integrator."""
     integration = state.problem.model.integration()
     return None if integration is None else integration.tolerance
-
-
-def release(state: FitState) -> FitState | None:
-    """Move parameters off a bound at which only their coordinate has become flat.
-
-    Near a bound the slope of the bijector vanishes, and with it the gradient, whether the
-    optimum is there or not. The Gauss-Newton step of the parameter itself tells: where it
-    leads inwards, further than the bound is away, and promises a lower cost, the parameter
-    moves there.
-
-    Returns:
-        The new point, not evaluated yet; None where no parameter moves.
-    """
-    bijector = state.problem.bijector
-    coordinate = np.array(state.coordinate)
-    values = np.array(bijector.forward(state.coordinate))
-    residuals = np.asarray(state.inner.residual)
-    slopes = bijector.slope(coordinate)
-    noise = 2 * state.cost / max(len(residuals) - len(values), 1)
-    released = False
-    jacobian = state.jacobian()
-    responses, along = jacobian.norms() ** 2, jacobian.transposed_times(residuals)
-    for index in np.flatnonzero(np.asarray(state.active)):
-        response, downhill = float(responses[index]), -float(along[index])
-        if response == 0 or slopes[index] == 0:
-            continue
-        change = downhill / response * slopes[index]
-        gain = downhill**2 / response / 2
-        lower, upper = bijector.lower[index], bijector.upper[index]
-        to_bound = min(values[index] - lower, upper - values[index])
-        target = values[index] + change
-        if lower < target < upper and abs(change) > to_bound and gain > noise:
-            values[index] = target
-            released = True
-    return move(state, bijector.inverse(values)) if released else None
 
 
 def evaluate(state: FitState, coordinate: Any, problem: Problem | None = None) -> MarquardtState:
@@ -240,7 +212,8 @@ def _stepped(
 def _step(
     solver: Marquardt, coordinate: Array, problem: Problem, state: MarquardtState, active: Array
 ) -> tuple[Array, MarquardtState, Array, Array]:
-    options = {"active": active, "linearise": linearise}
+    lower, upper = problem.bijector.ends()
+    options = {"active": active, "linearise": linearise, "lower": lower, "upper": upper}
     coordinate, state, _ = solver.step(residual, coordinate, problem, options, state, frozenset())
     done, result = solver.terminate(residual, coordinate, problem, options, state, frozenset())
     return coordinate, state, done, done & (result == optx.RESULTS.successful)

@@ -190,7 +190,7 @@ def solve_from_starts(
         best = _interrupted(best, f"at start {len(ends)} of {starts}")
     if budget is not None and not in_time and budget.ended_it not in best.message:
         message = f"{best.message}; {budget.ended_it} after {len(ends)} of {starts} starts"
-        best = dataclasses.replace(best, status="not_converged", message=message)
+        best = dataclasses.replace(best, status="not_converged", message=message, reason="budget")
     if check and best.status == "converged":
         last = None if journal is None else journal(starts + 1)
         best = _checked(setup, best, max_iterations, progress, budget, last)
@@ -237,7 +237,7 @@ def _as_fine(setup: Setup, ended: Sequence[FitResult]) -> Setup:
 def _interrupted(result: FitResult, when: str) -> FitResult:
     """The same result; it is the best so far."""
     message = f"{result.message}; interrupted {when}"
-    return dataclasses.replace(result, status="interrupted", message=message)
+    return dataclasses.replace(result, status="interrupted", message=message, reason="interrupted")
 
 
 def misfit(result: FitResult) -> float:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from ..fitting import FitResult
 
 JOURNAL = "journal.jsonl"
-_FORMAT = 1
+_FORMAT = 2
 
 Line = Mapping[str, Any]
 

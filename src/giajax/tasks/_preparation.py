@@ -134,7 +134,9 @@ class Preparation:
                 errors.append(prediction_errors(result.model, run))
         except KeyboardInterrupt:  # The fit is done, and took longer.
             message = f"{result.message}; interrupted before its validation was complete"
-            result = dataclasses.replace(result, status="interrupted", message=message)
+            result = dataclasses.replace(
+                result, status="interrupted", message=message, reason="interrupted"
+            )
             if self.held_out is not None and not result.held_out:
                 result = self.held_out.left(result)
         return dataclasses.replace(result, validation=tuple(errors), task=dict(self.record))
