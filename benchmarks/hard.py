@@ -1,0 +1,164 @@
+"""Fits that used to crawl or stall: a real pendulum from every side, and data that no arm can make.
+
+The pendulum swings for 120 s, with Coulomb friction, the drag of the air and no damping; its angle
+has a noise of 0.05 degrees and a clock that is off by 1 ms. Friction, C_D, length, centre of mass,
+damping and the first state of each window of 3 s are free, from all corners of a box around the
+truth: each fit is to reach the optimum in at most 25 iterations, with a robust loss, too. Of a
+driven arm the axes y and z are swapped, or the recording is a random walk or a constant: such a fit
+is to end within 60 s, and to say why.
+
+    python -m benchmarks.hard [--quick] [--out FILE]
+"""
+
+import itertools
+import sys
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import numpy as np
+
+from benchmarks.measuring import RESULTS, command_line, store
+from giajax import FitResult, Run, fit, model_for, predict
+from giajax.runs import windows
+
+MOST_ITERATIONS, MOST_SECONDS = 25, 60.0
+
+# Paths, true values, and by what factor a start is off, up or down.
+PENDULUM = {
+    "joints.friction": (5e-4, 3.0),
+    "air.drag_coefficient": (1.2, 3.0),
+    "links.length": (1.0, 1.5),
+    "links.centre_of_mass": (0.6, 1.5),
+}
+DAMPING = {"joints.damping": 0.01}
+_KNOWN = {
+    "links.mass": 0.3,
+    "links.inertia_transverse": 0.025,
+    "links.diameter": 0.05,
+    "joints.friction_rate": 0.01,
+}
+_NOISE_DEG, _JITTER, _WINDOW, _RATE = 0.05, 1e-3, 3.0, 25
+
+# A cost that is higher than the least by more than this part of it is no optimum, or another one.
+_SAME = 1e-5
+
+
+def swing(seconds: float) -> list[Run]:
+    """A recording of the pendulum in windows, read with the right preset and nothing else."""
+    parameters = {**_KNOWN, **{path: true for path, (true, _) in PENDULUM.items()}}
+    arm = {"preset": "pendulum", "links": 1, "parameters": parameters}
+    random = np.random.default_rng(3)
+    times = np.linspace(0.0, seconds, int(_RATE * seconds) + 1)
+    seen = times + np.where(times > 0, random.normal(scale=_JITTER, size=len(times)), 0)
+    released = {"arm": arm, "initial": {"angle_deg": [20.0], "rate_deg_per_s": [0.0]}}
+    plan = Run.from_arrays(seen, {"joint01_angle": np.zeros_like(times)}, definition=released)
+    angle = predict(model_for([plan]), plan)["joint01_angle"]
+    noise = np.deg2rad(_NOISE_DEG) * random.normal(size=len(times))
+    about = {
+        "arm": arm,
+        "initial": {"free": True, "first_row": True},
+        "noise": {"angle_deg": _NOISE_DEG},
+    }
+    return windows(
+        Run.from_arrays(times, {"joint01_angle": angle + noise}, definition=about), _WINDOW
+    )
+
+
+def corner(ups: Sequence[int]) -> dict[str, float]:
+    """A start that is off by the whole factor, up (1) or down (-1)."""
+    off = {
+        path: true * by**up for (path, (true, by)), up in zip(PENDULUM.items(), ups, strict=True)
+    }
+    return {**off, **DAMPING}
+
+
+def from_every_side(seconds: float, corners: Sequence[Sequence[int]]) -> dict[str, Any]:
+    """How the fits of the pendulum ended, by loss."""
+    runs, ends = swing(seconds), {}
+    for loss in ("linear", "huber"):
+        rows = []
+        for ups in corners:
+            result, taken = _timed(
+                runs, free=[*PENDULUM, *DAMPING], start=corner(ups), loss=loss, noise_model="white"
+            )
+            rows.append({"corner": list(ups), "cost": result.cost, **_end(result, taken)})
+            print(f"{loss:6} {ups!s:16} {result.cost:12.4f} {_shown(rows[-1])}", flush=True)
+        least = min(row["cost"] for row in rows)
+        for row in rows:
+            row["optimum"] = row["status"] == "converged" and row["cost"] <= least * (1 + _SAME)
+        ends[loss] = rows
+    return ends
+
+
+def impossible(links: int, seconds: float) -> dict[str, Any]:
+    """How the fits of data that no arm can make ended, by what is wrong with the data."""
+    times = np.linspace(0.0, seconds, int(10 * seconds) + 1)
+    ramp = np.clip(times - 0.5, 0, 1)
+    commands = {"joint01_command": 0.6 * ramp, "joint02_command": -0.4 * ramp}
+    seen = [f"link{link:02d}_{axis}" for link in (links // 2, links) for axis in "yz"]
+    about = {"arm": {"links": links}, "noise": {"position_m": 0.01}}
+
+    def recorded(rows: dict[str, np.ndarray]) -> Run:
+        return Run.from_arrays(times, {**commands, **rows}, definition=about)
+
+    plan = recorded(dict.fromkeys(seen, np.zeros_like(times)))
+    random = np.random.default_rng(5)
+    noise = {name: 0.01 * random.normal(size=len(times)) for name in seen}
+    moved = predict(model_for([plan]), plan)
+    other = {name: name[:-1] + {"y": "z", "z": "y"}[name[-1]] for name in seen}
+    data = {
+        "y and z swapped": {name: moved[other[name]] + noise[name] for name in seen},
+        "a random walk": {name: np.cumsum(5 * noise[name]) for name in seen},
+        "a constant": {name: noise[name] for name in seen},
+    }
+    ends = {}
+    for what, rows in data.items():
+        result, taken = _timed([recorded(rows)])
+        ends[what] = {**_end(result, taken), "verdict": result.verdict.status}
+        print(f"{what:20} {_shown(ends[what])}; {result.headline}", flush=True)
+    return ends
+
+
+def _timed(runs: Sequence[Run], **options: Any) -> tuple[FitResult, float]:
+    began = time.perf_counter()
+    result = fit(model_for(runs), runs, check=False, **options)
+    return result, time.perf_counter() - began
+
+
+def _end(result: FitResult, seconds: float) -> dict[str, Any]:
+    return {
+        "status": result.status,
+        "reason": result.reason,
+        "iterations": result.iterations,
+        "seconds": seconds,
+    }
+
+
+def _shown(end: dict[str, Any]) -> str:
+    return f"{end['reason']:11} {end['iterations']:3} iterations {end['seconds']:6.1f} s"
+
+
+def main() -> int:
+    """Measure, print, store, and say by the exit status whether the limits are held."""
+    jax.config.update("jax_enable_x64", True)
+    options = command_line(__doc__, RESULTS / "hard.json")
+    corners = list(itertools.product((1, -1), repeat=len(PENDULUM)))
+    swings = from_every_side(*((12.0, corners[5:7]) if options.quick else (120.0, corners)))
+    wrong = impossible(*((3, 4.0) if options.quick else (12, 25.0)))
+    store({"pendulum": swings, "impossible": wrong}, options.out)
+    rows = [row for each in swings.values() for row in each]
+    good = sum(row["optimum"] and row["iterations"] <= MOST_ITERATIONS for row in rows)
+    most = max(row["iterations"] for row in rows)
+    print(
+        f"{good} of {len(rows)} fits of the pendulum are at the optimum within {MOST_ITERATIONS} "
+        f"iterations; the longest took {most}"
+    )
+    slowest = max(each["seconds"] for each in wrong.values())
+    print(f"data that no arm can make: at most {slowest:.0f} s, of {MOST_SECONDS:.0f} allowed")
+    return int(good < len(rows) or slowest > MOST_SECONDS)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
