@@ -36,6 +36,7 @@ def test_a_bijector_has_its_bounds_at_its_ends_and_increases_between_them():
     for ends, bounds in ((lower, BOUNDS.lower), (upper, BOUNDS.upper)):
         known = np.isfinite(bounds)
         values = np.asarray(BOUNDS.forward(jnp.where(known, ends, 0)))
+        # By rounding a value may be beside its bound, which `FitState.values` mends.
         np.testing.assert_allclose(values[known], np.asarray(bounds)[known], rtol=1e-15)
     # A parameter that may not be negative is none by rounding either.
     assert BOUNDS.forward(jnp.zeros(4))[0] == 0

@@ -103,9 +103,7 @@ def advance(state: FitState) -> FitState:
     if not state.evaluated:
         return _at_start(state)
     if not state.done:
-        tried = trial(state)
-        stopped = stopped_by(tried)
-        return tried if stopped is None else _stopped(tried, *stopped)
+        return _after(trial(state))
     return _next_round(state)
 
 
@@ -132,13 +130,16 @@ def _at_start(state: FitState) -> FitState:
     )
 
 
-def _stopped(state: FitState, reason: Reason, sentence: str) -> FitState:
-    """What may still be done where a fit does not get on; else its end."""
-    if reason in ("rough", "crawl") and (smoother := smoothed(state)) is not None:
+def _after(tried: FitState) -> FitState:
+    """After a trial step: the same, or what may still be done where the fit does not get on."""
+    reason, sentence = stopped_by(tried) or ("", "")
+    # A step that is refused so near to an optimum may be so for what the cost jumps by.
+    refused = not (tried.done or bool(tried.inner.accepted)) and nearly(tried)
+    if (refused or reason in ("rough", "crawl")) and (smoother := smoothed(tried)) is not None:
         return smoother
-    if reason == "rough" and nearly(state):
-        return dataclasses.replace(state, done=True, converged=True)
-    return state.ended("not_converged", sentence, reason)
+    if reason == "rough" and nearly(tried):
+        return dataclasses.replace(tried, done=True, converged=True)
+    return tried.ended("not_converged", sentence, reason) if reason else tried
 
 
 def _next_round(state: FitState) -> FitState:

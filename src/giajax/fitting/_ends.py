@@ -18,8 +18,8 @@ _STEPS, _CRAWL = 10, 1e-3
 
 # A model whose cost is more than this part of that of a constant for each channel of each run, and
 # that gained less than a part of it in the last steps, is not about to describe the data. Where
-# constants do describe them, it need not even be slow.
-_FEW, _SOME, _LAST, _GAIN, _UNEXPLAINED = 6, 10, 5, 0.05, 0.8
+# constants do describe them, it is enough that the last steps did not halve the cost.
+_FEW, _SOME, _LAST, _GAIN, _HALVED, _UNEXPLAINED = 6, 10, 5, 0.05, 1.0, 0.8
 
 # Part of the cost that is not worth to be promised.
 _LITTLE = 0.01
@@ -50,7 +50,9 @@ def stopped_by(state: FitState) -> tuple[Reason, str] | None:
     if len(costs) > _FEW and not hopeful and 2 * state.cost > _MISFIT * len(state.inner.residual):
         constant = constant_cost(state)
         still = 2 * constant < _MISFIT * len(state.inner.residual)
-        slow = len(costs) > _SOME and costs[-1 - _LAST] - costs[-1] < _GAIN * costs[-1]
+        gained = costs[-1 - _LAST] / costs[-1] - 1
+        still = still and gained < _HALVED
+        slow = len(costs) > _SOME and gained < _GAIN
         if (still and state.cost > constant) or (slow and state.cost > _UNEXPLAINED * constant):
             return "cannot_fit", (
                 f"after {state.trials} iterations the model describes the data hardly better than "
@@ -60,6 +62,8 @@ def stopped_by(state: FitState) -> tuple[Reason, str] | None:
     if len(costs) > _STEPS:
         gain = costs[-1 - _STEPS] - costs[-1]
         if gain < _CRAWL * costs[-1] and gain < state.promised():
+            if not bool(state.inner.sound):
+                return _stuck(state)
             return "crawl", (
                 f"the last {_STEPS} iterations lowered the cost by {gain / costs[-1]:.1g} of it, "
                 f"mostly along {_direction(state)}: give that a prior, hold it or start elsewhere"

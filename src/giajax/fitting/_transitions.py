@@ -107,7 +107,7 @@ def step(state: FitState) -> FitState:
         state,
         coordinate=coordinate,
         inner=inner,
-        finer=None,
+        finer=None if bool(inner.accepted) else state.finer,
         done=finished,
         converged=optimum,
         step_seconds=(*state.step_seconds, time.perf_counter() - began),

@@ -41,7 +41,7 @@ class Declaration:
         default: the value of the preset `takeichi_20m` (each element, where it is an array), SI.
         unit: SI unit, in the spelling of the file formats; "" for a pure number.
         doc: one line of meaning.
-        lower, upper: open bounds, SI; a free parameter stays strictly between them.
+        lower, upper: bounds, SI; a fit starts strictly between them, and may end on one.
         frozen: held at its value in a fit unless it is asked for by its path.
         assumed: the paper gives no number; this one is a guess that a fit should replace.
         optional: may be None, which leaves out its part of the model and the cost of it; its
