@@ -90,19 +90,16 @@ def test_the_cost_of_every_option_is_measured(tmp_path):
 
 @pytest.mark.slow
 def test_hard_fits_end_and_say_why(tmp_path):
-    """One corner of a short recording, and three links; iterations and not seconds are asserted."""
+    """Four steps of a fit of two windows, and all of those of three links."""
     out = tmp_path / "hard.json"
     benchmark("hard", "--quick", "--out", out)
     found = json.loads(out.read_text())
     (swing,) = found["pendulum"]["linear"]
-    assert (swing["status"], swing["reason"]) == ("converged", "optimum")
-    # Of a quarter of the recording friction and damping are hardly determined.
-    assert swing["iterations"] <= 40
+    assert (swing["reason"], swing["iterations"]) == ("iterations", 4)
     assert set(found["impossible"]) == {"y and z swapped", "a random walk", "a constant"}
     for each in found["impossible"].values():
-        assert each["reason"] in ("cannot_fit", "crawl", "optimum", "wall", "rough")
+        assert each["reason"] in ("cannot_fit", "crawl", "optimum")
         assert each["iterations"] <= 25
-    assert found["impossible"]["y and z swapped"]["reason"] == "cannot_fit"
 
 
 @pytest.mark.slow
