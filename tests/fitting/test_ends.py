@@ -42,7 +42,7 @@ def test_a_parameter_whose_optimum_is_zero_ends_on_its_bound(loss):
 
 def test_a_value_at_its_upper_bound_is_not_beyond_it_by_rounding():
     """The decay is 0.7; each bound is another map, which is rounded otherwise."""
-    for upper in np.linspace(0.3, 0.6, 9):
+    for upper in (0.3, 0.45, 0.6):
         state = end_of(run(), start={"decay": 0.2}, bounds={"decay": (0.0, upper)})
         assert state.ending[2] == "optimum"
         assert 0 <= upper - state.parameters()["decay"] < 1e-12
@@ -87,6 +87,39 @@ def test_what_stops_a_fit_is_told_from_its_last_steps():
     flat = recording(np.random.default_rng(2).normal(scale=0.01, size=60))
     assert after(falling, flat, **near) == "cannot_fit"
     assert after(0.5 ** np.arange(-19.0, 1.0), flat, **near) is None
+
+
+@pytest.mark.parametrize("level", [25.0, 60.0])
+def test_a_far_start_of_what_is_constant_is_on_its_way(level):
+    """Without bounds a parameter takes its longest step as often as it needs."""
+    noise = np.random.default_rng(3).normal(scale=0.01, size=60)
+    state = end_of(recording(level + noise), free=["offset"], fix={"amplitude": 1e-3})
+    assert state.ending[::2] == ("converged", "optimum")
+    assert abs(state.parameters()["offset"] - level) < 0.01
+
+
+def test_states_of_single_runs_may_be_what_crawls():
+    state = step(begin(set_up(Pendulum(), swing(seconds=6.0), free=[])))
+    costs = state.cost * (1 + 1e-9 * np.arange(20.0)[::-1])
+    history = tuple(Iteration(number, cost, 0.1, True, {}) for number, cost in enumerate(costs))
+    reason, sentence = stopped_by(dataclasses.replace(state, history=history, done=False))
+    assert reason == "crawl"
+    assert "the states of single runs" in sentence
+
+
+def test_derivatives_are_not_checked_beyond_a_bound():
+    """The amplitude is many standard errors from its bound, and less than a difference."""
+    noise = np.random.default_rng(4).normal(scale=1e-6, size=60)
+    run = Run.from_arrays(
+        TIMES,
+        {"tip_z": 5e-6 * np.exp(-0.7 * TIMES) + 0.3 + noise},
+        noise={"position": 1e-6},
+        definition={"free_motion": True},
+    )
+    result = fit(Decay(), run, free=["amplitude", "offset"], fix={"decay": 0.7})
+    assert result.parameters["amplitude"].value == pytest.approx(5e-6, rel=0.5)
+    assert "amplitude" in result.gradient_check.left_out
+    assert result.gradient_check.relative_difference < 1e-6
 
 
 def test_a_wall_is_named():

@@ -30,6 +30,18 @@ def test_a_bijector_comes_back():
     np.testing.assert_allclose(BOUNDS.forward(jnp.asarray(BOUNDS.inverse(INSIDE))), INSIDE)
 
 
+def test_rounding_leads_nothing_beyond_a_bound():
+    """And the slope at the bound is that of the map."""
+    starts = np.linspace(0.05, 0.95, 200)
+    for upper in (1.0, 9.0, 50.0, 0.3):
+        bijector = Bijector.of([0.0] * 200, [upper] * 200, upper * starts)
+        last = np.asarray(bijector.last)
+        assert np.all(bijector.forward(last) <= upper)
+        value, slope = jax.jvp(bijector.forward, (bijector.last,), (jnp.ones(200),))
+        assert np.all(np.asarray(value) <= upper)
+        np.testing.assert_allclose(slope, bijector.slope(last), rtol=1e-9)
+
+
 def test_a_bijector_has_its_bounds_at_its_ends_and_increases_between_them():
     lower, upper = BOUNDS.ends()
     assert np.asarray(lower).tolist()[1::2] == [-INF, -INF]

@@ -13,6 +13,7 @@ from giajax.noise import (
     outlier_weights,
     small_sample,
 )
+from giajax.noise._cells import grams
 
 
 def memory(times, time_s, rng):
@@ -181,3 +182,27 @@ def test_an_outlier_is_no_memory():
     assert np.all(weights[[50, 120]] < 0.1)
     assert np.all(weights[[49, 51, 119, 121]] > 0.3)
     assert np.mean(weights == 1.0) > 0.6
+
+
+def test_channels_are_passed_over_together_as_one_by_one():
+    """At the same instants and at others; one has no cells left."""
+    rng = np.random.default_rng(5)
+    times = np.linspace(0.0, 10.0, 60)
+    whole = [of_run(times, rng.normal(size=60), smooth(times)) for _ in range(3)]
+    those = [*whole, whole[0].where(times < 5), whole[1].where(times < 0)]
+    noise = ChannelNoise(0.6, 0.8, 1.5)
+    for each, (gram, determinant) in zip(those, grams(those, noise), strict=True):
+        alone, of_one = each.gram(noise)
+        assert_allclose(gram, alone, rtol=1e-12, atol=1e-12)
+        assert determinant == pytest.approx(of_one)
+
+
+def test_far_guesses_of_the_size_lead_to_the_same():
+    rng = np.random.default_rng(6)
+    times = np.linspace(0.0, 10.0, 200)
+    cells = of_run(times, 0.01 * rng.normal(size=200), smooth(times))
+    for guess in (1.0, 1e-4):
+        problem = Restricted.of([cells], {"x": ChannelNoise(guess)})
+        found = estimate(problem, {"x": Stated()}, memory=True).noise["x"]
+        assert found.is_white
+        assert found.deviation == pytest.approx(0.01, rel=0.1)

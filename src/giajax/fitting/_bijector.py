@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any, Self
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
@@ -102,6 +103,9 @@ class Bijector(eqx.Module):
         # Of what has no such bound exp(t) may overflow, in the branch that is not taken.
         t = maths.where(below, coordinate, 0)
         up = lower + low * maths.expm1(t) / (1 + bend * maths.exp(t))
+        # Rounding must not lead beyond the bound; the slope there stays that of the map.
+        beyond = maths.where(below & above, maths.maximum(up - upper, 0), 0)
+        up = up - (beyond if maths is np else jax.lax.stop_gradient(beyond))
         t = maths.where(above & ~below, coordinate, 0)
         down = upper - high * maths.expm1(-t)
         return maths.where(below, up, maths.where(above, down, coordinate))

@@ -46,9 +46,8 @@ def gradient_check(state: FitState, statistics: Statistics) -> GradientCheck | N
     """The Jacobian against a central difference at the optimum, at a finer tolerance.
 
     One direction in which every parameter has the same weight in the residual: a wrong column
-    of any of them shows. Parameters at a bound take no part. Their coordinate is flat there, and
-    for the same weight all others would have to move by less than rounding. Nor do those that
-    nothing responds to where they ended.
+    of any of them shows. Parameters at a bound take no part, because there is nothing beyond it
+    to take a difference with, nor do those that nothing responds to where they ended.
 
     Arguments:
         state: the last one.
@@ -67,7 +66,9 @@ def gradient_check(state: FitState, statistics: Statistics) -> GradientCheck | N
     takes_part = np.zeros(problem.size, bool)
     takes_part[statistics.alive] = True
     takes_part[list(statistics.bounds)] = False
-    takes_part &= norms > 0
+    # Beyond a bound there is nothing to take a difference with.
+    first, last = problem.bijector.ends()
+    takes_part &= (norms > 0) & (centre - first > offset) & (np.asarray(last) - centre > offset)
     if not np.any(takes_part):
         return None
     weakest = np.min(norms[takes_part])

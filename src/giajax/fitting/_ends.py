@@ -13,13 +13,17 @@ from ._state import FitState
 _REJECTED = 9
 
 # So many steps that lower the cost by less than this part of it are a crawl, where the linear
-# model of the cost promises more than that of the next step alone.
+# model of the cost promises more than that of the next step alone. Of many cells even that part is
+# much: a crawl gains less than the noise of one cell a step.
 _STEPS, _CRAWL = 10, 1e-3
 
 # A model whose cost is more than this part of that of a constant for each channel of each run, and
 # that gained less than a part of it in the last steps, is not about to describe the data. Where
 # constants do describe them, it is enough that the last steps did not halve the cost.
 _FEW, _SOME, _LAST, _GAIN, _HALVED, _UNEXPLAINED = 6, 10, 5, 0.05, 1.0, 0.8
+
+# A step that is longer than this part of the longest one is on its way from a far start.
+_LONG = 0.99
 
 # Part of the cost that is not worth to be promised.
 _LITTLE = 0.01
@@ -46,7 +50,9 @@ def stopped_by(state: FitState) -> tuple[Reason, str] | None:
         return None
     costs = np.asarray([step.cost for step in steps])
     # Where the linear model promises little, the fit is about to end by itself.
-    hopeful = state.promised() < _LITTLE * state.cost
+    hopeful = state.promised() < _LITTLE * state.cost or _travels(state, steps[-_LAST:])
+    # The cost of a constant is that of cells which are independent of each other.
+    hopeful = hopeful or not state.noise.is_white
     if len(costs) > _FEW and not hopeful and 2 * state.cost > _MISFIT * len(state.inner.residual):
         constant = constant_cost(state)
         still = 2 * constant < _MISFIT * len(state.inner.residual)
@@ -61,7 +67,8 @@ def stopped_by(state: FitState) -> tuple[Reason, str] | None:
             )
     if len(costs) > _STEPS:
         gain = costs[-1 - _STEPS] - costs[-1]
-        if gain < _CRAWL * costs[-1] and gain < state.promised():
+        little = min(_CRAWL * costs[-1], _STEPS * state.shown_noise() ** 2)
+        if gain < little and gain < state.promised():
             if not bool(state.inner.sound):
                 return _stuck(state)
             return "crawl", (
@@ -88,6 +95,12 @@ def constant_cost(state: FitState) -> float:
     return total
 
 
+def _travels(state: FitState, steps: Sequence[Iteration]) -> bool:
+    """Whether each step leads downhill, and is as long as one may be."""
+    long = _LONG * state.solver.largest_step
+    return all(step.accepted and step.step >= long for step in steps)
+
+
 def _rejected_in_a_row(steps: Sequence[Iteration]) -> int:
     """How many of the last trial steps were rejected, one after the other."""
     count = 0
@@ -112,9 +125,8 @@ def _stuck(state: FitState) -> tuple[Reason, str]:
 
 
 def _direction(state: FitState) -> str:
-    """The parameter of the model that the last step moved most, against its response."""
-    step = np.abs(np.asarray(state.inner.step)[: state.problem.shared])
-    best = int(np.argmax(step))
+    """The parameter of the model whose coordinate the last step moved most."""
+    best = int(np.argmax(np.abs(np.asarray(state.inner.step))))
     for path, places in zip(state.problem.paths, state.problem.positions, strict=True):
         if best in places:
             return path

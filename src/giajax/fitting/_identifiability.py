@@ -15,7 +15,7 @@ def responds(norms: np.ndarray, sizes: np.ndarray) -> np.ndarray:
 
     Arguments:
         norms: of the columns of the Jacobian, weighted residuals by the parameters themselves,
-            not by the free coordinates, whose slope vanishes near a bound; shape (parameter,).
+            not by the free coordinates, which have sizes of their own; shape (parameter,).
         sizes: typical size of each parameter, shape (parameter,).
 
     Returns:

@@ -135,7 +135,8 @@ def reweight(state: FitState, noise: Noise) -> FitState:
     problem = dataclasses.replace(state.problem, groups=groups, loss=loss)
     moved = move(dataclasses.replace(state, problem=problem, noise=noise), state.coordinate)
     # The valley is nearly the same one: a fit that knew it keeps its long steps.
-    damping = jnp.minimum(state.inner.damping, moved.inner.damping)
+    before, blank = state.inner.damping, moved.inner.damping
+    damping = on_device(np.minimum(np.asarray(before), np.asarray(blank)))
     return dataclasses.replace(
         moved, inner=eqx.tree_at(lambda inner: inner.damping, moved.inner, damping)
     )

@@ -82,8 +82,9 @@ def _batches(cells: Sequence[Cells]) -> list[list[int]]:
     batches: list[list[int]] = []
     open_ones: dict[tuple[bytes, bytes], tuple[list[int], int]] = {}
     for i, each in enumerate(cells):
-        batch, size = open_ones.get(each.instants, ([], _TOGETHER))
-        if size + each._columns.size > _TOGETHER:
+        batch, size = open_ones.get(each.instants, ([], 0))
+        # A channel may have no cells at all.
+        if not batch or size + each._columns.size > _TOGETHER:
             batch, size = [], 0
             batches.append(batch)
         batch.append(i)

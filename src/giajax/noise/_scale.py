@@ -33,8 +33,8 @@ def best_scales(
         # Far above the best factor the likelihood is straight, and Newton's step has no meaning.
         straight = np.where(curvature > 0, curvature, np.abs(slope) / _LONGEST + 1e-300)
         step = np.clip(-slope / straight, -_LONGEST, _LONGEST)
-        logs = logs + step
-        if np.all(np.abs(step) < _ENOUGH):
+        before, logs = logs, np.clip(logs + step, start - _FURTHEST, start + _FURTHEST)
+        if np.all(np.abs(logs - before) < _ENOUGH):
             break
     return logs, by_scale(logs[:, None])[:, 0]
 
@@ -42,4 +42,4 @@ def best_scales(
 def scaled(problem: Restricted, key: str, noise: ChannelNoise) -> ChannelNoise:
     """The noise times the factor that makes the likelihood largest."""
     logs, _ = best_scales(problem.by_scale(key, [noise]), np.zeros(1))
-    return noise.times(float(np.exp(np.clip(logs[0], -_FURTHEST, _FURTHEST))))
+    return noise.times(float(np.exp(logs[0])))

@@ -229,9 +229,11 @@ def _checked(
 
 def _as_fine(setup: Setup, ended: Sequence[FitResult]) -> Setup:
     """With the tolerance that a fit of the same data chose: it need not be looked for again."""
-    if not ended or ended[0].integration is None or not setup.chooses_tolerance:
-        return setup
-    return dataclasses.replace(setup, suited=ended[0].integration.tolerance)
+    for result in ended:
+        # One that did not converge may have made it finer for nothing.
+        if result.status == "converged" and result.integration is not None:
+            return dataclasses.replace(setup, suited=result.integration.tolerance)
+    return setup
 
 
 def _interrupted(result: FitResult, when: str) -> FitResult:
