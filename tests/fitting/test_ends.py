@@ -6,11 +6,12 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from giajax.fitting import Iteration, fit, set_up
 from giajax.fitting._descend import descend
 from giajax.fitting._ends import stopped_by
-from giajax.fitting._transitions import begin, step
+from giajax.fitting._transitions import begin, residuals_at, step
 from giajax.runs import Run
 from small_pendulum import Pendulum, start, swing
 from toy_model import Decay, run
@@ -136,6 +137,18 @@ def test_steps_that_are_used_up_are_a_reason():
     assert (result.status, result.reason) == ("not_converged", "iterations")
 
 
+def test_residuals_without_derivatives_are_the_same():
+    """A program of their own, where a step takes long."""
+    quick = step(begin(set_up(Decay(), run(), free=["amplitude", "decay"])))
+    long = dataclasses.replace(quick, step_seconds=(9.0, 1.0))
+    there = quick.problem.bijector.inverse(np.array([1.5, 0.9]))
+    assert_allclose(residuals_at(long, there), residuals_at(quick, there), rtol=1e-12)
+    # Beyond a decay of 8 the model fails.
+    fails = quick.problem.bijector.inverse(np.array([1.5, 8.5]))
+    for state in (quick, long):
+        assert np.all(np.isnan(residuals_at(state, fails)))
+
+
 @pytest.mark.slow
 def test_a_pendulum_with_friction_air_and_no_damping_is_fitted_from_every_side():
     """Three corners of the sixteen; as many iterations with a robust loss."""
@@ -149,4 +162,4 @@ def test_a_pendulum_with_friction_air_and_no_damping_is_fitted_from_every_side()
             assert state.trials <= 25
             assert state.parameters()["damping"] == 0
             costs.append(state.cost)
-        np.testing.assert_allclose(costs, costs[0], rtol=1e-5)
+        assert_allclose(costs, costs[0], rtol=1e-5)

@@ -10,7 +10,7 @@ from ._records import GradientCheck, Shift, ToleranceEffect, finite_or_none
 from ._state import FitState
 from ._statistics import Statistics
 from ._tolerance import FINER, residual_change
-from ._transitions import evaluate, tolerance_of
+from ._transitions import evaluate, residuals_at, tolerance_of
 
 # Central differences in the free coordinate, at a tolerance where the steps of the integrator
 # do not show: truncation and noise are then both near 1e-8.
@@ -75,8 +75,7 @@ def gradient_check(state: FitState, statistics: Statistics) -> GradientCheck | N
     # The strongest response gets the smallest offset; the weakest parameter moves by the step.
     direction = np.divide(weakest, norms, out=np.zeros_like(norms), where=takes_part)
     ahead, behind = (
-        np.asarray(evaluate(state, centre + sign * offset * direction, problem).residual)
-        for sign in (1, -1)
+        residuals_at(state, centre + sign * offset * direction, problem) for sign in (1, -1)
     )
     by_difference = (ahead - behind) / (2 * offset)
     by_autodiff = jacobian.times(direction)

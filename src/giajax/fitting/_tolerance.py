@@ -8,12 +8,11 @@ tolerance; in standard errors, along all directions that the data determine, it 
 
 import dataclasses
 
-import jax.numpy as jnp
 import numpy as np
 
 from .._typing import Float
 from ._state import FitState
-from ._transitions import at_tolerance, evaluate, step, tolerance_of
+from ._transitions import at_tolerance, residuals_at, step, tolerance_of
 
 FINER = 0.01
 """What a tolerance is multiplied by to see what it moves; half of it would understate that."""
@@ -98,10 +97,7 @@ def residual_change(state: FitState, factor: float = FINER) -> Float[np.ndarray,
     if state.finer is not None and factor == FINER:
         return state.finer
     problem = dataclasses.replace(state.problem, model=state.problem.model.refined(factor))
-    finer = evaluate(state, state.coordinate, problem)
-    if not bool(jnp.isfinite(finer.cost)):
-        return np.full(finer.residual.shape, np.nan)
-    return np.asarray(finer.residual) - np.asarray(state.inner.residual)
+    return residuals_at(state, state.coordinate, problem) - np.asarray(state.inner.residual)
 
 
 def _tightened(state: FitState) -> FitState | None:

@@ -19,7 +19,7 @@ import optimistix as optx
 
 from .._maths import on_device
 from .._program import program
-from .._typing import Array
+from .._typing import Array, Float
 from ._bijector import Bijector
 from ._configuration import Setup
 from ._group import build_groups, own_begun
@@ -33,6 +33,10 @@ from ._state import FitState
 
 # In the free coordinate: a positive parameter changes by less than a factor of 4.5 in one step.
 _LARGEST_STEP = 1.5
+
+# Above this, s, residuals without derivatives are worth a program of their own, which takes
+# seconds to compile: at the end of a fit they are asked for several times, and more finely.
+_LONG_STEP = 0.25
 
 # Where a fit begins that chooses its tolerance.
 _COARSEST = 1e-5
@@ -182,6 +186,29 @@ def evaluate(state: FitState, coordinate: Any, problem: Problem | None = None) -
     return inner
 
 
+def residuals_at(
+    state: FitState, coordinate: Any, problem: Problem | None = None
+) -> Float[np.ndarray, " residual"]:
+    """Residuals at a point within the bounds, without derivatives where those take long.
+
+    Arguments:
+        state: gives the problem, and how long a step takes.
+        coordinate: the point, shape (parameter,).
+        problem: in place of that of the state.
+
+    Returns:
+        As `evaluate(...).residual`; NaN where the model cannot be evaluated.
+    """
+    if min(state.step_seconds[1:], default=0.0) < _LONG_STEP:
+        inner = evaluate(state, coordinate, problem)
+        row, successful = inner.residual, bool(np.isfinite(inner.cost))
+    else:
+        coordinate = on_device(coordinate, state.coordinate.dtype)
+        problem = state.problem if problem is None else problem
+        row, successful = map(np.asarray, _residuals(coordinate, problem))
+    return np.asarray(row) if successful else np.full(row.shape, np.nan)
+
+
 def _blank(solver: Marquardt, problem: Problem, coordinate: Array) -> MarquardtState:
     """The solver's state before its first evaluation."""
     groups, dtype = problem.groups, coordinate.dtype
@@ -218,3 +245,15 @@ def _step(
     coordinate, state, _ = solver.step(residual, coordinate, problem, options, state, frozenset())
     done, result = solver.terminate(residual, coordinate, problem, options, state, frozenset())
     return coordinate, state, done, done & (result == optx.RESULTS.successful)
+
+
+def _rows(coordinate: Array, problem: Problem) -> tuple[Any, Any]:
+    """As `_residuals` returns them."""
+    count = sum(group.observed.size for group in problem.groups) + len(problem.priors)
+    return jax.ShapeDtypeStruct((count,), coordinate.dtype), jax.ShapeDtypeStruct((), bool)
+
+
+@functools.partial(program, like=_rows)
+def _residuals(coordinate: Array, problem: Problem) -> tuple[Array, Array]:
+    row, prediction = residual(coordinate, problem)
+    return row, prediction.successful
