@@ -201,12 +201,10 @@ def residuals_at(
     """
     if min(state.step_seconds[1:], default=0.0) < _LONG_STEP:
         inner = evaluate(state, coordinate, problem)
-        row, successful = inner.residual, bool(np.isfinite(inner.cost))
-    else:
-        coordinate = on_device(coordinate, state.coordinate.dtype)
-        problem = state.problem if problem is None else problem
-        row, successful = map(np.asarray, _residuals(coordinate, problem))
-    return np.asarray(row) if successful else np.full(row.shape, np.nan)
+        row = np.asarray(inner.residual)
+        return row if np.isfinite(inner.cost) else np.full(row.shape, np.nan)
+    coordinate = on_device(coordinate, state.coordinate.dtype)
+    return np.asarray(_residuals(coordinate, state.problem if problem is None else problem))
 
 
 def _blank(solver: Marquardt, problem: Problem, coordinate: Array) -> MarquardtState:
@@ -247,13 +245,13 @@ def _step(
     return coordinate, state, done, done & (result == optx.RESULTS.successful)
 
 
-def _rows(coordinate: Array, problem: Problem) -> tuple[Any, Any]:
-    """As `_residuals` returns them."""
+def _row(coordinate: Array, problem: Problem) -> Any:
+    """As `_residuals` returns it."""
     count = sum(group.observed.size for group in problem.groups) + len(problem.priors)
-    return jax.ShapeDtypeStruct((count,), coordinate.dtype), jax.ShapeDtypeStruct((), bool)
+    return jax.ShapeDtypeStruct((count,), coordinate.dtype)
 
 
-@functools.partial(program, like=_rows)
-def _residuals(coordinate: Array, problem: Problem) -> tuple[Array, Array]:
+@functools.partial(program, like=_row)
+def _residuals(coordinate: Array, problem: Problem) -> Array:
     row, prediction = residual(coordinate, problem)
-    return row, prediction.successful
+    return jnp.where(prediction.successful, row, jnp.nan)
