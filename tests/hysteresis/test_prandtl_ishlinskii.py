@@ -1,5 +1,6 @@
 """Prandtl-Ishlinskii operators, plain and modified: limits, and inverses on rough histories."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -135,6 +136,15 @@ def test_the_curve_by_its_definition():
     np.testing.assert_allclose(it(jnp.asarray(x)), np.interp(x, nodes, values), atol=1e-14)
 
 
+def test_where_the_curve_is_level_its_inverse_jumps():
+    """As where a fit leaves a slope on its bound."""
+    level = eqx.tree_at(lambda it: it.upper_slopes, curve(), jnp.asarray([0.0, 0.15, 0.4]))
+    x = jnp.asarray([-2.0, -0.3, 0.04, 0.06, 0.29, 0.31, 1.5])
+    back = np.asarray(level.inverse()(level(x)))
+    np.testing.assert_allclose(np.delete(back, [3, 4]), np.delete(x, [3, 4]), rtol=1e-5)
+    assert np.all((back[3:5] >= 0.05 - 1e-6) & (back[3:5] <= 0.3 + 1e-6))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("make", [plays, stops, modified])
 def test_derivatives_against_differences(make):
@@ -165,7 +175,7 @@ def test_what_has_no_inverse_says_so():
     with pytest.raises(InputError, match="slope of the loading curve"):
         PrandtlIshlinskii(elastic=0.0, weights=[0.3], thresholds=[0.2]).inverse()
     with pytest.raises(InputError, match="positive"):
-        DeadZones(1.0, [1.0], [0.0], [1.0], [1.0]).inverse()
+        DeadZones(1.0, [1.0], [-0.1], [1.0], [1.0]).inverse()
 
 
 def test_bad_lists_are_refused():

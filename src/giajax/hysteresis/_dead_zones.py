@@ -11,6 +11,9 @@ from .._typing import Array, Float, Scalar
 from ..parameters import is_concrete, parameter
 from ..quantities import DEAD_ZONES
 
+# A piece whose slope is less than this part of the largest is level, as far as an inverse goes.
+_LEVEL = 1e-6
+
 
 class DeadZones(eqx.Module):
     """S(x) = slope x between the dead zones nearest to 0, with a slope of its own beyond each.
@@ -59,21 +62,26 @@ class DeadZones(eqx.Module):
         return self.slope * x + above - below
 
     def inverse(self) -> "DeadZones":
-        """The curve that undoes this one, of the same form.
+        """The curve that undoes this one, of the same form; where this one is level, it jumps.
 
         Raises:
-            InputError: a slope that is not positive.
+            InputError: a slope below 0, or none above.
         """
         slopes = jnp.concatenate([self.slope[None], self.upper_slopes, self.lower_slopes])
-        if is_concrete(slopes) and not bool(jnp.all(slopes > 0)):
+        if is_concrete(slopes) and not bool(jnp.all(slopes >= 0) & jnp.any(slopes > 0)):
             raise InputError(
                 f"a dead zone has the slope {float(jnp.min(slopes)):.3g}, without an "
-                "inverse: make all slopes positive"
+                "inverse: make no slope negative, and one positive"
             )
+        # A jump is a piece that is very steep.
+        least = _LEVEL * jnp.max(slopes)
+        slope, upper, lower = (
+            jnp.maximum(each, least) for each in (self.slope, self.upper_slopes, self.lower_slopes)
+        )
         return DeadZones(
-            1 / self.slope,
-            *_inverted(self.slope, self.upper_thresholds, self.upper_slopes),
-            *_inverted(self.slope, self.lower_thresholds, self.lower_slopes),
+            1 / slope,
+            *_inverted(slope, self.upper_thresholds, upper),
+            *_inverted(slope, self.lower_thresholds, lower),
         )
 
 
