@@ -76,10 +76,7 @@ class FitState:
 
     def values(self) -> np.ndarray:
         """Values of all free parameters at the best point, shape (parameter,)."""
-        coordinate = np.asarray(self.coordinate, dtype=float)
-        bijector = self.problem.bijector
-        # Of a coordinate at its end the value may be beside the bound by rounding.
-        values = np.clip(bijector.forward(coordinate), bijector.lower, bijector.upper)
+        values = self.problem.bijector.forward(np.asarray(self.coordinate, dtype=float))
         # What is held keeps its start exactly, not as it comes back from its coordinate.
         return np.where(np.asarray(self.active), values, self.start)
 

@@ -66,8 +66,10 @@ def _of_key(
     if memory and stated.correlated is not None and (known := stated.noise) is not None:
         return known
     white, present = _white(problem, key, stated), problem.noise[key]
+    if not memory or (start is None and present.is_white):
+        return white
     limits = time_limits(problem, key)
-    if not memory or limits is None or (start is None and present.is_white):
+    if limits is None:
         return white
     starts = [start] if start is not None else []
     if not present.is_white:

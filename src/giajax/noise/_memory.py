@@ -80,13 +80,15 @@ def promising(problem: Restricted, stated: Mapping[str, Stated]) -> dict[str, Sh
     """
     alike: dict[Hashable, list[str]] = {}
     for key in problem.noise:
-        open_to_it = stated[key].correlated is None or stated[key].noise is None
-        if open_to_it and time_limits(problem, key) is not None:
+        if stated[key].correlated is None or stated[key].noise is None:
             instants = tuple(each.instants for each in problem.of_key(key))
             alike.setdefault(instants, []).append(key)
     starts = {}
     for keys in alike.values():
-        low, high = time_limits(problem, keys[0]) or (0.0, 0.0)
+        limits = time_limits(problem, keys[0])
+        if limits is None:
+            continue
+        low, high = limits
         times = np.linspace(low + 1, high - 2, _TIMES).tolist()
         shapes = [Shape(angle, time) for angle in _ANGLES for time in times]
         noises = [ChannelNoise(1.0), *(shape.noise(1.0) for shape in shapes)]
@@ -126,11 +128,8 @@ def with_memory(
         fixed: whether the deviation of a cell is that of `white`.
     """
     size = white.deviation
-    least, *values = (
-        problem.by_scale(key, [white, *(shape.noise(size) for shape in starts)])(
-            np.zeros((1 + len(starts), 1))
-        )[:, 0]
-    ).tolist()
+    noises = [white, *(shape.noise(size) for shape in starts)]
+    least, *values = problem.by_scale(key, noises)(np.zeros((len(noises), 1)))[:, 0].tolist()
     at = starts[int(np.argmin(values))]
     bounds = [_MIXED, limits, (0.0, 0.0) if fixed else (-3.0, 3.0)]
 
