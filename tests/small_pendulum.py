@@ -4,8 +4,8 @@ Its fit has what makes real ones crawl: valleys that bend, a parameter whose opt
 that only counts together with another, and an initial state for each window.
 """
 
-from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Self
+from collections.abc import Sequence
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -13,9 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from giajax._typing import Array, Scalar
-from giajax.models import AbstractDirectModel, Channels, Derived
+from giajax.models import Channels
 from giajax.parameters import parameter
 from giajax.runs import Run, windows
+from toy_model import Plain
 
 TRUTH = {"friction": 5e-4, "drag": 1.2, "length": 1.0, "centre": 0.6}
 OFF = {"friction": 3.0, "drag": 3.0, "length": 1.5, "centre": 1.5}
@@ -32,7 +33,7 @@ class Inputs(eqx.Module):
     initial: State
 
 
-class Pendulum(AbstractDirectModel):
+class Pendulum(Plain):
     """joint01_angle of a rod in the air; only drag times length^4 counts."""
 
     kind: ClassVar[str] = "arm"
@@ -47,34 +48,11 @@ class Pendulum(AbstractDirectModel):
         0.0, unit="N m s/rad", lower=0, upper=1e2, doc="viscous damping", frozen=False
     )
 
-    @classmethod
-    def for_runs(cls, runs: Sequence[Run]) -> Self:
-        return cls()
-
-    @classmethod
-    def from_definition(cls, definition: Mapping[str, Any]) -> Self:
-        return cls()
-
-    def definition(self) -> dict[str, Any]:
-        return {}
-
-    def scene(self, run: Run) -> None:
-        return None
-
     def failure(self, inputs: Inputs) -> str:
         return "the pendulum is too fast: choose other values"
 
     def free_inputs(self, run: Run) -> tuple[str, ...]:
         return ("initial.angle", "initial.rate")
-
-    def refined(self, factor: float) -> Self:
-        return self
-
-    def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
-        return self
-
-    def derived(self) -> dict[str, Derived]:
-        return {}
 
     def conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
         return []

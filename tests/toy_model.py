@@ -14,16 +14,8 @@ from giajax.runs import Run
 TRUTH = {"amplitude": 2.0, "decay": 0.7, "offset": 0.3}
 
 
-class Decay(AbstractDirectModel):
-    """tip_z = amplitude exp(-decay t) + offset; `idle` and `twin` are traps for a fit."""
-
-    kind: ClassVar[str] = "decay"
-
-    amplitude: Scalar = parameter(1.0, unit="m", lower=0, doc="height at the start", frozen=False)
-    decay: Scalar = parameter(1.0, unit="1/s", lower=0, upper=9, doc="rate", frozen=False)
-    offset: Scalar = parameter(0.1, unit="m", doc="height at the end", frozen=False)
-    idle: Scalar = parameter(4.0, unit="m", lower=0, doc="no channel responds to it")
-    twin: Scalar = parameter(1.0, unit="", lower=0, doc="only amplitude times twin counts")
+class Plain(AbstractDirectModel):
+    """What the protocol asks of a model that has nothing to say about it."""
 
     @classmethod
     def for_runs(cls, runs: Sequence[Run]) -> Self:
@@ -33,8 +25,32 @@ class Decay(AbstractDirectModel):
     def from_definition(cls, definition: Mapping[str, Any]) -> Self:
         return cls()
 
+    def definition(self) -> dict[str, Any]:
+        return {}
+
     def scene(self, run: Run) -> None:
         return None
+
+    def refined(self, factor: float) -> Self:
+        return self
+
+    def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
+        return self
+
+    def derived(self) -> dict[str, Derived]:
+        return {}
+
+
+class Decay(Plain):
+    """tip_z = amplitude exp(-decay t) + offset; `idle` and `twin` are traps for a fit."""
+
+    kind: ClassVar[str] = "decay"
+
+    amplitude: Scalar = parameter(1.0, unit="m", lower=0, doc="height at the start", frozen=False)
+    decay: Scalar = parameter(1.0, unit="1/s", lower=0, upper=9, doc="rate", frozen=False)
+    offset: Scalar = parameter(0.1, unit="m", doc="height at the end", frozen=False)
+    idle: Scalar = parameter(4.0, unit="m", lower=0, doc="no channel responds to it")
+    twin: Scalar = parameter(1.0, unit="", lower=0, doc="only amplitude times twin counts")
 
     def failure(self, inputs: Array) -> str:
         return "the decay is too fast: choose a smaller one"
@@ -49,20 +65,8 @@ class Decay(AbstractDirectModel):
         height = jnp.where(failed, jnp.nan, height)
         return dict.fromkeys(channels, height), ~failed
 
-    def refined(self, factor: float) -> Self:
-        return self
-
-    def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
-        return self
-
-    def derived(self) -> dict[str, Derived]:
-        return {}
-
     def conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
         return [f"about {path}" for path in free]
-
-    def definition(self) -> dict[str, Any]:
-        return {}
 
 
 def height(times: np.ndarray, **changed: float) -> np.ndarray:
