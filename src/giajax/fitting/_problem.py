@@ -142,45 +142,66 @@ def residual(
 
     A module-level function: a fresh closure would be compiled again for every fit.
     """
+    return joined(over_runs(whitened_run, coordinate, problem), coordinate, problem)
 
-    def one(
-        values: Array, group: Group, inputs: Any, observed: Array, weight: Array, whitening: Any
-    ) -> tuple[Array, ...]:
-        row, (table, successful) = run_residual(values, problem, group, inputs, observed, weight)
-        return whitened(row[:, None], whitening)[:, 0], table, successful
 
-    rows, tables, successes = zip(*over_runs(one, coordinate, problem), strict=True)
+def whitened_run(
+    values: Array,
+    problem: Problem,
+    group: Group,
+    inputs: Any,
+    observed: Array,
+    weight: Array,
+    whitening: Any,
+) -> tuple[Array, ...]:
+    """A run's residual, its prediction, and whether that succeeded; arguments as `of_group` has."""
+    row, (table, successful) = run_residual(values, problem, group, inputs, observed, weight)
+    return whitened(row[:, None], whitening)[:, 0], table, successful
+
+
+def joined(
+    parts: Sequence[tuple[Any, ...]], coordinate: Array, problem: Problem
+) -> tuple[Float[Array, " residual"], Prediction]:
+    """As `residual`, from what `whitened_run` gives of each group, with a leading run axis."""
+    rows, tables, successes = zip(*parts, strict=True)
     known, _ = problem.priors.rows(coordinate, problem.bijector)
     row = jnp.concatenate([*(part.ravel() for part in rows), known])
-    successful = jnp.all(jnp.concatenate(successes))
-    return row, Prediction(tuple(tables), successful)
+    return row, Prediction(tuple(tables), jnp.all(jnp.concatenate(successes)))
 
 
 def over_runs(
     one: Callable[..., tuple[Array, ...]], coordinate: Array, problem: Problem
 ) -> list[tuple[Array, ...]]:
     """Results of `one` for each group, with a leading run axis."""
-    results = []
-    for group in problem.groups:
-        rows = (
-            coordinate[group.columns()],
-            group.inputs,
-            group.observed,
-            group.weight,
-            group.whitening,
-        )
+    return [of_group(one, coordinate[g.columns()], g, problem) for g in problem.groups]
 
-        def each(row: Any, group: Group = group) -> tuple[Array, ...]:
-            values, inputs, observed, weight, whitening = row
-            return one(values, group, inputs, observed, weight, whitening)
 
-        if len(group.members) == 1:
-            result = each(jax.tree.map(lambda leaf: leaf[0], rows))
-            results.append(tuple(leaf[None] for leaf in result))
-        else:
-            # One run after the other: each keeps its own steps; the program is compiled once.
-            results.append(jax.lax.map(each, rows))
-    return results
+def of_group(
+    one: Callable[..., tuple[Array, ...]],
+    values: Float[Array, "run own"],
+    group: Group,
+    problem: Problem,
+) -> tuple[Array, ...]:
+    """Results of a function for the runs of a group, with a leading run axis.
+
+    Arguments:
+        one: of a run's coordinates, the problem, the group, and the run's inputs, observed values,
+            weights and whitening.
+        values: coordinates that each run responds to.
+        group: of these runs.
+        problem: what they are a part of; its own groups do not count.
+    """
+    rows = (values, group.inputs, group.observed, group.weight, group.whitening)
+
+    def each(row: Any) -> tuple[Array, ...]:
+        own, *rest = row
+        return one(own, problem, group, *rest)
+
+    if values.shape[0] == 1:
+        result = each(jax.tree.map(lambda leaf: leaf[0], rows))
+        return tuple(leaf[None] for leaf in result)
+    # One run after the other: each keeps its own steps; the program is compiled once.
+    return tuple(jax.lax.map(each, rows))
 
 
 def predictions_by_run(
