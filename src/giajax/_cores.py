@@ -5,11 +5,13 @@ computes. All shares of a batch are equally long, so that one program does for t
 lacks is filled up with an item that it has, and left out again.
 """
 
+import contextvars
 import dataclasses
+import importlib
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 import jax
 import numpy as np
@@ -17,11 +19,18 @@ import numpy as np
 from ._errors import InputError
 from ._typing import Float
 
+Parameters = ParamSpec("Parameters")
+Result = TypeVar("Result")
+
 VARIABLE = "GIAJAX_CORES"
 """Environment variable: on how many cores to compute at most."""
 
 # Where JAX had it before it was public.
-_enable_x64 = jax.enable_x64 if hasattr(jax, "enable_x64") else jax.experimental.enable_x64
+_home: Any = jax if hasattr(jax, "enable_x64") else importlib.import_module("jax.experimental")
+_enable_x64 = _home.enable_x64
+
+# Of a thread that computes beside others: its part of the cores.
+_part: contextvars.ContextVar[int | None] = contextvars.ContextVar("giajax_cores", default=None)
 
 # Keys of the shares whose programs are compiled.
 _compiled: set[int] = set()
@@ -35,6 +44,8 @@ def cores() -> int:
     """
     if jax.default_backend() != "cpu":
         return 1
+    if (part := _part.get()) is not None:
+        return part
     told = os.environ.get(VARIABLE)
     if told is None:
         # Not every system lets a process ask.
@@ -43,6 +54,25 @@ def cores() -> int:
     if not told.isdecimal() or int(told) == 0:
         raise InputError(f"{VARIABLE} is {told!r}: give the number of cores, or leave it out")
     return int(told)
+
+
+def carried(function: Callable[Parameters, Result], among: int) -> Callable[Parameters, Result]:
+    """A function for other threads, with the settings of JAX that the present one has.
+
+    Arguments:
+        function: any.
+        among: how many threads the cores are shared by.
+    """
+    part = max(1, cores() // among)
+    # What a `with` of JAX sets counts in its own thread only.
+    wide = bool(jax.config.read("jax_enable_x64"))
+
+    def call(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Result:
+        _part.set(part)
+        with _enable_x64(wide):
+            return function(*args, **kwargs)
+
+    return call
 
 
 @dataclasses.dataclass(frozen=True)
@@ -126,10 +156,14 @@ def _shares_of(batch: Batch, most: int) -> list[_Share]:
     for rows in dealt(batch.sizes, most):
         own = jax.tree.map(lambda leaf, rows=rows: leaf[rows], items)
         leaves, tree = jax.tree.flatten((own, batch.shared))
-        shapes = tuple((np.shape(leaf), str(np.result_type(leaf))) for leaf in leaves)
-        key = hash((id(batch.call), tree, shapes))
+        key = hash((id(batch.call), tree, tuple(map(_kind, leaves))))
         shares.append(_Share(batch, rows, own, float(np.sum(batch.sizes[rows])), key))
     return shares
+
+
+def _kind(leaf: Any) -> Any:
+    """What a program is compiled for: the form of an array, and the value of anything else."""
+    return (leaf.shape, str(leaf.dtype)) if hasattr(leaf, "dtype") else leaf
 
 
 def _whole(shares: Sequence[_Share], parts: Sequence[Any]) -> Any:
@@ -143,14 +177,7 @@ def _run(shares: Sequence[_Share], most: int) -> dict[int, Any]:
     ordered = sorted(shares, key=lambda share: -share.size)
     if most == 1 or len(ordered) < 2:
         return {id(share): share.compute() for share in ordered}
-    wide = bool(jax.config.read("jax_enable_x64"))
-
-    def compute(share: _Share) -> Any:
-        # What a `with` of JAX sets counts in its own thread only.
-        with _enable_x64(wide):
-            return share.compute()
-
     # Beginning threads takes a tenth of a millisecond; none is left when nothing is to be done.
     with ThreadPoolExecutor(min(most, len(ordered)), "giajax") as pool:
-        results = list(pool.map(compute, ordered))
+        results = list(pool.map(carried(_Share.compute, most), ordered))
     return {id(share): result for share, result in zip(ordered, results, strict=True)}

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .._cores import Batch, on_all_cores
 from .._errors import InputError
 from .._program import program
 from .._typing import Array
@@ -96,10 +97,11 @@ def responses(
         free = model.free_inputs(like)
         inputs = stacked([prepared_with(model, runs[i], own[i] if own else {}) for i in members])
         sizes = tuple((path, get(inputs, path)[0].size) for path in free)
-        answer = _respond(
-            model, paths, steps, channels, sizes, inputs, *_varied(values, members), tuple(ties)
-        )
-        tables, blocks, successful = map(np.asarray, answer)
+        varied, rows = _varied(values, members)
+        shared = (model, paths, steps, channels, sizes, varied, tuple(ties))
+        lengths = np.asarray([len(runs[i].observations[channels[0]]) for i in members])
+        (answer,) = on_all_cores([Batch(_respond, (inputs, rows), shared, lengths)])
+        tables, blocks, successful = answer
         if not np.all(successful):
             first = jax.tree.map(lambda leaf: leaf[0], inputs)
             raise InputError(f"the fitted model cannot be evaluated: {model.failure(first)}")
@@ -131,17 +133,17 @@ def _name(direction: Direction) -> tuple[str, tuple[float, ...]]:
 
 @program
 def _respond(
+    prepared_runs: tuple[Any, Array],
     model: AbstractModel,
     paths: tuple[str, ...],
     steps: tuple[Array, ...],
     channels: tuple[str, ...],
     own: tuple[tuple[str, int], ...],
-    inputs: Any,
     varied: tuple[str, ...],
-    rows: Array,
     ties: tuple[Tie, ...],
 ) -> tuple[Array, Array, Array]:
     """Tables (run, sample, channel), their derivatives (run, amount, sample, channel), success."""
+    inputs, rows = prepared_runs
     count = len(paths) + sum(size for _, size in own) if paths else 0
     differentiated = (*dict.fromkeys(paths), *(path for path, _ in own))
     ready = model.for_derivatives(differentiated) if count else model
