@@ -40,6 +40,8 @@ def side_by_side(
     Returns:
         The results in their order; None of a job that did not begin.
     """
+    if most == 1:
+        return _one_by_one(jobs, until)
     news: queue.SimpleQueue[tuple[int, Callable[[], object]] | None] = queue.SimpleQueue()
     stop = threading.Event()
 
@@ -78,6 +80,22 @@ def side_by_side(
             stop.set()
             raise
     return [future.result() for future in futures]
+
+
+def _one_by_one(
+    jobs: Sequence[Callable[[Tell], Result]], until: Callable[[Result], bool]
+) -> list[Result | None]:
+    results: list[Result | None] = [None] * len(jobs)
+    for index, job in enumerate(jobs):
+        results[index] = result = job(directly)
+        if until(result):
+            break
+    return results
+
+
+def directly(function: Callable[..., object], *args: Any) -> None:
+    """`Tell` of a job that runs in the thread of the caller."""
+    function(*args)
 
 
 def _receive(

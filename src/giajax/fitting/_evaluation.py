@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 
-from .._cores import Batch, on_all_cores
 from .._program import program
+from .._shares import Batch, on_all_cores
 from .._typing import Array, Float
 from ._group import Group
 from ._linearise import assembled, linearise, linearise_run

@@ -13,9 +13,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .._cores import Batch, on_all_cores
 from .._errors import InputError
 from .._program import program
+from .._shares import Batch, on_all_cores
 from .._typing import Array
 from ..models import AbstractModel
 from ..parameters import get, replace

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from .._cores import cores
 from .._errors import InputError
-from .._threads import Tell, side_by_side
+from .._threads import Tell, directly, side_by_side
 from ..fitting import (
     MAX_ITERATIONS,
     Budget,
@@ -214,7 +214,7 @@ def _one_by_one_then_side_by_side(
     """
     ended: list[_End] = []
     while len(ended) < starts:
-        end = one(len(ended) + 1, (), lambda function, *args: function(*args) and None)
+        end = one(len(ended) + 1, (), directly)
         if end is None:
             return ended
         ended.append(end)
