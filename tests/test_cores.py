@@ -12,18 +12,26 @@ from giajax import InputError, fit, map_on_cores
 from giajax._cores import cores, enable_x64
 from giajax._shares import Batch, dealt, on_all_cores
 from giajax._threads import side_by_side
+from giajax.fitting import set_up
+from giajax.fitting._evaluation import residuals
+from giajax.fitting._prepared import in_a_share
+from giajax.fitting._transitions import begin, evaluate
 from toy_model import Decay, run
 
 
-def test_shares_are_of_equal_length_and_about_equal_work():
+def test_shares_are_of_equal_length_and_the_most_work_comes_first():
     sizes = np.asarray([1.0, 9.0, 2.0, 8.0, 3.0, 7.0, 4.0])
-    first, second = dealt(sizes, 2)
-    assert len(first) == len(second) == 4
-    assert sorted({*first.tolist(), *second.tolist()}) == list(range(7))
-    # 9 + 7 + 3 + 2 and 8 + 4 + 1 would be 21 and 13; in turns there and back it is 18 and 16.
-    totals = [sum(sizes[list(set(each.tolist()))]) for each in (first, second)]
-    assert abs(totals[0] - totals[1]) <= 2
-    assert [each.tolist() for each in dealt(sizes[:2], 5)] == [[1], [0]]
+    assert [each.tolist() for each in dealt(sizes, 3)] == [[1, 3, 5], [6, 4, 2], [0, 0, 0]]
+    assert [each.tolist() for each in dealt(sizes[:2], 1)] == [[1], [0]]
+    assert [each.tolist() for each in dealt(sizes[:2], 5)] == [[1, 0, 0, 0, 0]]
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 16, 22, 23, 24, 40, 101])
+def test_no_run_is_left_over_where_a_fit_deals_them_out(count):
+    length = in_a_share(count)
+    assert 1 <= length <= 4
+    assert count % length == 0
+    assert length == 1 or count // length >= 8
 
 
 @pytest.mark.parametrize("most", [1, 2, 3, 8])
@@ -37,14 +45,14 @@ def test_items_come_back_in_their_order_and_once(most):
 
     random = np.random.default_rng(most)
     batches = [
-        Batch(call, {"x": np.arange(7.0)}, (2.0,), random.uniform(size=7)),
-        Batch(call, {"x": np.arange(3.0)}, (5.0,), random.uniform(size=3)),
+        Batch(call, {"x": np.arange(7.0)}, (2.0,), random.uniform(size=7), 2),
+        Batch(call, {"x": np.arange(3.0)}, (5.0,), random.uniform(size=3), 1),
     ]
     first, second = on_all_cores(batches, most)
     np.testing.assert_array_equal(first["y"], 2 * np.arange(7.0))
     np.testing.assert_array_equal(first["z"], np.stack([np.arange(7.0)] * 2, axis=1))
     np.testing.assert_array_equal(second["y"], 5 * np.arange(3.0))
-    assert {length for _, length in seen} == {-(-7 // most), -(-3 // most)}
+    assert {length for _, length in seen} == {2, 1}
     assert any(name != "MainThread" for name, _ in seen) == (most > 1)
 
 
@@ -57,7 +65,7 @@ def test_threads_compute_with_the_precision_of_the_caller():
 
     for wide in (True, False):
         with enable_x64(wide):
-            (thirds,) = on_all_cores([Batch(call, jnp.ones(4), (), np.ones(4))], 2)
+            (thirds,) = on_all_cores([Batch(call, jnp.ones(4), (), np.ones(4), 1)], 2)
         assert thirds.dtype == (np.float64 if wide else np.float32)
 
 
@@ -155,3 +163,19 @@ def test_a_fit_of_several_runs_has_the_same_numbers_on_any_number_of_cores(monke
         for path, (value, error) in ends[0].items():
             assert other[path][0] == pytest.approx(value, abs=1e-6 * error)
             assert other[path][1] == pytest.approx(error, rel=1e-6)
+
+
+def test_a_sample_of_runs_has_their_rows_and_zeros_for_the_others():
+    runs = [run(seed=seed, samples=20) for seed in range(24)]
+    state = begin(set_up(Decay(), runs, start={"decay": 1.5}))
+    whole = evaluate(state, state.coordinate)
+    part = evaluate(state, state.coordinate, sample=True)
+    rows, some = (np.asarray(each.residual).reshape(24, 20) for each in (whole, part))
+    evaluated = np.any(some != 0, axis=1)
+    assert np.count_nonzero(evaluated) == 3
+    np.testing.assert_array_equal(some[evaluated], rows[evaluated])
+    (block,), (piece,) = whole.jacobian[:-1], part.jacobian[:-1]
+    np.testing.assert_array_equal(np.asarray(piece)[evaluated], np.asarray(block)[evaluated])
+    assert not np.any(np.asarray(piece)[~evaluated])
+    alone = residuals(state.coordinate, state.problem, sample=True)
+    np.testing.assert_allclose(alone, some.ravel(), rtol=1e-12, atol=1e-12)

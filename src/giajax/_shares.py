@@ -1,8 +1,8 @@
 """Many items by compiled programs on all cores of a machine.
 
-Each core takes shares of the items, in a thread of its own: XLA lets go of Python's lock while it
-computes. All shares of a batch are equally long, so that one program does for them; what a share
-lacks is filled up with an item that it has, and left out again.
+Each core takes one share of the items after the other, in a thread of its own: XLA lets go of
+Python's lock while it computes. All shares of a batch are equally long, so that one program does
+for them; what the last one lacks is filled up with an item that it has, and left out again.
 """
 
 import dataclasses
@@ -31,12 +31,14 @@ class Batch:
         items: a pytree of arrays with a leading axis of all of them.
         shared: further arguments.
         sizes: how much work each item is, in any unit, shape (item,).
+        length: items in a share.
     """
 
     call: Callable[..., Any]
     items: Any
     shared: tuple[Any, ...]
     sizes: Float[np.ndarray, " item"]
+    length: int
 
 
 def on_all_cores(batches: Sequence[Batch], most: int | None = None) -> list[Any]:
@@ -50,7 +52,7 @@ def on_all_cores(batches: Sequence[Batch], most: int | None = None) -> list[Any]
         Of each batch what `call` would return of all of its items, in NumPy's arrays.
     """
     most = most or cores()
-    shared_out = [_shares_of(batch, most) for batch in batches]
+    shared_out = [_shares_of(batch) for batch in batches]
     tasks = [share for each in shared_out for share in each]
     # Two threads that need the same program for the first time would both compile it.
     new = {share.key: share for share in tasks if share.key not in _compiled}
@@ -87,7 +89,10 @@ def map_on_cores(
         array([0, 1, 4], dtype=int32)
     """
     count = np.shape(jax.tree.leaves(items)[0])[0]
-    batch = Batch(_mapped, items, (function, batch_size, shared), np.ones(count))
+    # Some shares for each core: one that others keep busy takes fewer.
+    least, together = -(-count // (4 * cores())), batch_size or 1
+    length = max(1, -(-least // together) * together)
+    batch = Batch(_mapped, items, (function, batch_size, shared), np.ones(count), length)
     return on_all_cores([batch])[0]
 
 
@@ -98,25 +103,20 @@ def _mapped(
     return jax.lax.map(lambda item: function(item, *shared), items, batch_size=batch_size)
 
 
-def dealt(sizes: Float[np.ndarray, " item"], count: int) -> list[np.ndarray]:
-    """Positions of items in shares of equal length, and of about equal work.
+def dealt(sizes: Float[np.ndarray, " item"], length: int) -> list[np.ndarray]:
+    """Positions of items in shares of equal length, those with the most work first.
 
     Arguments:
         sizes: how much work each item is, shape (item,).
-        count: of the shares; fewer, where there are fewer items.
+        length: of a share.
 
     Returns:
-        The shares; an item may stand in one of them twice, to make it as long as the others.
+        The shares; an item may stand more than once in the last one, to make it as long as the
+        others.
     """
-    order = np.argsort(-np.asarray(sizes), kind="stable").tolist()
-    count = min(count, len(order))
-    length = -(-len(order) // count)
-    hands: list[list[int]] = [[] for _ in range(count)]
-    for place, item in enumerate(order):
-        # There and back again: who gets the largest of a round gets the smallest of the next one.
-        number, seat = divmod(place, count)
-        hands[count - 1 - seat if number % 2 else seat].append(item)
-    return [np.asarray(hand + hand[-1:] * (length - len(hand))) for hand in hands]
+    order = np.argsort(-np.asarray(sizes), kind="stable")
+    whole = np.append(order, np.repeat(order[-1:], -len(order) % length))
+    return list(whole.reshape(-1, length))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -133,11 +133,11 @@ class _Share:
         return jax.tree.map(np.asarray, self.batch.call(self.items, *self.batch.shared))
 
 
-def _shares_of(batch: Batch, most: int) -> list[_Share]:
+def _shares_of(batch: Batch) -> list[_Share]:
     # A view, where the device is the CPU: to take a share is then NumPy's work, not JAX's.
     items = jax.tree.map(np.asarray, batch.items)
     shares = []
-    for rows in dealt(batch.sizes, most):
+    for rows in dealt(batch.sizes, batch.length):
         own = jax.tree.map(lambda leaf, rows=rows: leaf[rows], items)
         leaves, tree = jax.tree.flatten((own, batch.shared))
         key = hash((id(batch.call), tree, tuple(map(_kind, leaves))))

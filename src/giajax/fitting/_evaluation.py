@@ -16,10 +16,11 @@ import numpy as np
 import optimistix as optx
 
 from .._program import program
-from .._shares import Batch, on_all_cores
+from .._shares import Batch, dealt, on_all_cores
 from .._typing import Array, Float
 from ._group import Group
 from ._linearise import assembled, linearise, linearise_run
+from ._prepared import in_a_share
 from ._problem import Prediction, Problem, joined, of_group, residual, whitened_run
 from ._solver import Marquardt
 from ._solver_state import MarquardtState
@@ -29,7 +30,13 @@ Stepped = tuple[Array, MarquardtState, Any, Any]
 
 
 def stepped(
-    solver: Marquardt, coordinate: Array, problem: Problem, state: MarquardtState, active: Array
+    solver: Marquardt,
+    coordinate: Array,
+    problem: Problem,
+    state: MarquardtState,
+    active: Array,
+    *,
+    sample: bool = False,
 ) -> Stepped:
     """One step of the solver, by the same programs wherever it is.
 
@@ -39,19 +46,28 @@ def stepped(
         problem: what is minimised.
         state: of the solver there.
         active: parameters that may move, shape (parameter,).
+        sample: of many runs evaluate a few, and have zeros for the others.
     """
     if not _several(problem):
         return _step(solver, coordinate, problem, state, active)
     trial = _propose(solver, coordinate, problem.bijector, state, active)
-    parts = tuple(_of_runs(_linearised, trial, problem))
+    parts = tuple(_of_runs(_linearised, trial, problem, sample))
     return _judge(solver, coordinate, trial, parts, problem, state, active)
 
 
-def residuals(coordinate: Array, problem: Problem) -> Float[np.ndarray, " residual"]:
-    """Residuals at a point within the bounds, without derivatives; NaN where the model fails."""
+def residuals(
+    coordinate: Array, problem: Problem, *, sample: bool = False
+) -> Float[np.ndarray, " residual"]:
+    """Residuals at a point within the bounds, without derivatives; NaN where the model fails.
+
+    Arguments:
+        coordinate: the point, shape (parameter,).
+        problem: what is minimised.
+        sample: of many runs evaluate a few, and have zeros for the others.
+    """
     if not _several(problem):
         return np.asarray(_residuals(coordinate, problem))
-    parts = tuple(_of_runs(_predicted, coordinate, problem))
+    parts = tuple(_of_runs(_predicted, coordinate, problem, sample))
     return np.asarray(_joined(parts, coordinate, problem))
 
 
@@ -78,18 +94,34 @@ def _several(problem: Problem) -> bool:
 
 
 def _of_runs(
-    call: Callable[..., tuple[Array, ...]], coordinate: Array, problem: Problem
+    call: Callable[..., tuple[Array, ...]], coordinate: Array, problem: Problem, sample: bool
 ) -> Iterable[tuple[np.ndarray, ...]]:
     """What a program gives of the runs of each group, with a leading run axis."""
     whole = np.asarray(coordinate)
     # The runs come with the group that they are in, and only those of a share.
     common = dataclasses.replace(problem, groups=())
-    batches = []
+    batches, places = [], []
     for group in problem.groups:
-        runs = dataclasses.replace(group, members=(), first=0, shared=())
         measured = np.count_nonzero(np.any(np.asarray(group.weight) > 0, axis=-1), axis=-1)
-        batches.append(Batch(call, (whole[group.columns()], runs), (common,), measured))
-    return on_all_cores(batches)
+        length = in_a_share(len(measured))
+        place = dealt(measured, length)[-1] if sample else np.arange(len(measured))
+        runs = dataclasses.replace(group, members=(), first=0, shared=())
+        items = jax.tree.map(lambda leaf, at=place: np.asarray(leaf)[at], runs)
+        values = whole[group.columns()[place]]
+        batches.append(Batch(call, (values, items), (common,), measured[place], length))
+        places.append((place, len(measured)))
+    found = on_all_cores(batches)
+    if not sample:
+        return found
+    return [_among(part, *at) for part, at in zip(found, places, strict=True)]
+
+
+def _among(part: tuple[np.ndarray, ...], place: np.ndarray, count: int) -> tuple[np.ndarray, ...]:
+    """What was found of some runs among all of them: zero for the others, which do not fail."""
+    whole = [np.full((count, *leaf.shape[1:]), leaf.dtype == bool, leaf.dtype) for leaf in part]
+    for leaf, known in zip(whole, part, strict=True):
+        leaf[place] = known
+    return tuple(whole)
 
 
 # At module level: a fresh closure would be compiled again for every fit. What each of them returns

@@ -20,7 +20,7 @@ from .._typing import Array
 from ..models import AbstractModel
 from ..parameters import get, replace
 from ..runs import Run
-from ._prepared import prepared_with, sharing_a_program
+from ._prepared import in_a_share, prepared_with, sharing_a_program
 from ._stack import stacked
 from ._ties import Tie, tied
 
@@ -100,7 +100,8 @@ def responses(
         varied, rows = _varied(values, members)
         shared = (model, paths, steps, channels, sizes, varied, tuple(ties))
         lengths = np.asarray([len(runs[i].observations[channels[0]]) for i in members])
-        (answer,) = on_all_cores([Batch(_respond, (inputs, rows), shared, lengths)])
+        batch = Batch(_respond, (inputs, rows), shared, lengths, in_a_share(len(members)))
+        (answer,) = on_all_cores([batch])
         tables, blocks, successful = answer
         if not np.all(successful):
             first = jax.tree.map(lambda leaf: leaf[0], inputs)

@@ -165,13 +165,16 @@ def tolerance_of(state: FitState) -> float | None:
     return None if integration is None else integration.tolerance
 
 
-def evaluate(state: FitState, coordinate: Any, problem: Problem | None = None) -> MarquardtState:
+def evaluate(
+    state: FitState, coordinate: Any, problem: Problem | None = None, *, sample: bool = False
+) -> MarquardtState:
     """Residual and Jacobian at a point, by the same compiled program as a step.
 
     Arguments:
         state: gives problem, solver and the parameters that may move.
         coordinate: the point, shape (parameter,).
         problem: in place of that of the state.
+        sample: of many runs evaluate a few, and have zeros for the others.
 
     Returns:
         The solver's state there.
@@ -179,12 +182,12 @@ def evaluate(state: FitState, coordinate: Any, problem: Problem | None = None) -
     coordinate = on_device(coordinate, state.coordinate.dtype)
     problem = state.problem if problem is None else problem
     fresh = blank(state.solver, problem, coordinate)
-    _, inner, _, _ = stepped(state.solver, coordinate, problem, fresh, state.active)
+    _, inner, _, _ = stepped(state.solver, coordinate, problem, fresh, state.active, sample=sample)
     return inner
 
 
 def residuals_at(
-    state: FitState, coordinate: Any, problem: Problem | None = None
+    state: FitState, coordinate: Any, problem: Problem | None = None, *, sample: bool = False
 ) -> Float[np.ndarray, " residual"]:
     """Residuals at a point within the bounds, without derivatives where those take long.
 
@@ -192,13 +195,14 @@ def residuals_at(
         state: gives the problem, and how long a step takes.
         coordinate: the point, shape (parameter,).
         problem: in place of that of the state.
+        sample: as of `evaluate`.
 
     Returns:
         As `evaluate(...).residual`; NaN where the model cannot be evaluated.
     """
     if min(state.step_seconds[1:], default=0.0) < _LONG_STEP:
-        inner = evaluate(state, coordinate, problem)
+        inner = evaluate(state, coordinate, problem, sample=sample)
         row = np.asarray(inner.residual)
         return row if np.isfinite(inner.cost) else np.full(row.shape, np.nan)
     coordinate = on_device(coordinate, state.coordinate.dtype)
-    return residuals(coordinate, state.problem if problem is None else problem)
+    return residuals(coordinate, state.problem if problem is None else problem, sample=sample)
