@@ -10,7 +10,8 @@ import numpy as np
 from .._typing import Array, Float
 from ._group import Group
 from ._loss import curvature_ratio
-from ._problem import Prediction, Problem, over_runs, run_residual, whitened
+from ._problem import Prediction, Problem
+from ._residual import over_runs, run_residual, whitened
 from ._solver_state import Linearised
 
 
