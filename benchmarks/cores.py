@@ -87,14 +87,15 @@ def measure(quick: bool) -> dict[str, Any]:
     """Figures by what was computed."""
     runs = recordings(3 if quick else 22)
     model, repeats = model_for(runs), 1 if quick else 3
-    steps = 1 if quick else 50
+    options: dict[str, Any] = {"start": START}
+    if quick:
+        options |= {"max_iterations": 1, "check": False, "noise_model": "white"}
 
     def fitted() -> FitResult:
-        return fit(model, runs, start=START, max_iterations=steps)
+        return fit(model, runs, **options)
 
     def from_starts() -> FitResult:
-        starts = 2 if quick else 8
-        return multi_start(model, runs[0], start=START, starts=starts, max_iterations=steps)
+        return multi_start(model, runs[0], starts=2 if quick else 8, **options)
 
     links, seconds = (3, 1.0) if quick else (20, 25.0)
     arm, command = driven_arm(links)
