@@ -7,6 +7,7 @@ smooth command (at most 60 s and 1.5 GB), the fit of 100 runs, the fit of a hyst
     python -m benchmarks.size [--quick] [--out FILE]
 """
 
+import functools
 import json
 import os
 import resource
@@ -84,7 +85,7 @@ def many_links(quick: bool) -> dict[str, Any]:
     for links in counts:
         arm, _ = driven_arm(links)
         state = {name: value[0] for name, value in random_states(links, 1).items()}
-        taken = fastest(lambda arm=arm, state=state: evaluated(arm, state, times), 7)
+        taken = fastest(functools.partial(evaluated, arm, state, times), 7)
         found[str(links)] = taken / times
     return {"seconds": found}
 
