@@ -100,7 +100,7 @@ class GradientCheck:
         direction: part of each parameter of the model in it, in free coordinates, by path.
         step: length of the difference along it.
         left_out: paths of the parameters that take no part, because they ended at a bound or
-            nothing responds to them.
+            nothing responds to them; of several runs, none of those that were looked at.
     """
 
     relative_difference: float
