@@ -70,6 +70,11 @@ def in_turns(
     }
 
 
+def spread(times: Mapping[str, float], unit: float) -> str:
+    """Least and median time as a cell of a table."""
+    return f"{times['min'] * unit:.3g} / {times['median'] * unit:.3g}"
+
+
 def store(found: dict[str, Any], path: Path) -> None:
     """Write figures as JSON."""
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -40,7 +40,7 @@ class CasadiInC:
         command: commanded angles over time; only trajectories need it.
 
     Raises:
-        CannotCompile: no C compiler is there.
+        CompilerError: no C compiler is there.
         ValueError: the arm has more than links, springs, dampers and drag at their centres.
     """
 

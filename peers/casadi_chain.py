@@ -52,9 +52,7 @@ class CasadiChain:
     def __init__(self, arm: Arm) -> None:
         self.plain = plain = PlainArm(arm)
         self.count = n = arm.count
-        self.angles, self.rates, self.command = (
-            casadi.SX.sym(name, n) for name in ("q", "v", "u")
-        )
+        self.angles, self.rates, self.command = (casadi.SX.sym(name, n) for name in ("q", "v", "u"))
         self.parameters = casadi.SX.sym("p", len(PARAMETERS))
         self._base = Rotation.from_rotvec(plain.base_rotation).as_matrix()
         self._turns = [_turn(axis, self.angles[i]) for i, axis in enumerate(plain.axes)]

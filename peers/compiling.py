@@ -11,7 +11,7 @@ SOURCES = Path(__file__).resolve().parent
 FLAGS = ("-O2", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC")
 
 
-class CannotCompile(RuntimeError):
+class CompilerError(RuntimeError):
     """The machine lacks what a peer in C needs; the message is a sentence that says what."""
 
 
@@ -23,17 +23,17 @@ def compiled(source: Path, *arguments: str) -> ctypes.CDLL:
         arguments: what else the compiler is told, such as `-I` and libraries.
 
     Raises:
-        CannotCompile: no C compiler is there, or it refuses the source.
+        CompilerError: no C compiler is there, or it refuses the source.
     """
     compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if compiler is None:
-        raise CannotCompile("no C compiler is there: install one (cc, gcc or clang)")
+        raise CompilerError("no C compiler is there: install one (cc, gcc or clang)")
     with tempfile.TemporaryDirectory() as folder:
         library = Path(folder) / f"{source.stem}.so"
         command = [compiler, *FLAGS, str(source), "-o", str(library), *arguments, "-lm", "-pthread"]
         ended = subprocess.run(command, capture_output=True, text=True)
         if ended.returncode:
-            raise CannotCompile(f"{source.name} does not compile: {ended.stderr.strip()}")
+            raise CompilerError(f"{source.name} does not compile: {ended.stderr.strip()}")
         return ctypes.CDLL(str(library))
 
 

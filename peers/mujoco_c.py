@@ -29,9 +29,7 @@ def _library() -> ctypes.CDLL:
     (mujoco_library,) = (
         path for pattern in ("libmujoco.so*", "libmujoco*.dylib") for path in folder.glob(pattern)
     )
-    library = compiled(
-        SOURCES / "mujoco_run.c", f"-I{folder / 'include'}", str(mujoco_library)
-    )
+    library = compiled(SOURCES / "mujoco_run.c", f"-I{folder / 'include'}", str(mujoco_library))
     library.trajectory.restype = ctypes.c_long
     return library
 
@@ -44,7 +42,7 @@ class MujocoInC:
         command: commanded angles over time; only `ends` needs it.
 
     Raises:
-        CannotCompile: no C compiler is there.
+        CompilerError: no C compiler is there.
         ValueError: the arm has more than this offers.
     """
 
@@ -61,7 +59,7 @@ class MujocoInC:
 
     def set_parameters(self, values: Mapping[str, float]) -> None:
         """Other values of some of the parameters of `PlainArm`, in place."""
-        self._parameters = self._parameters | values
+        self._parameters = {**self._parameters, **values}
         plain = self.plain.stiffness_and_damping(self._parameters)
         self.model.jnt_stiffness[:], self.model.dof_damping[:] = plain
         self._set_constants(self._data)

@@ -74,9 +74,7 @@ class PlainArm:
         return stiffness, np.full(self.count, parameters[DAMPING])
 
 
-def command_on_steps(
-    command: Signal, times: Array, step: float
-) -> tuple[Array, Array, Array]:
+def command_on_steps(command: Signal, times: Array, step: float) -> tuple[Array, Array, Array]:
     """Samples and the corners of a command, counted in steps from 0, and its lines.
 
     Returns:

@@ -1,7 +1,7 @@
 """Many evaluations at once, on two cores: processes of giajax beside threads of MuJoCo."""
 
 import multiprocessing
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from multiprocessing.connection import Connection
 from typing import Any
@@ -33,7 +33,13 @@ def evaluations(arm: Arm, states: dict[str, Any], layout: str, loop: Any) -> Any
     return spread_over(one, states, layout)
 
 
-def batch(links: int, repeats: int, loop: int, engine: MujocoInC | None) -> dict[str, Any]:
+def batch(
+    links: int,
+    repeats: int,
+    loop: int,
+    engine: MujocoInC | None,
+    layouts: Sequence[str] = LAYOUTS,
+) -> dict[str, Any]:
     """Seconds of an evaluation of one item, by who makes it and how."""
     calls: dict[str, Callable[[], object]] = {}
     if engine is not None:
@@ -41,7 +47,7 @@ def batch(links: int, repeats: int, loop: int, engine: MujocoInC | None) -> dict
         numbers = [np.asarray(states[name]) for name in ("angles", "rates", "command")]
         calls["MuJoCo, drag in C"] = lambda: engine.batch(*numbers, threads=CORES, loop=loop)
     with ExitStack() as processes:
-        for layout in LAYOUTS:
+        for layout in layouts:
             calls[f"giajax, {layout}"] = processes.enter_context(_workers(links, layout, loop))
         found = in_turns(calls, repeats)
     return {

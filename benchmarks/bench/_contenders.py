@@ -4,13 +4,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 import giajax.parameters
 from benchmarks.bench._problem import STEPS, TOLERANCES, Problem
+from giajax._program import program
 from giajax.simulation import simulate
 from peers.mujoco_chain import MujocoChain
 from peers.plain_arm import PARAMETERS
@@ -41,7 +41,7 @@ class Contender:
         return f"step {setting * 1e3:.1f} ms" if self.steps else f"tolerance {setting:.1e}"
 
 
-@eqx.filter_jit
+@program
 def giajax_tip(values: Any, problem: Any, tolerance: Any, solver: str) -> Any:
     arm, command, times = problem
     arm = giajax.parameters.replace(arm, dict(zip(PARAMETERS, values, strict=True)))
@@ -49,23 +49,23 @@ def giajax_tip(values: Any, problem: Any, tolerance: Any, solver: str) -> Any:
     return simulate(arm, command, times, solver=solver, **options).tip
 
 
-@eqx.filter_jit
+@program
 def giajax_tip_and_jacobian(values: Any, problem: Any, tolerance: Any, solver: str) -> Any:
     def push(direction: Any) -> Any:
-        return jax.jvp(
-            lambda x: giajax_tip(x, problem, tolerance, solver), (values,), (direction,)
-        )
+        return jax.jvp(lambda x: giajax_tip(x, problem, tolerance, solver), (values,), (direction,))
 
     return jax.vmap(push, out_axes=(None, -1))(jnp.eye(len(values)))
 
 
-def contenders(problem: Problem) -> dict[str, Contender]:
-    """All that this machine has, by name."""
+def contenders(problem: Problem, quick: bool) -> dict[str, Contender]:
+    """All that this machine has, by name; `quick` leaves out some of what takes long."""
+    solvers = ("springs5",) if quick else ("springs5", "tsit5")
+    methods = ("RK45",) if quick else ("RK45", "DOP853", "LSODA")
     return {
-        **{f"giajax {solver}": _giajax(problem, solver) for solver in ("springs5", "tsit5")},
+        **{f"giajax {solver}": _giajax(problem, solver) for solver in solvers},
         **_casadi(problem),
         **_mujoco(problem),
-        **{f"scipy {method}": _scipy(problem, method) for method in ("RK45", "DOP853", "LSODA")},
+        **{f"scipy {method}": _scipy(problem, method) for method in methods},
     }
 
 
@@ -75,9 +75,9 @@ def _giajax(problem: Problem, solver: str) -> Contender:
     return Contender(
         lambda tolerance: giajax_tip(values, inputs, jnp.asarray(tolerance), solver),
         TOLERANCES,
-        lambda tolerance: giajax_tip_and_jacobian(
-            values, inputs, jnp.asarray(tolerance), solver
-        )[1],
+        lambda tolerance: giajax_tip_and_jacobian(values, inputs, jnp.asarray(tolerance), solver)[
+            1
+        ],
     )
 
 
@@ -134,10 +134,11 @@ def _scipy(problem: Problem, method: str) -> Contender:
         options: dict[str, Any] = {"method": method, "rtol": tolerance, "atol": tolerance}
         return problem.numpy.tip(chain.trajectory(problem.times, **options)[:, 0])
 
-    # Below a hundredth the steps that the solver takes otherwise are seen, not the parameter.
-    return Contender(
-        tip, TOLERANCES, lambda setting: differences(lambda x: tip(setting, x), problem.values, 1e-2)
-    )
+    def jacobian(tolerance: float) -> np.ndarray:
+        # Below a hundredth the steps that the solver takes otherwise are seen, not the parameter.
+        return differences(lambda x: tip(tolerance, x), problem.values, 1e-2)
+
+    return Contender(tip, TOLERANCES[::2], jacobian)
 
 
 def differences(

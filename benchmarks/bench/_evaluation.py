@@ -10,7 +10,7 @@ from benchmarks.measuring import in_turns
 from giajax._program import program
 from giajax.arm import Arm, acceleration
 from peers.arms import driven_arm, random_states
-from peers.compiling import CannotCompile
+from peers.compiling import CompilerError
 from peers.mujoco_c import MujocoInC
 from peers.mujoco_chain import MujocoChain
 from peers.scipy_chain import ScipyChain
@@ -55,7 +55,7 @@ def evaluation(links: int, repeats: int, loop: int, generated: Any = None) -> di
         compiled = MujocoInC(arm)
         loops["MuJoCo, drag in C"] = loop
         calls["MuJoCo, drag in C"] = lambda: compiled.evaluations(**numbers, loop=loop)
-    except CannotCompile:
+    except CompilerError:
         pass  # Said where the run is measured.
     return {
         name: {key: value / loops[name] for key, value in each.items()}

@@ -10,7 +10,7 @@ import giajax.parameters
 from giajax.arm import Arm
 from giajax.simulation import simulate
 from peers.arms import driven_arm
-from peers.compiling import CannotCompile
+from peers.compiling import CompilerError
 from peers.mujoco_c import MujocoInC
 from peers.plain_arm import PARAMETERS
 from peers.scipy_chain import ScipyChain
@@ -57,7 +57,7 @@ class Problem:
     def _compiled(self, name: str, kind: Callable[..., Any]) -> Any:
         try:
             return kind(self.arm, self.command)
-        except CannotCompile as error:
+        except CompilerError as error:
             self.absent[name] = str(error)
             return None
 

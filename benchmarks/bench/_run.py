@@ -14,9 +14,9 @@ from benchmarks.measuring import in_turns
 SLOW = 20
 
 
-def run_and_gradient(problem: Problem, repeats: int) -> dict[str, Any]:
+def run_and_gradient(problem: Problem, repeats: int, quick: bool) -> dict[str, Any]:
     """Settings, errors and seconds of each contender, and what giajax's compilation took."""
-    everyone = contenders(problem)
+    everyone = contenders(problem, quick)
     compile_seconds = _compilation(everyone[MINE])
     chosen: dict[str, dict[str, Any]] = {}
     settings: dict[str, float] = {}
