@@ -33,17 +33,21 @@ def measure(quick: bool, console: Console) -> dict[str, Any]:
     problem = Problem(links, seconds)
     with console.status("compiling the peers ..."):
         generated, engine = problem.casadi, problem.mujoco
+    console.print("peers: compiled")
     with console.status("one evaluation ..."):
         sizes = (links,) if quick else (10, 20, 40, 80)
         evaluations = {
             count: evaluation(count, repeats, loop, generated if count == links else None)
             for count in sizes
         }
+    console.print("evaluations: done")
     with console.status("many evaluations ..."):
         layouts = LAYOUTS[:1] if quick else LAYOUTS
         many = batch(links, repeats, max(loop // 1000, 2), engine, layouts)
+    console.print("two cores: done")
     with console.status("the run and its derivatives ..."):
         both = run_and_gradient(problem, repeats, quick)
+    console.print("the run and its derivatives: done")
     with console.status("the whole fit ..."):
         whole = fits(small_run() if quick else base_step(), min(repeats, 3))
         alone = None if quick else processes()

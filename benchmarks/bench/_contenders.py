@@ -72,13 +72,14 @@ def contenders(problem: Problem, quick: bool) -> dict[str, Contender]:
 def _giajax(problem: Problem, solver: str) -> Contender:
     values = jnp.asarray(problem.values)
     inputs = (problem.arm, problem.command, jnp.asarray(problem.times))
-    return Contender(
-        lambda tolerance: giajax_tip(values, inputs, jnp.asarray(tolerance), solver),
-        TOLERANCES,
-        lambda tolerance: giajax_tip_and_jacobian(values, inputs, jnp.asarray(tolerance), solver)[
-            1
-        ],
-    )
+
+    def tip(tolerance: float) -> Any:
+        return giajax_tip(values, inputs, jnp.asarray(tolerance), solver)
+
+    def jacobian(tolerance: float) -> Any:
+        return giajax_tip_and_jacobian(values, inputs, jnp.asarray(tolerance), solver)[1]
+
+    return Contender(tip, TOLERANCES, jacobian)
 
 
 def _mujoco(problem: Problem) -> dict[str, Contender]:
@@ -98,9 +99,7 @@ def _mujoco(problem: Problem) -> dict[str, Contender]:
 
     def jacobian(step: float) -> np.ndarray:
         # Steps of one length are a smooth function: small differences to one side are enough.
-        columns = differences(lambda x: tip(step, x), problem.values, 1e-6, tip(step))
-        tip(step)
-        return columns
+        return differences(lambda x: tip(step, x), problem.values, 1e-6, tip(step))
 
     # Both take the same steps: what is too coarse for the one need not be tried with the other.
     fine = [step for step in STEPS if step <= problem.coarsest(tip, STEPS)[0]]

@@ -33,7 +33,7 @@ def evaluation(links: int, repeats: int, loop: int, generated: Any = None) -> di
     numbers = {name: np.asarray(value) for name, value in state.items()}
     numpy, engine = ScipyChain(arm), MujocoChain(arm)
     engine.data.qpos[:], engine.data.qvel[:] = numbers["angles"], numbers["rates"]
-    few = max(loop // 20, 10)
+    few = max(loop // 100, 10)
 
     def forward() -> None:
         with engine.forces():
