@@ -16,7 +16,7 @@ import numpy as np
 
 from giajax.arm import Arm
 from giajax.simulation import Signal
-from peers.compiling import SOURCES, address, compiled
+from peers.compiling import SOURCES, CompilerError, address, compiled
 from peers.mujoco_chain import mjcf
 from peers.plain_arm import PlainArm, command_on_steps
 
@@ -26,10 +26,11 @@ Array = np.ndarray
 @cache
 def _library() -> ctypes.CDLL:
     folder = Path(mujoco.__file__).parent
-    (mujoco_library,) = (
-        path for pattern in ("libmujoco.so*", "libmujoco*.dylib") for path in folder.glob(pattern)
-    )
-    library = compiled(SOURCES / "mujoco_run.c", f"-I{folder / 'include'}", str(mujoco_library))
+    names = ("libmujoco.so*", "libmujoco*.dylib")
+    engines = [str(path) for name in names for path in folder.glob(name)]
+    if len(engines) != 1:
+        raise CompilerError(f"no MuJoCo library to link with is in {folder}: install it again")
+    library = compiled(SOURCES / "mujoco_run.c", f"-I{folder / 'include'}", *engines)
     library.trajectory.restype = ctypes.c_long
     return library
 

@@ -8,8 +8,9 @@ from numpy.testing import assert_allclose
 from giajax.arm import acceleration
 from giajax.parameters import replace
 from giajax.simulation import joint_ramps
+from peers import compiling
 from peers.arms import driven_arm, full_arm, general_arm, random_states
-from peers.compiling import CompilerError
+from peers.compiling import SOURCES, CompilerError
 from peers.mujoco_chain import MujocoChain
 from peers.plain_arm import PARAMETERS, PlainArm
 from peers.scipy_chain import ScipyChain
@@ -148,3 +149,9 @@ def test_steps_that_are_too_long_are_said(short, generated):
 def test_an_arm_with_more_is_refused():
     with pytest.raises(ValueError, match="buoyancy, point masses, friction, armature, wind"):
         casadi_chain.CasadiChain(full_arm(2))
+
+
+def test_a_machine_without_a_compiler_is_told(monkeypatch):
+    monkeypatch.setattr(compiling.shutil, "which", lambda name: None)
+    with pytest.raises(CompilerError, match=r"^no C compiler is there: install one"):
+        compiling.compiled(SOURCES / "mujoco_run.c")
