@@ -16,8 +16,8 @@ from peers.plain_arm import PARAMETERS, command_on_steps
 
 Array = np.ndarray
 
-# Butcher's tableaux: a, b, c. Stability, not accuracy, limits the steps of a stiff arm: a pair of
-# fifth order (Dormand and Prince) took twice as long.
+# Butcher's tableaux: a, b, c. Stability, not accuracy, limits the steps of a stiff arm: so
+# a method of higher order, with more stages, is not offered.
 TABLEAUX = {
     "RK4": (
         [[0, 0, 0, 0], [0.5, 0, 0, 0], [0, 0.5, 0, 0], [0, 0, 1, 0]],

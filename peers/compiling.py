@@ -7,7 +7,8 @@ import tempfile
 from pathlib import Path
 
 SOURCES = Path(__file__).resolve().parent
-# More (-O3, -ffast-math) makes generated code no faster, and its compilation twice as long.
+# Times with -O1, -O2 and -ffast-math differed by less than the noise of a busy machine, which put
+# them in another order for each method; -O3 was not timed beside them.
 FLAGS = ("-O2", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC")
 
 

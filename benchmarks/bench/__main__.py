@@ -11,7 +11,7 @@ import jax
 from rich.console import Console
 
 import benchmarks.bench
-from benchmarks.bench._batch import ITEMS, LAYOUTS, batch
+from benchmarks.bench._batch import ITEMS, batch
 from benchmarks.bench._evaluation import evaluation
 from benchmarks.bench._fit import base_step, fits, small_run
 from benchmarks.bench._problem import ACCURACY, Problem
@@ -42,8 +42,7 @@ def measure(quick: bool, console: Console) -> dict[str, Any]:
         }
     console.print("evaluations: done")
     with console.status("many evaluations ..."):
-        layouts = LAYOUTS[:1] if quick else LAYOUTS
-        many = batch(links, repeats, max(loop // 1000, 2), engine, layouts)
+        many = batch(links, repeats, max(loop // 1000, 2), engine)
     console.print("two cores: done")
     with console.status("the run and its derivatives ..."):
         both = run_and_gradient(problem, repeats, quick)
