@@ -97,6 +97,17 @@ def test_the_benchmark_of_stiff_joints_runs(tmp_path):
 
 
 @pytest.mark.slow
+def test_the_benchmark_of_cores_runs(tmp_path):
+    out = tmp_path / "cores.json"
+    benchmark("cores", "--quick", "--out", out)
+    found = json.loads(out.read_text())
+    assert set(found) == {"runs", "starts", "batch"}
+    for name in ("runs", "starts"):
+        assert found[name]["standard errors apart"] <= 1e-6
+    assert found["batch"]["metres apart"] == 0
+
+
+@pytest.mark.slow
 def test_the_benchmark_of_batches_runs(tmp_path):
     out = tmp_path / "new" / "batch.json"
     benchmark("batch", "--quick", "--out", out)

@@ -38,6 +38,9 @@ ROOMS = [
     (
         "parameters",
         "quantities",
+        "_shares",
+        "_threads",
+        "_cores",
         "_program",
         "_kept",
         "_kept_files",

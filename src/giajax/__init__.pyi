@@ -22,6 +22,7 @@ from . import (
     verdict as verdict,
 )
 from ._errors import InputError as InputError
+from ._shares import map_on_cores as map_on_cores
 from ._version import __version__ as __version__
 from .arm import (
     Air as Air,

@@ -20,7 +20,8 @@ from giajax.fitting._layout import Layout
 from giajax.fitting._linearise import linearise
 from giajax.fitting._loss import curvature_ratio
 from giajax.fitting._noise import Noise
-from giajax.fitting._problem import Problem, residual
+from giajax.fitting._problem import Problem
+from giajax.fitting._residual import residual
 from giajax.kinds import InitialSection
 from giajax.models import AbstractModel, ArmModel
 from giajax.parameters import parameter

@@ -226,6 +226,7 @@ def test_a_budget_ends_several_starts(monkeypatch, ended_at):
     from giajax.fitting import _budget
 
     clock, begun = [0.0], []
+    monkeypatch.setenv("GIAJAX_CORES", "1")
     monkeypatch.setattr(_budget.time, "monotonic", lambda: clock[0])
 
     def announce(number, start):
@@ -243,6 +244,7 @@ def test_a_budget_ends_several_starts(monkeypatch, ended_at):
 
 
 def test_starts_that_have_ended_are_not_run_again(tmp_path, monkeypatch):
+    monkeypatch.setenv("GIAJAX_CORES", "1")
     setup = set_up(Decay(), run(), start=START)
 
     def several(**options):
@@ -264,6 +266,28 @@ def test_starts_that_have_ended_are_not_run_again(tmp_path, monkeypatch):
         assert numbers(several(progress=told.append)) == plain
         assert told[0].number == next_one
         assert len(told) <= len(whole) - count
+
+
+def test_from_every_line_of_starts_side_by_side_to_the_same_end(tmp_path, monkeypatch):
+    """Their lines stand between each other's."""
+    setup = set_up(Decay(), run(), start=START)
+
+    def several(cores):
+        monkeypatch.setenv("GIAJAX_CORES", cores)
+        journal = read_journal(tmp_path) or Journal(tmp_path / JOURNAL, HEAD)
+        result = solve_from_starts(setup, starts=4, seed=1, journal=journal.of)
+        journal.close()
+        return numbers(result)
+
+    plain = several("2")
+    path = tmp_path / JOURNAL
+    whole = path.read_text().splitlines(keepends=True)
+    path.unlink()
+    assert several("1") == plain
+    fits = [json.loads(line).get("fit") for line in whole]
+    for count in range(fits.index(2) + 1, len(whole), 7):
+        path.write_text("".join(whole[:count]))
+        assert several("2") == plain
 
 
 def test_ctrl_c_while_the_result_is_made_keeps_the_fit(monkeypatch):

@@ -14,7 +14,7 @@ from giajax import InputError, Prior, fit, model_for
 from giajax.fitting._configuration import set_up
 from giajax.fitting._jacobian import BlockJacobian
 from giajax.fitting._linearise import linearise
-from giajax.fitting._problem import residual
+from giajax.fitting._residual import residual
 from giajax.fitting._transitions import begin
 from small_arm import START, TRUTH, small_run
 from toy_model import Decay, run

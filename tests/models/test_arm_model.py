@@ -15,7 +15,8 @@ from giajax.fitting._bijector import Bijector
 from giajax.fitting._group import build_groups
 from giajax.fitting._layout import Layout
 from giajax.fitting._noise import Noise
-from giajax.fitting._problem import Problem, residual
+from giajax.fitting._problem import Problem
+from giajax.fitting._residual import residual
 from giajax.models import ArmModel, arm_to_definition, build_model, model_for, parameter_values
 
 TIMES = np.linspace(0.0, 6.0, 61)

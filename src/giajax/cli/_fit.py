@@ -3,11 +3,13 @@
 This file is longer than 200 lines because every option of the command stands in it with its help.
 """
 
+import os
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from .._cores import CORES_VARIABLE
 from ._fit_run import finished, run_fit
 from ._fit_task import named_task
 from ._fit_values import bounds as limits, groups, priors, ties
@@ -25,7 +27,7 @@ Examples:
   giajax fit --data a.csv --data b.csv --hold-out b --strict
   giajax fit --data run.csv --hold-out last:0.3
   giajax fit definition.toml --force
-  giajax fit long.toml --budget 2h
+  giajax fit long.toml --budget 2h --cores 4
   giajax fit --resume giajax-out/long
   giajax fit --again giajax-out/run/result.json
   giajax fit --data other.csv --from giajax-out/run
@@ -184,6 +186,15 @@ def fit(
             metavar="RESULT", help="The fit of a result once more: same data, same numbers."
         ),
     ] = None,
+    cores: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            min=1,
+            envvar=CORES_VARIABLE,
+            help="Compute on so many cores (all of them).",
+        ),
+    ] = None,
     resume: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="Go on with the fit whose journal is in this folder."),
@@ -222,6 +233,8 @@ def fit(
     """
     from ..runs import parse_rename
 
+    if cores is not None:
+        os.environ[CORES_VARIABLE] = str(cores)
     if resume is not None and (status := finished(resume, as_json, quiet)) is not None:
         raise typer.Exit(status)
     task = named_task(definition, config, again, resume, bool(data)).on_top(

@@ -1,23 +1,20 @@
 """The least-squares problem: weighted differences between predicted and recorded channels."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from .._typing import Array, Float
 from ..models import AbstractModel
-from ..parameters import get, replace
+from ..parameters import replace
 from ..runs import Run
 from ._bijector import Bijector
 from ._group import Group
-from ._loss import transform
 from ._priors import Priors
-from ._ties import Tie, tied, within_bounds
-from ._whitening import Whitening
+from ._ties import Tie, tied
 
 
 class Problem(eqx.Module):
@@ -96,91 +93,6 @@ class Prediction(eqx.Module):
 
     channels: tuple[Any, ...]
     successful: Any
-
-
-def run_residual(
-    shared_and_own: Float[Array, " own"],
-    problem: Problem,
-    group: Group,
-    inputs: Any,
-    observed: Array,
-    weight: Array,
-) -> tuple[Float[Array, " residual"], tuple[Array, Array]]:
-    """Residual of one run, not whitened; beside it its prediction and whether that succeeded."""
-    count = len(problem.paths)
-    inputs = _with_own(inputs, group, shared_and_own[count:])
-    model = problem.at(shared_and_own).for_derivatives(problem.free_paths(group))
-    predicted, successful = model.predict(inputs, group.channels)
-    table = jnp.stack([predicted[name] for name in group.channels], axis=-1)
-    if problem.ties:
-        # A step that leads a tied parameter beyond its bounds is rejected.
-        successful = successful & within_bounds(model, problem.ties)
-        table = jnp.where(successful, table, jnp.nan)
-    # An unmeasured cell must not carry the NaN of a failed simulation times zero.
-    difference = jnp.where(weight > 0, (table - observed) * weight, 0)
-    return transform(problem.loss, difference.ravel()), (table, successful)
-
-
-def whitened(columns: Float[Array, "residual column"], whitening: Whitening | None) -> Array:
-    """Residuals of a run, or columns of their Jacobian, made independent of each other."""
-    return columns if whitening is None else whitening.apply(columns)
-
-
-def _with_own(inputs: Any, group: Group, values: Float[Array, " own"]) -> Any:
-    start = 0
-    for path, size in group.own:
-        shape = get(inputs, path).shape
-        inputs = replace(inputs, {path: values[start : start + size].reshape(shape)})
-        start += size
-    return inputs
-
-
-def residual(
-    coordinate: Float[Array, " parameter"], problem: Problem
-) -> tuple[Float[Array, " residual"], Prediction]:
-    """Transformed weighted residuals of all runs in one row, those of the priors last; predictions.
-
-    A module-level function: a fresh closure would be compiled again for every fit.
-    """
-
-    def one(
-        values: Array, group: Group, inputs: Any, observed: Array, weight: Array, whitening: Any
-    ) -> tuple[Array, ...]:
-        row, (table, successful) = run_residual(values, problem, group, inputs, observed, weight)
-        return whitened(row[:, None], whitening)[:, 0], table, successful
-
-    rows, tables, successes = zip(*over_runs(one, coordinate, problem), strict=True)
-    known, _ = problem.priors.rows(coordinate, problem.bijector)
-    row = jnp.concatenate([*(part.ravel() for part in rows), known])
-    successful = jnp.all(jnp.concatenate(successes))
-    return row, Prediction(tuple(tables), successful)
-
-
-def over_runs(
-    one: Callable[..., tuple[Array, ...]], coordinate: Array, problem: Problem
-) -> list[tuple[Array, ...]]:
-    """Results of `one` for each group, with a leading run axis."""
-    results = []
-    for group in problem.groups:
-        rows = (
-            coordinate[group.columns()],
-            group.inputs,
-            group.observed,
-            group.weight,
-            group.whitening,
-        )
-
-        def each(row: Any, group: Group = group) -> tuple[Array, ...]:
-            values, inputs, observed, weight, whitening = row
-            return one(values, group, inputs, observed, weight, whitening)
-
-        if len(group.members) == 1:
-            result = each(jax.tree.map(lambda leaf: leaf[0], rows))
-            results.append(tuple(leaf[None] for leaf in result))
-        else:
-            # One run after the other: each keeps its own steps; the program is compiled once.
-            results.append(jax.lax.map(each, rows))
-    return results
 
 
 def predictions_by_run(

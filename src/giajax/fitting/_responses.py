@@ -15,11 +15,12 @@ import numpy as np
 
 from .._errors import InputError
 from .._program import program
+from .._shares import Batch, on_all_cores
 from .._typing import Array
 from ..models import AbstractModel
 from ..parameters import get, replace
 from ..runs import Run
-from ._prepared import prepared_with, sharing_a_program
+from ._prepared import in_a_share, prepared_with, sharing_a_program
 from ._stack import stacked
 from ._ties import Tie, tied
 
@@ -96,10 +97,12 @@ def responses(
         free = model.free_inputs(like)
         inputs = stacked([prepared_with(model, runs[i], own[i] if own else {}) for i in members])
         sizes = tuple((path, get(inputs, path)[0].size) for path in free)
-        answer = _respond(
-            model, paths, steps, channels, sizes, inputs, *_varied(values, members), tuple(ties)
-        )
-        tables, blocks, successful = map(np.asarray, answer)
+        varied, rows = _varied(values, members)
+        shared = (model, paths, steps, channels, sizes, varied, tuple(ties))
+        lengths = np.asarray([len(runs[i].observations[channels[0]]) for i in members])
+        batch = Batch(_respond, (inputs, rows), shared, lengths, in_a_share(len(members)))
+        (answer,) = on_all_cores([batch])
+        tables, blocks, successful = answer
         if not np.all(successful):
             first = jax.tree.map(lambda leaf: leaf[0], inputs)
             raise InputError(f"the fitted model cannot be evaluated: {model.failure(first)}")
@@ -131,17 +134,17 @@ def _name(direction: Direction) -> tuple[str, tuple[float, ...]]:
 
 @program
 def _respond(
+    prepared_runs: tuple[Any, Array],
     model: AbstractModel,
     paths: tuple[str, ...],
     steps: tuple[Array, ...],
     channels: tuple[str, ...],
     own: tuple[tuple[str, int], ...],
-    inputs: Any,
     varied: tuple[str, ...],
-    rows: Array,
     ties: tuple[Tie, ...],
 ) -> tuple[Array, Array, Array]:
     """Tables (run, sample, channel), their derivatives (run, amount, sample, channel), success."""
+    inputs, rows = prepared_runs
     count = len(paths) + sum(size for _, size in own) if paths else 0
     differentiated = (*dict.fromkeys(paths), *(path for path, _ in own))
     ready = model.for_derivatives(differentiated) if count else model

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ._records import Iteration
-from ._solver import MarquardtState
+from ._solver_state import MarquardtState
 from ._state import FitState
 from ._transitions import at_tolerance, move, reweight, step, tolerance_of
 

@@ -18,40 +18,9 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 
-from .._typing import Array, Bool, Float, Scalar
+from .._typing import Array, Bool, Scalar
 from ._box import boxed_step, towards
-
-
-class MarquardtState(eqx.Module):
-    """State between two steps.
-
-    Attributes:
-        residual: at the accepted point.
-        jacobian: there; whatever `linearise` gives.
-        factor, projected: R and Q^T r of the Jacobian's QR factorisation.
-        cost: half the squared norm of the residual; infinite before the first evaluation.
-        scale: largest norm of each column so far, which scales the damping.
-        damping: Marquardt's lambda; `growth` is what the next rejection multiplies it by.
-        step: last accepted or rejected step.
-        accepted: whether the last step was accepted.
-        sound: whether everything was finite where it led to.
-        aux: auxiliary output at the accepted point.
-        evaluations: how often value and Jacobian were computed.
-    """
-
-    residual: Float[Array, " residual"]
-    jacobian: Any
-    factor: Float[Array, "parameter parameter"]
-    projected: Float[Array, " parameter"]
-    cost: Scalar
-    scale: Float[Array, " parameter"]
-    damping: Scalar
-    growth: Scalar
-    step: Float[Array, " parameter"]
-    accepted: Bool[Array, ""]
-    sound: Bool[Array, ""]
-    aux: Any
-    evaluations: Array
+from ._solver_state import Linearised, MarquardtState, shown_noise
 
 
 class Marquardt(optx.AbstractLeastSquaresSolver):
@@ -129,19 +98,47 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         tags: frozenset[object],
     ) -> tuple[Array, MarquardtState, Any]:
         """Try one step; the first one evaluates the start."""
-        first = jnp.isinf(state.cost)
+        trial = self.propose(y, options, state)
+        if "linearise" in options:
+            there = options["linearise"](trial, args)
+        else:
+            there = _linearise(fn, trial, args)
+        y, state = self.judge(y, options, state, trial, there)
+        return y, state, state.aux
+
+    def propose(self, y: Array, options: dict[str, Any], state: MarquardtState) -> Array:
+        """The point to evaluate next; before the first evaluation, the one where it is.
+
+        Arguments:
+            y, options, state: as `step` has them.
+        """
         active = options.get("active", jnp.ones(y.shape, bool))
         lower, upper = _bounds(y, options)
         weights = jnp.sqrt(state.damping) * jnp.where(state.scale > 0, state.scale, 1)
         box = towards(lower - y, -self.largest_step), towards(upper - y, self.largest_step)
         step = boxed_step(state.factor, state.projected, weights, box, active)
-        step = jnp.where(first, 0, step)
         # Exactly on the bound, not beside it by rounding.
-        trial = jnp.clip(y + step, lower, upper)
-        if "linearise" in options:
-            residual, jacobian, factor, projected, aux = options["linearise"](trial, args)
-        else:
-            residual, jacobian, factor, projected, aux = _linearise(fn, trial, args)
+        return jnp.where(jnp.isinf(state.cost), y, jnp.clip(y + step, lower, upper))
+
+    def judge(
+        self,
+        y: Array,
+        options: dict[str, Any],
+        state: MarquardtState,
+        trial: Array,
+        there: Linearised,
+    ) -> tuple[Array, MarquardtState]:
+        """Go to a point that was evaluated, or stay.
+
+        Arguments:
+            y, options, state: as `step` has them.
+            trial: what was proposed.
+            there: what `linearise` gives there.
+        """
+        first = jnp.isinf(state.cost)
+        active = options.get("active", jnp.ones(y.shape, bool))
+        residual, jacobian, factor, projected, aux = there
+        step = trial - y
         factor = jnp.where(active[None], factor, 0)
         cost = jnp.sum(residual**2) / 2
         finite = [jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(jacobian)]
@@ -186,7 +183,7 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
             ),
         )
         state = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), moved, stayed)
-        return jnp.where(accepted, trial, y), state, state.aux
+        return jnp.where(accepted, trial, y), state
 
     def terminate(
         self,
@@ -253,19 +250,13 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         return y, aux, {"cost": state.cost, "evaluations": state.evaluations}
 
 
-def shown_noise(state: MarquardtState) -> Any:
-    """The root of the reduced chi-square: the noise that the residual itself shows."""
-    size = state.residual.shape[0] - state.projected.shape[0]
-    return (2 * state.cost / max(size, 1)) ** 0.5
-
-
 def _bounds(y: Array, options: dict[str, Any]) -> tuple[Array, Array]:
     """Bounds of the parameters, infinite where the options have none."""
     unbounded = np.full(y.shape, np.inf, y.dtype)
     return options.get("lower", -unbounded), options.get("upper", unbounded)
 
 
-def _linearise(fn: Callable, y: Array, args: Any) -> tuple[Array, Array, Array, Array, Any]:
+def _linearise(fn: Callable, y: Array, args: Any) -> Linearised:
     """Residual and Jacobian from one vmapped jvp, which shares the primal; R, Q^T r; aux."""
 
     def push(tangent: Array) -> tuple[Array, Array, Any]:

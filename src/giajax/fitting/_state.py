@@ -12,7 +12,8 @@ from ._noise import Noise
 from ._problem import Problem
 from ._reason import Reason
 from ._records import Iteration, Status
-from ._solver import Marquardt, MarquardtState, shown_noise
+from ._solver import Marquardt
+from ._solver_state import MarquardtState, shown_noise
 
 # How often the noise is estimated anew, unless it settles before.
 _NOISE_ROUNDS = 3

@@ -7,28 +7,25 @@ Longer than 200 lines because whatever changes a state is read together.
 """
 
 import dataclasses
-import functools
 import time
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 
 from .._maths import on_device
-from .._program import program
-from .._typing import Array, Float
+from .._typing import Float
 from ._bijector import Bijector
 from ._configuration import Setup
+from ._evaluation import blank, residuals, stepped
 from ._group import build_groups, own_begun
 from ._labels import coordinate_paths
-from ._linearise import linearise
 from ._noise import Noise
 from ._priors import Priors
-from ._problem import Prediction, Problem, residual
-from ._solver import Marquardt, MarquardtState
+from ._problem import Problem
+from ._solver import Marquardt
+from ._solver_state import MarquardtState
 from ._state import FitState
 
 # In the free coordinate: a positive parameter changes by less than a factor of 4.5 in one step.
@@ -94,7 +91,7 @@ def begin(setup: Setup) -> FitState:
         sizes=sizes,
         solver=solver,
         coordinate=coordinate,
-        inner=_blank(solver, problem, coordinate),
+        inner=blank(solver, problem, coordinate),
         active=on_device(np.ones(problem.size, bool)),
     )
 
@@ -102,7 +99,7 @@ def begin(setup: Setup) -> FitState:
 def step(state: FitState) -> FitState:
     """One trial step; at a point that was not evaluated yet, its evaluation."""
     began = time.perf_counter()
-    coordinate, inner, done, converged = _step(
+    coordinate, inner, done, converged = stepped(
         state.solver, state.coordinate, state.problem, state.inner, state.active
     )
     # Waits for the result, so that the time below is that of the step.
@@ -127,7 +124,7 @@ def trial(state: FitState) -> FitState:
 def move(state: FitState, coordinate: Any) -> FitState:
     """Go on from another point, which is not evaluated yet."""
     coordinate = on_device(coordinate, state.coordinate.dtype)
-    inner = _blank(state.solver, state.problem, coordinate)
+    inner = blank(state.solver, state.problem, coordinate)
     return dataclasses.replace(state, coordinate=coordinate, inner=inner, finer=None)
 
 
@@ -139,8 +136,8 @@ def reweight(state: FitState, noise: Noise) -> FitState:
     problem = dataclasses.replace(state.problem, groups=groups, loss=loss)
     moved = move(dataclasses.replace(state, problem=problem, noise=noise), state.coordinate)
     # The valley is nearly the same one: a fit that knew it keeps its long steps.
-    before, blank = state.inner.damping, moved.inner.damping
-    damping = on_device(np.minimum(np.asarray(before), np.asarray(blank)))
+    before, anew = state.inner.damping, moved.inner.damping
+    damping = on_device(np.minimum(np.asarray(before), np.asarray(anew)))
     return dataclasses.replace(
         moved, inner=eqx.tree_at(lambda inner: inner.damping, moved.inner, damping)
     )
@@ -168,26 +165,29 @@ def tolerance_of(state: FitState) -> float | None:
     return None if integration is None else integration.tolerance
 
 
-def evaluate(state: FitState, coordinate: Any, problem: Problem | None = None) -> MarquardtState:
+def evaluate(
+    state: FitState, coordinate: Any, problem: Problem | None = None, *, sample: bool = False
+) -> MarquardtState:
     """Residual and Jacobian at a point, by the same compiled program as a step.
 
     Arguments:
         state: gives problem, solver and the parameters that may move.
         coordinate: the point, shape (parameter,).
         problem: in place of that of the state.
+        sample: of many runs evaluate a few, and have zeros for the others.
 
     Returns:
         The solver's state there.
     """
     coordinate = on_device(coordinate, state.coordinate.dtype)
     problem = state.problem if problem is None else problem
-    fresh = _blank(state.solver, problem, coordinate)
-    _, inner, _, _ = _step(state.solver, coordinate, problem, fresh, state.active)
+    fresh = blank(state.solver, problem, coordinate)
+    _, inner, _, _ = stepped(state.solver, coordinate, problem, fresh, state.active, sample=sample)
     return inner
 
 
 def residuals_at(
-    state: FitState, coordinate: Any, problem: Problem | None = None
+    state: FitState, coordinate: Any, problem: Problem | None = None, *, sample: bool = False
 ) -> Float[np.ndarray, " residual"]:
     """Residuals at a point within the bounds, without derivatives where those take long.
 
@@ -195,63 +195,14 @@ def residuals_at(
         state: gives the problem, and how long a step takes.
         coordinate: the point, shape (parameter,).
         problem: in place of that of the state.
+        sample: as of `evaluate`.
 
     Returns:
         As `evaluate(...).residual`; NaN where the model cannot be evaluated.
     """
     if min(state.step_seconds[1:], default=0.0) < _LONG_STEP:
-        inner = evaluate(state, coordinate, problem)
+        inner = evaluate(state, coordinate, problem, sample=sample)
         row = np.asarray(inner.residual)
         return row if np.isfinite(inner.cost) else np.full(row.shape, np.nan)
     coordinate = on_device(coordinate, state.coordinate.dtype)
-    return np.asarray(_residuals(coordinate, state.problem if problem is None else problem))
-
-
-def _blank(solver: Marquardt, problem: Problem, coordinate: Array) -> MarquardtState:
-    """The solver's state before its first evaluation."""
-    groups, dtype = problem.groups, coordinate.dtype
-    count = sum(group.observed.size for group in groups) + len(problem.priors)
-    prediction = Prediction(
-        tuple(jax.ShapeDtypeStruct(group.observed.shape, dtype) for group in groups),
-        jax.ShapeDtypeStruct((), bool),
-    )
-    shape = jax.ShapeDtypeStruct((count,), dtype)
-    # By numpy, as in the solver: each operation of JAX here would be a program of its own.
-    blocks = tuple(
-        np.zeros((len(g.members), g.observed.size // len(g.members), g.columns().shape[1]), dtype)
-        for g in groups
-    )
-    options = {"jacobian": (*blocks, np.zeros(len(problem.priors), dtype))}
-    return solver.init(residual, coordinate, problem, options, shape, prediction, frozenset())
-
-
-def _stepped(
-    solver: Marquardt, coordinate: Array, problem: Problem, state: MarquardtState, active: Array
-) -> tuple[Array, MarquardtState, Any, Any]:
-    """As `_step` returns it."""
-    truth = jax.ShapeDtypeStruct((), bool)
-    return coordinate, state, truth, truth
-
-
-# At module level: a fresh closure would be compiled again for every fit.
-@functools.partial(program, like=_stepped)
-def _step(
-    solver: Marquardt, coordinate: Array, problem: Problem, state: MarquardtState, active: Array
-) -> tuple[Array, MarquardtState, Array, Array]:
-    lower, upper = problem.bijector.ends()
-    options = {"active": active, "linearise": linearise, "lower": lower, "upper": upper}
-    coordinate, state, _ = solver.step(residual, coordinate, problem, options, state, frozenset())
-    done, result = solver.terminate(residual, coordinate, problem, options, state, frozenset())
-    return coordinate, state, done, done & (result == optx.RESULTS.successful)
-
-
-def _row(coordinate: Array, problem: Problem) -> Any:
-    """As `_residuals` returns it."""
-    count = sum(group.observed.size for group in problem.groups) + len(problem.priors)
-    return jax.ShapeDtypeStruct((count,), coordinate.dtype)
-
-
-@functools.partial(program, like=_row)
-def _residuals(coordinate: Array, problem: Problem) -> Array:
-    row, prediction = residual(coordinate, problem)
-    return jnp.where(prediction.successful, row, jnp.nan)
+    return residuals(coordinate, state.problem if problem is None else problem, sample=sample)

@@ -4,12 +4,15 @@ The file is longer than 200 lines because it has each argument of a fit twice, w
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
+from .._cores import cores
 from .._errors import InputError
+from .._threads import Tell, directly, side_by_side
 from ..fitting import (
     MAX_ITERATIONS,
     Budget,
@@ -32,6 +35,8 @@ from ._starts import inside_bounds, start_values
 SAME_END = 1e-3
 
 STARTS, SPREAD, SEED = 8, 0.3, 0
+
+_End = tuple[Start, FitResult | None]
 
 
 def multi_start(
@@ -145,21 +150,20 @@ def solve_from_starts(
     """
     setup = setup.at_start()
     random = np.random.default_rng(seed)
-    results: list[FitResult] = []
-    ends: list[Start] = []
-    in_time = True
-    for number in range(1, starts + 1):
-        values = start_values(setup, spread, random if number > 1 else None)
-        in_time = number == 1 or budget is None or budget.left() > 0
-        if not in_time:
-            break
+    values = [start_values(setup, spread, random if n > 1 else None) for n in range(1, starts + 1)]
+
+    def one(number: int, before: Sequence[FitResult], tell: Tell) -> _End | None:
+        """How a start ends; None where there is no time left for it."""
+        start = values[number - 1]
+        if number > 1 and budget is not None and not budget.left() > 0:
+            return None
         try:
             if announce is not None:
-                announce(number, values)
+                tell(announce, number, start)
             result = solve(
-                _as_fine(setup.started_at(values), results),
+                _as_fine(setup.started_at(start), before),
                 max_iterations=max_iterations,
-                progress=progress,
+                progress=functools.partial(tell, _nothing if progress is None else progress),
                 check=False,
                 budget=budget,
                 journal=None if journal is None else journal(number),
@@ -167,25 +171,27 @@ def solve_from_starts(
         except InputError as error:
             if number == 1:
                 raise
-            ends.append(Start(values, "failed", message=str(error)))
-            continue
+            return Start(start, "failed", message=str(error)), None
         except KeyboardInterrupt:
-            # Nothing of this start was evaluated; the ends of the others are worth keeping.
-            if not results:
-                raise
-            ends.append(Start(values, "interrupted"))
-            break
-        ends.append(Start(values, result.status, misfit(result), _end(result)))
-        results.append(result)
-        in_time = budget is None or budget.ended_it not in result.message
-        if result.status == "interrupted" or not in_time:
-            break
+            # Nothing of this start was evaluated.
+            return Start(start, "interrupted"), None
+        return Start(start, result.status, misfit(result), _end(result)), result
+
+    ended = _one_by_one_then_side_by_side(one, starts)
+    ends = [start for start, _ in ended]
+    results = [result for _, result in ended if result is not None]
+    if not results:
+        raise KeyboardInterrupt
+    in_time = budget is None or not (
+        any(budget.ended_it in result.message for result in results)
+        or (len(ends) < starts and all(end.status != "interrupted" for end in ends))
+    )
     best = min(results, key=misfit)
     seconds = Seconds(
         compile=sum(result.seconds.compile for result in results),
         run=sum(result.seconds.run for result in results),
     )
-    stopped = ends[-1].status == "interrupted"
+    stopped = any(end.status == "interrupted" for end in ends)
     if stopped and best.status == "converged":
         best = _interrupted(best, f"at start {len(ends)} of {starts}")
     if budget is not None and not in_time and budget.ended_it not in best.message:
@@ -196,6 +202,41 @@ def solve_from_starts(
         best = _checked(setup, best, max_iterations, progress, budget, last)
     config = {**best.config, "starts": starts, "spread": spread, "seed": seed}
     return dataclasses.replace(best, starts=tuple(ends), config=config, seconds=seconds)
+
+
+def _one_by_one_then_side_by_side(
+    one: Callable[[int, Sequence[FitResult], Tell], _End | None], starts: int
+) -> list[_End]:
+    """How the starts end that are begun, in their order.
+
+    Those up to the first that converges come one by one: it compiles the programs of the others and
+    chooses their tolerance. On one core or on several, each start then has the same numbers.
+    """
+    ended: list[_End] = []
+    while len(ended) < starts:
+        end = one(len(ended) + 1, (), directly)
+        if end is None:
+            return ended
+        ended.append(end)
+        if end[0].status == "converged":
+            break
+        if _stops(end):
+            return ended
+    before = [result for _, result in ended if result is not None]
+    jobs = [functools.partial(one, n, before) for n in range(len(ended) + 1, starts + 1)]
+    if not jobs:
+        return ended
+    others = side_by_side(jobs, min(cores(), len(jobs)), until=_stops)
+    return ended + [end for end in others if end is not None]
+
+
+def _stops(end: _End | None) -> bool:
+    """Whether no other start is to be tried after this one."""
+    return end is None or end[0].status == "interrupted"
+
+
+def _nothing(_: Iteration) -> None:
+    """Of an iteration that nobody asks for."""
 
 
 def _checked(

@@ -9,6 +9,7 @@ The file is longer than 200 lines because who reads a journal must know how it i
 import contextlib
 import json
 import os
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -54,6 +55,8 @@ class Journal:
         self._waiting = b"" if size else _encoded({"giajax_journal": _FORMAT, **head})
         self._descriptor: int | None = None
         self._complained: set[str] = set()
+        # Fits from several starts run at once.
+        self._lock = threading.Lock()
 
     @property
     def is_begun(self) -> bool:
@@ -82,15 +85,17 @@ class Journal:
     def append(self, line: Line) -> None:
         """Write a line, and have it on the disk before this returns."""
         # What a fit has reached is in its state; here only how each of them ended counts.
-        self._lines.append({key: line[key] for key in ("fit", "ending", "written") if key in line})
-        self._waiting += _encoded(line)
-        try:
-            self._write()
-        except OSError as error:
-            self.warn(
-                f"{self.path} cannot be written ({error.strerror}): the fit goes on, and cannot "
-                "be resumed unless that is mended"
-            )
+        kept = {key: line[key] for key in ("fit", "ending", "written") if key in line}
+        with self._lock:
+            self._lines.append(kept)
+            self._waiting += _encoded(line)
+            try:
+                self._write()
+            except OSError as error:
+                self.warn(
+                    f"{self.path} cannot be written ({error.strerror}): the fit goes on, and "
+                    "cannot be resumed unless that is mended"
+                )
 
     def settle(self, result: "FitResult") -> None:
         """Put it away, whose result is written: removed, if nothing is left to go on with."""

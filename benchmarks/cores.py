@@ -1,0 +1,128 @@
+"""What the other cores of a machine are worth: runs of a fit, starts and batches.
+
+22 recordings of one arm with other noise are fitted together, one of them is fitted from 8 starts,
+and a batch of arms that differ in drag, stiffness and damping is simulated: on one core and on two,
+in turns. Two cores are to take at most 1 / 1.6 of the time for the runs, and the numbers
+are to be the same to 1e-6 standard errors.
+
+    python -m benchmarks.cores [--quick] [--out FILE]
+"""
+
+import os
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import giajax.parameters
+from benchmarks.measuring import RESULTS, command_line, store
+from giajax import FitResult, Run, fit, map_on_cores, model_for, multi_start, predict, read_run
+from giajax.arm import Arm
+from giajax.simulation import Signal, simulate
+from peers.arms import driven_arm
+
+RUN = Path(__file__).resolve().parents[1] / "data" / "synthetic" / "base_step.csv"
+START = {"air.drag_coefficient": 0.6, "joints.pitch_stiffness": 1.2, "joints.damping": 0.2}
+PARAMETERS = ("air.drag_coefficient", "joints.pitch_stiffness", "joints.damping")
+LEAST, SAME = 1.6, 1e-6
+
+
+def recordings(count: int) -> list[Run]:
+    """Recordings of the base step, which differ in their noise."""
+    first = read_run(RUN)
+    motion = predict(model_for([first]), first)
+    random = np.random.default_rng(0)
+    return [
+        Run.from_arrays(
+            first.times,
+            {name: first.values[name] for name in first.commands}
+            | {
+                name: motion[name] + 0.02 * random.normal(size=len(motion[name]))
+                for name in first.observations
+            },
+            name=f"run{number}",
+            definition=first.definition,
+        )
+        for number in range(count)
+    ]
+
+
+def tip(values: Any, arm: Arm, command: Signal, times: Any) -> Any:
+    """Path of the tip of an arm with other values of `PARAMETERS`."""
+    changed = giajax.parameters.replace(arm, dict(zip(PARAMETERS, values, strict=True)))
+    options: dict[str, Any] = {"solver": "springs5", "rtol": 1e-5, "atol": 1e-5, "throw": False}
+    return simulate(changed, command, times, **options).tip
+
+
+def on_cores(count: int, call: Callable[[], Any]) -> tuple[float, Any]:
+    """Seconds that a call takes on so many cores, and what it returns."""
+    os.environ["GIAJAX_CORES"] = str(count)
+    began = time.perf_counter()
+    result = call()
+    return time.perf_counter() - began, result
+
+
+def compared(call: Callable[[], Any], repeats: int) -> tuple[dict[str, float], list[Any]]:
+    """Least seconds on one core and on two, their ratio, and the results of both."""
+    results = [on_cores(count, call)[1] for count in (1, 2)]
+    times = [[on_cores(count, call)[0] for count in (1, 2)] for _ in range(repeats)]
+    one, two = np.min(times, axis=0)
+    return {"one core, s": one, "two cores, s": two, "ratio": one / two}, results
+
+
+def farthest(one: FitResult, two: FitResult) -> float:
+    """How far two results are apart, in standard errors."""
+    return max(
+        abs(estimate.value - two.free[path].value) / (estimate.standard_error or np.nan)
+        for path, estimate in one.free.items()
+    )
+
+
+def measure(quick: bool) -> dict[str, Any]:
+    """Figures by what was computed."""
+    runs = recordings(3 if quick else 22)
+    model, repeats = model_for(runs), 1 if quick else 3
+    steps = 1 if quick else 50
+
+    def fitted() -> FitResult:
+        return fit(model, runs, start=START, max_iterations=steps)
+
+    def from_starts() -> FitResult:
+        starts = 2 if quick else 8
+        return multi_start(model, runs[0], start=START, starts=starts, max_iterations=steps)
+
+    links, seconds = (3, 1.0) if quick else (20, 25.0)
+    arm, command = driven_arm(links)
+    times = jnp.linspace(0.0, seconds, round(seconds * 10) + 1)
+    random = np.random.default_rng(0)
+    values = np.array([1.2, 3.0, 0.05]) * random.uniform(0.7, 1.3, (8 if quick else 256, 3))
+    found: dict[str, Any] = {}
+    for name, call in (("runs", fitted), ("starts", from_starts)):
+        found[name], (one, two) = compared(call, repeats)
+        found[name]["standard errors apart"] = farthest(one, two)
+    found["batch"], (one, two) = compared(
+        lambda: map_on_cores(tip, values, arm, command, times), repeats
+    )
+    found["batch"]["metres apart"] = float(np.abs(one - two).max())
+    return found
+
+
+def main() -> int:
+    """Measure, print, store, and say by the exit status whether the limits are held."""
+    jax.config.update("jax_enable_x64", True)
+    options = command_line(__doc__, RESULTS / "cores.json")
+    found = measure(options.quick)
+    store(found, options.out)
+    for name, figures in found.items():
+        print(f"{name:8}", "  ".join(f"{key} {value:.3g}" for key, value in figures.items()))
+    apart = max(found[name]["standard errors apart"] for name in ("runs", "starts"))
+    return int(not apart <= SAME or (not options.quick and found["runs"]["ratio"] < LEAST))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,71 @@
+"""How many cores a process computes on, and what its threads have to know.
+
+Without JAX until it is asked: the command line has the variable's name in its help.
+"""
+
+import contextvars
+import os
+from collections.abc import Callable
+from typing import Any, ParamSpec, TypeVar
+
+from ._errors import InputError
+
+Parameters = ParamSpec("Parameters")
+Result = TypeVar("Result")
+
+CORES_VARIABLE = "GIAJAX_CORES"
+"""Environment variable: on how many cores to compute at most."""
+
+# Of a thread that computes beside others: its part of the cores.
+_part: contextvars.ContextVar[int | None] = contextvars.ContextVar("giajax_cores", default=None)
+
+
+def cores() -> int:
+    """On how many cores to compute: those that this process may use, or fewer if so told.
+
+    Raises:
+        InputError: the environment variable is no positive number.
+    """
+    import jax
+
+    if jax.default_backend() != "cpu":
+        return 1
+    if (part := _part.get()) is not None:
+        return part
+    told = os.environ.get(CORES_VARIABLE)
+    if not told:
+        # Not every system lets a process ask.
+        allowed = getattr(os, "sched_getaffinity", None)
+        return len(allowed(0)) if allowed else os.cpu_count() or 1
+    if not told.isdecimal() or int(told) == 0:
+        raise InputError(f"{CORES_VARIABLE} is {told!r}: give the number of cores, or leave it out")
+    return int(told)
+
+
+def carried(function: Callable[Parameters, Result], among: int) -> Callable[Parameters, Result]:
+    """A function for other threads, with the settings of JAX that the present one has.
+
+    Arguments:
+        function: any.
+        among: how many threads the cores are shared by.
+    """
+    import jax
+
+    part = max(1, cores() // among)
+    # What a `with` of JAX sets counts in its own thread only.
+    wide = bool(jax.config.read("jax_enable_x64"))
+
+    def call(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Result:
+        _part.set(part)
+        with enable_x64(wide):
+            return function(*args, **kwargs)
+
+    return call
+
+
+def enable_x64(wide: bool) -> Any:
+    """JAX's context of 64-bit numbers, in the present thread; it was in another place once."""
+    import jax
+
+    home: Any = jax if hasattr(jax, "enable_x64") else __import__("jax.experimental").experimental
+    return home.enable_x64(wide)

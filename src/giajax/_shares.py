@@ -1,0 +1,167 @@
+"""Many items by compiled programs on all cores of a machine.
+
+Each core takes one share of the items after the other, in a thread of its own: XLA lets go of
+Python's lock while it computes. All shares of a batch are equally long, so that one program does
+for them; what the last one lacks is filled up with an item that it has, and left out again.
+"""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import jax
+import numpy as np
+
+from ._cores import carried, cores
+from ._program import program
+from ._typing import Float
+
+# Keys of the shares whose programs are compiled.
+_compiled: set[int] = set()
+
+
+@dataclasses.dataclass(frozen=True)
+class Batch:
+    """Items that share a program.
+
+    Attributes:
+        call: a compiled program of some of the items and of `shared`; the leaves of its result have
+            a leading axis of these items.
+        items: a pytree of arrays with a leading axis of all of them.
+        shared: further arguments.
+        sizes: how much work each item is, in any unit, shape (item,).
+        length: items in a share.
+    """
+
+    call: Callable[..., Any]
+    items: Any
+    shared: tuple[Any, ...]
+    sizes: Float[np.ndarray, " item"]
+    length: int
+
+
+def on_all_cores(batches: Sequence[Batch], most: int | None = None) -> list[Any]:
+    """What programs make of batches of items.
+
+    Arguments:
+        batches: each with a program of its own.
+        most: cores to use at most; by default `cores()`.
+
+    Returns:
+        Of each batch what `call` would return of all of its items, in NumPy's arrays.
+    """
+    most = most or cores()
+    shared_out = [_shares_of(batch) for batch in batches]
+    tasks = [share for each in shared_out for share in each]
+    # Two threads that need the same program for the first time would both compile it.
+    new = {share.key: share for share in tasks if share.key not in _compiled}
+    results = _run(list(new.values()), most)
+    _compiled.update(new)
+    results |= _run([share for share in tasks if id(share) not in results], most)
+    return [_whole(each, [results[id(share)] for share in each]) for each in shared_out]
+
+
+def map_on_cores(
+    function: Callable[..., Any], items: Any, *shared: Any, batch_size: int | None = None
+) -> Any:
+    """`jax.lax.map` on all cores of the machine.
+
+    Each core takes a share of the items, one after the other. It is for arms, commands or states
+    that differ in numbers only: there is one program for all of them.
+
+    Arguments:
+        function: of one item and `shared`; at the top of a module, because a function that is made
+            anew is compiled anew.
+        items: a pytree of arrays with a leading axis of the items.
+        shared: further arguments, the same for all items.
+        batch_size: so many items at once within a share, by `jax.vmap`.
+
+    Returns:
+        What the function returns, each leaf with a leading axis of the items, in NumPy's arrays.
+
+    Raises:
+        InputError: the environment variable GIAJAX_CORES is no number of cores.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> giajax.map_on_cores(jnp.square, jnp.arange(3))
+        array([0, 1, 4], dtype=int32)
+    """
+    count = np.shape(jax.tree.leaves(items)[0])[0]
+    # Some shares for each core: one that others keep busy takes fewer.
+    least, together = -(-count // (4 * cores())), batch_size or 1
+    length = max(1, -(-least // together) * together)
+    batch = Batch(_mapped, items, (function, batch_size, shared), np.ones(count), length)
+    return on_all_cores([batch])[0]
+
+
+@program
+def _mapped(
+    items: Any, function: Callable[..., Any], batch_size: int | None, shared: tuple[Any, ...]
+) -> Any:
+    return jax.lax.map(lambda item: function(item, *shared), items, batch_size=batch_size)
+
+
+def dealt(sizes: Float[np.ndarray, " item"], length: int) -> list[np.ndarray]:
+    """Positions of items in shares of equal length, those with the most work first.
+
+    Arguments:
+        sizes: how much work each item is, shape (item,).
+        length: of a share.
+
+    Returns:
+        The shares; an item may stand more than once in the last one, to make it as long as the
+        others.
+    """
+    order = np.argsort(-np.asarray(sizes), kind="stable")
+    whole = np.append(order, np.repeat(order[-1:], -len(order) % length))
+    return list(whole.reshape(-1, length))
+
+
+@dataclasses.dataclass(frozen=True)
+class _Share:
+    """Some items of a batch: which, themselves, how much work they are, and their program's key."""
+
+    batch: Batch
+    rows: np.ndarray
+    items: Any
+    size: float
+    key: int
+
+    def compute(self) -> Any:
+        return jax.tree.map(np.asarray, self.batch.call(self.items, *self.batch.shared))
+
+
+def _shares_of(batch: Batch) -> list[_Share]:
+    # A view, where the device is the CPU: to take a share is then NumPy's work, not JAX's.
+    items = jax.tree.map(np.asarray, batch.items)
+    shares = []
+    for rows in dealt(batch.sizes, batch.length):
+        own = jax.tree.map(lambda leaf, rows=rows: leaf[rows], items)
+        leaves, tree = jax.tree.flatten((own, batch.shared))
+        key = hash((id(batch.call), tree, tuple(map(_kind, leaves))))
+        shares.append(_Share(batch, rows, own, float(np.sum(batch.sizes[rows])), key))
+    return shares
+
+
+def _kind(leaf: Any) -> Any:
+    """What a program is compiled for: the form of an array, and the value of anything else."""
+    return (leaf.shape, str(leaf.dtype)) if hasattr(leaf, "dtype") else leaf
+
+
+def _whole(shares: Sequence[_Share], parts: Sequence[Any]) -> Any:
+    """Results of the items in their order, each once."""
+    place = np.unique(np.concatenate([share.rows for share in shares]), return_index=True)[1]
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[place], *parts)
+
+
+def _run(shares: Sequence[_Share], most: int) -> dict[int, Any]:
+    """Results by the identity of the share; the largest ones are begun first."""
+    ordered = sorted(shares, key=lambda share: -share.size)
+    if most == 1 or len(ordered) < 2:
+        return {id(share): share.compute() for share in ordered}
+    # Beginning threads takes a tenth of a millisecond; none is left when nothing is to be done.
+    with ThreadPoolExecutor(min(most, len(ordered)), "giajax") as pool:
+        results = list(pool.map(carried(_Share.compute, most), ordered))
+    return {id(share): result for share, result in zip(ordered, results, strict=True)}

@@ -1,0 +1,181 @@
+"""Work on all cores: as on one, in the same order, with the numbers that one core gives."""
+
+import os
+import threading
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from giajax import InputError, fit, map_on_cores
+from giajax._cores import cores, enable_x64
+from giajax._shares import Batch, dealt, on_all_cores
+from giajax._threads import side_by_side
+from giajax.fitting import set_up
+from giajax.fitting._evaluation import residuals
+from giajax.fitting._prepared import in_a_share
+from giajax.fitting._transitions import begin, evaluate
+from toy_model import Decay, run
+
+
+def test_shares_are_of_equal_length_and_the_most_work_comes_first():
+    sizes = np.asarray([1.0, 9.0, 2.0, 8.0, 3.0, 7.0, 4.0])
+    assert [each.tolist() for each in dealt(sizes, 3)] == [[1, 3, 5], [6, 4, 2], [0, 0, 0]]
+    assert [each.tolist() for each in dealt(sizes[:2], 1)] == [[1], [0]]
+    assert [each.tolist() for each in dealt(sizes[:2], 5)] == [[1, 0, 0, 0, 0]]
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 16, 22, 23, 24, 40, 101])
+def test_no_run_is_left_over_where_a_fit_deals_them_out(count):
+    length = in_a_share(count)
+    assert 1 <= length <= 4
+    assert count % length == 0
+    assert length == 1 or count // length >= 8
+
+
+@pytest.mark.parametrize("most", [1, 2, 3, 8])
+def test_items_come_back_in_their_order_and_once(most):
+    """Whatever share they were in, and however often they stood in it."""
+    seen = []
+
+    def call(items, factor):
+        seen.append((threading.current_thread().name, len(items["x"])))
+        return {"y": factor * items["x"], "z": items["x"][:, None] + np.zeros((1, 2))}
+
+    random = np.random.default_rng(most)
+    batches = [
+        Batch(call, {"x": np.arange(7.0)}, (2.0,), random.uniform(size=7), 2),
+        Batch(call, {"x": np.arange(3.0)}, (5.0,), random.uniform(size=3), 1),
+    ]
+    first, second = on_all_cores(batches, most)
+    np.testing.assert_array_equal(first["y"], 2 * np.arange(7.0))
+    np.testing.assert_array_equal(first["z"], np.stack([np.arange(7.0)] * 2, axis=1))
+    np.testing.assert_array_equal(second["y"], 5 * np.arange(3.0))
+    assert {length for _, length in seen} == {2, 1}
+    assert any(name != "MainThread" for name, _ in seen) == (most > 1)
+
+
+def test_threads_compute_with_the_precision_of_the_caller():
+    """A `with` of JAX counts in its own thread."""
+
+    @jax.jit
+    def call(items):
+        return items / 3
+
+    for wide in (True, False):
+        with enable_x64(wide):
+            (thirds,) = on_all_cores([Batch(call, jnp.ones(4), (), np.ones(4), 1)], 2)
+        assert thirds.dtype == (np.float64 if wide else np.float32)
+
+
+def test_the_number_of_cores_can_be_told(monkeypatch):
+    monkeypatch.delenv("GIAJAX_CORES", raising=False)
+    assert 1 <= cores() <= (os.cpu_count() or 1)
+    monkeypatch.setenv("GIAJAX_CORES", "3")
+    assert cores() == 3
+    for wrong in ("0", "many", "-1"):
+        monkeypatch.setenv("GIAJAX_CORES", wrong)
+        with pytest.raises(InputError, match="give the number of cores"):
+            cores()
+
+
+def test_what_jobs_tell_comes_in_their_order_and_in_one_thread():
+    """The second job ends before the first has told anything."""
+    told, done = [], threading.Event()
+
+    def slow(tell):
+        assert done.wait(10)
+        tell(lambda: told.append(("slow", threading.current_thread().name)))
+        return cores()
+
+    def quick(tell):
+        tell(lambda: told.append(("quick", threading.current_thread().name)))
+        done.set()
+        return cores()
+
+    results = side_by_side([slow, quick], 2, until=lambda result: False)
+    here = threading.current_thread().name
+    assert told == [("slow", here), ("quick", here)]
+    # Each has its part of the cores.
+    assert results == [max(1, cores() // 2)] * 2
+
+
+def test_an_interruption_stops_the_jobs_that_run_and_begins_no_other():
+    """It comes in what a job tells, or by Ctrl-C in the thread that waits."""
+    begun, together = [], threading.Barrier(2, timeout=10)
+
+    def job(index):
+        def run(tell):
+            begun.append(index)
+            together.wait()
+            try:
+                while True:
+                    tell(interrupt if index == 0 else lambda: None)
+            except KeyboardInterrupt:
+                return "stopped"
+
+        return run
+
+    def interrupt():
+        raise KeyboardInterrupt
+
+    results = side_by_side([job(0), job(1), job(2)], 2, until=lambda result: False)
+    assert sorted(begun) == [0, 1]
+    assert results == ["stopped", "stopped", None]
+
+
+def test_a_result_may_end_the_others_and_an_error_is_raised():
+    def fails(tell):
+        raise ValueError("of the job")
+
+    with pytest.raises(ValueError, match="of the job"):
+        side_by_side([fails, fails], 2, until=lambda result: False)
+    for most in (1, 2):
+        results = side_by_side([lambda tell: "end"] * 9, most, until=lambda result: True)
+        assert results[0] == "end"
+        assert results[-1] is None
+
+
+def scaled(item, factor):
+    return {"sum": factor * item.sum(), "item": item}
+
+
+@pytest.mark.parametrize("batch_size", [None, 2])
+def test_a_function_is_mapped_as_by_lax_map(batch_size):
+    items = np.random.default_rng(0).normal(size=(5, 3))
+    there = map_on_cores(scaled, items, 2.0, batch_size=batch_size)
+    np.testing.assert_allclose(there["sum"], 2 * items.sum(axis=1), rtol=1e-12)
+    np.testing.assert_array_equal(there["item"], items)
+
+
+def test_a_fit_of_several_runs_has_the_same_numbers_on_any_number_of_cores(monkeypatch):
+    """Of unequal length, and with residuals that are asked for alone."""
+    monkeypatch.setattr("giajax.fitting._transitions._LONG_STEP", 0.0)
+    runs = [run(seed=seed, samples=count) for seed, count in enumerate((20, 31, 24))]
+    ends = []
+    for count in ("1", "2", "3"):
+        monkeypatch.setenv("GIAJAX_CORES", count)
+        result = fit(Decay(), runs, start={"amplitude": 1.0, "decay": 1.5})
+        assert result.status == "converged"
+        ends.append({path: (e.value, e.standard_error) for path, e in result.free.items()})
+    for other in ends[1:]:
+        for path, (value, error) in ends[0].items():
+            assert other[path][0] == pytest.approx(value, abs=1e-6 * error)
+            assert other[path][1] == pytest.approx(error, rel=1e-6)
+
+
+def test_a_sample_of_runs_has_their_rows_and_zeros_for_the_others():
+    runs = [run(seed=seed, samples=20) for seed in range(24)]
+    state = begin(set_up(Decay(), runs, start={"decay": 1.5}))
+    whole = evaluate(state, state.coordinate)
+    part = evaluate(state, state.coordinate, sample=True)
+    rows, some = (np.asarray(each.residual).reshape(24, 20) for each in (whole, part))
+    evaluated = np.any(some != 0, axis=1)
+    assert np.count_nonzero(evaluated) == 3
+    np.testing.assert_array_equal(some[evaluated], rows[evaluated])
+    (block,), (piece,) = whole.jacobian[:-1], part.jacobian[:-1]
+    np.testing.assert_array_equal(np.asarray(piece)[evaluated], np.asarray(block)[evaluated])
+    assert not np.any(np.asarray(piece)[~evaluated])
+    alone = residuals(state.coordinate, state.problem, sample=True)
+    np.testing.assert_allclose(alone, some.ravel(), rtol=1e-12, atol=1e-12)
