@@ -15,7 +15,7 @@ endif
 endif
 
 .PHONY: help demo check quick test test-slow test-all test-lowest test-python evidence \
-	lint types bench synthetic clean
+	lint types bench bench-check synthetic clean
 
 help:
 	@echo "make demo           install into $(VENV) and fit the demonstration run"
@@ -29,7 +29,8 @@ help:
 	@echo "make evidence NAME  a study that takes long, into docs/evidence; without a name, lists them"
 	@echo "make lint           formatting and lint"
 	@echo "make types          static types"
-	@echo "make bench          side-by-side measurements against MuJoCo and scipy"
+	@echo "make bench          side-by-side measurements against MuJoCo, CasADi and scipy"
+	@echo "make bench-check    the same, and fail where a ratio fell by a fifth since it was recorded"
 	@echo "make synthetic      regenerate data/synthetic"
 
 # A stamp per set of extras: installing again happens only when the project's metadata change.
@@ -85,6 +86,9 @@ bench: $(VENV)/.installed-dev
 	$(BIN)/python -m benchmarks.bench $(BENCH_ARGS)
 	$(BIN)/python -m benchmarks.options
 	$(BIN)/python -m benchmarks.hysteresis
+
+bench-check: $(VENV)/.installed-dev
+	$(BIN)/python -m benchmarks.bench --check $(BENCH_ARGS)
 
 synthetic: $(VENV)/.installed
 	$(BIN)/python data/synthetic/regenerate.py

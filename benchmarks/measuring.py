@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import statistics
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -16,6 +17,7 @@ def command_line(
     what: str = "JSON file to write",
     *,
     paths: Mapping[str, str] | None = None,
+    switches: Mapping[str, str] | None = None,
     **numbers: int,
 ) -> Any:
     """The parsed command line of a benchmark: `quick`, `out`, and what else it may be told.
@@ -25,6 +27,7 @@ def command_line(
         out: where it writes by default.
         what: meaning of `out`.
         paths: further files or folders, and what each is for.
+        switches: further options without a value, and what each is for.
         numbers: further numbers with their defaults.
     """
     parser = argparse.ArgumentParser(description=(description or "").partition("\n")[0])
@@ -32,6 +35,8 @@ def command_line(
     parser.add_argument("--out", type=Path, default=out, help=what)
     for name, meaning in (paths or {}).items():
         parser.add_argument(f"--{name}", type=Path, help=meaning)
+    for name, meaning in (switches or {}).items():
+        parser.add_argument(f"--{name}", action="store_true", help=meaning)
     for name, default in numbers.items():
         parser.add_argument(f"--{name}", type=int, default=default)
     return parser.parse_args()
@@ -46,6 +51,28 @@ def fastest(call: Callable[[], object], repeats: int) -> float:
         call()
         times.append(time.perf_counter() - began)
     return min(times)
+
+
+def in_turns(
+    contenders: Mapping[str, Callable[[], object]], repeats: int
+) -> dict[str, dict[str, float]]:
+    """Least and median seconds of each contender, in turns, after one call that does not count."""
+    seconds: dict[str, list[float]] = {name: [] for name in contenders}
+    for repeat in range(repeats + 1):
+        for name, call in contenders.items():
+            began = time.perf_counter()
+            call()
+            if repeat:
+                seconds[name].append(time.perf_counter() - began)
+    return {
+        name: {"min": min(each), "median": statistics.median(each)}
+        for name, each in seconds.items()
+    }
+
+
+def spread(times: Mapping[str, float], unit: float) -> str:
+    """Least and median time as a cell of a table."""
+    return f"{times['min'] * unit:.3g} / {times['median'] * unit:.3g}"
 
 
 def store(found: dict[str, Any], path: Path) -> None:

@@ -16,8 +16,7 @@ import jax.numpy as jnp
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.bench import spread, timed
-from benchmarks.measuring import RESULTS, command_line, store
+from benchmarks.measuring import RESULTS, command_line, in_turns, spread, store
 from giajax.arm import Arm, PointMasses, acceleration, takeichi_20m, takeichi_20m_full
 from peers.arms import random_states
 
@@ -76,9 +75,9 @@ def evaluations(arms: dict[str, Arm], loop: int, repeats: int) -> dict[str, dict
         return jax.lax.fori_loop(0, loop, again, angles)
 
     def contender(arm: Arm) -> Callable[[], Any]:
-        return lambda: many(arm, *start)
+        return lambda: jax.block_until_ready(many(arm, *start))
 
-    found = timed({name: contender(arm) for name, arm in arms.items()}, repeats)
+    found = in_turns({name: contender(arm) for name, arm in arms.items()}, repeats)
     return {
         name: {key: value / loop for key, value in each.items()} for name, each in found.items()
     }

@@ -28,16 +28,58 @@ def test_the_benchmark_runs(tmp_path):
     out = tmp_path / "new" / "bench.json"
     printed = benchmark("bench", "--quick", "--out", out)
     found = json.loads(out.read_text())
-    assert set(found["chosen"]) == set(found["run"]) > set(found["gradient"])
+    assert set(found["chosen"]) == set(found["run"]) >= set(found["gradient"])
+    if absent := found["absent"]:
+        assert all(f"{name} is left out: {why}"[:60] in printed for name, why in absent.items())
+        pytest.skip(str(absent))
     for name, chosen in found["chosen"].items():
         assert chosen["error"] < found["problem"]["tip_accuracy_m"], name
-    # Three ways to the same derivatives.
+    # Four ways to the same derivatives.
+    assert len(found["gradient"]) >= 4
     for name, gradient in found["gradient"].items():
         assert gradient["error"] < 0.05, name
     assert all(ratio > 0 for ratio in found["ratios"].values())
-    for heading in ("value + 4", "One evaluation", "Ratios"):
+    # Three optimisers over two simulations, and one optimum.
+    assert len(found["fits"]) == 3
+    for name, each in found["fits"].items():
+        assert each["standard_errors_off"] < 0.01, name
+    for what in ("evaluation", "run", "gradient", "batch"):
+        assert f"{what}: MuJoCo in C over giajax" in found["ratios"]
+    for heading in ("One evaluation", "from half the drag", "Ratios"):
         assert heading in printed
     assert [path.name for path in tmp_path.iterdir()] == ["new"]
+
+
+def history(path, ratios, **problem):
+    """A line of the history, and of what `make bench` writes."""
+    each = {"commit": "before", "problem": {"links": 20} | problem, "ratios": ratios}
+    with path.open("a", encoding="utf-8") as file:
+        file.write(json.dumps(each) + "\n")
+    return path
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize(("fall", "status"), [(0.21, 1), (0.19, 0), (-0.5, 0)])
+def test_a_ratio_that_fell_by_a_fifth_fails(tmp_path, fall, status):
+    """Against the last line for the same problem; a ratio that is not stored is new."""
+    stored = history(tmp_path / "history.jsonl", {"run": 9.0, "fit": 9.0})
+    history(stored, {"run": 2.0, "fit": 4.0})
+    history(stored, {"run": 90.0}, links=3)
+    found = history(tmp_path / "bench.json", {"run": 2.0 * (1 - fall), "fit": 4.0, "new": 0.1})
+    command = [sys.executable, "-m", "benchmarks.history", str(found), "--history", str(stored)]
+    ended = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+    assert ended.returncode == status, ended.stderr
+    said = f"'run' fell from 2.00 (before) to {2 - 2 * fall:.2f}: "
+    assert ended.stderr.startswith(said) if status else ended.stderr == ""
+    assert ended.stderr.count("\n") == status
+
+
+@pytest.mark.quick
+def test_nothing_stored_is_no_failure(tmp_path):
+    found = history(tmp_path / "bench.json", {"run": 0.1})
+    command = [sys.executable, "-m", "benchmarks.history", str(found)]
+    command += ["--history", str(tmp_path / "none")]
+    assert subprocess.run(command, cwd=ROOT).returncode == 0
 
 
 @pytest.mark.slow

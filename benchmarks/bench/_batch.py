@@ -1,0 +1,100 @@
+"""Many evaluations at once, on two cores: processes of giajax beside threads of MuJoCo."""
+
+import multiprocessing
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from multiprocessing.connection import Connection
+from typing import Any
+
+import jax
+import numpy as np
+
+from benchmarks.batch import arranged, spread_over
+from benchmarks.measuring import in_turns
+from giajax._program import program
+from giajax.arm import Arm, acceleration
+from peers.arms import driven_arm, random_states
+from peers.mujoco_c import MujocoInC
+
+ITEMS, CORES = 256, 2
+# One, chosen beforehand: the least of several would have more draws than the other side.
+LAYOUT = "chunks of 64"
+
+
+@program
+def evaluations(arm: Arm, states: dict[str, Any], layout: str, loop: Any) -> Any:
+    """`loop` dependent evaluations of every item."""
+
+    def one(item: dict[str, Any]) -> Any:
+        def again(_: Any, angles: Any) -> Any:
+            return angles + 1e-9 * acceleration(arm, angles, item["rates"], item["command"])
+
+        return jax.lax.fori_loop(0, loop, again, item["angles"])
+
+    return spread_over(one, states, layout)
+
+
+def batch(
+    links: int,
+    repeats: int,
+    loop: int,
+    engine: MujocoInC | None,
+) -> dict[str, Any]:
+    """Seconds of an evaluation of one item, by who makes it and how."""
+    calls: dict[str, Callable[[], object]] = {}
+    if engine is not None:
+        states = _states(links, 0, 1)
+        numbers = [np.asarray(states[name]) for name in ("angles", "rates", "command")]
+        calls["MuJoCo, drag in C"] = lambda: engine.batch(*numbers, threads=CORES, loop=loop)
+    with ExitStack() as processes:
+        calls[f"giajax, {LAYOUT}"] = processes.enter_context(_workers(links, LAYOUT, loop))
+        found = in_turns(calls, repeats)
+    return {
+        name: {key: value / ITEMS / loop for key, value in each.items()}
+        for name, each in found.items()
+    }
+
+
+def _states(links: int, share: int, shares: int) -> dict[str, Any]:
+    """A share of the states."""
+    states = random_states(links, ITEMS)
+    states.pop("wind")
+    return {name: value[share::shares] for name, value in states.items()}
+
+
+@contextmanager
+def _workers(links: int, layout: str, loop: int) -> Iterator[Callable[[], object]]:
+    """A process for each core, which computes its share whenever it is asked to."""
+    # Two calls from threads of one process wait for each other in XLA's pool of threads.
+    context = multiprocessing.get_context("spawn")
+    ours, processes = [], []
+    for share in range(CORES):
+        here, there = context.Pipe()
+        process = context.Process(
+            target=_work, args=(there, links, share, layout, loop), daemon=True
+        )
+        process.start()
+        ours.append(here)
+        processes.append(process)
+
+    def call() -> None:
+        for connection in ours:
+            connection.send(True)
+        for connection in ours:
+            connection.recv()
+
+    try:
+        yield call
+    finally:
+        for connection, process in zip(ours, processes, strict=True):
+            connection.send(False)
+            process.join()
+
+
+def _work(asked: Connection, links: int, share: int, layout: str, loop: int) -> None:
+    jax.config.update("jax_enable_x64", True)
+    arm, _ = driven_arm(links)
+    states = arranged(_states(links, share, CORES), layout)
+    while asked.recv():
+        jax.block_until_ready(evaluations(arm, states, layout, np.asarray(loop, np.int32)))
+        asked.send(True)

@@ -1,0 +1,45 @@
+"""The base-step fit as a process of its own, cold and warm."""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+RUN = Path(__file__).resolve().parents[2] / "data" / "synthetic" / "base_step.csv"
+START = {"air.drag_coefficient": 0.6, "joints.pitch_stiffness": 1.2, "joints.damping": 0.2}
+
+
+def processes() -> dict[str, Any]:
+    """The fit from far off, as a cold process and as the next one."""
+    with tempfile.TemporaryDirectory() as folder:
+        # An empty folder: nothing was compiled before the first of the two processes.
+        environment = os.environ | {"JAX_COMPILATION_CACHE_DIR": str(Path(folder) / "cache")}
+        return {name: _process(Path(folder) / name, environment) for name in ("cold", "next")}
+
+
+def _process(out: Path, environment: dict[str, str]) -> dict[str, Any]:
+    """`giajax fit` as a process of its own: wall time, peak memory and what it says itself."""
+    starts = [word for path, value in START.items() for word in ("--start", f"{path}={value}")]
+    program = [sys.executable, "-c", "from giajax.cli import main; raise SystemExit(main())"]
+    options = ["--data", str(RUN), "--out", str(out), "--quiet", *starts]
+    began = time.perf_counter()
+    with subprocess.Popen([*program, "fit", *options], env=environment) as process:
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+    wall = time.perf_counter() - began
+    if process.returncode != 0:
+        raise RuntimeError(f"giajax fit ended with status {process.returncode}")
+    result = json.loads((out / "result.json").read_text())
+    # Linux counts in kB, macOS in bytes.
+    unit = 1024**2 if sys.platform == "darwin" else 1024
+    return {
+        "wall": wall,
+        "peak_megabytes": usage.ru_maxrss / unit,
+        "iterations": result["iterations"],
+        "compile": result["seconds"]["compile"],
+        "run": result["seconds"]["run"],
+    }

@@ -1,0 +1,67 @@
+"""How many times as long as giajax the others take: what can be compared between machines."""
+
+from typing import Any
+
+from benchmarks.bench._contenders import MINE
+
+# What is to be held, and at least how large a ratio must be for it.
+LIMITS = {
+    "run: MuJoCo in C over giajax": 1 / 0.45,
+    "run: CasADi over giajax": 1 / 2,
+    "gradient: CasADi over giajax": 1.0,
+    "batch: MuJoCo in C over giajax": 1.0,
+}
+
+
+def ratios(found: dict[str, Any]) -> dict[str, float]:
+    """Minima over minima, within this run: another load can only add to a time.
+
+    Arguments:
+        found: tables of seconds by name: of one `evaluation`, a `run`, its `gradient`, a `batch`
+            and, where they were measured, of `fits`.
+
+    Returns:
+        Ratios by name; a contender that is absent has none. More is better for giajax.
+    """
+    tables = {
+        "evaluation": (found["evaluation"], "giajax"),
+        "run": (found["run"], MINE),
+        "gradient": (found["gradient"], MINE),
+        "batch": (found["batch"], "giajax"),
+        "fit": (found["fits"], "giajax"),
+    }
+    peers = {
+        "MuJoCo in C": "MuJoCo, drag in C",
+        "CasADi": "CasADi in C",
+        "best of scipy": "scipy",
+        "MuJoCo sysid": "MuJoCo sysid",
+        "Tsit5": "giajax tsit5",
+        "numpy": "numpy",
+    }
+    ratios = {}
+    for what, (table, mine) in tables.items():
+        for title, prefix in peers.items():
+            if (theirs := least(table, prefix)) is not None:
+                ratios[f"{what}: {title} over giajax"] = theirs / least_of_mine(table, mine)
+    ratios["giajax: five runs over value and Jacobian"] = (
+        5 * found["run"][MINE]["min"] / found["gradient"][MINE]["min"]
+    )
+    return ratios
+
+
+def least(table: dict[str, Any], prefix: str) -> float | None:
+    """The least seconds of those whose name begins so; None where there is none."""
+    seconds = [each["min"] for name, each in table.items() if name.startswith(prefix)]
+    return min(seconds, default=None)
+
+
+def least_of_mine(table: dict[str, Any], prefix: str) -> float:
+    """The least seconds of giajax, which always takes part."""
+    seconds = least(table, prefix)
+    assert seconds is not None
+    return seconds
+
+
+def held(ratios: dict[str, float]) -> dict[str, bool]:
+    """Which of the limits that could be measured are held."""
+    return {name: ratios[name] >= limit for name, limit in LIMITS.items() if name in ratios}
