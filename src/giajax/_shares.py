@@ -69,8 +69,8 @@ def map_on_cores(
     """`jax.lax.map` on all cores of the machine.
 
     Each core takes a share of the items, one after the other. It is for arms, commands or states
-    that differ in numbers only: there is one program for all of them. It is called with numbers, and
-    cannot itself be a part of what JAX traces or differentiates; the function may differentiate.
+    that differ in numbers only: there is one program for all of them. It is called with numbers,
+    and cannot be a part of what JAX traces or differentiates; the function may differentiate.
 
     Arguments:
         function: of one item and `shared`; at the top of a module, because a function that is made

@@ -161,7 +161,10 @@ class NoiseFit:
 
 @dataclasses.dataclass(frozen=True)
 class Seconds:
-    """Wall time of a fit, s: what its programs took to compile or load, and all else."""
+    """Wall time of a fit, s: what its programs took to compile or load, and all else.
+
+    Of several starts, those of all of them together, also where they ran side by side.
+    """
 
     compile: float
     run: float
