@@ -125,12 +125,23 @@ def test_an_interruption_stops_the_jobs_that_run_and_begins_no_other():
     assert results == ["stopped", "stopped", None]
 
 
-def test_a_result_may_end_the_others_and_an_error_is_raised():
+def test_a_result_may_end_the_others_and_an_error_does():
+    ended = []
+
     def fails(tell):
         raise ValueError("of the job")
 
-    with pytest.raises(ValueError, match="of the job"):
-        side_by_side([fails, fails], 2, until=lambda result: False)
+    def runs_on(tell):
+        try:
+            while True:
+                tell(lambda: None)
+        except KeyboardInterrupt:
+            ended.append("stopped")
+
+    for jobs in ([runs_on, fails], [fails, runs_on]):
+        with pytest.raises(ValueError, match="of the job"):
+            side_by_side(jobs, 2, until=lambda result: False)
+    assert set(ended) <= {"stopped"}
     for most in (1, 2):
         results = side_by_side([lambda tell: "end"] * 9, most, until=lambda result: True)
         assert results[0] == "end"
@@ -147,6 +158,12 @@ def test_a_function_is_mapped_as_by_lax_map(batch_size):
     there = map_on_cores(scaled, items, 2.0, batch_size=batch_size)
     np.testing.assert_allclose(there["sum"], 2 * items.sum(axis=1), rtol=1e-12)
     np.testing.assert_array_equal(there["item"], items)
+
+
+@pytest.mark.parametrize("items", [{"a": np.ones(3), "b": np.ones(2)}, np.ones((0, 3)), {}, 1.0])
+def test_items_without_a_common_axis_are_refused(items):
+    with pytest.raises(InputError, match="leading axis"):
+        map_on_cores(scaled, items, 2.0)
 
 
 def test_a_fit_of_several_runs_has_the_same_numbers_on_any_number_of_cores(monkeypatch):

@@ -43,7 +43,9 @@ def cores() -> int:
 
 
 def carried(function: Callable[Parameters, Result], among: int) -> Callable[Parameters, Result]:
-    """A function for other threads, with the settings of JAX that the present one has.
+    """A function for other threads, which computes with as many bits as the present one.
+
+    What else a `with` of JAX sets (looking for NaN, say) counts in the caller's thread alone.
 
     Arguments:
         function: any.
@@ -52,7 +54,6 @@ def carried(function: Callable[Parameters, Result], among: int) -> Callable[Para
     import jax
 
     part = max(1, cores() // among)
-    # What a `with` of JAX sets counts in its own thread only.
     wide = bool(jax.config.read("jax_enable_x64"))
 
     def call(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Result:

@@ -6,7 +6,7 @@ for them; what the last one lacks is filled up with an item that it has, and lef
 """
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -14,11 +14,12 @@ import jax
 import numpy as np
 
 from ._cores import carried, cores
+from ._errors import InputError
 from ._program import program
 from ._typing import Float
 
 # Keys of the shares whose programs are compiled.
-_compiled: set[int] = set()
+_compiled: set[Hashable] = set()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,7 +69,8 @@ def map_on_cores(
     """`jax.lax.map` on all cores of the machine.
 
     Each core takes a share of the items, one after the other. It is for arms, commands or states
-    that differ in numbers only: there is one program for all of them.
+    that differ in numbers only: there is one program for all of them. It is called with numbers,
+    and cannot be a part of what JAX traces or differentiates; the function may differentiate.
 
     Arguments:
         function: of one item and `shared`; at the top of a module, because a function that is made
@@ -81,14 +83,19 @@ def map_on_cores(
         What the function returns, each leaf with a leading axis of the items, in NumPy's arrays.
 
     Raises:
-        InputError: the environment variable GIAJAX_CORES is no number of cores.
+        InputError: there are no items, or the environment variable GIAJAX_CORES is no number.
 
     Example:
         >>> import jax.numpy as jnp
         >>> giajax.map_on_cores(jnp.square, jnp.arange(3))
         array([0, 1, 4], dtype=int32)
     """
-    count = np.shape(jax.tree.leaves(items)[0])[0]
+    counts = {np.shape(leaf)[:1] for leaf in jax.tree.leaves(items)}
+    if len(counts) != 1 or not next(iter(counts), ()) or not (count := counts.pop()[0]):
+        raise InputError(
+            "the items have no leading axis in common, or none is there: give arrays whose first "
+            "axis is that of the items"
+        )
     # Some shares for each core: one that others keep busy takes fewer.
     least, together = -(-count // (4 * cores())), batch_size or 1
     length = max(1, -(-least // together) * together)
@@ -127,7 +134,7 @@ class _Share:
     rows: np.ndarray
     items: Any
     size: float
-    key: int
+    key: Hashable
 
     def compute(self) -> Any:
         return jax.tree.map(np.asarray, self.batch.call(self.items, *self.batch.shared))
@@ -140,7 +147,7 @@ def _shares_of(batch: Batch) -> list[_Share]:
     for rows in dealt(batch.sizes, batch.length):
         own = jax.tree.map(lambda leaf, rows=rows: leaf[rows], items)
         leaves, tree = jax.tree.flatten((own, batch.shared))
-        key = hash((id(batch.call), tree, tuple(map(_kind, leaves))))
+        key = (id(batch.call), tree, tuple(map(_kind, leaves)))
         shares.append(_Share(batch, rows, own, float(np.sum(batch.sizes[rows])), key))
     return shares
 

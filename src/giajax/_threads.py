@@ -53,7 +53,11 @@ def side_by_side(
 
         if stop.is_set():
             return None
-        result = jobs[index](tell)
+        try:
+            result = jobs[index](tell)
+        except BaseException:
+            stop.set()
+            raise
         if until(result):
             stop.set()
         return result

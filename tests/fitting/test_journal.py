@@ -243,6 +243,34 @@ def test_a_budget_ends_several_starts(monkeypatch, ended_at):
     assert result.parameters["decay"].value == pytest.approx(0.7, abs=0.05)
 
 
+@pytest.mark.parametrize("cores", ["1", "2"])
+def test_a_start_that_the_budget_ends_is_the_last(monkeypatch, cores):
+    """Some of the budget is left, but too little for a step; no start is taken for interrupted."""
+    from giajax.fitting import _descend
+
+    limit, begun = _descend._limit, []
+    monkeypatch.setenv("GIAJAX_CORES", cores)
+
+    def limited(state, most, budget):
+        if len(begun) >= 2 and state.evaluated and not state.done:
+            return f"{budget.ended_it} after {state.trials} iterations", "budget"
+        return limit(state, most, budget)
+
+    monkeypatch.setattr(_descend, "_limit", limited)
+    result = multi_start(
+        Decay(),
+        run(),
+        starts=6,
+        start=START,
+        budget=1e6,
+        announce=lambda number, start: begun.append(number),
+    )
+    assert result.reason == "budget"
+    assert result.status == "not_converged"
+    assert 2 <= len(result.starts) < 6
+    assert {start.status for start in result.starts} <= {"converged", "not_converged"}
+
+
 def test_starts_that_have_ended_are_not_run_again(tmp_path, monkeypatch):
     monkeypatch.setenv("GIAJAX_CORES", "1")
     setup = set_up(Decay(), run(), start=START)

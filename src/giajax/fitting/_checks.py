@@ -17,6 +17,9 @@ from ._transitions import evaluate, residuals_at, tolerance_of
 _DIFFERENCE = 1e-4
 _DIFFERENCE_32 = 3e-2
 _FINER = 1e-3
+
+# A response smaller than this part of that of all runs is rather noise.
+_TOLD = 1e-3
 _FINE = 1e-9
 
 
@@ -69,7 +72,9 @@ def gradient_check(state: FitState, statistics: Statistics) -> GradientCheck | N
     takes_part[list(statistics.bounds)] = False
     # Beyond a bound there is nothing to take a difference with.
     first, last = problem.bijector.ends()
-    takes_part &= (norms > 0) & (centre - first > offset) & (np.asarray(last) - centre > offset)
+    # Of few runs, one that hardly responds to a parameter says nothing of its derivative.
+    told = norms > _TOLD * state.jacobian().norms()
+    takes_part &= told & (centre - first > offset) & (np.asarray(last) - centre > offset)
     if not np.any(takes_part):
         return None
     weakest = np.min(norms[takes_part])
@@ -85,9 +90,11 @@ def gradient_check(state: FitState, statistics: Statistics) -> GradientCheck | N
     if not np.isfinite(relative):
         return None
     known = statistics.labels[: problem.shared]
-    # The same program differentiates by the value that a parameter has in any other run.
-    for places in problem.positions:
-        takes_part[list(places)] = np.any(takes_part[list(places)])
+    # The same program differentiates by the value that a parameter has in other runs.
+    elsewhere = ~told
+    elsewhere[list(statistics.bounds)] = False
+    for places in map(list, problem.positions):
+        takes_part[places] |= np.any(takes_part[places]) & elsewhere[places]
     return GradientCheck(
         relative_difference=float(relative),
         direction=dict(zip(known, direction.tolist(), strict=False)),

@@ -106,7 +106,7 @@ def _of_runs(
     for group in problem.groups:
         measured = np.count_nonzero(np.any(np.asarray(group.weight) > 0, axis=-1), axis=-1)
         length = in_a_share(len(measured))
-        place = dealt(measured, length)[-1] if sample else np.arange(len(measured))
+        place = dealt(measured, length)[0] if sample else np.arange(len(measured))
         runs = dataclasses.replace(group, members=(), first=0, shared=())
         items = jax.tree.map(lambda leaf, at=place: np.asarray(leaf)[at], runs)
         values = whole[group.columns()[place]]

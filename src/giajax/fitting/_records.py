@@ -100,7 +100,7 @@ class GradientCheck:
         direction: part of each parameter of the model in it, in free coordinates, by path.
         step: length of the difference along it.
         left_out: paths of the parameters that take no part, because they ended at a bound or
-            nothing responds to them.
+            nothing responds to them; of several runs, none of those that were looked at.
     """
 
     relative_difference: float
@@ -161,7 +161,10 @@ class NoiseFit:
 
 @dataclasses.dataclass(frozen=True)
 class Seconds:
-    """Wall time of a fit, s: what its programs took to compile or load, and all else."""
+    """Wall time of a fit, s: what its programs took to compile or load, and all else.
+
+    Of several starts, those of all of them together, also where they ran side by side.
+    """
 
     compile: float
     run: float

@@ -5,6 +5,7 @@ The file is longer than 200 lines because it has each argument of a fit twice, w
 
 import dataclasses
 import functools
+import threading
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
@@ -81,7 +82,8 @@ def multi_start(
         seed: of the other starts.
         max_iterations, progress, check: as of `giajax.fit`.
         budget: wall time that all of them together may take, s.
-        announce: called before each fit with its number, from 1, and its start.
+        announce: called before each fit with its number, from 1, and its start. Of fits side by
+            side the later ones are told of, with their steps, when the earlier ones have ended.
 
     Returns:
         The best result; `result.starts` has where each start ended. Ctrl-C ends the fit and
@@ -151,11 +153,14 @@ def solve_from_starts(
     setup = setup.at_start()
     random = np.random.default_rng(seed)
     values = [start_values(setup, spread, random if n > 1 else None) for n in range(1, starts + 1)]
+    # A wrong number of cores is told before the first start, not after it.
+    count = cores()
+    spent = threading.Event()
 
     def one(number: int, before: Sequence[FitResult], tell: Tell) -> _End | None:
         """How a start ends; None where there is no time left for it."""
         start = values[number - 1]
-        if number > 1 and budget is not None and not budget.left() > 0:
+        if budget is not None and number > 1 and (spent.is_set() or not budget.left() > 0):
             return None
         try:
             if announce is not None:
@@ -175,9 +180,12 @@ def solve_from_starts(
         except KeyboardInterrupt:
             # Nothing of this start was evaluated.
             return Start(start, "interrupted"), None
+        if result.reason == "budget":
+            # What is left of it is too little for a step of any start.
+            spent.set()
         return Start(start, result.status, misfit(result), _end(result)), result
 
-    ended = _one_by_one_then_side_by_side(one, starts)
+    ended = _one_by_one_then_side_by_side(one, starts, count)
     ends = [start for start, _ in ended]
     results = [result for _, result in ended if result is not None]
     if not results:
@@ -205,7 +213,7 @@ def solve_from_starts(
 
 
 def _one_by_one_then_side_by_side(
-    one: Callable[[int, Sequence[FitResult], Tell], _End | None], starts: int
+    one: Callable[[int, Sequence[FitResult], Tell], _End | None], starts: int, most: int
 ) -> list[_End]:
     """How the starts end that are begun, in their order.
 
@@ -220,19 +228,19 @@ def _one_by_one_then_side_by_side(
         ended.append(end)
         if end[0].status == "converged":
             break
-        if _stops(end):
+        if _interrupts(end):
             return ended
     before = [result for _, result in ended if result is not None]
     jobs = [functools.partial(one, n, before) for n in range(len(ended) + 1, starts + 1)]
     if not jobs:
         return ended
-    others = side_by_side(jobs, min(cores(), len(jobs)), until=_stops)
+    others = side_by_side(jobs, min(most, len(jobs)), until=_interrupts)
     return ended + [end for end in others if end is not None]
 
 
-def _stops(end: _End | None) -> bool:
-    """Whether no other start is to be tried after this one."""
-    return end is None or end[0].status == "interrupted"
+def _interrupts(end: _End | None) -> bool:
+    """Whether the other starts are to be stopped, too; those without time see it themselves."""
+    return end is not None and end[0].status == "interrupted"
 
 
 def _nothing(_: Iteration) -> None:

@@ -1,0 +1,159 @@
+"""What large problems take: long recordings, many runs, long arms.
+
+Each in a process of its own, for its peak memory: the fit of 30,000 rows of an arm whose log is a
+smooth command (at most 60 s and 1.5 GB), the fit of 100 runs, the fit of a hysteresis loop of
+100,000 samples, and one evaluation of arms of up to 160 links (at most 110 us). Compiling counts.
+
+    python -m benchmarks.size [--quick] [--out FILE]
+"""
+
+import functools
+import json
+import os
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from benchmarks.measuring import RESULTS, command_line, fastest, store
+from giajax import FitResult, Run, fit, model_for, predict
+from giajax.arm import Arm, acceleration
+from peers.arms import driven_arm, random_states
+
+ROOT = Path(__file__).resolve().parents[1]
+START = {"air.drag_coefficient": 0.6, "joints.pitch_stiffness": 2.0, "joints.damping": 0.1}
+MOST_SECONDS, MOST_MEGABYTES, MOST_MICROSECONDS = 60.0, 1500.0, 110.0
+
+
+def driven(rows: int, rate: float, links: int, seed: int = 0) -> Run:
+    """A recording of an arm whose logged command is smooth, at `rate` rows a second."""
+    times = np.arange(rows) / rate
+    random = np.random.default_rng(seed)
+    phase = random.uniform(0, 2 * np.pi, 3)
+    first = 0.3 * np.sin(2 * np.pi * times / 17 + phase[0])
+    second = 0.2 * np.sin(2 * np.pi * times / 7.3 + phase[1])
+    third = 0.2 * np.sin(2 * np.pi * times / 11 + phase[2])
+    seen = [f"link{link:02d}_{axis}" for link in (links // 2, links) for axis in "yz"]
+    commands = {"joint01_command": first + second, "joint02_command": third}
+    about = {"arm": {"links": links}, "noise": {"position_m": 0.02}}
+    name = f"run{seed}"
+
+    def recorded(values: dict[str, np.ndarray]) -> Run:
+        return Run.from_arrays(times, {**commands, **values}, name=name, definition=about)
+
+    plan = recorded(dict.fromkeys(seen, np.zeros(rows)))
+    motion = predict(model_for([plan]), plan)
+    return recorded({name: motion[name] + 0.02 * random.normal(size=rows) for name in seen})
+
+
+def loop(rows: int) -> Run:
+    """A hysteresis loop of a play operator with many turns."""
+    times = np.linspace(0.0, 100.0, rows)
+    size = 1 + 0.5 * np.sin(0.37 * times)
+    plan = {"input": size * np.sin(times), "output": np.zeros(rows)}
+    about = {"hysteresis": {"operator": "prandtl_ishlinskii"}, "noise": {"output": 0.01}}
+    run = Run.from_arrays(times, plan, definition=about)
+    output = predict(model_for([run]), run)["output"]
+    noise = 0.01 * np.random.default_rng(0).normal(size=rows)
+    return Run.from_arrays(times, {**plan, "output": output + noise}, definition=about)
+
+
+def long_recording(quick: bool) -> dict[str, Any]:
+    run = driven(300 if quick else 30_000, 30.0, 3 if quick else 20)
+    return fitted([run], START)
+
+
+def many_runs(quick: bool) -> dict[str, Any]:
+    count, rows, links = (3, 50, 3) if quick else (100, 250, 20)
+    return fitted([driven(rows, 10.0, links, seed) for seed in range(count)], START)
+
+
+def many_samples(quick: bool) -> dict[str, Any]:
+    return fitted([loop(1_000 if quick else 100_000)], {})
+
+
+def many_links(quick: bool) -> dict[str, Any]:
+    """Seconds of one evaluation of the accelerations, by the number of links."""
+    counts, times = ((3, 6), 10) if quick else ((20, 40, 80, 160), 500)
+    found = {}
+    for links in counts:
+        arm, _ = driven_arm(links)
+        state = {name: value[0] for name, value in random_states(links, 1).items()}
+        taken = fastest(functools.partial(evaluated, arm, state, times), 7)
+        found[str(links)] = taken / times
+    return {"seconds": found}
+
+
+def evaluated(arm: Arm, state: dict[str, Any], count: int) -> None:
+    """So many evaluations, each of which needs the one before."""
+    jax.block_until_ready(_again(arm, state, count))
+
+
+@jax.jit
+def _again(arm: Arm, state: dict[str, Any], count: Any) -> Any:
+    def again(_: Any, angles: Any) -> Any:
+        return angles + 1e-9 * acceleration(arm, angles, state["rates"], state["command"])
+
+    return jax.lax.fori_loop(0, count, again, state["angles"])
+
+
+def fitted(runs: list[Run], start: dict[str, float]) -> dict[str, Any]:
+    """How long a fit took, and how it ended."""
+    began = time.perf_counter()
+    result: FitResult = fit(model_for(runs), runs, start=start)
+    return {
+        "seconds": time.perf_counter() - began,
+        "rows": sum(len(next(iter(run.observations.values()))) for run in runs),
+        "status": result.status,
+        "iterations": result.iterations,
+        "verdict": result.verdict.status,
+    }
+
+
+CASES: dict[str, Callable[[bool], dict[str, Any]]] = {
+    "30,000 rows": long_recording,
+    "100 runs": many_runs,
+    "100,000 samples": many_samples,
+    "160 links": many_links,
+}
+
+
+def alone(case: str, quick: bool) -> dict[str, Any]:
+    """A case in a process of its own; its memory is beside its figures."""
+    command = [sys.executable, "-m", "benchmarks.size", case, *(["--quick"] if quick else [])]
+    ended = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+    if ended.returncode:
+        raise RuntimeError(f"{case} ended with status {ended.returncode}: {ended.stderr[-500:]}")
+    return dict(json.loads(ended.stdout.splitlines()[-1]))
+
+
+def main() -> int:
+    """Measure, print, store, and say by the exit status whether the limits are held."""
+    jax.config.update("jax_enable_x64", True)
+    if len(sys.argv) > 1 and sys.argv[1] in CASES:
+        found = CASES[sys.argv[1]]("--quick" in sys.argv)
+        # Linux counts in kB, macOS in bytes.
+        unit = 1024**2 if sys.platform == "darwin" else 1024
+        found["peak_megabytes"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
+        print(json.dumps(found))
+        return 0
+    options = command_line(__doc__, RESULTS / "size.json")
+    results = {}
+    for case in CASES:
+        results[case] = alone(case, options.quick)
+        print(case, json.dumps(results[case]), flush=True)
+    store({"load": os.getloadavg()[0], **results}, options.out)
+    longest = results["30,000 rows"]
+    slowest = 1e6 * max(results["160 links"]["seconds"].values())
+    held = longest["seconds"] <= MOST_SECONDS and longest["peak_megabytes"] <= MOST_MEGABYTES
+    return int(not (held and slowest <= MOST_MICROSECONDS))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
