@@ -48,7 +48,7 @@ def stepped(
         problem: what is minimised.
         state: of the solver there.
         active: parameters that may move, shape (parameter,).
-        sample: of many runs evaluate a few, and have zeros for the others.
+        sample: where runs are dealt out, evaluate a few, and have zeros for the others.
     """
     if not _several(problem):
         return step(solver, coordinate, problem, state, active)
@@ -91,8 +91,8 @@ def blank(solver: Marquardt, problem: Problem, coordinate: Array) -> MarquardtSt
 
 
 def _several(problem: Problem) -> bool:
-    """Whether there are several runs."""
-    return sum(len(group.members) for group in problem.groups) > 1
+    """Whether there are runs to deal out: another device than a CPU takes them as one program."""
+    return jax.default_backend() == "cpu" and sum(len(g.members) for g in problem.groups) > 1
 
 
 def _of_runs(

@@ -8,11 +8,11 @@ from ._choose import (
     choose_hysteresis as choose_hysteresis,
 )
 from ._compare import Comparison as Comparison, compare as compare
+from ._ends import misfit as misfit
 from ._multi_start import (
     SAME_END as SAME_END,
     SEED as SEED,
     SPREAD as SPREAD,
-    misfit as misfit,
     multi_start as multi_start,
     solve_from_starts as solve_from_starts,
 )

@@ -30,6 +30,7 @@ from ..fitting import (
 from ..models import AbstractModel
 from ..quantities import Prior
 from ..runs import Run
+from ._ends import end_values, interrupted, misfit
 from ._starts import inside_bounds, start_values
 
 # An end whose misfit is this much above the best one, per measured value, is another valley.
@@ -183,7 +184,7 @@ def solve_from_starts(
         if result.reason == "budget":
             # What is left of it is too little for a step of any start.
             spent.set()
-        return Start(start, result.status, misfit(result), _end(result)), result
+        return Start(start, result.status, misfit(result), end_values(result)), result
 
     ended = _one_by_one_then_side_by_side(one, starts, count)
     ends = [start for start, _ in ended]
@@ -201,7 +202,7 @@ def solve_from_starts(
     )
     stopped = any(end.status == "interrupted" for end in ends)
     if stopped and best.status == "converged":
-        best = _interrupted(best, f"at start {len(ends)} of {starts}")
+        best = interrupted(best, f"at start {len(ends)} of {starts}")
     if budget is not None and not in_time and budget.ended_it not in best.message:
         message = f"{best.message}; {budget.ended_it} after {len(ends)} of {starts} starts"
         best = dataclasses.replace(best, status="not_converged", message=message, reason="budget")
@@ -257,7 +258,7 @@ def _checked(
 ) -> FitResult:
     """The best end fitted again from where it is, with the checks that were left out before."""
     try:
-        inside = _as_fine(setup.started_at(inside_bounds(setup, _end(best))), [best])
+        inside = _as_fine(setup.started_at(inside_bounds(setup, end_values(best))), [best])
         again = solve(
             inside,
             max_iterations=max_iterations,
@@ -266,9 +267,9 @@ def _checked(
             journal=journal,
         )
     except KeyboardInterrupt:
-        return _interrupted(best, "before its result was checked")
+        return interrupted(best, "before its result was checked")
     if again.status == "interrupted":
-        return _interrupted(best, "before its result was checked")
+        return interrupted(best, "before its result was checked")
     if again.status != "converged":
         return best
     return dataclasses.replace(
@@ -283,21 +284,3 @@ def _as_fine(setup: Setup, ended: Sequence[FitResult]) -> Setup:
         if result.status == "converged" and result.integration is not None:
             return dataclasses.replace(setup, suited=result.integration.tolerance)
     return setup
-
-
-def _interrupted(result: FitResult, when: str) -> FitResult:
-    """The same result; it is the best so far."""
-    message = f"{result.message}; interrupted {when}"
-    return dataclasses.replace(result, status="interrupted", message=message, reason="interrupted")
-
-
-def misfit(result: FitResult) -> float:
-    """Minus the logarithm of the likelihood of a fit, up to a constant."""
-    channels = [channel for run in result.runs for channel in run.channels.values()]
-    cost = np.inf if result.cost is None else result.cost
-    return float(cost + sum(c.n * np.log(c.innovation or c.noise) for c in channels))
-
-
-def _end(result: FitResult) -> dict[str, float]:
-    """Values of the free parameters where a fit ended, by path."""
-    return {path: estimate.value for path, estimate in result.free.items()}
