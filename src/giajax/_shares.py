@@ -87,6 +87,7 @@ def map_on_cores(
         InputError: there are no items, or the environment variable GIAJAX_CORES is no number.
 
     Example:
+        >>> import giajax
         >>> import jax.numpy as jnp
         >>> giajax.map_on_cores(jnp.square, jnp.arange(3)).tolist()
         [0, 1, 4]
