@@ -2,7 +2,8 @@
 
 `history.jsonl` has a line for each commit that was recorded; only ratios can be compared between
 machines. A ratio is what a peer takes over what giajax takes: one that falls by a fifth against the
-last line for the same problem is a failure.
+last line for the same problem, or is not measured any more, is a failure. Ratios of giajax's own
+solvers, and those of two cores, which move with the load of a machine, are stored and not judged.
 
     python -m benchmarks.history BENCH_JSON [--history FILE]
 """
@@ -17,6 +18,7 @@ from typing import Any
 
 HISTORY = Path(__file__).resolve().parent / "history.jsonl"
 FALL = 0.2
+NOT_JUDGED = ("batch:", "giajax:", "run: Tsit5", "gradient: Tsit5")
 
 
 def record(found: Mapping[str, Any], path: Path = HISTORY) -> None:
@@ -28,23 +30,31 @@ def record(found: Mapping[str, Any], path: Path = HISTORY) -> None:
 
 
 def fallen(found: Mapping[str, Any], path: Path = HISTORY) -> list[str]:
-    """A sentence for each ratio that fell by a fifth; none where nothing is stored."""
+    """A sentence for each ratio that fell by a fifth or is missing; none if nothing is stored."""
     before = last(found["problem"], path)
     if before is None:
         return []
     now = found["ratios"]
-    return [
+    judged = {k: old for k, old in before["ratios"].items() if not k.startswith(NOT_JUDGED)}
+    missing = [
+        f"{name!r} was {old:.2f} ({before['commit']}) and was not measured: see which peer is left "
+        "out, and why"
+        for name, old in judged.items()
+        if name not in now
+    ]
+    return missing + [
         f"{name!r} fell from {old:.2f} ({before['commit']}) to {now[name]:.2f}: find out what made "
         "giajax slower, or record the new one with --record"
-        for name, old in before["ratios"].items()
-        if name in now and now[name] < (1 - FALL) * old
+        for name, old in judged.items()
+        # Written so that a NaN has fallen.
+        if name in now and not now[name] >= (1 - FALL) * old
     ]
 
 
 def last(problem: Mapping[str, Any], path: Path = HISTORY) -> dict[str, Any] | None:
     """The last line for a problem."""
     lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
-    entries = [json.loads(line) for line in lines]
+    entries = [json.loads(line) for line in lines if line.strip()]
     return next((each for each in reversed(entries) if each["problem"] == problem), None)
 
 
@@ -60,6 +70,8 @@ def _commit() -> str:
 
 def judge(found: Mapping[str, Any], path: Path = HISTORY) -> int:
     """Print what fell; returns the exit status, 1 where something did."""
+    if last(found["problem"], path) is None:
+        print(f"{path.name} has nothing to compare this problem with: --record stores it")
     sentences = fallen(found, path)
     for sentence in sentences:
         print(sentence, file=sys.stderr)

@@ -105,11 +105,12 @@ class CasadiInC:
     def evaluations(self, angles: Array, rates: Array, command: Array, loop: int) -> Array:
         """So many evaluations of the accelerations, each of which needs the one before."""
         state = [np.array(x, dtype=float) for x in (angles, rates, command)]
-        found = np.empty(self.count)
+        # Held here until C has returned: an address keeps no array.
+        values, found = self._values(None), np.empty(self.count)
         self._library.evaluations(
             ctypes.c_long(self.count),
             ctypes.c_long(loop),
-            *(address(each) for each in (*state, self._values(None), found)),
+            *(address(each) for each in (*state, values, found)),
         )
         return found
 

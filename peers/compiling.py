@@ -13,7 +13,11 @@ FLAGS = ("-O2", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-shar
 
 
 class CompilerError(RuntimeError):
-    """The machine lacks what a peer in C needs; the message is a sentence that says what."""
+    """A peer in C cannot be made; the message is a sentence that says why."""
+
+
+class NoCompilerError(CompilerError):
+    """The machine has no C compiler."""
 
 
 def compiled(source: Path, *arguments: str) -> ctypes.CDLL:
@@ -24,18 +28,22 @@ def compiled(source: Path, *arguments: str) -> ctypes.CDLL:
         arguments: what else the compiler is told, such as `-I` and libraries.
 
     Raises:
-        CompilerError: no C compiler is there, or it refuses the source.
+        NoCompilerError: no C compiler is there.
+        CompilerError: it refuses the source, or the system refuses the library.
     """
     compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if compiler is None:
-        raise CompilerError("no C compiler is there: install one (cc, gcc or clang)")
+        raise NoCompilerError("no C compiler is there: install one (cc, gcc or clang)")
     with tempfile.TemporaryDirectory() as folder:
         library = Path(folder) / f"{source.stem}.so"
         command = [compiler, *FLAGS, str(source), "-o", str(library), *arguments, "-lm", "-pthread"]
         ended = subprocess.run(command, capture_output=True, text=True)
         if ended.returncode:
             raise CompilerError(f"{source.name} does not compile: {ended.stderr.strip()}")
-        return ctypes.CDLL(str(library))
+        try:
+            return ctypes.CDLL(str(library))
+        except OSError as error:
+            raise CompilerError(f"{source.name} cannot be loaded: {error}") from None
 
 
 def address(array: object) -> ctypes.c_void_p:

@@ -35,6 +35,10 @@ def _library() -> ctypes.CDLL:
     return library
 
 
+# As many as the C source has room for.
+_MOST_THREADS = 64
+
+
 class MujocoInC:
     """An `Arm` in MuJoCo, driven from C.
 
@@ -119,6 +123,8 @@ class MujocoInC:
         self, angles: Array, rates: Array, commands: Array, *, threads: int, loop: int = 1
     ) -> Array:
         """Joint accelerations of many states, shape (item, joint), each `loop` times over."""
+        if not 1 <= threads <= _MOST_THREADS:
+            raise ValueError(f"{threads} threads: give 1 to {_MOST_THREADS}")
         states = [np.ascontiguousarray(x, dtype=float) for x in (angles, rates, commands)]
         found = np.empty_like(states[0])
         data = [self._new_data() for _ in range(threads)]

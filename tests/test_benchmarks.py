@@ -31,6 +31,8 @@ def test_the_benchmark_runs(tmp_path):
     assert set(found["chosen"]) == set(found["run"]) >= set(found["gradient"])
     if absent := found["absent"]:
         assert all(f"{name} is left out: {why}"[:60] in printed for name, why in absent.items())
+        # Anything else is a peer that does not work.
+        assert all("no C compiler is there" in why or "casadi" in why for why in absent.values())
         pytest.skip(str(absent))
     for name, chosen in found["chosen"].items():
         assert chosen["error"] < found["problem"]["tip_accuracy_m"], name
@@ -65,13 +67,41 @@ def test_a_ratio_that_fell_by_a_fifth_fails(tmp_path, fall, status):
     stored = history(tmp_path / "history.jsonl", {"run": 9.0, "fit": 9.0})
     history(stored, {"run": 2.0, "fit": 4.0})
     history(stored, {"run": 90.0}, links=3)
-    found = history(tmp_path / "bench.json", {"run": 2.0 * (1 - fall), "fit": 4.0, "new": 0.1})
+    now = {"run": 2.0 * (1 - fall), "fit": 4.0, "new": 0.1}
+    found = history(tmp_path / "bench.json", now)
     command = [sys.executable, "-m", "benchmarks.history", str(found), "--history", str(stored)]
     ended = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
     assert ended.returncode == status, ended.stderr
     said = f"'run' fell from 2.00 (before) to {2 - 2 * fall:.2f}: "
     assert ended.stderr.startswith(said) if status else ended.stderr == ""
     assert ended.stderr.count("\n") == status
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize(("ratios", "said"), [({}, "was not measured"), ({"run": "NaN"}, "fell")])
+def test_a_ratio_that_is_missing_or_no_number_fails(tmp_path, ratios, said):
+    """Those of two cores and of giajax's own solvers are not judged."""
+    stored = history(tmp_path / "history.jsonl", {"run": 2.0, "batch: a": 9.0, "giajax: b": 9.0})
+    found = history(tmp_path / "bench.json", {name: float(x) for name, x in ratios.items()})
+    command = [sys.executable, "-m", "benchmarks.history", str(found), "--history", str(stored)]
+    ended = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+    assert ended.returncode == 1
+    assert said in ended.stderr
+    assert ended.stderr.count("\n") == 1
+
+
+def test_a_ratio_says_how_many_times_as_long_as_giajax_a_peer_takes():
+    one = {"giajax": {"min": 2.0}, "CasADi in C": {"min": 1.0}}
+    both = {"giajax springs5": {"min": 2.0}, "MuJoCo, drag in C": {"min": 6.0}}
+    found = {"evaluation": one, "batch": one, "fits": one, "run": both, "gradient": both}
+    program = "import json, sys; from benchmarks.bench._ratios import ratios; "
+    program += "print(json.dumps(ratios(json.loads(sys.argv[1]))))"
+    command = [sys.executable, "-c", program, json.dumps(found)]
+    ended = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+    assert ended.returncode == 0, ended.stderr
+    ratios = json.loads(ended.stdout)
+    assert ratios["evaluation: CasADi over giajax"] == 0.5
+    assert ratios["run: MuJoCo in C over giajax"] == 3.0
 
 
 @pytest.mark.quick

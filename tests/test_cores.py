@@ -7,8 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from threadpoolctl import ThreadpoolController
 
 from giajax import InputError, fit, map_on_cores
+from giajax._blas import one_blas_thread
 from giajax._cores import cores, enable_x64
 from giajax._shares import Batch, dealt, on_all_cores
 from giajax._threads import side_by_side
@@ -54,6 +56,26 @@ def test_items_come_back_in_their_order_and_once(most):
     np.testing.assert_array_equal(second["y"], 5 * np.arange(3.0))
     assert {length for _, length in seen} == {2, 1}
     assert any(name != "MainThread" for name, _ in seen) == (most > 1)
+
+
+def test_blas_has_one_thread_until_the_last_of_those_who_ask_is_done():
+    """Who ends first must not give the others' threads back, nor who ends last forget them."""
+
+    def threads():
+        found = ThreadpoolController().select(user_api="blas").info()
+        return {each["filepath"]: each["num_threads"] for each in found}
+
+    with one_blas_thread():
+        pass  # What it loads is there for the count before.
+    before = threads()
+    assert before
+    first, second = one_blas_thread(), one_blas_thread()
+    first.__enter__()
+    second.__enter__()
+    first.__exit__(None, None, None)
+    assert set(threads().values()) == {1}
+    second.__exit__(None, None, None)
+    assert threads() == before
 
 
 def test_threads_compute_with_the_precision_of_the_caller():

@@ -41,6 +41,7 @@ ROOMS = [
         "_shares",
         "_threads",
         "_cores",
+        "_blas",
         "_program",
         "_kept",
         "_kept_files",

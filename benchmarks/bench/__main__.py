@@ -92,6 +92,8 @@ def main() -> int:
             "check": "fail when a ratio fell by a fifth against the last of these",
         },
     )
+    if arguments.quick and (arguments.record or arguments.check):
+        sys.exit("a quick run is no measure: leave out --quick, or --record and --check")
     jax.config.update("jax_enable_x64", True)
     console = Console()
     found = measure(arguments.quick, console)

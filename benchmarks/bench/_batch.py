@@ -2,7 +2,7 @@
 
 import multiprocessing
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -65,7 +65,7 @@ def _states(links: int, share: int, shares: int) -> dict[str, Any]:
 @contextmanager
 def _workers(links: int, layout: str, loop: int) -> Iterator[Callable[[], object]]:
     """A process for each core, which computes its share whenever it is asked to."""
-    # Two calls from threads of one process wait for each other in XLA's pool of threads.
+    # A process for each core, which shares nothing with the other.
     context = multiprocessing.get_context("spawn")
     ours, processes = [], []
     for share in range(CORES):
@@ -74,6 +74,8 @@ def _workers(links: int, layout: str, loop: int) -> Iterator[Callable[[], object
             target=_work, args=(there, links, share, layout, loop), daemon=True
         )
         process.start()
+        # The end of a process is seen once nobody else holds its end of the pipe.
+        there.close()
         ours.append(here)
         processes.append(process)
 
@@ -87,7 +89,8 @@ def _workers(links: int, layout: str, loop: int) -> Iterator[Callable[[], object
         yield call
     finally:
         for connection, process in zip(ours, processes, strict=True):
-            connection.send(False)
+            with suppress(OSError):
+                connection.send(False)
             process.join()
 
 

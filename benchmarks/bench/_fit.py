@@ -6,6 +6,7 @@ file, among which there is no such drag, so a residual of the user's own takes t
 rollouts, here MuJoCo with drag in C.
 """
 
+import inspect
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
@@ -171,13 +172,14 @@ def _mujoco(residual: Residual, start: np.ndarray) -> np.ndarray:
             return residual(values)[:, None]
         return np.stack([residual(column) for column in values.T], axis=1)
 
+    # 119 runs of the arm for 147, where MuJoCo has it.
+    has_scale = "x_scale" in inspect.signature(minimize.least_squares).parameters
     found, _ = minimize.least_squares(
         start,
         columns,
         bounds=[np.zeros_like(start), np.full_like(start, 1e3)],
         verbose=minimize.Verbosity.SILENT,
         max_iter=200,
-        # 119 runs of the arm for 147.
-        x_scale="jac",
+        **({"x_scale": "jac"} if has_scale else {}),
     )
     return np.ravel(found)

@@ -13,6 +13,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from ._blas import one_blas_thread
 from ._cores import carried, cores
 from ._errors import InputError
 from ._program import program
@@ -86,9 +87,10 @@ def map_on_cores(
         InputError: there are no items, or the environment variable GIAJAX_CORES is no number.
 
     Example:
+        >>> import giajax
         >>> import jax.numpy as jnp
-        >>> giajax.map_on_cores(jnp.square, jnp.arange(3))
-        array([0, 1, 4], dtype=int32)
+        >>> giajax.map_on_cores(jnp.square, jnp.arange(3)).tolist()
+        [0, 1, 4]
     """
     counts = {np.shape(leaf)[:1] for leaf in jax.tree.leaves(items)}
     if len(counts) != 1 or not next(iter(counts), ()) or not (count := counts.pop()[0]):
@@ -169,6 +171,6 @@ def _run(shares: Sequence[_Share], most: int) -> dict[int, Any]:
     if most == 1 or len(ordered) < 2:
         return {id(share): share.compute() for share in ordered}
     # Beginning threads takes a tenth of a millisecond; none is left when nothing is to be done.
-    with ThreadPoolExecutor(min(most, len(ordered)), "giajax") as pool:
+    with one_blas_thread(), ThreadPoolExecutor(min(most, len(ordered)), "giajax") as pool:
         results = list(pool.map(carried(_Share.compute, most), ordered))
     return {id(share): result for share, result in zip(ordered, results, strict=True)}

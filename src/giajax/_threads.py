@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Protocol, TypeVar
 
+from ._blas import one_blas_thread
 from ._cores import carried
 
 Result = TypeVar("Result")
@@ -62,7 +63,7 @@ def side_by_side(
             stop.set()
         return result
 
-    with ThreadPoolExecutor(most, "giajax") as pool:
+    with one_blas_thread(), ThreadPoolExecutor(most, "giajax") as pool:
         try:
             futures = [pool.submit(carried(begun, most), index) for index in range(len(jobs))]
             for future in futures:

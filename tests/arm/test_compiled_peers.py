@@ -10,7 +10,7 @@ from giajax.parameters import replace
 from giajax.simulation import joint_ramps
 from peers import compiling
 from peers.arms import driven_arm, full_arm, general_arm, random_states
-from peers.compiling import SOURCES, CompilerError
+from peers.compiling import SOURCES, NoCompilerError
 from peers.mujoco_chain import MujocoChain
 from peers.plain_arm import PARAMETERS, PlainArm
 from peers.scipy_chain import ScipyChain
@@ -26,7 +26,7 @@ STEP = 0.0125
 def compiled(kind, *arguments):
     try:
         return kind(*arguments)
-    except CompilerError as error:
+    except NoCompilerError as error:
         pytest.skip(str(error))
 
 
@@ -153,5 +153,5 @@ def test_an_arm_with_more_is_refused():
 
 def test_a_machine_without_a_compiler_is_told(monkeypatch):
     monkeypatch.setattr(compiling.shutil, "which", lambda name: None)
-    with pytest.raises(CompilerError, match=r"^no C compiler is there: install one"):
+    with pytest.raises(NoCompilerError, match=r"^no C compiler is there: install one"):
         compiling.compiled(SOURCES / "mujoco_run.c")

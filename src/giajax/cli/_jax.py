@@ -28,8 +28,8 @@ def configure() -> None:
     # program that does: the fit would be compiled anew in every process. A failed check becomes
     # a NaN instead, which every caller here looks for.
     os.environ.setdefault("EQX_ON_ERROR", "nan")
-    # The matrices of an arm are too small for OpenBLAS to share out: its threads cost half of
-    # the speed of one with 160 links, and the runs of a fit have the cores already.
+    # The matrices of an arm are too small for OpenBLAS to share out: its threads cost half of the
+    # speed of one with 160 links. Where several cores compute, `_blas` sees to it.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     import jax
 
