@@ -77,11 +77,12 @@ def compared(call: Callable[[], Any], repeats: int) -> tuple[dict[str, float], l
 
 def farthest(one: FitResult, two: FitResult) -> float:
     """How far two results are apart, in standard errors."""
-    distances = [
-        abs(estimate.value - two.free[path].value) / (estimate.standard_error or np.nan)
-        for path, estimate in one.free.items()
-    ]
-    # A NaN is none of those that are near enough.
+    distances = []
+    for path, estimate in one.free.items():
+        apart = abs(estimate.value - two.free[path].value)
+        # Where nothing responds there is no error, and the start is kept.
+        distances.append(apart / estimate.standard_error if estimate.standard_error else apart)
+    # By NumPy: a NaN is none of those that are near enough.
     return float(np.max(distances))
 
 
