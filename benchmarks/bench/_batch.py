@@ -65,7 +65,6 @@ def _states(links: int, share: int, shares: int) -> dict[str, Any]:
 @contextmanager
 def _workers(links: int, layout: str, loop: int) -> Iterator[Callable[[], object]]:
     """A process for each core, which computes its share whenever it is asked to."""
-    # A process for each core, which shares nothing with the other.
     context = multiprocessing.get_context("spawn")
     ours, processes = [], []
     for share in range(CORES):

@@ -4,6 +4,7 @@ Without JAX until it is asked: the command line has the variable's name in its h
 """
 
 import contextvars
+import importlib
 import os
 from collections.abc import Callable
 from typing import Any, ParamSpec, TypeVar
@@ -68,5 +69,5 @@ def enable_x64(wide: bool) -> Any:
     """JAX's context of 64-bit numbers, in the present thread; it was in another place once."""
     import jax
 
-    home: Any = jax if hasattr(jax, "enable_x64") else __import__("jax.experimental").experimental
+    home: Any = jax if hasattr(jax, "enable_x64") else importlib.import_module("jax.experimental")
     return home.enable_x64(wide)

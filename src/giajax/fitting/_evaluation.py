@@ -106,12 +106,13 @@ def _of_runs(
     for group in problem.groups:
         measured = np.count_nonzero(np.any(np.asarray(group.weight) > 0, axis=-1), axis=-1)
         length = in_a_share(len(measured))
-        place = dealt(measured, length)[0] if sample else np.arange(len(measured))
         runs = dataclasses.replace(group, members=(), first=0, shared=())
-        items = jax.tree.map(lambda leaf, at=place: np.asarray(leaf)[at], runs)
-        values = whole[group.columns()[place]]
-        batches.append(Batch(call, (values, items), (common,), measured[place], length))
-        places.append((place, len(measured)))
+        items = whole[group.columns()], runs
+        places.append((place := dealt(measured, length)[0], len(measured)))
+        if sample:
+            items = jax.tree.map(lambda leaf, at=place: np.asarray(leaf)[at], items)
+            measured = measured[place]
+        batches.append(Batch(call, items, (common,), measured, length))
     found = on_all_cores(batches)
     if not sample:
         return found

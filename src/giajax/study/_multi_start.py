@@ -192,8 +192,7 @@ def solve_from_starts(
     if not results:
         raise KeyboardInterrupt
     in_time = budget is None or not (
-        any(budget.ended_it in result.message for result in results)
-        or (len(ends) < starts and all(end.status != "interrupted" for end in ends))
+        spent.is_set() or (len(ends) < starts and all(end.status != "interrupted" for end in ends))
     )
     best = min(results, key=misfit)
     seconds = Seconds(
