@@ -20,6 +20,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.measuring import RESULTS, command_line, fastest, store
+from giajax._program import program
 from giajax.arm import Arm, acceleration
 from giajax.parameters import replace
 from giajax.simulation import Signal, simulate
@@ -63,8 +64,8 @@ def arranged(values: Any, layout: str) -> Any:
     return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1) if last else leaf, values)
 
 
-@partial(jax.jit, static_argnames=("layout", "loop"))
-def evaluations(arm: Arm, states: dict[str, Any], layout: str, loop: int) -> Any:
+@program
+def evaluations(arm: Arm, states: dict[str, Any], layout: str, loop: Any) -> Any:
     """`loop` dependent evaluations of every item."""
 
     def one(item: dict[str, Any]) -> Any:

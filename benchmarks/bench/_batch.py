@@ -9,29 +9,14 @@ from typing import Any
 import jax
 import numpy as np
 
-from benchmarks.batch import arranged, spread_over
+from benchmarks.batch import arranged, evaluations
 from benchmarks.measuring import in_turns
-from giajax._program import program
-from giajax.arm import Arm, acceleration
 from peers.arms import driven_arm, random_states
 from peers.mujoco_c import MujocoInC
 
 ITEMS, CORES = 256, 2
 # One, chosen beforehand: the least of several would have more draws than the other side.
 LAYOUT = "chunks of 64"
-
-
-@program
-def evaluations(arm: Arm, states: dict[str, Any], layout: str, loop: Any) -> Any:
-    """`loop` dependent evaluations of every item."""
-
-    def one(item: dict[str, Any]) -> Any:
-        def again(_: Any, angles: Any) -> Any:
-            return angles + 1e-9 * acceleration(arm, angles, item["rates"], item["command"])
-
-        return jax.lax.fori_loop(0, loop, again, item["angles"])
-
-    return spread_over(one, states, layout)
 
 
 def batch(
