@@ -1,5 +1,7 @@
 """Inputs over time: their values against numpy, which rows are merged, and what is refused."""
 
+from itertools import pairwise
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -128,6 +130,66 @@ def test_what_is_merged_stays_within_the_tolerance():
         signal = ramps(times, values, tolerance=tolerance)
         assert 2 < len(signal.times) < 300
         assert np.abs(evaluate(signal, times) - values).max() <= tolerance * (1 + 1e-9)
+
+
+def corner_times(signal, tolerance):
+    """Of the knots that no step may cross; each other one is one that steps may."""
+    corners, bends = (np.asarray(part) for part in signal.corners(jnp.asarray(tolerance)))
+    assert_array_equal(np.isinf(corners), ~np.isinf(bends))
+    assert_array_equal(np.minimum(corners, bends), signal.times)
+    return corners[np.isfinite(corners)]
+
+
+ROWS = np.arange(0, 20.01, 0.02)
+
+
+def waving(times):
+    return np.stack([0.3 * np.sin(0.5 * times), 0.1 * np.cos(0.3 * times)], axis=1)
+
+
+def test_rows_of_a_wave_are_no_corners_to_a_tolerance_that_cannot_see_them():
+    signal = ramps(ROWS, waving(ROWS), tolerance=0)
+    counts = [len(corner_times(signal, tolerance)) for tolerance in (1e-4, 1e-5, 1e-8)]
+    assert counts[0] < counts[1] < len(ROWS) / 10
+    assert counts[2] == len(ROWS)
+
+
+def test_between_two_corners_a_signal_is_a_cubic_to_within_three_tolerances():
+    signal = ramps(ROWS, waving(ROWS) + np.exp(-(((ROWS - 9) / 0.3) ** 2))[:, None])
+    times, values = np.asarray(signal.times), np.asarray(signal.values)
+    corners = corner_times(signal, 1e-4)
+    assert np.ptp(np.diff(corners)) > 1
+    for begin, end in pairwise(corners):
+        row = (times >= begin) & (times <= end)
+        if row.sum() > 4:
+            x = times[row] - times[row].mean()
+            fitted = np.vander(x, 4) @ np.linalg.lstsq(np.vander(x, 4), values[row])[0]
+            assert np.abs(values[row] - fitted).max() <= 3e-4 * np.abs(values).max()
+
+
+@pytest.mark.parametrize(
+    ("feature", "around"),
+    [
+        (lambda t: 0.1 * np.clip((t - 7) / 2, 0, 1), (7.0, 9.0)),
+        (lambda t: 0.003 * ((t > 9.99) & (t < 10.05)), (9.98, 10.06)),
+        (lambda t: 0.01 * np.exp(-(((t - 10) / 0.1) ** 2)), (9.8, 10.2)),
+    ],
+    ids=["ramp", "blip", "pulse"],
+)
+def test_what_a_long_step_might_miss_is_between_corners(feature, around):
+    """The ends of a ramp, and a narrow feature even of rows that are smooth from one to another."""
+    signal = ramps(ROWS, waving(ROWS) + feature(ROWS)[:, None], tolerance=0)
+    corners = corner_times(signal, 1e-5)
+    assert len(corners) < len(ROWS) / 5
+    for time in around:
+        assert np.abs(corners - time).min() < 0.03
+    inside = corners[(corners > around[0] - 0.03) & (corners < around[1] + 0.03)]
+    assert len(inside) >= 4 or around == (7.0, 9.0)
+
+
+def test_jumps_are_corners_at_any_tolerance():
+    assert len(corner_times(steps(ROWS, waving(ROWS)), 1.0)) == len(ROWS)
+    assert len(corner_times(constant([1.0]), 1.0)) == 1
 
 
 def test_repeated_rows_of_a_step_are_merged():

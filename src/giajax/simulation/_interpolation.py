@@ -7,14 +7,14 @@ import jax.numpy as jnp
 
 from .._typing import Array, Float, Scalar
 
-State = Float[Array, "2 joint"]
+State = Float[Array, "row joint"]
 
 
 class QuinticInterpolation(diffrax.AbstractLocalInterpolation):
     """Angles by the polynomial through angles, rates and accelerations at both ends of a step.
 
     The rates are its slope. Both are of the fifth order, as the method is; the interpolation that
-    Kennedy and Carpenter give is of the third.
+    Kennedy and Carpenter give is of the third. States beside these are cubic.
     """
 
     t0: Scalar  # type: ignore[misc]
@@ -43,4 +43,10 @@ class QuinticInterpolation(diffrax.AbstractLocalInterpolation):
         c5 = 6 * angle - 3 * rate + bend / 2
         angles = start + x * (v0 + x * (a0 / 2 + x * (c3 + x * (c4 + x * c5))))
         rates = v0 + x * (a0 + x * (3 * c3 + x * (4 * c4 + x * 5 * c5)))
-        return jnp.stack([angles, rates / step])
+        moved = jnp.stack([angles, rates / step])
+        if self.y0.shape[0] == 2:
+            return moved
+        start, end = self.y0[2:], self.y1[2:]
+        v0, v1 = step * self.f0[2:], step * self.f1[2:]
+        c2, c3 = 3 * (end - start) - 2 * v0 - v1, v0 + v1 - 2 * (end - start)
+        return jnp.concatenate([moved, start + x * (v0 + x * (c2 + x * c3))])

@@ -1,7 +1,7 @@
 """Inputs over time: commands of the joints and the velocity of the wind.
 
 Both are piecewise linear, with jumps allowed at the knots, so one class serves steps, ramps and
-logged rows. The knots are the corners that the step-size controller must not step over.
+logged rows. The step-size controller must not step over those knots that are corners.
 """
 
 from typing import Any
@@ -12,10 +12,15 @@ import numpy as np
 
 from .._errors import InputError
 from .._typing import Array, Bool, Float, Scalar
+from ._corners import corner_rows, roughness
 
 # A comparison with every knot is one vector instruction or a few; beyond this many knots a
 # binary search, which compiles to a loop, is faster.
 _COMPARE_ALL = 512
+
+# In relative tolerances, how rough a knot may be that steps cross: where a finer tolerance is
+# needed for the motion, errors by the knots stay below its own.
+_CROSSED = 3.0
 
 
 class Signal(eqx.Module):
@@ -28,11 +33,14 @@ class Signal(eqx.Module):
         times: of the knots, increasing, s, shape (knot,).
         values: just after each knot, shape (knot, width).
         slopes: after each knot, per second, shape (knot, width).
+        roughness: how far the signal is from a cubic around each knot, as a fraction of its
+            largest value, shape (knot,); infinite where it jumps.
     """
 
     times: Float[Array, " knot"]
     values: Float[Array, "knot width"]
     slopes: Float[Array, "knot width"]
+    roughness: Float[Array, " knot"]
 
     def __call__(self, time: Scalar) -> Float[Array, " width"]:
         """Value at a time (s)."""
@@ -44,10 +52,20 @@ class Signal(eqx.Module):
         """Rate of change at a time (s), jumps apart; 0 before the first knot."""
         return jnp.where(time >= self.times[0], self.slopes[self._knot(time)], 0)
 
+    def corners(self, tolerance: Scalar) -> tuple[Float[Array, " knot"], Float[Array, " knot"]]:
+        """Times of the knots that no step may cross, and of those that steps may.
+
+        Arguments:
+            tolerance: relative tolerance of a step.
+
+        Returns:
+            Two arrays of shape (knot,), s, each infinite where a knot is one of the other.
+        """
+        corner = self.roughness > _CROSSED * tolerance
+        return jnp.where(corner, self.times, jnp.inf), jnp.where(corner, jnp.inf, self.times)
+
     def _knot(self, time: Scalar) -> Array:
-        method = "compare_all" if self.times.shape[0] <= _COMPARE_ALL else "scan_unrolled"
-        after = jnp.searchsorted(self.times, time, side="right", method=method)
-        return jnp.maximum(after - 1, 0)
+        return last_before(self.times, time)
 
     @property
     def jumps(self) -> Bool[Array, ""]:
@@ -60,6 +78,18 @@ class Signal(eqx.Module):
     def width(self) -> int:
         """Number of values at one time."""
         return self.values.shape[1]
+
+
+def last_before(times: Float[Array, " knot"], time: Scalar) -> Array:
+    """Index of the last of some increasing times that is not after a time; 0 if all are.
+
+    Arguments:
+        times: increasing, shape (knot,).
+        time: the time.
+    """
+    method = "compare_all" if times.shape[0] <= _COMPARE_ALL else "scan_unrolled"
+    after = jnp.searchsorted(times, time, side="right", method=method)
+    return jnp.maximum(after - 1, 0)
 
 
 def constant(value: Any) -> Signal:
@@ -107,11 +137,11 @@ def ramps(times: Any, values: Any, *, tolerance: float = 1e-5) -> Signal:
     """
     times, values = _rows(times, values)
     allowed = tolerance * max(np.abs(values).max(), 1e-300)
-    kept = _corners(times, values, allowed)
+    kept = corner_rows(times, values, allowed)
     times, values = times[kept], values[kept]
     slopes = np.zeros_like(values)
     slopes[:-1] = np.diff(values, axis=0) / np.diff(times)[:, None]
-    return _signal(times, values, slopes)
+    return _signal(times, values, slopes, roughness(times, values))
 
 
 def logged(times: Any, values: Any, interpolation: str = "linear") -> Signal:
@@ -135,8 +165,16 @@ def logged(times: Any, values: Any, interpolation: str = "linear") -> Signal:
     raise InputError(f"the interpolation {interpolation!r} is unknown: use 'zoh' or 'linear'")
 
 
-def _signal(times: np.ndarray, values: np.ndarray | Array, slopes: np.ndarray) -> Signal:
-    return Signal(*(jnp.asarray(x, dtype=jnp.result_type(float)) for x in (times, values, slopes)))
+def _signal(
+    times: np.ndarray,
+    values: np.ndarray | Array,
+    slopes: np.ndarray,
+    rough: np.ndarray | None = None,
+) -> Signal:
+    """A signal of arrays; each knot is a corner unless `rough` says otherwise."""
+    rough = np.full(len(times), np.inf) if rough is None else rough
+    parts = (times, values, slopes, rough)
+    return Signal(*(jnp.asarray(x, dtype=jnp.result_type(float)) for x in parts))
 
 
 def _rows(times: Any, values: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -155,28 +193,3 @@ def _rows(times: Any, values: Any) -> tuple[np.ndarray, np.ndarray]:
             "the times of a signal do not increase strictly: sort them and drop doubles"
         )
     return times, values
-
-
-def _corners(times: np.ndarray, values: np.ndarray, allowed: float) -> np.ndarray:
-    """Rows that remain when those on a straight line between their neighbours are merged.
-
-    From each kept row the band of slopes that pass within `allowed` of every row seen so far
-    narrows until it is empty; the row before that is the next corner.
-    """
-    kept = [0]
-    lowest, highest = np.full(values.shape[1], -np.inf), np.full(values.shape[1], np.inf)
-    for row in range(1, len(times)):
-        elapsed = times[row] - times[kept[-1]]
-        rise = values[row] - values[kept[-1]]
-        slope = rise / elapsed
-        if np.any(slope < lowest) or np.any(slope > highest):
-            kept.append(row - 1)
-            elapsed = times[row] - times[row - 1]
-            rise = values[row] - values[row - 1]
-            lowest, highest = (rise - allowed) / elapsed, (rise + allowed) / elapsed
-            continue
-        lowest = np.maximum(lowest, (rise - allowed) / elapsed)
-        highest = np.minimum(highest, (rise + allowed) / elapsed)
-    if len(times) > 1:
-        kept.append(len(times) - 1)
-    return np.asarray(kept)
