@@ -15,7 +15,7 @@ endif
 endif
 
 .PHONY: help demo check quick test test-slow test-all test-lowest test-python evidence \
-	lint types bench bench-check synthetic clean
+	paper lint types bench bench-check synthetic clean
 
 help:
 	@echo "make demo           install into $(VENV) and fit the demonstration run"
@@ -27,6 +27,7 @@ help:
 	@echo "make test-lowest    the lowest versions that pyproject.toml allows"
 	@echo "make test-python    another Python: make test-python PYTHON=python3.13"
 	@echo "make evidence NAME  a study that takes long, into docs/evidence; without a name, lists them"
+	@echo "make paper          the paper's figures and tables, into giajax-out/paper"
 	@echo "make lint           formatting and lint"
 	@echo "make types          static types"
 	@echo "make bench          side-by-side measurements against MuJoCo, CasADi and scipy"
@@ -74,6 +75,9 @@ test-python:
 
 evidence: $(VENV)/.installed-dev
 	$(BIN)/python -m evidence $(NAME) $(EVIDENCE_ARGS)
+
+paper: $(VENV)/.installed
+	$(BIN)/giajax paper all --out giajax-out/paper --force
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

@@ -281,3 +281,27 @@ def test_help_imports_no_jax(words):
     )
     assert (done.returncode, done.stderr) == (0, "")
     assert "giajax" in done.stdout
+
+
+@pytest.mark.slow
+def test_gusts_are_recorded_about_the_mean_wind(out):
+    """And the arm moves in them alone."""
+    run = simulate(out, *SHORT, "--wind", "0,0.3,0", "--gusts", "0.4,0.2,0:2")
+    assert "--gusts 0.4,0.2,0:2" in run.definition.origin
+    assert run.definition.wind.velocity_m_per_s is None
+    across = run.values["wind_y"]
+    assert 0.02 < np.ptp(across) < 1
+    np.testing.assert_allclose(run.values["wind_z"], 0, atol=1e-9)
+    assert run.values["tip_y"][-1] > 1e-3
+    np.testing.assert_allclose(run.values["tip_z"], 0, atol=1e-9)
+
+
+@pytest.mark.parametrize("text", ["0.3", "0.3:", "0.3,0.1:5", "a:5", "0.3:5:1"])
+def test_gusts_that_are_none_are_refused(out, text, capsys):
+    simulate(out, *SHORT, "--wind", "0,0.3,0", "--gusts", text, status=2)
+    assert f"--gusts is '{text}'" in capsys.readouterr().err
+
+
+def test_gusts_need_a_mean_wind(out, capsys):
+    simulate(out, *SHORT, "--gusts", "0.3:5", status=2)
+    assert "give it by --wind" in capsys.readouterr().err

@@ -20,6 +20,7 @@ from . import (
     _hysteresis,
     _init,
     _joint,
+    _paper,
     _parameters,
     _predict,
     _sensitivity,
@@ -51,6 +52,8 @@ Examples:
                             commands that undo the hysteresis
   giajax hysteresis --out DIR
                             the paper's 1-link experiment, simulated
+  giajax paper all --out DIR
+                            the paper's figures and tables, made again
 
 A run is a CSV file with one column a channel (time_s, joint01_command_deg,
 link06_z_m, ...) and, beside it, an optional sidecar of the same name ending .toml."""
@@ -64,6 +67,7 @@ _COMMANDS: tuple[tuple[Callable[..., None], str], ...] = (
     (_hysteresis.hysteresis, _hysteresis.EXAMPLES),
     (_init.init, _init.EXAMPLES),
     (_joint.joint, _joint.EXAMPLES),
+    (_paper.paper, _paper.EXAMPLES),
     (_parameters.parameters, _parameters.EXAMPLES),
     (_predict.predict, _predict.EXAMPLES),
     (_sensitivity.sensitivity, _sensitivity.EXAMPLES),

@@ -28,6 +28,8 @@ _MOVE = re.compile(
     rf"(?:@(?P<start>{NUMBER})(?::(?P<duration>{NUMBER}))?)?"
 )
 
+_GUSTS = re.compile(rf"(?P<intensity>{NUMBER}(?:,{NUMBER},{NUMBER})?):(?P<length>{NUMBER})")
+
 
 def definition_from_options(arm: Path | None, links: int | None, wind: str | None) -> "Definition":
     """What the arm file and the options say, the options on top."""
@@ -93,6 +95,33 @@ def drives_of(run: "Run", rate: float) -> tuple[float, float, list["Drive"]]:
     if run.winds:
         drives.append(Drive(run.times, run.winds, wind.interpolation))
     return float(run.times[0]), length, drives
+
+
+def gusts_of(
+    text: str, definition: "Definition", replayed: "Run | None", *, rate: float, **sampling: Any
+) -> "Drive":
+    """The wind of --gusts about the constant one; `sampling` is as of `giajax.gusts`."""
+    from ..kinds import WindSection
+    from ..synthetic import gusts
+
+    match = _GUSTS.fullmatch(text.replace(" ", ""))
+    if match is None:
+        raise InputError(
+            f"--gusts is {text!r}: give the intensity, or three of them, and the length scale in "
+            "m, such as 0.3:5 or 0.3,0.2,0.1:5"
+        )
+    source = definition if replayed is None else replayed.definition
+    mean = source.section(WindSection).velocity_m_per_s
+    if replayed is not None and replayed.winds:
+        raise InputError(f"'{replayed.name}' has recorded a wind: leave --gusts out")
+    if mean is None:
+        raise InputError(
+            "--gusts are about a constant wind, and none is there: give it by --wind X,Y,Z"
+        )
+    parts = [float(part) for part in match["intensity"].split(",")]
+    intensity = parts if len(parts) == 3 else parts[0]
+    sampling |= {"interval": 1 / rate if rate else 0.0, "length_scale": float(match["length"])}
+    return gusts(mean, intensity=intensity, **sampling)
 
 
 def moves_of(step: Sequence[str], ramp: Sequence[str], count: int, duration: float) -> "Drive":
@@ -163,8 +192,9 @@ def facts_of(
         facts["initial"] = initial
     if commanded:
         facts["command"] = {"interpolation": commanded[0].interpolation}
-    if velocity is not None:
-        facts["wind"] = {"velocity_m_per_s": velocity}
-    elif winds:
+    # Gusts have the mean wind in them.
+    if winds:
         facts["wind"] = {"interpolation": winds[0].interpolation}
+    elif velocity is not None:
+        facts["wind"] = {"velocity_m_per_s": velocity}
     return facts

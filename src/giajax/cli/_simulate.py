@@ -13,6 +13,7 @@ from ._drive import (
     definition_from_options,
     drives_of,
     facts_of,
+    gusts_of,
     model_and_truth,
     moves_of,
     replayed_run,
@@ -31,6 +32,7 @@ Examples:
   giajax simulate --out run.csv --command logged.csv --set air.drag_coefficient=1.0
   giajax simulate --out run.csv --arm my_arm.toml --ramp 2=-20@1:3 --channels all
                   --set camera.origin=0.1,0,0
+  giajax simulate --out run.csv --wind 0,0.2,0 --gusts 0.3:5
 
 \b
 CHANNELS is link06 (its x, y and z), link06_z, tip, joint03_angle, joint03_rate,
@@ -75,6 +77,12 @@ def simulate(
     wind: Annotated[
         str | None, typer.Option(metavar="X,Y,Z", help="Constant velocity of the air, m/s.")
     ] = None,
+    gusts: Annotated[
+        str | None,
+        typer.Option(
+            metavar="I:L", help="Gusts about --wind: turbulence intensity and length scale, m."
+        ),
+    ] = None,
     duration: Annotated[
         float | None,
         typer.Option(metavar="S", help="Length of the run, s. [default: 25, or that of --command]"),
@@ -96,7 +104,7 @@ def simulate(
     missing: Annotated[
         float, typer.Option(metavar="PERCENT", help="Share of each channel that is left empty.")
     ] = 0.0,
-    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Of the noise and the gaps.")] = 0,
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Of noise, gaps and gusts.")] = 0,
     solver: Annotated[
         str, typer.Option(metavar="NAME", help="Integration method, such as tsit5, springs5.")
     ] = "tsit5",
@@ -136,6 +144,9 @@ def simulate(
     duration = DURATION if duration is None else duration
     if step or ramp:
         drives = [moves_of(step or [], ramp or [], count, duration)]
+    if gusts is not None:
+        sampling = {"start": start, "duration": duration, "rate": rate, "seed": seed}
+        drives.append(gusts_of(gusts, definition, replayed, **sampling))
     recorded = channel_names(channels or [], count)
     deviations(section, "--noise", recorded)
     facts = facts_of(definition, replayed, drives, model)

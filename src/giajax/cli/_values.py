@@ -69,11 +69,20 @@ def with_settings(model: Any, values: Mapping[str, Sequence[float]]) -> Any:
         InputError: an unknown path, another number of values than elements, or a value beyond
             its bounds.
     """
-    from ..parameters import check_count, check_within_bounds, elements, replace, switched_on
+    from ..parameters import (
+        check_count,
+        check_within_bounds,
+        elements,
+        find,
+        replace,
+        switched_on,
+    )
 
     for path, numbers in values.items():
         model = switched_on(model, [path])
         check_count(model, path, numbers)
+        if find(model, path).any_number:
+            model = replace(model, {path: [float(value) for value in numbers]})
         parts = elements(model, path)
         each = [float(value) for value in numbers] * (len(parts) // len(numbers))
         for part, value in zip(parts, each, strict=True):

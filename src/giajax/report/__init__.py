@@ -2,6 +2,7 @@
 
 from .._text import format_estimate as format_estimate
 from ._correlation import correlation_figure as correlation_figure
+from ._csv import to_csv as to_csv
 from ._files import write_figures as write_figures, write_result as write_result
 from ._folder import check_folder as check_folder
 from ._joint_angle import angle_figure as angle_figure, angle_table as angle_table
@@ -26,9 +27,11 @@ from ._sensitivity import (
 )
 from ._style import (
     BLUE as BLUE,
+    DEGREE as DEGREE,
     GREEN as GREEN,
     GREY as GREY,
     INK as INK,
+    LIGHT as LIGHT,
     VERMILLION as VERMILLION,
     new_figure as new_figure,
     plain as plain,

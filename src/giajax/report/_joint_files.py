@@ -1,11 +1,12 @@
 """One joint at rest as files: pictures, and the numbers in them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from ..joint import LARGEST_ANGLE, JointPair
+from ._csv import to_csv
 from ._joint_angle import angle_figure, angle_table
 from ._joint_correction import correction_figure, correction_table
 from ._joint_equilibria import equilibria_figure, equilibria_table
@@ -51,28 +52,13 @@ def joint_files(pair: JointPair, degrees: Sequence[float], target: float) -> dic
                 column.append(cell)
     return {
         "fig09.png": to_png(angle_figure(joint, corrected=False)),
-        "fig09.csv": _csv(angle_table(joint, corrected=False)),
+        "fig09.csv": to_csv(angle_table(joint, corrected=False)),
         "fig10.png": to_png(angle_figure(joint, corrected=True)),
-        "fig10.csv": _csv(angle_table(joint, corrected=True)),
+        "fig10.csv": to_csv(angle_table(joint, corrected=True)),
         "corrections.png": to_png(correction_figure(joint)),
-        "corrections.csv": _csv(corrections),
+        "corrections.csv": to_csv(corrections),
         "joint.png": to_png(joint_figure(joint, degrees)),
-        "points.csv": _csv(points),
+        "points.csv": to_csv(points),
         "equilibria.png": to_png(equilibria_figure(pair, holding, target)),
-        "equilibria.csv": _csv(holding),
+        "equilibria.csv": to_csv(holding),
     }
-
-
-def _csv(columns: Mapping[str, Any]) -> bytes:
-    def cell(value: Any) -> str:
-        if isinstance(value, str):
-            return f'"{value}"' if "," in value else value
-        # A truth value is a number to numpy, and so to float.
-        return (
-            str(value).lower() if str(value) in ("True", "False") else f"{float(value) + 0.0:.9g}"
-        )
-
-    rows = zip(*columns.values(), strict=True)
-    return (
-        "\n".join([",".join(columns), *(",".join(map(cell, row)) for row in rows)]) + "\n"
-    ).encode()

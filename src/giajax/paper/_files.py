@@ -1,0 +1,117 @@
+"""Figures and tables as files: a picture, its numbers as CSV and JSON, and a page of all."""
+
+import html
+import json
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from .._version import __version__
+from ..report import to_csv, to_png
+from ._reproduced import Reproduced
+
+_STYLE = """\
+body { font: 16px/1.5 system-ui, sans-serif; color: #222; max-width: 62rem; margin: 2rem auto;
+       padding: 0 1rem; }
+h2 { margin-top: 3rem; }
+img { max-width: 100%; height: auto; }
+.wide { overflow-x: auto; }
+table { border-collapse: collapse; font-size: 0.9rem; }
+th, td { padding: 0.2rem 0.9rem 0.2rem 0; text-align: right; border-bottom: 1px solid #e3e3e3; }
+th:first-child, td:first-child { text-align: left; }
+dt { font-weight: 600; }
+dd { margin: 0 0 0.4rem 0; }
+"""
+
+
+def reproduced_names(name: str) -> tuple[str, str, str]:
+    """Names of the files of a figure: picture, CSV and JSON."""
+    return f"{name}.png", f"{name}.csv", f"{name}.json"
+
+
+def reproduced_files(name: str, shown: Reproduced) -> dict[str, bytes]:
+    """The picture (PNG) and the numbers (CSV, JSON) of a figure.
+
+    Arguments:
+        name: of the figure, such as "fig5".
+        shown: the figure.
+
+    Returns:
+        Contents by name of the file.
+    """
+    record = {
+        "name": name,
+        "title": shown.title,
+        "giajax": __version__,
+        "sources": {
+            word.lower().replace(" ", "_"): text for word, text in shown.sources.by_word().items()
+        },
+        "table": {"headings": list(shown.headings), "rows": [list(row) for row in shown.rows]},
+        "columns": {heading: list(column) for heading, column in shown.columns.items()},
+        **shown.facts,
+    }
+    text = json.dumps(_plain(record), indent=1, ensure_ascii=False, allow_nan=False)
+    contents = to_png(shown.figure), to_csv(shown.columns), f"{text}\n".encode()
+    return dict(zip(reproduced_names(name), contents, strict=True))
+
+
+def reproduction_page(shown: Iterable[tuple[str, Reproduced]]) -> bytes:
+    """A page (HTML) of figures whose files lie beside it.
+
+    Arguments:
+        shown: figures by their names.
+
+    Returns:
+        The content of the file.
+    """
+    parts = []
+    for name, figure in shown:
+        picture, table, record = reproduced_names(name)
+        sources = "".join(
+            f"<dt>{word}</dt><dd>{html.escape(text)}</dd>"
+            for word, text in figure.sources.by_word().items()
+        )
+        parts.append(
+            f'<h2 id="{name}">{html.escape(figure.title)}</h2>\n'
+            f'<img src="{picture}" alt="{html.escape(figure.title)}">\n'
+            f'<div class="wide">{_table(figure)}</div>\n<dl>{sources}</dl>\n'
+            f'<p>Numbers: <a href="{table}">{table}</a>, <a href="{record}">{record}</a></p>\n'
+        )
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>The paper's figures by giajax</title>\n<style>\n{_STYLE}</style></head>\n<body>\n"
+        "<h1>The paper's figures by giajax</h1>\n<p>Figures and tables that Takeichi, Suzumori, "
+        "Endo and Nabae (<i>Development of a 20-m-long Giacometti arm with balloon body based on "
+        "kinematic model with air resistance</i>) derive from their models, made again by "
+        f"giajax {__version__}. Below each stands what is printed in the paper, what is assumed, "
+        "and what was reconstructed.</p>\n" + "".join(parts) + "</body></html>\n"
+    ).encode()
+
+
+def _table(figure: Reproduced) -> str:
+    heads = "".join(f"<th>{html.escape(heading)}</th>" for heading in figure.headings)
+    rows = "".join(
+        "<tr>" + "".join(f"<td>{html.escape(_cell(cell))}</td>" for cell in row) + "</tr>\n"
+        for row in figure.rows
+    )
+    return f"<table><tr>{heads}</tr>\n{rows}</table>"
+
+
+def _cell(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _plain(value: Any) -> Any:
+    """What JSON holds: numbers with nine digits, and nothing where there is none."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [_plain(each) for each in value]
+    if isinstance(value, np.generic) or hasattr(value, "__array__"):
+        return _plain(np.asarray(value).tolist())
+    if isinstance(value, float):
+        return float(f"{value + 0.0:.9g}") if math.isfinite(value) else None
+    return value

@@ -1,0 +1,109 @@
+"""The figures of the paper: against other tolerances and another engine, and as files."""
+
+import csv
+import io
+import json
+import re
+
+import numpy as np
+import pytest
+
+from giajax.arm import takeichi_20m
+from giajax.cli._paper import NAMES
+from giajax.paper import FIGURES, Reproduced, Sources, reproduced_files, reproduction_page
+from giajax.paper._fig05 import LINKS, STEP_AT, STEP_DEG, TOLERANCE, heights
+from giajax.parameters import replace
+from giajax.report import new_figure
+from giajax.simulation import joint_steps
+from peers.compiling import NoCompilerError
+
+
+@pytest.mark.quick
+def test_the_command_knows_every_figure():
+    assert tuple(FIGURES) == NAMES
+
+
+@pytest.fixture
+def shown():
+    figure = new_figure(4, 3, "A title")
+    figure.subplots().plot([0, 1], [0, 1])
+    return Reproduced(
+        "A <title>",
+        Sources("the model.", "a stiffness.", "nothing."),
+        figure,
+        ("link", "z, m"),
+        ((6, 0.25),),
+        {"time_s": np.array([0.0, 1.0]), "z_m": ["", "0.5"]},
+        {"seeds": np.arange(2)},
+    )
+
+
+@pytest.mark.quick
+def test_a_figure_becomes_a_picture_and_its_numbers(shown):
+    files = reproduced_files("fig0", shown)
+    assert list(files) == ["fig0.png", "fig0.csv", "fig0.json"]
+    assert files["fig0.png"].startswith(b"\x89PNG")
+    rows = list(csv.DictReader(io.StringIO(files["fig0.csv"].decode())))
+    assert rows == [{"time_s": "0", "z_m": ""}, {"time_s": "1", "z_m": "0.5"}]
+    record = json.loads(files["fig0.json"])
+    assert record["sources"]["assumed"] == "a stiffness."
+    assert record["table"] == {"headings": ["link", "z, m"], "rows": [[6, 0.25]]}
+    assert record["columns"]["time_s"] == [0, 1]
+    assert record["seeds"] == [0, 1]
+
+
+@pytest.mark.quick
+def test_the_sources_stand_below_the_picture(shown):
+    text = shown.figure.get_supxlabel()
+    for word in ("Printed in the paper: the model.", "Assumed: a stiffness.", "Reconstructed: no"):
+        assert word in text
+
+
+@pytest.mark.quick
+def test_the_page_shows_each_figure_with_its_sources(shown):
+    page = reproduction_page([("fig0", shown), ("fig1", shown)]).decode()
+    assert re.findall(r'src="(.*?)"', page) == ["fig0.png", "fig1.png"]
+    assert re.findall(r'href="(.*?)"', page) == [
+        "fig0.csv", "fig0.json", "fig1.csv", "fig1.json",
+    ]  # fmt: skip
+    assert page.count("<dd>a stiffness.</dd>") == 2
+    assert "A &lt;title&gt;" in page
+    assert "<title>" in page
+    assert "A <title>" not in page
+
+
+@pytest.fixture(scope="module")
+def curves():
+    return heights()
+
+
+ROWS = [link - 1 for link in LINKS]
+
+
+@pytest.mark.slow
+def test_halved_tolerances_move_no_curve_of_fig_5(curves):
+    _, z = curves
+    _, finer = heights(TOLERANCE / 2)
+    for air in ("with", "without"):
+        assert np.abs(z[air] - finer[air])[:, ROWS].max() < 1e-5
+    # They are curves, and air matters.
+    assert np.ptp(z["without"][:, 19]) > 10 > 2 * np.ptp(z["with"][:, 19])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("air", ["with", "without"])
+def test_fig_5_is_that_of_mujoco(curves, air):
+    """Centres of links are half-way between their ends."""
+    mujoco_c = pytest.importorskip("peers.mujoco_c", reason="mujoco is not installed")
+    times, z = curves
+    arm = takeichi_20m()
+    if air == "without":
+        arm = replace(arm, {"air.drag_coefficient": 0.0})
+    command = joint_steps(arm.count, {1: np.deg2rad(STEP_DEG)}, time=STEP_AT)
+    try:
+        peer = mujoco_c.MujocoInC(arm, command)
+    except NoCompilerError as error:
+        pytest.skip(str(error))
+    ends = peer.ends(times, 0.005)[..., 2]
+    centres = (ends + np.concatenate([np.zeros((len(times), 1)), ends[:, :-1]], axis=1)) / 2
+    assert np.abs(z[air] - centres)[:, ROWS].max() < 1e-4

@@ -1,0 +1,98 @@
+"""Gusts: von Karman's spectrum, its variance, and a wind that a run records."""
+
+import numpy as np
+import pytest
+
+from giajax import InputError, gusts
+from giajax.simulation import ramps
+from giajax.synthetic import gust_spectrum
+
+pytestmark = pytest.mark.quick
+
+WIND = {"speed": 0.2, "deviation": 0.06, "length_scale": 3.0}
+
+
+@pytest.mark.parametrize("along", [True, False])
+def test_the_spectrum_has_the_variance(along):
+    frequencies = np.geomspace(1e-6, 1e4, 200_001)
+    density = gust_spectrum(frequencies, **WIND, along=along)
+    assert np.trapezoid(density, frequencies) == pytest.approx(0.06**2, rel=2e-4)
+    # The inertial range of Kolmogorov: -5/3.
+    slope = np.diff(np.log(density[-2:])) / np.diff(np.log(frequencies[-2:]))
+    assert slope == pytest.approx(-5 / 3, abs=1e-4)
+
+
+def test_the_components_are_those_of_isotropic_turbulence():
+    """S_across = (S_along - f dS_along/df) / 2, which needs no other formula."""
+    frequencies = np.geomspace(1e-3, 10, 2001)
+    along = gust_spectrum(frequencies, **WIND, along=True)
+    across = gust_spectrum(frequencies, **WIND, along=False)
+    slope = np.gradient(along, frequencies, edge_order=2)
+    expected = (along - frequencies * slope) / 2
+    np.testing.assert_allclose(across[1:-1], expected[1:-1], rtol=1e-4)
+
+
+def columns(wind):
+    return np.stack([wind.values[f"wind_{axis}"] for axis in "xyz"], axis=1)
+
+
+def test_a_long_wind_has_mean_and_deviations_along_its_own_axes():
+    direction = np.array([0.6, 0.0, 0.8])
+    wind = gusts(
+        0.5 * direction, intensity=[0.3, 0.2, 0.1], length_scale=1.0, duration=1000.0, seed=2
+    )
+    velocity = columns(wind)
+    np.testing.assert_allclose(velocity.mean(axis=0), 0.5 * direction, atol=0.02)
+    level = np.array([0.0, 1.0, 0.0])
+    for axis, share in ((direction, 0.3), (level, 0.2), (np.cross(direction, level), 0.1)):
+        # What rows of 0.1 s do not resolve is left out: 5 % here.
+        assert np.std(velocity @ axis) == pytest.approx(0.5 * share, rel=0.15)
+    # Its spectrum, by a periodogram of 100 s stretches: half and twice a band.
+    one = (velocity @ direction - 0.5)[:-1].reshape(10, 1000)
+    frequencies = np.fft.rfftfreq(1000, 0.1)
+    density = 2 * 0.1 / 1000 * np.mean(np.abs(np.fft.rfft(one, axis=1)) ** 2, axis=0)
+    theory = gust_spectrum(frequencies, speed=0.5, deviation=0.15, length_scale=1.0, along=True)
+    for low, high in ((0.05, 0.2), (0.2, 0.6), (0.6, 2.0)):
+        band = (frequencies >= low) & (frequencies < high)
+        assert density[band].mean() == pytest.approx(theory[band].mean(), rel=0.35)
+
+
+def test_it_is_smooth_enough_for_added_mass():
+    """No jump, and no wave that its rows do not resolve."""
+    wind = gusts([0, 0.2, 0], intensity=0.5, length_scale=0.5, duration=50.0, seed=4)
+    signal = ramps(wind.times, columns(wind), tolerance=0.0)
+    # A signal of NumPy's arrays has the same corners: no program is needed to see it.
+    values, slopes = np.asarray(signal.values), np.asarray(signal.slopes)
+    steps = np.diff(np.asarray(signal.times))[:, None]
+    np.testing.assert_allclose(values[:-1] + slopes[:-1] * steps, values[1:], atol=1e-12)
+    power = np.abs(np.fft.rfft(np.hanning(501)[:, None] * columns(wind), axis=0)) ** 2
+    above = np.fft.rfftfreq(501, 0.1) > 2.6
+    assert power[above].sum() < 1e-5 * power.sum()
+
+
+def test_seeds_and_components():
+    wind = {"length_scale": 2.0, "duration": 10.0}
+    first = columns(gusts([0, 0.1, 0], intensity=0.5, seed=1, **wind))
+    again = columns(gusts([0, 0.1, 0], intensity=0.5, seed=1, **wind))
+    np.testing.assert_array_equal(first, again)
+    assert np.abs(first - columns(gusts([0, 0.1, 0], intensity=0.5, seed=2, **wind))).max() > 0.01
+    only = columns(gusts([0, 0.1, 0], intensity=[0.5, 0, 0], seed=1, **wind))
+    np.testing.assert_array_equal(only[:, [0, 2]], 0)
+    np.testing.assert_allclose(only[:, 1], first[:, 1], atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("mean", "changes", "message"),
+    [
+        ([0, 0, 0], {}, "not all 0"),
+        ([0, 0.1], {}, "three numbers"),
+        ([0, 0.1, 0], {"intensity": -1}, "intensity of gusts is -1"),
+        ([0, 0.1, 0], {"intensity": [0, 0, 0]}, "not all of them 0"),
+        ([0, 0.1, 0], {"length_scale": 0}, "length_scale of gusts is 0"),
+        ([0, 0.1, 0], {"duration": np.inf}, "duration of gusts is inf"),
+    ],
+)
+def test_what_is_no_wind_is_refused(mean, changes, message):
+    numbers = {"intensity": 0.5, "length_scale": 2.0, "duration": 10.0}
+    with pytest.raises(InputError, match=message):
+        gusts(mean, **{**numbers, **changes})
