@@ -9,7 +9,7 @@ right answer: there it is counted what comes first.
 
 import dataclasses
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -46,7 +46,7 @@ AXES, WALK = "axes: y and z swapped", "a random walk"
 CASES = (*TAKEN, *ADDED, AXES, WALK)
 
 
-def run(size: int, seed: int, cases: Sequence[str] = CASES) -> Figures:
+def run(size: int, seed: int) -> Figures:
     """Figures of `size` recordings of each case, the noise stated in every other one.
 
     Each recording has random numbers of its own.
@@ -54,12 +54,7 @@ def run(size: int, seed: int, cases: Sequence[str] = CASES) -> Figures:
     import jax
 
     jax.config.update("jax_enable_x64", True)
-    return {name: _figures(name, size, [seed, CASES.index(name)]) for name in cases}
-
-
-def part(size: int, seed: int) -> Figures:
-    """One case, whose programs alone take longer to compile than all else."""
-    return run(size, seed, ("joints.friction",))
+    return {name: _figures(name, size, [seed, CASES.index(name)]) for name in CASES}
 
 
 def _figures(name: str, size: int, entropy: list[int]) -> Figures:
@@ -209,7 +204,6 @@ SUSPECTS = Study(
     size=6,
     seed=1,
     run=run,
-    part=part,
     disagreements=disagreements,
     table=table,
 )

@@ -107,8 +107,12 @@ def is_within(one):
     return abs(one["value"] - one["truth"]) < 3 * one["error"]
 
 
+# That suspects see what is left out is asked of notebooks/04_trust.ipynb, too, in less time.
+AGAIN = {name: study for name, study in STORED.items() if name != "suspects"}
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("study", STORED.values(), ids=list(STORED))
+@pytest.mark.parametrize("study", AGAIN.values(), ids=list(AGAIN))
 def test_a_part_of_a_study_run_again_agrees_with_what_is_stored(study):
     stored = read(study)
     size = math.ceil(SHARE * stored["size"])

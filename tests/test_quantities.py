@@ -101,7 +101,7 @@ def paths_of(group):
     return [quantity.path for quantity in group if "." in quantity.path]
 
 
-PAGES = ["README.md", "docs/architecture.md", "docs/air.md"]
+PAGES = ["README.md", "docs/architecture.md", "docs/air.md", "docs/memory.md"]
 PARTS = {path.partition(".")[0] for group in GROUPS.values() for path in paths_of(group)}
 
 
@@ -110,7 +110,9 @@ PARTS = {path.partition(".")[0] for group in GROUPS.values() for path in paths_o
 def test_the_paths_that_pages_name_are_declared(page):
     text = (ROOT / page).read_text(encoding="utf-8")
     known = {path for group in GROUPS.values() for path in paths_of(group)}
-    named = re.findall(rf"(?<![\w./])(?:{'|'.join(sorted(PARTS))})\.(?!csv|toml)[a-z_]+\b", text)
+    named = re.findall(
+        rf"(?<![\w./])(?:{'|'.join(sorted(PARTS))})\.(?!csv|toml)[a-z_]+(?:\.[a-z_]+)*\b", text
+    )
     assert named
     assert set(named) <= known
 

@@ -21,6 +21,7 @@ SOURCE = ROOT / "src" / "giajax"
 ROOMS = [
     ("__init__", "__main__"),
     ("cli",),
+    ("paper",),
     ("experiments",),
     ("report",),
     ("tasks",),

@@ -67,6 +67,14 @@ RUNS = {
         "--set joints.damping=0.055 --ramp 1=25@0.5:1 --ramp 1=-5@9:2 --ramp 2=-20@1:1.5 "
         "--ramp 2=15@11:2 --channels link06,link12,link20 --noise position_m=0.01 --seed 5",
     ),
+    "joint_memory": (
+        "An arm of six links whose joints remember: it does not come back with its command.",
+        "--links 6 --set air.drag_coefficient=1.15 --set joints.pitch_stiffness=2.6 "
+        "--set joints.yaw_stiffness=21 --set joints.damping=0.07 "
+        "--set joints.memory.strength=0.08 --set joints.memory.yield_angle=0.003 --duration 18 "
+        "--ramp 1=30@0.5:1 --ramp 1=0@8:1 --ramp 2=-20@2:1 --ramp 2=5@11:1 "
+        "--channels joints,link03,tip --noise position_m=0.01 --noise angle_deg=0.3 --seed 6",
+    ),
     "short_arm_steps": (
         "An arm of six links whose commands jump; the angles of its joints are measured too.",
         "--links 6 --set air.drag_coefficient=1.05 --set joints.pitch_stiffness=2.2 "

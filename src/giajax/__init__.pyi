@@ -11,6 +11,7 @@ from . import (
     kinds as kinds,
     models as models,
     noise as noise,
+    paper as paper,
     parameters as parameters,
     quantities as quantities,
     report as report,
@@ -160,6 +161,7 @@ from .study import (
 )
 from .synthetic import (
     RecordingErrors as RecordingErrors,
+    gusts as gusts,
     recorded_again as recorded_again,
     synthesise as synthesise,
     with_errors as with_errors,

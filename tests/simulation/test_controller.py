@@ -11,7 +11,8 @@ from scipy.linalg import eigh
 from giajax.arm import mass_matrix, pendulum
 from giajax.parameters import replace
 from giajax.simulation import constant, simulate
-from giajax.simulation._controller import fastest_rate, step_size_controller
+from giajax.simulation._controller import step_size_controller
+from giajax.simulation._rates import fastest_rate
 from peers.arms import general_arm, random_states
 
 
@@ -22,7 +23,9 @@ def test_a_step_into_nowhere_is_tried_smaller():
         return jnp.where(y < 0, jnp.nan, -4 * y)
 
     tolerance = jnp.asarray(1e-8)
-    controller = step_size_controller(diffrax.Tsit5(), tolerance, tolerance, jnp.zeros(1))
+    controller = step_size_controller(
+        diffrax.Tsit5(), tolerance, tolerance, corners=jnp.zeros(1), bends=jnp.full(1, jnp.inf)
+    )
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(decay),
         diffrax.Tsit5(),

@@ -13,9 +13,9 @@ from numpy.testing import assert_allclose
 
 from giajax.arm import takeichi_20m
 from giajax.parameters import replace
-from giajax.simulation import constant, joint_ramps, joint_steps, simulate
+from giajax.simulation import constant, joint_ramps, joint_steps, ramps, simulate
 from giajax.simulation._linearly_implicit import LinearlyImplicit
-from giajax.simulation._motion import Inputs, motion, springs
+from giajax.simulation._motion import Inputs, motion, pull, springs
 from giajax.simulation._tableau import tableau
 from peers.arms import driven_arm
 
@@ -108,7 +108,7 @@ def pushed(stiffness, steps, solver=None):
     )
     return diffrax.diffeqsolve(
         diffrax.ODETerm(motion),
-        LinearlyImplicit(springs) if solver is None else solver,
+        LinearlyImplicit(springs, pull) if solver is None else solver,
         t0=TIMES[0],
         t1=TIMES[-1],
         dt0=jnp.asarray(1 / steps),
@@ -149,18 +149,45 @@ def test_a_stiff_arm_is_stable_with_steps_that_an_explicit_method_cannot_take():
     assert not np.abs(explicit - exact)[:, 0].max() < 1
 
 
+def test_what_pulls_is_the_command_and_the_drive():
+    """The change of the torque that the motion has between two times, in one state."""
+    command = ramps([0.0, 1.0], [np.zeros(4), [0.0, 0.4, 0.1, 0.0]])
+    drive = ramps([0.0, 1.0], [np.zeros(4), [0.3, 0.0, 0.0, 0.2]])
+    inputs = Inputs(takeichi_20m(4), command, None, drive, jnp.ones(()))
+    state = jnp.asarray(np.random.default_rng(0).normal(size=(2, 4)))
+    mass = springs(0.0, state, inputs)[0]
+    expected = mass @ (motion(0.7, state, inputs) - motion(0.2, state, inputs))[1]
+    assert_allclose(pull(0.7, state, inputs) - pull(0.2, state, inputs), expected, atol=1e-10)
+
+
 @pytest.mark.slow
 def test_the_springs_are_those_of_the_motion():
     """At rest in still air nothing but springs and dampers changes the accelerations."""
     arm = replace(takeichi_20m(4), {"joints.damping": 0.3})
     inputs = Inputs(arm, constant(np.zeros(4)), None, None, jnp.ones(()))
     rest = jnp.zeros((2, 4))
-    mass, stiffness, damping = springs(0.0, rest, inputs)
+    mass, stiffness, damping, strain = springs(0.0, rest, inputs)
+    assert strain is None
     jacobian = jax.jacfwd(lambda state: motion(0.0, state, inputs))(rest)[1]
     assert_allclose(-mass @ jacobian[:, 0], np.diag(stiffness), atol=1e-10)
     assert_allclose(-mass @ jacobian[:, 1], np.diag(damping), atol=1e-10)
     assert_allclose(stiffness, arm.joints.stiffness)
     assert_allclose(damping, 0.3)
+
+
+@pytest.mark.slow
+def test_the_strain_of_joints_is_that_of_the_motion():
+    """Of their torque by their states, and of the states by the rates, at a turn and sliding."""
+    arm = replace(takeichi_20m(4), {"joints.memory.strength": 0.2, "joints.memory.delta": 0.2})
+    inputs = Inputs(arm, constant(np.zeros(4)), None, None, jnp.ones(()))
+    states = jnp.asarray([0.3, -0.9, 0.5, 0.0])
+    rates = jnp.asarray([0.2, 0.1, -0.3, 0.4])
+    state = jnp.stack([jnp.zeros(4), rates, states])
+    mass, *_, strain = springs(0.0, state, inputs)
+    jacobian = jax.jacfwd(lambda state: motion(0.0, state, inputs))(state)
+    assert_allclose(-mass @ jacobian[1][:, 2], np.diag(strain.torque[0]), atol=1e-10)
+    assert_allclose(jacobian[2][:, 1], np.diag(strain.filling[0]), atol=1e-10)
+    assert_allclose(jacobian[2][:, 2], -np.diag(strain.forgetting[0]), atol=1e-10)
 
 
 ARM, COMMAND = driven_arm(4)
@@ -229,16 +256,29 @@ def test_a_batch_is_each():
         assert_allclose(one, angles(point, "springs5", 1e-6), rtol=0, atol=1e-6)
 
 
-@pytest.mark.slow
-def test_steps_do_not_grow_with_the_stiffness_as_those_of_explicit_methods():
-    arm = replace(takeichi_20m(4), {"joints.yaw_stiffness": 3e4})
-    command = joint_ramps(4, {1: 0.5}, start=0.5, duration=1.0)
+def steps_of_both(stiffness, command):
+    """Of Tsit5 and of springs5, whose motions agree."""
+    arm = replace(takeichi_20m(4), {"joints.yaw_stiffness": stiffness})
     options = {"wind": [0.0, 0.1, 0.0], "rtol": 1e-6, "atol": 1e-6}
     explicit, implicit = (
         simulate(arm, command, RUN, solver=solver, **options) for solver in ("tsit5", "springs5")
     )
     assert_allclose(implicit.angles, explicit.angles, rtol=0, atol=1e-5)
-    assert 10 * int(implicit.steps.sum()) < int(explicit.steps.sum())
+    return int(explicit.steps.sum()), int(implicit.steps.sum())
+
+
+@pytest.mark.slow
+def test_steps_do_not_grow_with_the_stiffness_as_those_of_explicit_methods():
+    command = joint_ramps(4, {1: 0.5}, start=0.5, duration=1.0)
+    explicit, implicit = steps_of_both(3e4, command)
+    assert 10 * implicit < explicit
+
+
+@pytest.mark.slow
+def test_a_stiff_joint_follows_its_command_in_long_steps():
+    """With the spring alone implicit, and not what pulls at it, they were half as long."""
+    command = joint_ramps(4, {2: 0.5}, start=0.5, duration=3.0)
+    assert steps_of_both(300.0, command)[1] < 700
 
 
 @pytest.mark.slow

@@ -35,10 +35,9 @@ KNOTS = 64
 def padded(signal, knots=KNOTS):
     """The same signal with its last knot repeated, so that one compiled program serves all."""
     more = knots - signal.times.shape[0]
-    last = (signal.times[-1:], signal.values[-1:], jnp.zeros_like(signal.slopes[-1:]))
-    return jax.tree.map(
-        lambda x, end: jnp.concatenate([x, *[end] * more]), signal, type(signal)(*last)
-    )
+    last = jax.tree.map(lambda x: x[-1:], signal)
+    last = eqx.tree_at(lambda s: s.slopes, last, jnp.zeros_like(last.slopes))
+    return jax.tree.map(lambda x, end: jnp.concatenate([x, *[end] * more]), signal, last)
 
 
 def move(command=STEP, times=TIMES, arm=ARM, **options):

@@ -38,7 +38,8 @@ def test_derivatives_are_those_of_differences(found):
                 continue
             difference = (ahead[name] - behind[name]) / (2 * step)
             error = np.linalg.norm(found.derivatives[row, :, column] - difference)
-            assert error < 1e-5 * np.linalg.norm(difference)
+            # Both at the tolerance of a prediction.
+            assert error < 1e-4 * np.linalg.norm(difference)
 
 
 def test_a_body_is_its_three_components(found):

@@ -2,7 +2,12 @@
 
 from ._air import drag_force as drag_force
 from ._arm import Arm as Arm
-from ._atmosphere import DRAG_CURVES as DRAG_CURVES, DRAGS as DRAGS, Air as Air
+from ._atmosphere import (
+    ADDED_MASSES as ADDED_MASSES,
+    DRAG_CURVES as DRAG_CURVES,
+    DRAGS as DRAGS,
+    Air as Air,
+)
 from ._axes import named_axes as named_axes
 from ._bodies import Bodies as Bodies, bodies as bodies, lift as lift
 from ._build import chain as chain
@@ -15,9 +20,11 @@ from ._dynamics import (
 from ._energy import (
     damping_power as damping_power,
     drag_power as drag_power,
+    hysteresis_power as hysteresis_power,
     kinetic_energy as kinetic_energy,
     potential_energy as potential_energy,
 )
+from ._hysteresis import JointHysteresis as JointHysteresis
 from ._inertia import mass_matrix as mass_matrix
 from ._joints import Joints as Joints
 from ._kinematics import (
@@ -30,6 +37,7 @@ from ._kinematics import (
 from ._links import Links as Links
 from ._load import inverse_dynamics as inverse_dynamics
 from ._masses import Buoyancy as Buoyancy, PointMasses as PointMasses
+from ._memory import Memory as Memory
 from ._presets import (
     PRESETS as PRESETS,
     STANDARD_GRAVITY as STANDARD_GRAVITY,
@@ -38,4 +46,5 @@ from ._presets import (
     takeichi_20m as takeichi_20m,
     takeichi_20m_full as takeichi_20m_full,
 )
+from ._stops import Stops as Stops
 from ._trim import net_lift as net_lift, trimmed as trimmed

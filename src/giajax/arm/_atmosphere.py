@@ -15,6 +15,9 @@ DRAGS = ("centre", "strip")
 DRAG_CURVES = ("constant", "cylinder")
 """How C_D depends on the Reynolds number."""
 
+ADDED_MASSES = ("kirchhoff", "inertia")
+"""What added mass does beside resisting accelerations."""
+
 
 class Air(eqx.Module):
     """The air: by default as the paper's eq. (1) sees it, and on request all of it.
@@ -25,7 +28,10 @@ class Air(eqx.Module):
     - `drag_curve = "constant"`: C_D is `drag_coefficient`. "cylinder": it follows the Reynolds
       number as that of a smooth circular cylinder does, scaled so that `drag_coefficient` is its
       value at Re = 1e5.
-    - `added_mass_coefficient`: the air that a link must move out of its way (Kirchhoff).
+    - `added_mass_coefficient`: the air that a link must move out of its way.
+    - `added_mass = "kirchhoff"`: with the terms that follow from its energy, which are products of
+      velocities. "inertia": without them, as in engines that add it to their mass matrix alone;
+      energy is not conserved then. It is here to compare with those.
     - `wind`: a constant wind, beside that of the run.
     """
 
@@ -38,10 +44,12 @@ class Air(eqx.Module):
     drag: str = eqx.field(static=True, default="centre")
     strip_points: int = eqx.field(static=True, default=3)
     drag_curve: str = eqx.field(static=True, default="constant")
+    added_mass: str = eqx.field(static=True, default="kirchhoff")
 
     def __check_init__(self) -> None:
         _check_choice("drag", self.drag, DRAGS)
         _check_choice("drag_curve", self.drag_curve, DRAG_CURVES)
+        _check_choice("added_mass", self.added_mass, ADDED_MASSES)
         if self.strip_points < 1:
             raise InputError(f"strip_points is {self.strip_points}: give at least 1")
         if self.axial_coefficient is not None and self.drag == "centre":

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from .._errors import InputError
-from ..parameters import declaration, find, switched_on
+from ..parameters import checked, declaration, find, switched_on
 from ._arm import Arm
 from ._atmosphere import Air
 from ._axes import named_axes
@@ -33,6 +33,7 @@ def chain(
     drag: str = "centre",
     strip_points: int = 3,
     drag_curve: str = "constant",
+    added_mass: str = "kirchhoff",
     buoyancy: bool = False,
     trim: bool = False,
     point_masses: PointMasses | None = None,
@@ -54,6 +55,7 @@ def chain(
         drag: "centre" (eq. 1) or "strip" (cross flow along the link, by `strip_points` points).
         strip_points: Gauss points of strip drag.
         drag_curve: "constant", or "cylinder": C_D follows the Reynolds number.
+        added_mass: "kirchhoff", or "inertia": without the products of velocities.
         buoyancy: whether displaced air, helium and trim weights count; without gravity only
             their masses do.
         trim: hang the trim weights that make each link float, and float level unless
@@ -113,7 +115,13 @@ def chain(
             **{name: per_link(name, None) for name in _OTHERS},
         ),
         joints=Joints(axes=named_axes(joint_axes, links)),
-        air=Air(drag=drag, strip_points=strip_points, drag_curve=drag_curve, **air),
+        air=Air(
+            drag=drag,
+            strip_points=strip_points,
+            drag_curve=drag_curve,
+            added_mass=added_mass,
+            **air,
+        ),
         buoyancy=Buoyancy(trim_position=length / 2) if buoyancy or trim else None,
         point_masses=point_masses,
         base_rotation=base_rotation,
@@ -139,11 +147,13 @@ def _with_parameters(arm: Arm, values: Mapping[str, Any]) -> Arm:
         parameter = find(arm, path)
         allowed = [(), parameter.value(arm).shape]
         if parameter.declaration.each and not path.startswith("point_masses."):
-            allowed.append((arm.count,))
+            counted = parameter.any_number and array.ndim == 1
+            allowed.append(array.shape if counted else (arm.count,))
         if array.shape not in allowed or not np.all(np.isfinite(array)):
             raise InputError(
                 f"'{path}' has {array.size} values: give one finite number"
                 + (f", or {allowed[-1][0]} of them" if allowed[-1] else "")
             )
         arm = parameter.set(arm, array)
-    return arm
+    # Numbers of elements came one after the other.
+    return checked(arm)

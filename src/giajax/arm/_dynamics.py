@@ -22,6 +22,7 @@ def acceleration(
     wind: Float[Array, "3"] | None = None,
     wind_rate: Float[Array, "3"] | None = None,
     torque: Float[Array, " joint"] | None = None,
+    memory: Float[Array, "row joint"] | None = None,
 ) -> Float[Array, " joint"]:
     """Joint accelerations of the arm under its commands, rad/s^2: its equation of motion.
 
@@ -33,11 +34,12 @@ def acceleration(
         wind: velocity of the air in the base frame, m/s; still air by default.
         wind_rate: its rate of change, m/s^2, which added mass feels; 0 by default.
         torque: of the joints' drives, beside springs and dampers, N m; none by default.
+        memory: states of the joints' hysteresis (`JointHysteresis`); without strain by default.
 
     Returns:
         Accelerations, rad/s^2, shape (joint,).
     """
-    total = joint_torque(arm, angles, rates, command)
+    total = joint_torque(arm, angles, rates, command, memory)
     if torque is not None:
         total = total + torque
     return forward_dynamics(arm, angles, rates, total, wind, wind_rate)
@@ -48,8 +50,9 @@ def joint_torque(
     angles: Float[Array, " joint"],
     rates: Float[Array, " joint"],
     command: Float[Array, " joint"],
+    memory: Float[Array, "row joint"] | None = None,
 ) -> Float[Array, " joint"]:
-    """Torque of the joints' springs, dampers and friction, N m.
+    """Torque of the joints' springs, dampers, friction and hysteresis, N m.
 
     The spring of a joint pulls towards its commanded angle (paper, III.A: a spring whose
     initial length can change); damping c and Coulomb friction f act against the joint's rate
@@ -60,11 +63,15 @@ def joint_torque(
         angles: joint angles, rad.
         rates: joint rates, rad/s.
         command: commanded angles, rad.
+        memory: states of the joints' hysteresis (`JointHysteresis`); without strain by default.
 
     Returns:
         Torques, N m, shape (joint,).
     """
-    return arm.joints.stiffness * (command - angles) - arm.joints.resistance(rates)
+    torque = arm.joints.stiffness * (command - angles) - arm.joints.resistance(rates)
+    if memory is None or not arm.joints.hysteresis.rows:
+        return torque
+    return torque - arm.joints.hysteresis.torque(angles, memory)
 
 
 def forward_dynamics(

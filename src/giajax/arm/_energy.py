@@ -39,6 +39,7 @@ def potential_energy(
     angles: Float[Array, " joint"],
     command: Float[Array, " joint"],
     wind: Float[Array, "3"] | None = None,
+    memory: Float[Array, "row joint"] | None = None,
 ) -> Scalar:
     """Energy of the joints' springs, of gravity and of buoyancy, J; zero at z = 0 and rest.
 
@@ -51,18 +52,21 @@ def potential_energy(
         angles: joint angles, rad.
         command: commanded angles, rad.
         wind: steady velocity of the air in the base frame, m/s; still air by default.
+        memory: states of the joints' hysteresis (`JointHysteresis`); without strain by default.
 
     Returns:
         Energy, J, shape ().
     """
     here = pose(arm, angles)
     springs = (arm.joints.stiffness * (angles - command) ** 2).sum() / 2
+    if memory is not None:
+        springs = springs + arm.joints.hysteresis.energy(angles, memory).sum()
     energy = springs + arm.gravity * (bodies(arm).mass * here.mass_centre[2]).sum()
     lifted = lift_force(arm)
     if lifted is not None:
         energy = energy - dot(lifted, here.centre).sum()
     rod = added_mass(arm)
-    if rod is not None:
+    if rod is not None and arm.air.added_mass == "kirchhoff":
         still = jnp.zeros_like(here.centre)
         stream = across_link(here.direction, relative_velocity(arm, still, flow(arm, wind)))
         energy = energy - (rod.mass * dot(stream, stream)).sum() / 2
@@ -104,3 +108,23 @@ def damping_power(arm: Arm, rates: Float[Array, " joint"]) -> Scalar:
         Power, W, shape ().
     """
     return -(arm.joints.resistance(rates) * rates).sum()
+
+
+def hysteresis_power(
+    arm: Arm,
+    angles: Float[Array, " joint"],
+    rates: Float[Array, " joint"],
+    memory: Float[Array, "row joint"],
+) -> Scalar:
+    """Power that the joints' hysteresis takes from the motion for good, W; never positive.
+
+    Arguments:
+        arm: the arm.
+        angles: joint angles, rad.
+        rates: joint rates, rad/s.
+        memory: states of the joints' hysteresis (`JointHysteresis`).
+
+    Returns:
+        Power, W, shape ().
+    """
+    return -arm.joints.hysteresis.dissipation(angles, rates, memory).sum()

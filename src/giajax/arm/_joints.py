@@ -6,9 +6,10 @@ import numpy as np
 
 from .._errors import InputError
 from .._typing import Array, Bool, Float, Scalar
-from ..parameters import parameter
+from ..parameters import inline, parameter
 from ..quantities import JOINTS
 from ._axes import Axis
+from ._hysteresis import JointHysteresis
 
 
 class Joints(eqx.Module):
@@ -25,6 +26,7 @@ class Joints(eqx.Module):
     friction: Float[Array, ""] | Float[Array, " joint"] | None = parameter(JOINTS.friction)
     friction_rate: Scalar = parameter(JOINTS.friction_rate)
     armature: Float[Array, ""] | Float[Array, " joint"] | None = parameter(JOINTS.armature)
+    hysteresis: JointHysteresis = inline(default_factory=JointHysteresis)
 
     def __check_init__(self) -> None:
         norms = np.linalg.norm(np.asarray(self.axes, dtype=float), axis=-1)
@@ -47,6 +49,11 @@ class Joints(eqx.Module):
         if self.friction is None:
             return torque
         return torque + self.friction * jnp.tanh(rates / self.friction_rate)
+
+    @property
+    def stiffest_spring(self) -> Float[Array, " joint"]:
+        """Largest stiffness of each joint: of its spring and its hysteresis, N m/rad."""
+        return self.stiffness + self.hysteresis.stiffness
 
     @property
     def stiffest_damping(self) -> Float[Array, " joint"]:

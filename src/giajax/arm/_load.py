@@ -107,9 +107,25 @@ def carried_load(
     rod = added_mass(arm)
     if rod is not None:
         centre_acceleration = joint_acceleration + span_acceleration / 2
+        if arm.air.added_mass == "inertia":
+            relative, leaning, omega, alpha, centre_acceleration = _from_rest(
+                here, span, accelerations
+            )
         push, couple = added_mass_load(
             arm, rod, here, relative, leaning, omega, alpha, centre_acceleration, wind
         )
         force, spin = force + push, spin - couple
     moment = spin + cross(here.mass_centre, inertial) - cross(here.centre, force)
     return jnp.concatenate([inertial - force, moment])
+
+
+def _from_rest(
+    here: Pose, span: Rows, accelerations: Float[Array, " joint"] | None
+) -> tuple[Rows, Rows, Rows, Rows, Rows]:
+    """What moves the links without any velocity, in the order of `added_mass_load`."""
+    still = jnp.zeros_like(span)
+    if accelerations is None:
+        return still, still, still, still, still
+    alpha = sum_from_base(scaled(accelerations, here.axis))
+    leap = cross(alpha, span)
+    return still, still, still, alpha, sum_from_base(leap) - leap / 2

@@ -84,6 +84,8 @@ def inquiry(
     """
     impossible = {}
     for path, absent in left_out(model).items():
+        if absent.declaration.has_states:
+            continue
         try:
             model = absent.set(model, absent.declaration.neutral)
         except InputError as error:
@@ -115,7 +117,7 @@ def inquiry(
 
 def _in_full(model: AbstractModel, parameter: Parameter) -> AbstractModel:
     value = np.asarray(parameter.value(model))
-    if value.ndim:
+    if value.ndim or parameter.any_number:
         return model
     for other in declared(model).values():
         count = np.asarray(other.value(model)).shape

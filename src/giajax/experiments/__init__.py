@@ -8,6 +8,7 @@ from ._bouc_wen_benchmark import (
 from ._figure_12 import figure_12 as figure_12
 from ._files import (
     ONE_LINK_FILES as ONE_LINK_FILES,
+    one_link_table as one_link_table,
     write_one_link as write_one_link,
 )
 from ._history import (

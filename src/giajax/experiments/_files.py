@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..report import to_png
+from ..report import to_csv, to_png
 from ..runs import check_output_folder, make_folder, write_files, write_run
 from ._figure_12 import figure_12
 from ._one_link import OneLink
@@ -38,7 +38,7 @@ def write_one_link(study: OneLink, folder: Path, *, force: bool = False) -> list
     make_folder(folder)
     contents = {
         folder / "fig12.png": to_png(figure_12(study)),
-        folder / "fig12.csv": _numbers(study).encode(),
+        folder / "fig12.csv": to_csv(one_link_table(study)),
         folder / "errors.csv": _errors(study).encode(),
         folder / "result.json": study.result.to_json().encode(),
     }
@@ -49,17 +49,35 @@ def write_one_link(study: OneLink, folder: Path, *, force: bool = False) -> list
     return [*contents, recording, recording.with_suffix(".toml")]
 
 
-def _numbers(study: OneLink) -> str:
-    lines = ["history,compensation,time_s,target_deg,command_deg,angle_deg"]
+def one_link_table(study: OneLink) -> dict[str, list[str]]:
+    """Every sample of every trial: the numbers of fig. 12.
+
+    Arguments:
+        study: the experiment.
+
+    Returns:
+        Columns of equal length, in the units that their names say; an empty cell was not measured.
+    """
+    columns: dict[str, list[str]] = {
+        name: []
+        for name in ("history", "compensation", "time_s", "target_deg", "command_deg", "angle_deg")
+    }
     for trial in study.trials:
         plan = trial.history
-        rows = zip(plan.times, plan.target, trial.commands, trial.angles, strict=True)
-        for time, target, command, angle in rows:
-            cell = "" if np.isnan(angle) else f"{angle:.4f}"
-            lines.append(
-                f"{plan.name},{trial.compensation},{time:g},{target:g},{command:.4f},{cell}"
+        for time, target, command, angle in zip(
+            plan.times, plan.target, trial.commands, trial.angles, strict=True
+        ):
+            cells = (
+                plan.name,
+                trial.compensation,
+                f"{time:g}",
+                f"{target:g}",
+                f"{command:.4f}",
+                "" if np.isnan(angle) else f"{angle:.4f}",
             )
-    return "\n".join(lines) + "\n"
+            for column, cell in zip(columns.values(), cells, strict=True):
+                column.append(cell)
+    return columns
 
 
 def _errors(study: OneLink) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from .._errors import InputError
 from .._maths import on_device
 from ._budget import Budget
-from ._ends import nearly, stopped_by
+from ._ends import misled, nearly, stopped_by
 from ._identifiability import responds
 from ._reason import Reason
 from ._records import Iteration
@@ -134,8 +134,10 @@ def _after(tried: FitState) -> FitState:
     """After a trial step: the same, or what may still be done where the fit does not get on."""
     reason, sentence = stopped_by(tried) or ("", "")
     # A step that is refused so near to an optimum may be so for what the cost jumps by.
-    refused = not (tried.done or bool(tried.inner.accepted)) and nearly(tried)
-    if (refused or reason in ("rough", "crawl")) and (smoother := smoothed(tried)) is not None:
+    refused = not (tried.done or bool(tried.inner.accepted))
+    lost = refused and misled(tried)
+    rough = lost or (refused and nearly(tried)) or reason in ("rough", "crawl")
+    if rough and (smoother := smoothed(tried, surely=lost)) is not None:
         return smoother
     if reason == "rough" and nearly(tried):
         return dataclasses.replace(tried, done=True, converged=True)

@@ -31,8 +31,12 @@ _LITTLE = 0.01
 # Above this reduced chi-square something is missing.
 _MISFIT = 4.0
 
-# In standard errors: as near to an optimum as a cost that is not smooth lets a fit come.
-_NEAR = 0.1
+# In standard errors: as near to an optimum as a cost that is not smooth lets a fit come, and so
+# near that the linear model of the cost holds as far as the optimum.
+_NEAR, _LINEAR = 0.1, 1.0
+
+# Refused steps in a row that are no accident there.
+_MISLED = 3
 
 
 def stopped_by(state: FitState) -> tuple[Reason, str] | None:
@@ -81,6 +85,14 @@ def stopped_by(state: FitState) -> tuple[Reason, str] | None:
 def nearly(state: FitState) -> bool:
     """Whether the optimum is so near that a cost which is not smooth hides the rest of the way."""
     return bool(np.sqrt(2 * state.promised()) <= _NEAR * state.shown_noise())
+
+
+def misled(state: FitState) -> bool:
+    """Whether steps within a standard error are refused, so that derivatives are no slopes."""
+    near = np.sqrt(2 * state.promised()) <= _LINEAR * state.shown_noise()
+    # Beyond a wall they are refused, too.
+    refused = _rejected_in_a_row(state.history[state.round_began :])
+    return bool(state.inner.sound) and bool(near) and refused >= _MISLED
 
 
 def constant_cost(state: FitState) -> float:

@@ -55,7 +55,7 @@ def resolved(state: FitState) -> FitState:
     return state
 
 
-def smoothed(state: FitState) -> FitState | None:
+def smoothed(state: FitState, *, surely: bool = False) -> FitState | None:
     """The point at which no step lowers the cost, where that may be the tolerance's fault.
 
     Steps of the integrator come and go as the parameters change, by which residuals jump. Near the
@@ -63,6 +63,7 @@ def smoothed(state: FitState) -> FitState | None:
 
     Arguments:
         state: evaluated, at which no step is left.
+        surely: that it is the tolerance's fault is known, and the cost is not asked.
 
     Returns:
         The point evaluated with a finer tolerance; None where the tolerance is stated or as fine
@@ -70,6 +71,8 @@ def smoothed(state: FitState) -> FitState | None:
     """
     if not state.setup.chooses_tolerance:
         return None
+    if surely:
+        return _tightened(state)
     residuals = np.asarray(state.inner.residual)
     change = residual_change(state)
     roughness = abs(residuals @ change + change @ change / 2)

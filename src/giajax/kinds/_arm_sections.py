@@ -64,6 +64,12 @@ class ArmSection(_Surroundings):
         "C_D is constant, or follows the Reynolds number as that of a cylinder does",
         preset="constant",
     )
+    added_mass: Literal["kirchhoff", "inertia"] | None = key(
+        '"kirchhoff" or "inertia"',
+        "added mass with the products of velocities that belong to it, or without, as in engines "
+        "that add it to the mass matrix alone",
+        preset="kirchhoff",
+    )
     buoyancy: bool | None = key(
         "true or false", "displaced air, helium and trim weights count", preset=False
     )

@@ -3,12 +3,12 @@
 from collections.abc import Mapping
 
 from .._text import shown
-from ..quantities import AIR, BASE, BUOYANCY, JOINTS, LINKS, POINT_MASSES
+from ..quantities import AIR, BASE, BUOYANCY, JOINT_MEMORY, JOINT_STOPS, JOINTS, LINKS, POINT_MASSES
 from ._section import Section
 
 _DECLARED = {
     declaration.path: declaration
-    for group in (LINKS, JOINTS, BASE, AIR, BUOYANCY, POINT_MASSES)
+    for group in (LINKS, JOINTS, JOINT_MEMORY, JOINT_STOPS, BASE, AIR, BUOYANCY, POINT_MASSES)
     for declaration in group
 }
 

@@ -19,6 +19,8 @@ SCALE = (
     "joints.yaw_stiffness",
     "joints.damping",
     "joints.friction",
+    "joints.memory.strength",
+    "joints.stops.strength",
     "joints.armature",
     "air.drag_coefficient",
     "air.axial_coefficient",

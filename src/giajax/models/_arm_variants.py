@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from .._errors import InputError
 from ..arm import STANDARD_GRAVITY, Air, Arm, Buoyancy, bodies, trimmed
 from ..parameters import declared, get, replace
-from ..quantities import BUOYANCY
+from ..quantities import BUOYANCY, JOINT_MEMORY
 from ._arm_conditions import MASSES, SCALE
 
 
@@ -34,6 +34,13 @@ def _variants(arm: Arm) -> Iterator[tuple[str, Arm]]:
         yield "arm.drag = centre", _in(arm, centre)
     curve = "cylinder" if air.drag_curve == "constant" else "constant"
     yield f"arm.drag_curve = {curve}", _in(arm, dataclasses.replace(air, drag_curve=curve))
+    if arm.joints.hysteresis.memory.strength is None:
+        strength = JOINT_MEMORY.strength
+        name = f"{strength.path} = {strength.default:g} {strength.unit}"
+        yield name, replace(arm, {strength.path: strength.default})
+    if air.added_mass_coefficient is not None:
+        other = "inertia" if air.added_mass == "kirchhoff" else "kirchhoff"
+        yield f"arm.added_mass = {other}", _in(arm, dataclasses.replace(air, added_mass=other))
     if arm.buoyancy is None:
         for depth in (None, BUOYANCY.trim_depth.default):
             try:

@@ -15,7 +15,15 @@ from ._build import parameter_values
 from ._sensors import Sensors
 
 # Keys of [arm] that are arguments of `chain`.
-_CHOICES = ("joint_axes", "drag", "strip_points", "drag_curve", "buoyancy", "trim")
+_CHOICES = (
+    "joint_axes",
+    "drag",
+    "strip_points",
+    "drag_curve",
+    "added_mass",
+    "buoyancy",
+    "trim",
+)
 _ARGUMENTS = frozenset(signature(chain).parameters)
 
 
@@ -87,6 +95,8 @@ def arm_to_definition(arm: Arm) -> dict[str, Any]:
         "drag_curve": arm.air.drag_curve,
         "buoyancy": arm.buoyancy is not None,
     }
+    if arm.air.added_mass_coefficient is not None or arm.air.added_mass != "kirchhoff":
+        facts["added_mass"] = arm.air.added_mass
     if arm.point_masses is not None:
         facts["point_masses"] = _entries(arm.point_masses)
     keyed = {part.path for parts in ArmSection.quantities.values() for part in parts}
@@ -100,7 +110,8 @@ def arm_to_definition(arm: Arm) -> dict[str, Any]:
         usual = declaration.frozen and not declaration.optional
         usual = usual and bool(np.all(value == declaration.default))
         if not usual or path == BUOYANCY.trim_position.path:
-            others[path] = _plain(value)
+            # A list of equal stops is not one stop.
+            others[path] = value.tolist() if declaration.any_number else _plain(value)
     if others:
         facts["parameters"] = others
     return facts

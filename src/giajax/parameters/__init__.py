@@ -17,6 +17,7 @@ from ._replace import (
 )
 from ._walk import (
     Parameter as Parameter,
+    checked as checked,
     declared as declared,
     default_free as default_free,
     left_out as left_out,

@@ -8,7 +8,7 @@ import numpy as np
 
 from .._errors import InputError
 from ._find import elements, find
-from ._walk import Module, Parameter, left_out
+from ._walk import Module, Parameter, checked, left_out
 
 
 def replace(model: Module, values: Mapping[str, Any]) -> Module:
@@ -21,10 +21,14 @@ def replace(model: Module, values: Mapping[str, Any]) -> Module:
         >>> arm = giajax.takeichi_20m()
         >>> heavier = giajax.replace(arm, {"links.mass": 0.06, "air.drag_coefficient": 1.0})
     """
+    counted = False
     for path, value in values.items():
         absent = left_out(model)
-        model = (absent[path] if path in absent else find(model, path)).set(model, value)
-    return model
+        parameter = absent[path] if path in absent else find(model, path)
+        counted |= parameter.any_number
+        model = parameter.set(model, value)
+    # Numbers of elements must suit each other once all of them are replaced.
+    return checked(model) if counted else model
 
 
 def switched_on(model: Module, paths: Iterable[str]) -> Module:
@@ -44,7 +48,7 @@ def check_count(model: Module, path: str, value: Any) -> None:
         InputError: naming the parameter and both numbers.
     """
     size, count = np.size(value), len(elements(model, path))
-    if size not in (1, count):
+    if size not in (1, count) and not find(model, path).any_number:
         raise InputError(
             f"{path} is set to {size} values and has {count} element{'s' * (count != 1)}: give one "
             "value, or one for each"

@@ -33,6 +33,11 @@ class Parameter:
         """Whether the model has this parameter, or leaves its part out."""
         return self.getter(model) is not None
 
+    @property
+    def any_number(self) -> bool:
+        """Whether it may get another number of elements than it has."""
+        return self.declaration.any_number and self.index is None
+
     def set(self, model: Module, value: Any) -> Module:
         """The model with this parameter replaced; differentiable in `value`.
 
@@ -49,7 +54,7 @@ class Parameter:
         value = jnp.asarray(value, dtype=old.dtype)
         if self.index is not None:
             new = old.at[self.index].set(value)
-        elif self.declaration.each and value.ndim > old.ndim:
+        elif (self.declaration.each and value.ndim > old.ndim) or (self.any_number and value.ndim):
             new = value
         else:
             new = jnp.broadcast_to(value, old.shape)
@@ -99,6 +104,12 @@ def _walk(node: eqx.Module, prefix: str, getter: Callable[[Any], Any]) -> Iterab
         elif isinstance(child := getattr(node, field.name), eqx.Module):
             inner = prefix if field.metadata.get(INLINE) else f"{prefix}{field.name}."
             yield from _walk(child, inner, reach)
+
+
+def checked(model: Module) -> Module:
+    """The model, after what its classes check when it is built."""
+    _check(model)
+    return model
 
 
 def _check(node: eqx.Module) -> None:

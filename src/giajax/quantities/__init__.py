@@ -21,7 +21,12 @@ from ._hysteresis import (
     PREISACH as PREISACH,
     STOP as STOP,
 )
-from ._joints import INITIAL as INITIAL, JOINTS as JOINTS
+from ._joints import (
+    INITIAL as INITIAL,
+    JOINT_MEMORY as JOINT_MEMORY,
+    JOINT_STOPS as JOINT_STOPS,
+    JOINTS as JOINTS,
+)
 from ._links import BASE as BASE, LINKS as LINKS, POINT_MASSES as POINT_MASSES
 from ._muscle import (
     AT_REST as AT_REST,

@@ -53,6 +53,9 @@ class Declaration:
             the whole model.
         each: whether it may be one number for all links or joints, as well as an array with one
             for each; without it, a parameter per link is always an array.
+        any_number: whether a model may have any number of its elements, with no count of its own.
+        has_states: of an optional one, whether its part adds states to the motion; suspects are
+            not asked for with those, and one of the model's `variants` has it.
         source: where the default is from, or the equation that the parameter stands in.
         key: how files state it; None: by its path alone.
         path: in a model, such as `links.mass`; "" for a parameter that is in no group.
@@ -71,6 +74,8 @@ class Declaration:
     shape: tuple[int, ...] = ()
     per: str = ""
     each: bool = False
+    any_number: bool = False
+    has_states: bool = False
     source: str = ""
     key: Key | None = None
     path: str = ""

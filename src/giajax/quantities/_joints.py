@@ -1,4 +1,4 @@
-"""The joints of an arm, and their state at the first sample of a run."""
+"""The joints of an arm, what they remember, and their state at the first sample of a run."""
 
 from ._declaration import Declaration, Group, Key
 
@@ -61,6 +61,64 @@ class _Joints(Group):
     )
 
 
+class _Memory(Group):
+    strength = Declaration(
+        0.02,
+        unit="N m",
+        per="joint",
+        each=True,
+        lower=0,
+        upper=1e3,
+        optional=True,
+        has_states=True,
+        doc="largest torque of a joint's hysteresis (Bouc-Wen; Dahl's friction by default)",
+    )
+    yield_angle = Declaration(
+        0.005,
+        unit="rad",
+        per="joint",
+        each=True,
+        lower=1e-6,
+        upper=10,
+        assumed=True,
+        doc="strength of a joint's hysteresis over its stiffness at the beginning of a motion",
+    )
+    nu = Declaration(1.0, unit="", lower=1, upper=20, doc="sharpness of the knee of the hysteresis")
+    delta = Declaration(
+        0.0,
+        unit="",
+        lower=-1,
+        upper=0.5,
+        doc="shape of the loop of the hysteresis; 0 is Dahl's, 1/2 unloads elastically",
+    )
+
+
+class _Stops(Group):
+    strength = Declaration(
+        0.1,
+        unit="N m",
+        per="stop",
+        each=True,
+        any_number=True,
+        lower=0,
+        upper=1e3,
+        optional=True,
+        has_states=True,
+        doc="torque at which each of a joint's elastic springs in parallel slides (Iwan)",
+    )
+    yield_angle = Declaration(
+        0.02,
+        unit="rad",
+        per="stop",
+        each=True,
+        any_number=True,
+        lower=1e-6,
+        upper=10,
+        assumed=True,
+        doc="strain at which each of a joint's elastic springs in parallel slides",
+    )
+
+
 class _Initial(Group):
     angle = Declaration(
         0.0,
@@ -81,4 +139,6 @@ class _Initial(Group):
 
 
 JOINTS = _Joints("joints")
+JOINT_MEMORY = _Memory("joints.memory")
+JOINT_STOPS = _Stops("joints.stops")
 INITIAL = _Initial("initial")

@@ -4,15 +4,17 @@ Where such steps are needed, and why, stands in `_disturbances`.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from .._typing import Array, Float, Scalar
-from ..arm import Arm, bodies, lift, mass_matrix
 from ._linearly_implicit import LinearlyImplicit
+from ._rates import Rates
+from ._signal import last_before
 
 # Length of a step, times the rate of the motion, that a method is stable with: where its stability
 # function reaches 1 for an oscillation with 1 % of critical damping.
@@ -25,33 +27,29 @@ _STABLE: dict[type[diffrax.AbstractSolver], float] = {
     LinearlyImplicit: 2.0,
 }
 
-
-class Rates(NamedTuple):
-    """Rates of the fastest motions that an arm is capable of (`fastest_rate`), 1/s.
-
-    Attributes:
-        all: of all motions.
-        explicit: of those that the method does not take implicitly.
-    """
-
-    all: Scalar
-    explicit: Scalar
+# A turn before this part of a step is left in it.
+_SHORT = 0.05
 
 
 def step_size_controller(
     solver: diffrax.AbstractSolver,
     rtol: Scalar,
     atol: Scalar,
-    corners: Array,
+    corners: Float[Array, " knot"],
+    bends: Float[Array, " knot"],
     rates: Rates | None = None,
+    *,
+    turns: bool = False,
 ) -> diffrax.AbstractStepSizeController:
     """Control to the tolerances that steps neither over a corner nor too far, and never hangs.
 
     Arguments:
         solver: the integration method.
         rtol, atol: tolerances of a step.
-        corners: times that no step may cross, s.
+        corners: times that no step may cross, s; those that are infinite are none.
+        bends: times of which a step that would cross some ends at the last, s.
         rates: of what a derivative may set swinging; None where the motion alone counts.
+        turns: whether the equation of motion has a corner where a joint turns round.
 
     Returns:
         The controller.
@@ -62,41 +60,9 @@ def step_size_controller(
         stable = _STABLE.get(type(solver), jnp.inf) / rates.explicit
     controller = diffrax.PIDController(rtol=rtol, atol=atol)
     return diffrax.ClipStepSizeController(
-        _Careful(controller, stable, slowness),
+        _Careful(controller, stable, slowness, jnp.sort(bends), turns),
         jump_ts=corners,
     )
-
-
-def fastest_rate(arm: Arm, angles: Float[Array, " joint"], *, springs: bool = True) -> Scalar:
-    """Rate of the fastest motion of springs, dampers and gravity in one configuration, 1/s.
-
-    Without `springs`, that of gravity alone.
-
-    Arguments:
-        arm: the arm.
-        angles: of its joints, rad, shape (joint,).
-        springs: whether the springs and dampers of the joints count.
-    """
-    # Lengths of steps are no part of what is differentiated.
-    arm, angles = jax.lax.stop_gradient((arm, angles))
-    factor = jnp.linalg.cholesky(mass_matrix(arm, angles))
-
-    def largest(strength: Array) -> Array:
-        """Square root of the largest eigenvalue of M^-1 diag(strength)."""
-        root = jnp.diag(jnp.sqrt(jnp.broadcast_to(strength, (arm.count,))))
-        return jnp.linalg.norm(jax.scipy.linalg.solve_triangular(factor, root, lower=True), 2)
-
-    # Gravity swings what hangs, too: a bound of its stiffness, from weights times their distances.
-    ends = jnp.cumsum(arm.links.length)
-    reach = jnp.triu(ends[None, :] - (ends - arm.links.length)[:, None])
-    weights = arm.gravity * bodies(arm).mass
-    upwards = lift(arm)
-    weights = jnp.abs(weights if upwards is None else weights - upwards)
-    hanging = reach @ weights
-    if not springs:
-        return largest(hanging)
-    oscillation = largest(arm.joints.stiffness + hanging)
-    return jnp.hypot(oscillation, largest(arm.joints.stiffest_damping) ** 2)
 
 
 class _Careful(diffrax.AbstractAdaptiveStepSizeController):
@@ -113,16 +79,28 @@ class _Careful(diffrax.AbstractAdaptiveStepSizeController):
     controller: diffrax.PIDController
     longest: Array
     slowness: Array
+    bends: Array
+    turns: bool = eqx.field(static=True)
 
-    def __init__(self, controller: diffrax.PIDController, longest: Array, slowness: Array) -> None:
+    def __init__(
+        self,
+        controller: diffrax.PIDController,
+        longest: Array,
+        slowness: Array,
+        bends: Float[Array, " knot"],
+        turns: bool,
+    ) -> None:
         self.controller = controller
         # An implicit solver takes its own tolerances from here.
         self.rtol, self.atol, self.norm = controller.rtol, controller.atol, controller.norm
         self.longest = longest
         self.slowness = slowness
+        self.bends = bends
+        self.turns = turns
 
     def wrap(self, direction: Any) -> "_Careful":
-        return _Careful(self.controller.wrap(direction), self.longest, self.slowness)
+        inner = self.controller.wrap(direction)
+        return _Careful(inner, self.longest, self.slowness, self.bends, self.turns)
 
     def init(self, terms: Any, t0: Any, *args: Any) -> tuple[Any, Any]:
         t1, state = self.controller.init(terms, t0, *args)
@@ -142,6 +120,9 @@ class _Careful(diffrax.AbstractAdaptiveStepSizeController):
         keep, next_t0, next_t1, jump, state, result = self.controller.adapt_step_size(
             t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
         )
+        if self.turns:
+            turned = t0 + _turn(y0[1], y1_candidate[1]) * (t1 - t0)
+            next_t1 = jnp.where(keep | (turned >= t1), next_t1, turned)
         # At rest nothing but the tolerance limits how long a step may be for the derivatives to be
         # as exact as the motion: an oscillation of size 1 would ask for about this.
         tolerance = jnp.maximum(self.rtol, self.atol)
@@ -149,6 +130,11 @@ class _Careful(diffrax.AbstractAdaptiveStepSizeController):
         resting = jnp.all(jnp.abs(y_error) <= 1e-6 * tolerance)  # but for rounding
         longest = jnp.where(resting, jnp.minimum(exact, self.longest), self.longest)
         next_t1 = jnp.minimum(next_t1, next_t0 + longest)
+        # Steps from bend to bend have their bends at the same places however the last bits of the
+        # motion fall: elsewhere each error, and with it each next step, would depend on those.
+        bend = self.bends[last_before(self.bends, next_t1)]
+        crossed = (bend < next_t1) & (bend > next_t0 + 0.01 * (next_t1 - next_t0))
+        next_t1 = jnp.where(crossed, bend, next_t1)
 
         shortest = 4 * jnp.finfo(jnp.result_type(t1)).eps * jnp.abs(t1)
         # Written so that it holds for a NaN, too.
@@ -160,3 +146,15 @@ class _Careful(diffrax.AbstractAdaptiveStepSizeController):
         )
         result = diffrax.RESULTS.where(stuck, code, result)
         return keep, next_t0, next_t1, jump, state, result
+
+
+def _turn(before: Float[Array, " joint"], after: Float[Array, " joint"]) -> Scalar:
+    """Part of a step after which the first joint turns round, by its rates; 1 if none does.
+
+    A turn that is almost at the start costs less than a step up to it.
+    """
+    # The time of a step's end is no part of what is differentiated.
+    before, after = jax.lax.stop_gradient((before, after))
+    turns = before * after < 0
+    part = before / jnp.where(turns, before - after, 1)
+    return jnp.min(jnp.where(turns & (part > _SHORT), part, 1))

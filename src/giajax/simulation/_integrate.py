@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 import equinox.internal as eqxi
+import jax
 import jax.numpy as jnp
 
 from .._program import program
@@ -11,6 +12,7 @@ from ..arm import Arm
 from ._derivatives import adjoint
 from ._disturbances import refuse_disturbances
 from ._motion import Inputs, motion
+from ._rates import Rates, fastest_rate
 from ._signal import Signal
 from ._solvers import solver as solver_named
 from ._trajectory import RESULTS, Trajectory
@@ -39,7 +41,8 @@ def integrate(
 
     Arguments:
         arm, command, times, wind, torque: as of `simulate`.
-        state: angles (rad) and rates (rad/s) at the beginning, shape (2, joint).
+        state: angles (rad) and rates (rad/s) at the beginning, shape (2, joint), where nothing
+            strains the joints' hysteresis.
         tolerances: relative and absolute tolerance of a step.
         solver, max_steps, derivatives, steps_for: as of `simulate`.
         span: from when to when to integrate, s; by default from the first to the last time.
@@ -53,16 +56,22 @@ def integrate(
     # Slow to import, and needed only here, where the program is traced.
     import diffrax
 
-    from ._controller import Rates, fastest_rate, step_size_controller
+    from ._catch_up import catching_up
+    from ._controller import step_size_controller
     from ._linearly_implicit import LinearlyImplicit
 
     begin, end = (times[0], times[-1]) if span is None else span
     inputs = [signal for signal in (command, wind, torque) if signal is not None]
-    corners = jnp.concatenate([signal.times for signal in inputs])
     rtol, atol = tolerances
+    knots = [signal.corners(rtol) for signal in inputs]
+    if wind is not None and arm.air.added_mass_coefficient is not None:
+        # Added mass feels the rate of the wind, which jumps at each of its knots.
+        knots[1] = (wind.times, jnp.full_like(wind.times, jnp.inf))
+    corners, bends = map(jnp.concatenate, zip(*knots, strict=True))
     if derivatives == "forward":
         rtol = rtol + refuse_disturbances(steps_for, arm, (inputs, state))
     method = solver_named(solver)
+    hysteresis = arm.joints.hysteresis
     fastest = None
     if steps_for == "derivatives":
         rate = fastest_rate(arm, state[0])
@@ -70,14 +79,16 @@ def integrate(
         fastest = Rates(rate, fastest_rate(arm, state[0], springs=False) if implicit else rate)
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(motion),
-        method,
+        catching_up(method, rtol, atol, derivatives) if hysteresis.stops.rows else method,
         t0=begin,
         t1=end,
         dt0=None,
-        y0=state,
+        y0=jnp.concatenate([state, hysteresis.unstrained(state[0])]),
         args=Inputs(arm, command, wind, torque, eqxi.prevbefore(end)),
         saveat=diffrax.SaveAt(ts=times),
-        stepsize_controller=step_size_controller(method, rtol, atol, corners, fastest),
+        stepsize_controller=step_size_controller(
+            method, rtol, atol, corners, bends, fastest, turns=hysteresis.rows > 0
+        ),
         adjoint=adjoint(derivatives),
         max_steps=max_steps,
         throw=False,
@@ -94,6 +105,10 @@ def integrate(
         times=times,
         angles=angles,
         rates=rates,
+        # Within a step sliding elements have not caught up yet.
+        memory=jax.vmap(hysteresis.caught_up)(angles, solution.ys[:, 2:])
+        if hysteresis.rows
+        else None,
         arm=arm,
         command=command,
         wind=wind,

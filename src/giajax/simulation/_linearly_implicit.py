@@ -1,7 +1,7 @@
 """A linearly implicit method for stiff joints: one more factorisation a step, no iteration.
 
 Between two accurate steps of an explicit method stiff springs force many that are merely stable.
-Here the springs and dampers of the joints are implicit, and nothing else is.
+Here the springs and dampers of the joints and what pulls at them are implicit, and nothing else is.
 """
 
 from collections.abc import Callable
@@ -12,14 +12,13 @@ import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 
-from .._typing import Array, Bool, Float, Scalar
+from .._typing import Array, Bool, Scalar
 from ._interpolation import QuinticInterpolation, State
+from ._motion import Springs
 from ._tableau import tableau
 
 # Whether the slope at the start of the next step is known, and the slope.
 Carried = tuple[Bool[Array, ""], State]
-
-Springs = tuple[Float[Array, "joint joint"], Float[Array, " joint"], Float[Array, " joint"]]
 
 # The embedded method is so near to the method itself that its difference understates the error;
 # with this a tolerance means about the same error of an arm's motion as with Tsit5.
@@ -29,11 +28,18 @@ _CAUTION = 10.0
 class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
     """ARK5(4)8L[2]SA of Kennedy and Carpenter with the joints' springs as its implicit part.
 
-    The equation y' = f(y) is split, anew in each step, into J y, implicit, and f(y) - J y,
+    The equation y' = f(t, y) is split, anew in each step, into J y + g(t), implicit, and the rest,
     explicit, with J = [[0, 1], [-M^-1 K, -M^-1 D]] of the mass matrix, stiffness and damping at
-    the start of the step. The method keeps its order 5 for every split, hence for every J: it is
-    a W-method. The implicit part being linear, a stage is one solution with one matrix,
-    M + g h D + (g h)^2 K, which is factorised once a step.
+    the start of the step, and g = [0, M^-1 (tau(t) - tau(t0))] of the torque with which commands
+    and drives pull. Of a stiff spring that follows its command, both ends must be in one part:
+    what is left of it is its deflection, and small. The method keeps its order 5 for every split,
+    hence for every J and g: it is a W-method, of which the time is one more component of the
+    state. The implicit part being linear in the state, a stage is one solution with one matrix,
+    M + gamma h D + (gamma h)^2 K, which is factorised once a step.
+
+    Where joints remember, J has the slopes of their states z, too: of the torque by z, and of dz/dt
+    by z and by the rate. Each state depends on its own joint alone, so that it drops out of the
+    matrix and adds to the damping.
 
     Source: Kennedy and Carpenter, Applied Numerical Mathematics 44 (2003) 139; the coefficients
     are those of `diffrax.KenCarp5`.
@@ -41,9 +47,12 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
     Attributes:
         springs: mass matrix (kg m^2), stiffness (N m/rad) and damping (N m s/rad) of the joints
             from time, state and arguments.
+        pull: torque of the joints (N m) from time, state and arguments; where the state is that
+            at the start of a step, its change is that of commands and drives alone.
     """
 
     springs: Callable[[Any, State, Any], Springs]
+    pull: Callable[[Any, State, Any], Array]
 
     term_structure: ClassVar[Any] = diffrax.AbstractTerm
     interpolation_cls: ClassVar[Any] = QuinticInterpolation
@@ -78,6 +87,7 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
         combine, times, error = (jnp.asarray(array, y0.dtype) for array in arrays)
         end = len(times) - 1
         solve = self._solver(gamma * step, t0, y0, args)
+        pull_before = self.pull(t0, y0, args)
         known, slope = solver_state
         anew = made_jump | ~known
         # Of a batch, one evaluates for all.
@@ -89,13 +99,14 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
 
         def advance(parts: Array, stage: Array) -> tuple[Array, tuple[State, State]]:
             known_part = jnp.sum(combine[stage][:, None, None] * parts, axis=0)
-            # The end of the step is a sum, not a stage.
-            change = jnp.where(stage == end, known_part, solve(known_part))
             # Not beyond the end by rounding, where the next piece of the command may start.
             time = jnp.minimum(t0 + times[stage] * step, t1)
+            pull = self.pull(time, y0, args) - pull_before
+            # The end of the step is a sum, not a stage.
+            change = jnp.where(stage == end, known_part, solve(known_part, pull))
             slope = terms.vf(time, y0 + change, args)
             parts = parts.at[stage].set(step * slope)
-            # h J (Y - y0)
+            # h (J (Y - y0) + g)
             parts = parts.at[end + 1 + stage].set((change - known_part) / gamma)
             return parts, (y0 + change, slope)
 
@@ -109,15 +120,20 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
 
     def _solver(
         self, scale: Scalar, time: Any, state: State, args: Any
-    ) -> Callable[[State], State]:
-        """What solves (1 - scale J) x = b."""
+    ) -> Callable[[State, Array], State]:
+        """What solves (1 - scale J) x = b + scale g, of b and the torque in g."""
         # The order holds for every J, so that of the equation for a derivative holds with J
         # taken for a constant, too: that equation has J again, and terms that are not stiff.
-        scale, (mass, stiffness, damping) = jax.lax.stop_gradient(
+        scale, (mass, stiffness, damping, strain) = jax.lax.stop_gradient(
             (scale, self.springs(time, state, args))
         )
         spring = scale * stiffness
         damper = scale * (damping + spring)
+        if strain is not None:
+            # Of each state: x = kept (b + scale filling rate).
+            kept = 1 / (1 + scale * strain.forgetting)
+            torque = scale * strain.torque * kept
+            damper = damper + jnp.sum(torque * scale * strain.filling, axis=0)
         factor = jnp.linalg.cholesky(mass + jnp.diag(damper), symmetrize_input=False)
         # Seven stages, and as many for each derivative: products are cheaper than solutions.
         half = jax.lax.linalg.triangular_solve(
@@ -125,9 +141,14 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
         )
         inverse = half.T @ half
 
-        def solve(right_side: State) -> State:
-            angles, rates = right_side
-            rates = rates - inverse @ (spring * angles + damper * rates)
-            return jnp.stack([angles + scale * rates, rates])
+        def solve(right_side: State, pull: Array) -> State:
+            angles, rates, states = right_side[0], right_side[1], right_side[2:]
+            held = spring * angles + damper * rates - scale * pull
+            if strain is None:
+                rates = rates - inverse @ held
+                return jnp.stack([angles + scale * rates, rates])
+            rates = rates - inverse @ (held + jnp.sum(torque * states, axis=0))
+            states = kept * (states + scale * strain.filling * rates[None])
+            return jnp.concatenate([(angles + scale * rates)[None], rates[None], states])
 
         return solve

@@ -5,7 +5,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from .._errors import InputError
-from ._motion import springs
+from ._motion import pull, springs
 
 if TYPE_CHECKING:
     from diffrax import AbstractAdaptiveSolver
@@ -22,7 +22,7 @@ def _of_diffrax(name: str) -> "AbstractAdaptiveSolver":
 def _springs5() -> "AbstractAdaptiveSolver":
     from ._linearly_implicit import LinearlyImplicit
 
-    return LinearlyImplicit(springs)
+    return LinearlyImplicit(springs, pull)
 
 
 SOLVERS: dict[str, Callable[[], "AbstractAdaptiveSolver"]] = {

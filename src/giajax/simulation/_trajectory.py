@@ -37,6 +37,8 @@ class Trajectory(eqx.Module):
         times: s, shape (sample,).
         angles: joint angles, rad, shape (sample, joint).
         rates: joint rates, rad/s, shape (sample, joint).
+        memory: states of the joints' hysteresis (`giajax.arm.JointHysteresis`), shape (sample, row,
+            joint), or None.
         arm: the arm that moved.
         command: its command.
         wind: the wind it moved in, or None for still air.
@@ -48,6 +50,7 @@ class Trajectory(eqx.Module):
     times: Float[Array, " sample"]
     angles: Float[Array, "sample joint"]
     rates: Float[Array, "sample joint"]
+    memory: Float[Array, "sample row joint"] | None
     arm: Arm
     command: Signal
     wind: Signal | None

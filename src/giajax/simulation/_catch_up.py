@@ -1,0 +1,125 @@
+"""What happens to joints that slide, at the end of each step of any integration method."""
+
+import dataclasses
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from .._typing import Array, Bool
+from ._motion import State
+
+# State of the method inside, and whether a joint turned round in the last step.
+Carried = tuple[Any, Bool[Array, ""]]
+
+
+def catching_up(
+    solver: diffrax.AbstractAdaptiveSolver, rtol: Any, atol: Any, derivatives: str
+) -> "CatchingUp":
+    """A method whose steps end with the return mapping of sliding elements.
+
+    Arguments:
+        solver: the method.
+        rtol, atol: tolerances of a step, which those that iterate take over.
+        derivatives: "forward" or "reverse".
+    """
+    # diffrax does both for a method that it sees.
+    if isinstance(solver, diffrax.AbstractRungeKutta) and derivatives == "forward":
+        solver = dataclasses.replace(solver, scan_kind="lax")
+    if isinstance(solver, diffrax.AbstractImplicitSolver):
+        solver = eqx.tree_at(lambda s: s.root_finder, solver, diffrax.VeryChord(rtol, atol))
+    return CatchingUp(solver)
+
+
+class CatchingUp(diffrax.AbstractAdaptiveSolver):
+    """A method whose steps end with the return mapping of the joints' sliding elements.
+
+    Within a step the angles at which elements are without strain are held, and their torques
+    follow the angles of the joints, limited: in a motion in one direction that is exact. At its
+    end they catch up with the joints (Moreau's sweeping process; the return mapping of
+    plasticity), first with the angle at which a joint turned round on its way. What that changes
+    the torques did not know, and counts as an error of the step.
+
+    Reference: J. C. Simo, T. J. R. Hughes, Computational Inelasticity, Springer 1998, chapter 1.
+
+    Attributes:
+        solver: the method.
+    """
+
+    solver: diffrax.AbstractAdaptiveSolver
+
+    @property
+    def term_structure(self) -> Any:
+        """That of the method."""
+        return self.solver.term_structure
+
+    @property
+    def interpolation_cls(self) -> Any:  # type: ignore[override]
+        """That of the method."""
+        return self.solver.interpolation_cls
+
+    @property
+    def term_compatible_contr_kwargs(self) -> Any:
+        """Those of the method."""
+        return self.solver.term_compatible_contr_kwargs
+
+    def order(self, terms: Any) -> int | None:
+        """Order of the method."""
+        return self.solver.order(terms)
+
+    def strong_order(self, terms: Any) -> Any:
+        """Order of the method."""
+        return self.solver.strong_order(terms)
+
+    def error_order(self, terms: Any) -> Any:
+        """Order of the method's error."""
+        return self.solver.error_order(terms)
+
+    def init(self, terms: Any, t0: Any, t1: Any, y0: State, args: Any) -> Carried:
+        """Nothing turned round yet."""
+        return self.solver.init(terms, t0, t1, y0, args), jnp.asarray(False)
+
+    def func(self, terms: Any, t0: Any, y0: State, args: Any) -> State:
+        """The slope at one time."""
+        return self.solver.func(terms, t0, y0, args)
+
+    def step(
+        self,
+        terms: Any,
+        t0: Any,
+        t1: Any,
+        y0: State,
+        args: Any,
+        solver_state: Carried,
+        made_jump: Any,
+    ) -> tuple[State, State, Any, Carried, Any]:
+        """One step."""
+        inner, turned = solver_state
+        # The slope that the method carries over is one before catching up.
+        y1, y_error, dense, inner, result = self.solver.step(
+            terms, t0, t1, y0, args, inner, made_jump | turned
+        )
+        hysteresis = args.arm.joints.hysteresis
+        direct = hysteresis.caught_up(y1[0], y1[2:])
+        extreme = _extreme(t1 - t0, y0, y1)
+        memory = hysteresis.caught_up(y1[0], hysteresis.caught_up(extreme, y1[2:]))
+        unknown = jax.lax.stop_gradient(memory - direct)
+        y1 = jnp.concatenate([y1[:2], memory])
+        assert y_error is not None
+        y_error = y_error.at[2:].add(unknown)
+        return y1, y_error, dense, (inner, jnp.any(unknown != 0)), result
+
+
+def _extreme(step: Any, y0: State, y1: State) -> Array:
+    """The angles (rad) at which joints turned round in a step; those at its end of the others."""
+    start, end = y0[0], y1[0]
+    v0, v1 = step * y0[1], step * y1[1]
+    turns = v0 * v1 < 0
+    # Slope of the cubic through angles and rates at both ends: v0 + 2 b x + a x^2.
+    a, b = 3 * (v0 + v1 - 2 * (end - start)), 3 * (end - start) - 2 * v0 - v1
+    # The root between 0 and 1, where the slope has the sign of v0 before and of v1 after it.
+    root = jnp.sqrt(jnp.where(turns, b * b - a * v0, 1))
+    x = jnp.clip(v0 / jnp.where(turns, -b + jnp.sign(v0) * root, 1), 0, 1)
+    return jnp.where(turns, start + x * (v0 + x * (b + x * a / 3)), end)

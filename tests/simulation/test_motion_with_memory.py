@@ -1,0 +1,160 @@
+"""Arms whose joints remember: against fixed steps, and after a command that goes and comes back."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from giajax import InputError
+from giajax.arm import acceleration, chain
+from giajax.parameters import replace
+from giajax.simulation import logged, simulate
+from giajax.simulation._catch_up import catching_up
+from giajax.simulation._solvers import solver as solver_named
+
+LINKS = 2
+END = 2.0
+BOUC_WEN = {"joints.memory.strength": 0.3, "joints.memory.yield_angle": 0.02}
+SHARP = BOUC_WEN | {"joints.memory.nu": 2.0, "joints.memory.delta": 0.4}
+STOPS = {"joints.stops.strength": [0.1, 0.2], "joints.stops.yield_angle": [0.01, 0.05]}
+LAWS = {"dahl": BOUC_WEN, "bouc-wen": SHARP, "stops": STOPS, "both": BOUC_WEN | STOPS}
+
+
+def arm_with(parameters, links=LINKS):
+    # Quickly moved to and fro: there are reversals in each joint, at rest and under way.
+    own = {"joints.pitch_stiffness": 3.0, "joints.yaw_stiffness": 5.0, "joints.damping": 0.02}
+    return chain(links, parameters=own | {"air.added_mass_coefficient": 1.0} | parameters)
+
+
+def to_and_fro(links=LINKS):
+    """A command that goes to an angle and comes back to 0."""
+    times = np.asarray([0.0, 0.1, 0.3, 0.9, 1.0, 100.0])
+    values = np.zeros((6, links))
+    values[2:4, :2] = 0.5, -0.3
+    return logged(times, values, "linear")
+
+
+@eqx.filter_jit
+def by_fixed_steps(arm, command, count):
+    """Angles (rad) at the end of equal steps of the classical method, and at their halves."""
+    step = END / count
+
+    def slope(time, state):
+        angles, rates, memory = state[0], state[1], state[2:]
+        moved = acceleration(arm, angles, rates, command(time), memory=memory)
+        return jnp.concatenate(
+            [rates[None], moved[None], arm.joints.hysteresis.rate(rates, memory)]
+        )
+
+    def one(state, index):
+        time = index.astype(float) * step
+        first = slope(time, state)
+        second = slope(time + step / 2, state + step / 2 * first)
+        third = slope(time + step / 2, state + step / 2 * second)
+        fourth = slope(time + step, state + step * third)
+        state = state + step / 6 * (first + 2 * second + 2 * third + fourth)
+        memory = arm.joints.hysteresis.caught_up(state[0], state[2:])
+        return jnp.concatenate([state[:2], memory]), state[0]
+
+    rest = jnp.zeros(arm.count)
+    start = jnp.concatenate([jnp.zeros((2, arm.count)), arm.joints.hysteresis.unstrained(rest)])
+    return jax.lax.scan(one, start, jnp.arange(count))[1]
+
+
+@pytest.mark.parametrize("solver", ["springs5", "tsit5"])
+@pytest.mark.parametrize("law", LAWS)
+def test_a_motion_is_that_of_fixed_steps(law, solver):
+    arm, command = arm_with(LAWS[law]), to_and_fro()
+    reference = by_fixed_steps(arm, command, 40_000)[1999::2000]
+    times = np.linspace(0, END, 21)
+    motion = simulate(arm, command, times, solver=solver, rtol=1e-8, atol=1e-8)
+    assert_allclose(motion.angles[1:], reference, rtol=0, atol=1e-6)
+    if law == "stops":
+        strain = np.abs(motion.angles[:, None] - motion.memory)
+        assert np.all(strain <= np.asarray([0.01, 0.05])[None, :, None] + 1e-12)
+
+
+def test_joints_do_not_come_back():
+    arm = arm_with(BOUC_WEN | {"joints.damping": 1.5})
+    times = np.linspace(0, 12.0, 25)
+    motion = simulate(arm, to_and_fro(), times)
+    at_rest = motion.angles[-1]
+    assert_allclose(motion.rates[-1], 0, atol=2e-3)
+    # Friction holds what is left of the spring's pull.
+    held = np.asarray([3.0, 5.0]) * np.abs(np.asarray(at_rest))
+    assert np.all(held <= 0.3)
+    free = simulate(arm_with({"joints.damping": 1.5}), to_and_fro(), times)
+    assert abs(at_rest[0]) > 10 * abs(free.angles[-1, 0])
+    assert_allclose(motion.memory.shape, (25, 1, LINKS))
+    torque = jax.vmap(arm.joints.hysteresis.torque)(motion.angles, motion.memory)
+    assert_allclose(np.abs(torque[-1]), held, atol=5e-3)
+
+
+def test_an_arm_without_memory_has_no_states():
+    motion = simulate(arm_with({}), to_and_fro(), np.linspace(0, 0.5, 6))
+    assert motion.memory is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("solver", ["springs5", "tsit5"])
+def test_derivatives_are_slopes(solver):
+    command, times = to_and_fro(), np.linspace(0, END, 11)
+    paths = ["joints.memory.strength", "joints.memory.yield_angle", "joints.stops.strength[0]",
+             "joints.stops.yield_angle[1]", "joints.pitch_stiffness"]  # fmt: skip
+    arm = arm_with(LAWS["both"])
+    start = jnp.asarray([0.3, 0.02, 0.1, 0.05, 3.0])
+
+    @jax.jit
+    def angles(values):
+        own = replace(arm, dict(zip(paths, values, strict=True)))
+        motion = simulate(own, command, times, solver=solver, rtol=1e-8, atol=1e-8, throw=False)
+        return motion.angles
+
+    found = jax.jit(jax.jacfwd(angles))(start)
+    assert np.all(np.isfinite(found))
+    for index in range(len(paths)):
+        step = 1e-3 * start[index]
+        off = jnp.zeros_like(start).at[index].set(step)
+        slope = (angles(start + off) - angles(start - off)) / (2 * step)
+        # Differences of a motion with corners are no better.
+        assert_allclose(found[..., index], slope, atol=0.03 * np.max(np.abs(slope)))
+
+
+@pytest.mark.slow
+def test_a_gradient_in_reverse_is_that_of_forward_mode():
+    command, times = to_and_fro(), np.linspace(0, 0.6, 4)
+    arm = arm_with(LAWS["both"])
+
+    def height(strength, derivatives):
+        own = replace(arm, {"joints.memory.strength": strength})
+        return simulate(own, command, times, derivatives=derivatives, max_steps=500).tip[-1, 2]
+
+    forward = float(jax.jacfwd(lambda x: height(x, "forward"))(0.3))
+    assert float(jax.grad(lambda x: height(x, "reverse"))(0.3)) == pytest.approx(forward, rel=1e-6)
+
+
+@pytest.mark.slow
+def test_a_batch_is_its_items():
+    command, times = to_and_fro(), np.linspace(0, 0.6, 4)
+    arm = arm_with(LAWS["both"])
+
+    def angles(strength):
+        own = replace(arm, {"joints.stops.strength[1]": strength})
+        return simulate(own, command, times, throw=False).angles
+
+    strengths = jnp.asarray([0.05, 0.2, 0.4])
+    batch = jax.vmap(angles)(strengths)
+    for index, strength in enumerate(strengths):
+        assert_allclose(batch[index], angles(strength), atol=1e-10)
+
+
+def test_a_method_that_iterates_has_the_tolerances_of_its_steps():
+    inner = catching_up(solver_named("kvaerno3"), 1e-7, 1e-8, "forward").solver
+    assert (inner.root_finder.rtol, inner.root_finder.atol) == (1e-7, 1e-8)
+
+
+def test_bad_values_are_refused():
+    with pytest.raises(InputError, match="3 values: give one finite number"):
+        arm_with({"joints.memory.strength": [0.1, 0.1, 0.1]})
