@@ -188,7 +188,7 @@ def test_hard_fits_end_and_say_why(tmp_path):
     assert set(found["impossible"]) == {"y and z swapped", "a random walk", "a constant"}
     for each in found["impossible"].values():
         assert each["reason"] in ("cannot_fit", "crawl", "rough", "optimum")
-        assert each["iterations"] <= 25
+        assert each["iterations"] < 50  # it ended by itself, not because its steps were used up
 
 
 @pytest.mark.slow
