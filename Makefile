@@ -15,7 +15,7 @@ endif
 endif
 
 .PHONY: help demo check quick test test-slow test-all test-lowest test-python evidence \
-	paper lint types bench bench-check synthetic clean
+	paper docs lint types bench bench-check synthetic clean
 
 help:
 	@echo "make demo           install into $(VENV) and fit the demonstration run"
@@ -28,6 +28,7 @@ help:
 	@echo "make test-python    another Python: make test-python PYTHON=python3.13"
 	@echo "make evidence NAME  a study that takes long, into docs/evidence; without a name, lists them"
 	@echo "make paper          the paper's figures and tables, into giajax-out/paper"
+	@echo "make docs           the site of the documentation, into build/docs"
 	@echo "make lint           formatting and lint"
 	@echo "make types          static types"
 	@echo "make bench          side-by-side measurements against MuJoCo, CasADi and scipy"
@@ -79,6 +80,11 @@ evidence: $(VENV)/.installed-dev
 paper: $(VENV)/.installed
 	$(BIN)/giajax paper all --out giajax-out/paper --force
 
+# Warnings are errors, and every reference must lead somewhere.
+docs: $(VENV)/.installed-dev
+	$(BIN)/python -m sphinx -b html -W --keep-going -n -q docs build/docs
+	@echo "open build/docs/index.html"
+
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -98,4 +104,4 @@ synthetic: $(VENV)/.installed
 	$(BIN)/python data/synthetic/regenerate.py
 
 clean:
-	rm -rf $(VENV) .venv-* .jax_cache .pytest_cache .mypy_cache .ruff_cache build dist
+	rm -rf $(VENV) .venv-* .jax_cache .pytest_cache .mypy_cache .ruff_cache build dist docs/_generated

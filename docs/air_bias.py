@@ -41,10 +41,16 @@ def _with_air(arm: Arm, **changes: Any) -> Arm:
     return dataclasses.replace(arm, air=dataclasses.replace(arm.air, **changes))
 
 
+def _arm_model(run: Run) -> ArmModel:
+    model = model_for([run])
+    assert isinstance(model, ArmModel)
+    return model
+
+
 def breezy() -> Run:
     """The same in a steady breeze that nobody recorded."""
     assert CALM.times is not None
-    truth = replace(model_for([CALM]), {**TRUTH, "air.wind": BREEZE})
+    truth = replace(_arm_model(CALM), {**TRUTH, "air.wind": BREEZE})
     return synthesise(
         truth,
         CALM.times,
@@ -82,7 +88,7 @@ ROWS: dict[str, tuple[str, Callable[[Arm], Arm], tuple[str, ...]]] = {
 def fitted(row: str, runs: dict[str, Run]) -> FitResult:
     """The fit of one row."""
     which, change, more = ROWS[row]
-    model = ArmModel(change(model_for([runs["calm"]]).arm))
+    model = ArmModel(change(_arm_model(runs["calm"]).arm))
     start = {**START, **{f"{path}[{axis}]": 0.0 for path in more for axis in range(3)}}
     # What least squares makes of missing physics, before any noise model takes it for noise.
     return fit(
@@ -106,6 +112,7 @@ def line(row: str, result: FitResult) -> str:
         error = estimate.standard_error
         said = "-" if error is None else f"{error:.2g}"
         cells += [f"{estimate.value:.3f}", said, f"{bias:+.1f} %"]
+    assert result.reduced_chi_square is not None
     cells.append(f"{np.sqrt(result.reduced_chi_square):.2f}")
     return "| " + " | ".join(cells) + " |"
 

@@ -1,0 +1,82 @@
+"""The reference of Python's names: a page for each room, made of what the rooms export."""
+
+import functools
+import importlib
+import inspect
+from types import ModuleType
+
+import giajax
+
+_INTRODUCTION = """\
+# Python
+
+A name of giajax is imported from `giajax` or, where it says so, from a room of it. Units are SI,
+and angles are in radians. What each argument is, with shape and unit, is said where it stands.
+"""
+
+
+@functools.cache
+def rooms() -> list[str]:
+    """The public rooms."""
+    names = (name for name in dir(giajax) if isinstance(getattr(giajax, name), ModuleType))
+    return sorted(names)
+
+
+def _exported(room: str) -> dict[str, object]:
+    """Public names of a room, which others may import from it alone, and what they are."""
+    found = vars(importlib.import_module(f"giajax.{room}"))
+    return {
+        name: thing
+        for name, thing in found.items()
+        if not name.startswith("_") and not isinstance(thing, ModuleType) and _home(thing, room)
+    }
+
+
+def _home(thing: object, room: str) -> bool:
+    """Whether a room is where something comes from, and not one that passes it on."""
+    module = getattr(thing, "__module__", None) or ""
+    first, _, rest = module.partition(".")
+    origin = rest.partition(".")[0]
+    return first != "giajax" or origin not in rooms() or origin == room
+
+
+def _directive(thing: object) -> str:
+    if inspect.isclass(thing):
+        return "autoexception" if issubclass(thing, BaseException) else "autoclass"
+    unwrapped = inspect.unwrap(thing) if callable(thing) else thing
+    return "autofunction" if inspect.isroutine(unwrapped) else "autodata"
+
+
+def _entry(name: str, thing: object) -> str:
+    directive = _directive(thing)
+    lines = [f".. {directive}:: {name}"]
+    if directive == "autoclass":
+        lines.append("   :members:")
+    if directive == "autodata":
+        lines.append("   :no-value:")
+    return "\n".join(lines) + "\n"
+
+
+def _room(room: str) -> str:
+    """The page of a room."""
+    module = importlib.import_module(f"giajax.{room}")
+    things = _exported(room)
+    names = {
+        f"giajax.{name}" if name in dir(giajax) else f"giajax.{room}.{name}": thing
+        for name, thing in things.items()
+    }
+    ordered = sorted(names, key=lambda name: (name.count("."), name.lower()))
+    table = "".join(f"   {name}\n" for name in ordered)
+    entries = "\n".join(_entry(name, names[name]) for name in ordered)
+    first, _, rest = inspect.cleandoc(module.__doc__ or "").partition("\n")
+    return (
+        f"# giajax.{room}\n\n```{{eval-rst}}\n{first}\n{rest}\n\n"
+        f".. autosummary::\n   :nosignatures:\n\n{table}\n{entries}```\n"
+    )
+
+
+def pages() -> dict[str, str]:
+    """The text of each page by its name."""
+    contents = "\n".join(rooms())
+    index = f"{_INTRODUCTION}\n```{{toctree}}\n:maxdepth: 1\n\n{contents}\n```\n"
+    return {"index": index, **{room: _room(room) for room in rooms()}}

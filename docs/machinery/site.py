@@ -1,0 +1,104 @@
+"""A Sphinx extension: pages that each build makes, and links that leave `docs`.
+
+Pages are written for the repository, where a link may lead to `../CONTRIBUTING.md` or to a
+notebook. On the site these are pages, too: they are written to `docs/_generated`, and every link
+to one leads there.
+"""
+
+import os
+import re
+from pathlib import Path
+from typing import Any
+
+from sphinx.addnodes import pending_xref
+from sphinx.application import Sphinx
+from sphinx.environment import BuildEnvironment
+
+from . import api, notebooks
+
+DOCS = Path(__file__).resolve().parents[1]
+ROOT = DOCS.parent
+MADE = DOCS / "_generated"
+
+_LINK = re.compile(r"(\]\()([^)#:\s]+)((?:#[^)\s]*)?\))")
+
+
+def _outside() -> list[Path]:
+    """Markdown and notebooks that are not in `docs` and are pages of the site."""
+    own = [ROOT / name for name in ("CONTRIBUTING.md", "CHANGELOG.md", "benchmarks/README.md")]
+    return [*own, *sorted((ROOT / "data").rglob("README.md")), *notebooks.paths(ROOT)]
+
+
+def _page(path: Path) -> Path:
+    """Where the page of a file is, as a file that Sphinx reads."""
+    if path == ROOT / "README.md":
+        return DOCS / "index.md"
+    return MADE / path.relative_to(ROOT).with_suffix(".md") if path in _outside() else path
+
+
+def _text(path: Path) -> str:
+    """The Markdown of a file from outside; every page has a title."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix == ".ipynb":
+        return notebooks.markdown(text)
+    title = path.parent.name.replace("_", " ").capitalize()
+    return text if text.startswith("# ") else f"# {title}\n\n{text}"
+
+
+def linked(text: str, origin: Path, page: Path) -> str:
+    """Markdown with links that lead, from a page, to where they led from its origin."""
+
+    def moved(match: re.Match[str]) -> str:
+        target = Path(os.path.normpath(origin.parent / match[2]))
+        if not target.exists():
+            return match[0]
+        return match[1] + os.path.relpath(_page(target), page.parent) + match[3]
+
+    return _LINK.sub(moved, text)
+
+
+def _write(path: Path, text: str) -> None:
+    """Write what differs, so that Sphinx reads again what has changed alone."""
+    if not path.exists() or path.read_text(encoding="utf-8") != text:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+
+
+def _make(app: Sphinx) -> None:
+    for path in _outside():
+        _write(_page(path), linked(_text(path), path, _page(path)))
+    for name, text in api.pages().items():
+        _write(MADE / "api" / f"{name}.md", text)
+
+
+def _read(app: Sphinx, name: str, source: list[str]) -> None:
+    """The front page is the README, and what index.md has comes after it."""
+    if name.startswith(MADE.name):
+        return
+    page = DOCS / f"{name}.md"
+    source[0] = linked(source[0], page, page)
+    if name == "index":
+        readme = ROOT / "README.md"
+        source[0] = linked(readme.read_text(encoding="utf-8"), readme, page) + "\n" + source[0]
+
+
+def _find(app: Sphinx, env: BuildEnvironment, node: pending_xref, content: Any) -> Any:
+    """A class that an annotation names by its private module, under its public name."""
+    if node["refdomain"] != "py":
+        return None
+    last = node["reftarget"].rpartition(".")[2]
+    known = env.domains.python_domain.objects
+    for name in (f"giajax.{last}", *(f"giajax.{room}.{last}" for room in api.rooms())):
+        if name in known:
+            return env.domains.python_domain.resolve_xref(
+                env, node["refdoc"], app.builder, "obj", name, node, content
+            )
+    return None
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    """What Sphinx calls."""
+    app.connect("builder-inited", _make)
+    app.connect("source-read", _read)
+    app.connect("missing-reference", _find)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
