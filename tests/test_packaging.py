@@ -27,9 +27,9 @@ def pinned(name):
 
 
 def lower_bounds():
-    """Of what the package needs, and what its tests need."""
+    """Of what the package needs, and what its tests and its documentation need."""
     extras = PROJECT["optional-dependencies"]
-    texts = [*PROJECT["dependencies"], *extras["bench"], *extras["test"]]
+    texts = [*PROJECT["dependencies"], *extras["bench"], *extras["docs"], *extras["test"]]
     bounds = {}
     for requirement in map(Requirement, texts):
         if requirement.name == "giajax":
