@@ -217,7 +217,7 @@ def test_a_value_outside_its_bounds_is_named_with_its_unit(arm):
 
 
 def test_a_parameter_is_data():
-    found = Parameter("x", declaration(Air, "density"), lambda model: model.density)
+    found = Parameter("x", declaration(Air, "density"), (lambda model: model.density,))
     assert dataclasses.replace(found, path="y").path == "y"
     assert found.value(Air()) == 1.204
 

@@ -116,6 +116,7 @@ from .models import (
     OscillatorModel as OscillatorModel,
     Scene as Scene,
     Sensors as Sensors,
+    SeveralModels as SeveralModels,
     arm_from_definition as arm_from_definition,
     arm_scene as arm_scene,
     build_model as build_model,

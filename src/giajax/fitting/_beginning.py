@@ -29,9 +29,9 @@ class Beginning:
         """The values, where this model has all of their parameters.
 
         Raises:
-            InputError: it is of another kind, or lacks one.
+            InputError: it has no model of that kind, or lacks one.
         """
-        if model.kind != self.model:
+        if not set(self.model.split("+")) <= set(model.kind.split("+")):
             raise InputError(
                 f"the fit to begin from is of the {self.model} model and the runs are of the "
                 f"{model.kind} model: give a fit of the same kind"

@@ -165,6 +165,7 @@ def set_up(
         groups=shared,
     )
     _check_determined(asked, runs)
+    _check_together(asked, runs)
     limits = {
         "priors": {path: prior.contents() for path, prior in known.items()},
         "bounds": {path: [float(bound) for bound in pair] for path, pair in (bounds or {}).items()},
@@ -181,7 +182,7 @@ def set_up(
         noise_per_run=noise_per_run,
         config={
             "definition": asked.model.definition(),
-            "runs": [_about(run) for run in runs],
+            "runs": [_about(run, asked.model) for run in runs],
             "free": [parameter.path for parameter in asked.parameters],
             "start": start,
             "fix": fix,
@@ -214,10 +215,12 @@ def _integration(model: AbstractModel) -> dict[str, Any]:
     return {"solver": integration.solver, "tolerance": integration.tolerance}
 
 
-def _about(run: Run) -> dict[str, Any]:
+def _about(run: Run, model: AbstractModel) -> dict[str, Any]:
     """What of a run a fit depends on, beside its data and the constants of the model."""
     sidecar = run.definition.contents()
     about: dict[str, Any] = {key: sidecar[key] for key in run_keys(model=False) if key in sidecar}
+    if run.model != model.kind:
+        about["model"] = run.model
     if run.observed is not None:
         about["channels"] = list(run.observed)
     if run.times is not None:
@@ -242,6 +245,16 @@ def _check_determined(asked: Free, runs: Sequence[Run]) -> None:
         raise InputError(
             f"{measured} measured values cannot determine {len(paths)} parameters and their "
             "standard errors: free fewer parameters or give a longer run"
+        )
+
+
+def _check_together(asked: Free, runs: Sequence[Run]) -> None:
+    """Refuse a fit of runs of several kinds that have nothing in common: a mistake, or two fits."""
+    kinds = dict.fromkeys(run.model for run in runs)
+    if len(kinds) > 1 and not asked.ties and not any(p.is_shared for p in asked.parameters):
+        raise InputError(
+            f"no parameter that is free belongs to more than one of the models of these runs, "
+            f"{' and '.join(kinds)}: free or tie one that does, or fit them separately"
         )
 
 

@@ -66,6 +66,7 @@ def _free(
         freedom=finite_or_none(statistics.freedom.get(index)),
         sandwich_error=finite_or_none(statistics.sandwich.get(index)),
         prior_share=finite_or_none(statistics.prior_shares.get(index)),
+        sources=statistics.sources.get(index, {}),
         **common,
     )
 

@@ -51,6 +51,8 @@ class Estimate:
             where there is none.
         prior_share: how much of what is known of it is its prior's, from 0 to 1: the variance of
             the estimate over that of the prior; None without a prior.
+        sources: by recording, how many times larger the standard error would be without it, to
+            first order; None where the parameter would not be determined. Empty for one recording.
     """
 
     value: Any
@@ -64,6 +66,7 @@ class Estimate:
     freedom: float | None = None
     sandwich_error: float | None = None
     prior_share: float | None = None
+    sources: Mapping[str, float | None] = dataclasses.field(default_factory=dict)
 
     @classmethod
     def of_json(cls, record: Mapping[str, Any]) -> Self:

@@ -9,6 +9,7 @@ from ._jacobian import BlockJacobian
 from ._labels import labels
 from ._noise_statistics import noise_statistics
 from ._priors import Priors
+from ._sources import sources
 from ._state import FitState
 from ._uncertainty import correlation_matrix, inverse_gram, reduced_chi_square, uncertainty
 
@@ -43,6 +44,7 @@ class Statistics:
             measured values do not lose: they lose the trace of the hat matrix.
         prior_shares: how much of what is known of a parameter is its prior's: the variance of the
             estimate, were the noise as stated, over that of the prior.
+        sources: what each recording is worth, by parameter; see `_sources`.
     """
 
     labels: tuple[str, ...]
@@ -62,6 +64,7 @@ class Statistics:
     bounds: dict[int, str]
     prior_freedom: float
     prior_shares: dict[int, float] = dataclasses.field(default_factory=dict)
+    sources: dict[int, dict[str, float | None]] = dataclasses.field(default_factory=dict)
 
 
 def statistics(state: FitState) -> Statistics:
@@ -117,6 +120,7 @@ def statistics(state: FitState) -> Statistics:
         bounds=_at_bounds(state, standard_errors),
         prior_freedom=known,
         prior_shares=shares,
+        sources=sources(state, jacobian, alive),
     )
 
 

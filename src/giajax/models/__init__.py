@@ -42,3 +42,4 @@ from ._response import (
 )
 from ._scene import Line as Line, Scene as Scene
 from ._sensors import Sensors as Sensors
+from ._several import SeveralModels as SeveralModels

@@ -73,12 +73,13 @@ def scale_conditions(
     fitted = {path.partition("[")[0] for path in free}
     scaled = [path for path in free if path.partition("[")[0] in SCALE]
     # A known force sets the scale: a drive's torque, the lift of displaced air, or the push of
-    # a changing wind on it.
+    # a changing wind on it; or forces that were measured on a bench.
     driven = any(c.kind == "joint_torque" for run in runs for c in run.channels.values())
     lifted = arm.buoyancy is not None and float(arm.gravity) != 0
     blown = arm.air.added_mass_coefficient is not None and any(run.winds for run in runs)
+    measured = any(run.model != model.kind for run in runs)
     sentences = []
-    if scaled and not (driven or lifted or blown):
+    if scaled and not (driven or lifted or blown or measured):
         present = declared(model)
         held = [path for path in SCALE if path in present and path not in fitted]
         sentences.append(

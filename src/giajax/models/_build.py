@@ -14,9 +14,10 @@ from ..runs import Run, upgraded
 from ._protocol import AbstractModel
 
 
-def _model_class(kind: str) -> type[AbstractModel]:
-    """The class that the kind names; imported only when a model of it is built."""
-    module, _, name = KINDS[kind].model.partition(":")
+def model_class(kind: str) -> type[AbstractModel]:
+    """The class of a kind, or of several as `arm+joint`; imported when a model of it is built."""
+    where = "_several:SeveralModels" if "+" in kind else KINDS[kind].model
+    module, _, name = where.partition(":")
     model: type[AbstractModel] = getattr(import_module(f".{module}", __package__), name)
     return model
 
@@ -24,17 +25,12 @@ def _model_class(kind: str) -> type[AbstractModel]:
 def model_for(runs: Sequence[Run]) -> AbstractModel:
     """The model of some runs, with the constants that their sidecars state.
 
+    Of runs of several kinds it has a model of each, which share the parameters of the same path.
+
     Raises:
-        InputError: runs of several models, or whose sidecars contradict each other.
+        InputError: the sidecars of runs contradict each other.
     """
-    first, *others = runs
-    for run in others:
-        if run.model != first.model:
-            raise InputError(
-                f"'{first.name}' is a run of the {first.model} model and '{run.name}' of the "
-                f"{run.model} model: fit them separately"
-            )
-    return _model_class(first.model).for_runs(runs)
+    return model_class("+".join(dict.fromkeys(run.model for run in runs))).for_runs(runs)
 
 
 def build_model(
@@ -52,15 +48,16 @@ def build_model(
     """
     older = upgraded({"model": kind, **definition})
     kind = older.pop("model")
-    if kind not in KINDS:
-        raise InputError(
-            f"there is no kind of model '{kind}' in this version: use one of {', '.join(KINDS)}"
-        )
-    former = KINDS[kind].former_parameters
+    for name in kind.split("+"):
+        if name not in KINDS:
+            raise InputError(
+                f"there is no kind of model '{name}' in this version: use one of {', '.join(KINDS)}"
+            )
+    former = KINDS[kind].former_parameters if kind in KINDS else ()
     values = {path: v for path, v in parameters.items() if path.partition("[")[0] not in former}
     # Whole arrays first: an element may belong to an array that the definition has as a number.
     whole = {path: value for path, value in values.items() if "[" not in path}
-    return replace(replace(_model_class(kind).from_definition(older), whole), values)
+    return replace(replace(model_class(kind).from_definition(older), whole), values)
 
 
 def parameter_values(model: eqx.Module) -> dict[str, Any]:

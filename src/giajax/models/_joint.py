@@ -153,7 +153,9 @@ class JointModel(AbstractDirectModel):
                 f"{', '.join(corrections)}: what this geometry leaves over of the torque; held at "
                 f"{shown}"
             )
-        if "torque" not in free and any("torque" not in run.values for run in runs):
+        if "torque" not in free and any(
+            run.model == self.kind and "torque" not in run.values for run in runs
+        ):
             sentences.append(
                 f"{', '.join(corrections)}: for a torque of {float(self.joint.torque):.4g} N m, "
                 "which the run does not record"

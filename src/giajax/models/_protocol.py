@@ -2,7 +2,7 @@
 
 import abc
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import equinox as eqx
 
@@ -38,8 +38,10 @@ class AbstractModel(eqx.Module):
     `AbstractDirectModel`, which has the last six of them.
     """
 
-    kind: ClassVar[str]
-    """Its name in `giajax.kinds.KINDS`."""
+    @property
+    @abc.abstractmethod
+    def kind(self) -> str:
+        """Its name in `giajax.kinds.KINDS`: a constant of its class."""
 
     @classmethod
     @abc.abstractmethod
@@ -104,7 +106,10 @@ class AbstractModel(eqx.Module):
 
     @abc.abstractmethod
     def conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
-        """Sentences: on what the parameters, fitted to these runs, are conditional."""
+        """Sentences: on what the parameters, fitted to these runs, are conditional.
+
+        Of the runs some may be of another kind, and tell the same parameters something else.
+        """
 
     @abc.abstractmethod
     def refined(self, factor: float) -> Self:

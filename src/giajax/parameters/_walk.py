@@ -17,21 +17,29 @@ Module = TypeVar("Module", bound=eqx.Module)
 
 @dataclasses.dataclass(frozen=True)
 class Parameter:
-    """A declared parameter of one model: its path, its declaration and how to reach it."""
+    """A declared parameter of one model: its path, its declaration and how to reach it.
+
+    Parts of a model that declare the same path share it: it is then in several places.
+    """
 
     path: str
     declaration: Declaration
-    getter: Callable[[Any], Any]
+    getters: tuple[Callable[[Any], Any], ...]
     index: int | None = None
 
     def value(self, model: eqx.Module) -> Array:
         """The parameter's array in a model (one element where the path has an index)."""
-        array = self.getter(model)
+        array = next(array for get in self.getters if (array := get(model)) is not None)
         return array if self.index is None else array[self.index]
 
     def is_on(self, model: eqx.Module) -> bool:
         """Whether the model has this parameter, or leaves its part out."""
-        return self.getter(model) is not None
+        return any(get(model) is not None for get in self.getters)
+
+    @property
+    def is_shared(self) -> bool:
+        """Whether several parts of the model have it."""
+        return len(self.getters) > 1
 
     @property
     def any_number(self) -> bool:
@@ -43,12 +51,17 @@ class Parameter:
 
         A parameter that was left out is switched on.
         """
-        old = self.getter(model)
+        for getter in self.getters:
+            model = self._set(model, getter, value)
+        return model
+
+    def _set(self, model: Module, getter: Callable[[Any], Any], value: Any) -> Module:
+        old = getter(model)
         if old is None:
             value = jnp.asarray(value, dtype=jnp.result_type(float))
             if value.ndim == 0:
                 value = jnp.broadcast_to(value, self.declaration.shape)
-            model = eqx.tree_at(self.getter, model, value, is_leaf=lambda leaf: leaf is None)
+            model = eqx.tree_at(getter, model, value, is_leaf=lambda leaf: leaf is None)
             _check(model)
             return model
         value = jnp.asarray(value, dtype=old.dtype)
@@ -58,7 +71,7 @@ class Parameter:
             new = value
         else:
             new = jnp.broadcast_to(value, old.shape)
-        return eqx.tree_at(self.getter, model, new)
+        return eqx.tree_at(getter, model, new)
 
 
 def declared(model: eqx.Module) -> dict[str, Parameter]:
@@ -66,7 +79,7 @@ def declared(model: eqx.Module) -> dict[str, Parameter]:
 
     Optional ones that the model leaves out are not among them; see `left_out`.
     """
-    return {p.path: p for p in _walk(model, "", lambda root: root) if p.is_on(model)}
+    return {path: p for path, p in _by_path(model).items() if p.is_on(model)}
 
 
 def left_out(model: eqx.Module) -> dict[str, Parameter]:
@@ -74,7 +87,7 @@ def left_out(model: eqx.Module) -> dict[str, Parameter]:
 
     `replace` switches one on, by giving it a value.
     """
-    return {p.path: p for p in _walk(model, "", lambda root: root) if not p.is_on(model)}
+    return {path: p for path, p in _by_path(model).items() if not p.is_on(model)}
 
 
 def default_free(model: eqx.Module, started: Iterable[str] = ()) -> tuple[str, ...]:
@@ -96,14 +109,31 @@ def default_free(model: eqx.Module, started: Iterable[str] = ()) -> tuple[str, .
     )
 
 
+def _by_path(model: eqx.Module) -> dict[str, Parameter]:
+    """All parameters, those that are left out too; of those that parts share, one."""
+    parameters: dict[str, Parameter] = {}
+    for found in _walk(model, "", lambda root: root):
+        known = parameters.get(found.path)
+        if known is not None:
+            found = dataclasses.replace(known, getters=(*known.getters, *found.getters))
+        parameters[found.path] = found
+    return parameters
+
+
 def _walk(node: eqx.Module, prefix: str, getter: Callable[[Any], Any]) -> Iterable[Parameter]:
     for field in dataclasses.fields(node):
         reach = _attribute(getter, field.name)
         if DECLARED in field.metadata:
-            yield Parameter(prefix + field.name, field.metadata[DECLARED], reach)
-        elif isinstance(child := getattr(node, field.name), eqx.Module):
-            inner = prefix if field.metadata.get(INLINE) else f"{prefix}{field.name}."
+            yield Parameter(prefix + field.name, field.metadata[DECLARED], (reach,))
+            continue
+        inner = prefix if field.metadata.get(INLINE) else f"{prefix}{field.name}."
+        child = getattr(node, field.name)
+        if isinstance(child, eqx.Module):
             yield from _walk(child, inner, reach)
+        elif isinstance(child, tuple):
+            for index, part in enumerate(child):
+                if isinstance(part, eqx.Module):
+                    yield from _walk(part, inner, _element(reach, index))
 
 
 def checked(model: Module) -> Module:
@@ -118,9 +148,15 @@ def _check(node: eqx.Module) -> None:
     if check is not None:
         check()
     for field in dataclasses.fields(node):
-        if isinstance(child := getattr(node, field.name), eqx.Module):
-            _check(child)
+        child = getattr(node, field.name)
+        for part in child if isinstance(child, tuple) else (child,):
+            if isinstance(part, eqx.Module):
+                _check(part)
 
 
 def _attribute(getter: Callable[[Any], Any], name: str) -> Callable[[Any], Any]:
     return lambda root: getattr(getter(root), name)
+
+
+def _element(getter: Callable[[Any], Any], index: int) -> Callable[[Any], Any]:
+    return lambda root: getter(root)[index]

@@ -19,6 +19,7 @@ from ..fitting import (
 )
 from ..study import SAME_END, misfit
 from ._held_out import held_out_lines
+from ._sources import source_lines
 from ._trust import noise_lines, verdict_lines
 
 # More lines of residuals than this are summed up.
@@ -81,6 +82,7 @@ def summary_rows(result: FitResult) -> list[tuple[str, str]]:
     if len(held_out) > _MANY:
         held_out = _over_runs(result.held_out, "prediction of")
     rows += _labelled("held out", held_out)
+    rows += _labelled("determined by", source_lines(result))
     if strongest := _strongest_correlation(result):
         rows.append(("correlation", strongest))
     rows += _labelled("findings", [f"{f.sentence}: {f.advice} ({f.page})" for f in result.findings])

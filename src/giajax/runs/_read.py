@@ -8,7 +8,7 @@ from .._errors import InputError
 from .._files import check_path
 from ._definition import Definition, run_keys
 from ._run import Run, build_run
-from ._select import observing, windows
+from ._select import selected
 from ._table import Table, read_table
 from ._wording import Wording
 
@@ -64,11 +64,7 @@ def read_runs(
         InputError: as `read_run`, `observing` and `windows`.
     """
     runs = [read_run(path, rename=rename, definition=definition) for path in paths]
-    if definition.fit.channels is not None:
-        runs = [observing(run, definition.fit.channels) for run in runs]
-    if definition.fit.window_s is None:
-        return runs
-    return [part for run in runs for part in windows(run, definition.fit.window_s)]
+    return selected(runs, definition.fit.channels, definition.fit.window_s)
 
 
 def run_of(table: Table, path: Path, definition: Definition) -> Run:

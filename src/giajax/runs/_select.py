@@ -10,9 +10,47 @@ import numpy as np
 from .._errors import InputError
 from ..kinds import InitialSection
 from ._channels import Channel
+from ._column_table import match_name
 from ._run import Run
 
 _LINK_ANGLE = re.compile(r"link([0-9]{1,4})_angle")
+
+
+def selected(
+    runs: Sequence[Run], channels: Sequence[str] | None, window_s: float | None
+) -> list[Run]:
+    """The runs of a fit with these channels, in windows.
+
+    Of runs of several models each has those of the channels that are its model's, and those
+    without an initial state stay whole.
+
+    Arguments:
+        runs: as they were read.
+        channels: names without unit; None for all that were measured.
+        window_s: length of a window, s; None for whole runs.
+
+    Raises:
+        InputError: as `observing` and `windows`.
+    """
+    several = len({run.model for run in runs}) > 1
+    chosen = list(runs)
+    for index, run in enumerate(runs if channels is not None else ()):
+        names = [name for name in channels or () if not several or _may_hold(run, name)]
+        chosen[index] = observing(run, names) if names else run
+    if window_s is None:
+        return chosen
+    parts = [[run] if several and not _has_state(run) else windows(run, window_s) for run in chosen]
+    return list(itertools.chain.from_iterable(parts))
+
+
+def _may_hold(run: Run, name: str) -> bool:
+    """Whether a channel of this name is one of the run's model, or of none."""
+    row = match_name(name)
+    return row is None or any(each.name == row.kind for each in run.kind.channels)
+
+
+def _has_state(run: Run) -> bool:
+    return InitialSection in run.kind.run_sections.values()
 
 
 def observing(run: Run, channels: Sequence[str]) -> Run:
@@ -66,7 +104,7 @@ def windows(run: Run, length: float) -> list[Run]:
         InputError: the run has no initial state, or its sidecar states one that would be that of
             every window, or a window would hold fewer than four samples or none of a channel.
     """
-    if run.times is None or InitialSection not in run.kind.run_sections.values():
+    if run.times is None or not _has_state(run):
         raise InputError(
             f"'{run.name}' cannot be cut into windows, because a run of the {run.model} model has "
             "no initial state: leave out the windows"

@@ -91,7 +91,8 @@ def _read_again(
         if not data and not Path(path).exists():
             raise InputError(f"{path}, which was fitted, does not exist: give the file with --data")
         known = {key: item for key, item in about.items() if key in run_keys(model=False)}
-        definition = Definition.parse({"model": kind, **known}, str(path))
+        of = about.get("model", kind)
+        definition = Definition.parse({"model": of, **known}, str(path))
         key = str(path), definition.to_toml()
         if key not in read:
             read[key] = read_run(path, rename=renamed, definition=definition)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from .._errors import InputError
 from ..fitting import Beginning, FitResult, Setup, not_judged, set_up, with_held_out
 from ..models import AbstractModel, model_for
 from ..runs import Definition, Parted, Run, hold_out
@@ -76,9 +77,15 @@ def set_up_parts(
     if not names:
         return set_up_for(model_for(runs), runs, groups), None
     parts = hold_out(runs, names)
-    if any(part.fitted is None for part in parts):
-        model_for(runs)  # refuses a run that is of another model than the others
     fitted = [part.fitted for part in parts if part.fitted is not None]
+    for model in dict.fromkeys(run.model for run in runs):
+        if fitted and not any(run.model == model for run in fitted):
+            raise InputError(
+                f"every run of the {model} model is held out, so that no model predicts them: "
+                "hold out only some of them"
+            )
+    if len(fitted) < len(parts):
+        model_for(runs)  # refuses a run of another model than that of the others
     setup = set_up_for(model_for(fitted), fitted, _among(groups, fitted, runs))
     whole = set_up_for(setup.model, runs, groups)
     config: dict[str, list[dict[str, Any]]] = {"runs": [], "hold_out": []}

@@ -1,0 +1,184 @@
+"""Several models as one: runs of several kinds in one fit, with parameters that they share by path.
+
+An arm that muscles drive has the corrections alpha and beta of its joints, and so has a joint on a
+bench: a fit to runs of both has one alpha for both.
+"""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Self
+
+import equinox as eqx
+
+from .._errors import InputError
+from .._typing import Array, Bool
+from ..kinds import KINDS
+from ..parameters import declared, inline, left_out
+from ..runs import Run
+from ._build import model_class
+from ._protocol import AbstractModel, Channels, Derived, Integration
+from ._scene import Scene
+
+
+class SeveralInputs(eqx.Module):
+    """What one of the models needs of a run.
+
+    Attributes:
+        kind: of the model.
+        inputs: as that model prepared them; their parameters keep their paths.
+    """
+
+    kind: str = eqx.field(static=True)
+    inputs: Any = inline()
+
+
+class SeveralModels(AbstractModel):
+    """Predicts for each run what the model of its kind predicts.
+
+    A parameter of the same path is one parameter, whichever of the models have it.
+
+    Arguments:
+        parts: the models, each of another kind; their parameters keep their own paths.
+
+    Raises:
+        InputError: a path that means something else in two of them.
+    """
+
+    parts: tuple[AbstractModel, ...] = inline()
+
+    def __check_init__(self) -> None:
+        known: dict[str, tuple[str, Any]] = {}
+        for part in self.parts:
+            for path, parameter in {**declared(part), **left_out(part)}.items():
+                kind, declaration = known.setdefault(path, (part.kind, parameter.declaration))
+                if declaration != parameter.declaration:
+                    raise InputError(
+                        f"'{path}' is another quantity in the {part.kind} model than in the {kind} "
+                        "model: fit their runs separately"
+                    )
+
+    @property
+    def kind(self) -> str:
+        """The kinds of the parts, such as `arm+joint`."""
+        return "+".join(part.kind for part in self.parts)
+
+    @classmethod
+    def for_runs(cls, runs: Sequence[Run]) -> Self:
+        """The models of the runs of each kind, with the constants that their sidecars state."""
+        by_kind = {kind: [run for run in runs if run.model == kind] for kind in KINDS}
+        return cls(tuple(model_class(kind).for_runs(its) for kind, its in by_kind.items() if its))
+
+    @classmethod
+    def from_definition(cls, definition: Mapping[str, Any]) -> Self:
+        """The models that `definition()` described."""
+        return cls(tuple(model_class(k).from_definition(definition) for k in definition["models"]))
+
+    def definition(self) -> dict[str, Any]:
+        """What each of them is made from; no two kinds have a section in common."""
+        whole: dict[str, Any] = {"models": [part.kind for part in self.parts]}
+        for part in self.parts:
+            whole |= part.definition()
+        return whole
+
+    def part(self, kind: str) -> AbstractModel:
+        """The model of the runs of a kind.
+
+        Raises:
+            InputError: there is none.
+        """
+        for part in self.parts:
+            if part.kind == kind:
+                return part
+        raise InputError(f"there is no {kind} model here: give a run of {self.kind}")
+
+    def prepare(self, run: Run) -> SeveralInputs:
+        """What the model of the run's kind prepares."""
+        return SeveralInputs(run.model, self.part(run.model).prepare(run))
+
+    def predict(
+        self, inputs: SeveralInputs, channels: tuple[str, ...]
+    ) -> tuple[Channels, Bool[Array, ""]]:
+        """Channels of the model of the run's kind."""
+        return self.part(inputs.kind).predict(inputs.inputs, channels)
+
+    def failure(self, inputs: SeveralInputs) -> str:
+        """What the model of the run's kind says."""
+        return self.part(inputs.kind).failure(inputs.inputs)
+
+    def scene(self, run: Run) -> Scene | None:
+        """That of the model of the run's kind."""
+        return self.part(run.model).scene(run)
+
+    def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
+        """Each of them where it may start."""
+        return self._each(lambda part: part.at_start(_of_kind(runs, part), _paths_of(part, free)))
+
+    def derived(self) -> dict[str, Derived]:
+        """What each of them derives."""
+        return {name: value for part in self.parts for name, value in part.derived().items()}
+
+    def conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
+        """Those of each of them."""
+        return [
+            sentence
+            for part in self.parts
+            for sentence in part.conditions(_paths_of(part, free), runs)
+        ]
+
+    def refined(self, factor: float) -> Self:
+        """Each of them with finer or coarser tolerances."""
+        return self._each(lambda part: part.refined(factor))
+
+    def variants(self) -> dict[str, Self]:
+        """With a choice of one of them made another way."""
+        return {
+            name: self._each(lambda part, of=old, by=other: by if part is of else part)  # type: ignore[misc]
+            for old in self.parts
+            for name, other in old.variants().items()
+        }
+
+    def free_inputs(self, run: Run) -> tuple[str, ...]:
+        """Those of the model of the run's kind."""
+        return self.part(run.model).free_inputs(run)
+
+    def initial_section(self, inputs: SeveralInputs) -> dict[str, Any]:
+        """That of the model of the run's kind."""
+        return self.part(inputs.kind).initial_section(inputs.inputs)
+
+    def integration(self) -> Integration | None:
+        """That of the first of them which has one."""
+        known = (part.integration() for part in self.parts)
+        return next((each for each in known if each is not None), None)
+
+    def with_integration(self, *, solver: str | None, tolerance: float | None) -> Self:
+        """Those of them that are integrated, with another solver or tolerance.
+
+        Raises:
+            InputError: none of them is, or as of that model.
+        """
+        if self.integration() is None:
+            # Any of them says so.
+            self.parts[0].with_integration(solver=solver, tolerance=tolerance)
+        return self._each(
+            lambda part: (
+                part
+                if part.integration() is None
+                else part.with_integration(solver=solver, tolerance=tolerance)
+            )
+        )
+
+    def for_derivatives(self, paths: Sequence[str]) -> Self:
+        """Each of them as exact in derivatives as in predictions."""
+        return self._each(lambda part: part.for_derivatives(paths))
+
+    def _each(self, change: Callable[[AbstractModel], AbstractModel]) -> Self:
+        return dataclasses.replace(self, parts=tuple(map(change, self.parts)))
+
+
+def _of_kind(runs: Sequence[Run], part: AbstractModel) -> list[Run]:
+    return [run for run in runs if run.model == part.kind]
+
+
+def _paths_of(part: AbstractModel, paths: Sequence[str]) -> list[str]:
+    known = {**declared(part), **left_out(part)}
+    return [path for path in paths if path.partition("[")[0] in known]

@@ -1,0 +1,250 @@
+"""Several models in one fit: against closed forms, and an arm with a loop of one of its joints."""
+
+import dataclasses
+from typing import ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from giajax import Definition, FitTask, InputError, Run, fit, load_result, predict, replace
+from giajax._typing import Scalar
+from giajax.fitting import set_up
+from giajax.models import SeveralModels, model_for
+from giajax.parameters import declared, parameter
+from giajax.report import summary
+from giajax.runs import read_runs, write_run
+from toy_model import Plain
+
+SIGMA = 0.01
+TRUTH = {"amplitude": 2.0, "offset": 0.3, "drift": -0.1}
+TIMES, INPUTS = np.linspace(0, 4, 30), np.linspace(-1, 2, 20)
+
+
+class Toy(Plain):
+    def failure(self, inputs):
+        return "never"
+
+    def conditions(self, free, runs):
+        return [f"{self.kind}: {', '.join(free)}"]
+
+
+class Wave(Toy):
+    """tip_z = amplitude exp(-t) + offset."""
+
+    kind: ClassVar[str] = "arm"
+    amplitude: Scalar = parameter(1.0, unit="m", doc="size", frozen=False)
+    offset: Scalar = parameter(0.0, unit="m", doc="height", frozen=False)
+
+    def prepare(self, run):
+        return jnp.asarray(run.times)
+
+    def predict(self, inputs, channels):
+        height = self.amplitude * jnp.exp(-inputs) + self.offset
+        return dict.fromkeys(channels, height), jnp.all(jnp.isfinite(height))
+
+
+class Line(Toy):
+    """output = amplitude input + drift."""
+
+    kind: ClassVar[str] = "hysteresis"
+    amplitude: Scalar = parameter(1.0, unit="m", doc="size", frozen=False)
+    drift: Scalar = parameter(0.0, unit="m", doc="level", frozen=False)
+
+    def prepare(self, run):
+        return jnp.asarray(run.values["input"])
+
+    def predict(self, inputs, channels):
+        output = self.amplitude * inputs + self.drift
+        return dict.fromkeys(channels, output), jnp.all(jnp.isfinite(output))
+
+
+class Metres(Line):
+    """The same path with another unit."""
+
+    amplitude: Scalar = parameter(1.0, unit="m/s", doc="size")
+
+
+def recordings():
+    noise = np.random.default_rng(4).normal(scale=0.8 * SIGMA, size=50)
+    wave = TRUTH["amplitude"] * np.exp(-TIMES) + TRUTH["offset"] + noise[:30]
+    line = TRUTH["amplitude"] * INPUTS + TRUTH["drift"] + noise[30:]
+    known = {"noise": {"output": SIGMA}}
+    free = {"noise": {"position_m": SIGMA}, "free_motion": True}
+    return [
+        Run.from_arrays(TIMES, {"tip_z": wave}, name="wave", definition=free),
+        Run.from_arrays(None, {"input": INPUTS, "output": line}, name="line", definition=known),
+    ]
+
+
+def design():
+    """Rows of both runs by amplitude, offset and drift, in units of the noise."""
+    ones, zeros = np.ones_like, np.zeros_like
+    wave = np.stack([np.exp(-TIMES), ones(TIMES), zeros(TIMES)], axis=1)
+    line = np.stack([INPUTS, zeros(INPUTS), ones(INPUTS)], axis=1)
+    return wave / SIGMA, line / SIGMA
+
+
+@pytest.fixture(scope="module")
+def runs():
+    return recordings()
+
+
+@pytest.fixture(scope="module")
+def fitted(runs):
+    return fit(SeveralModels((Wave(), Line())), runs)
+
+
+def test_a_path_in_two_models_is_one_parameter():
+    both = SeveralModels((Wave(), Line()))
+    assert both.kind == "arm+hysteresis"
+    assert list(declared(both)) == ["amplitude", "offset", "drift"]
+    moved = replace(both, {"amplitude": 3.0})
+    assert [float(part.amplitude) for part in moved.parts] == [3.0, 3.0]
+
+
+def test_a_path_of_two_meanings_is_refused():
+    with pytest.raises(InputError, match="'amplitude' is another quantity in the hysteresis model"):
+        SeveralModels((Wave(), Metres()))
+
+
+def test_one_least_squares_is_the_closed_form(runs, fitted):
+    rows = np.concatenate(design())
+    data = np.concatenate([runs[0].values["tip_z"], runs[1].values["output"]]) / SIGMA
+    best, *_ = np.linalg.lstsq(rows, data)
+    errors = np.sqrt(np.diag(np.linalg.inv(rows.T @ rows)))
+    assert fitted.reduced_chi_square < 1, "otherwise standard errors are scaled"
+    found = [fitted.parameters[path] for path in TRUTH]
+    assert_allclose([each.value for each in found], best, atol=1e-3 * np.min(errors))
+    assert_allclose([each.standard_error for each in found], errors, rtol=1e-6)
+    assert fitted.conditions == ("arm: amplitude, offset", "hysteresis: amplitude, drift")
+
+
+def test_each_recording_is_worth_what_is_lost_without_it(fitted):
+    wave, line = design()
+    whole = np.linalg.inv(wave.T @ wave + line.T @ line)
+    left = {"wave": (line[:, [0, 2]], 0), "line": (wave[:, :2], 0)}
+    for name, (rows, column) in left.items():
+        ratio = np.linalg.inv(rows.T @ rows)[column, column] / whole[0, 0]
+        assert_allclose(fitted.parameters["amplitude"].sources[name], np.sqrt(ratio), rtol=1e-6)
+    assert fitted.parameters["offset"].sources["wave"] is None
+    assert fitted.parameters["drift"].sources["line"] is None
+    said = summary(fitted)
+    assert "wave: nothing else determines offset" in said
+    assert "line: nothing else determines drift; without it" in said
+
+
+def test_what_one_recording_determines_has_no_sources(runs):
+    result = fit(Wave(), runs[0])
+    assert result.parameters["amplitude"].sources == {}
+    assert "determined by" not in summary(result)
+
+
+def test_runs_without_a_common_parameter_are_refused(runs):
+    with pytest.raises(InputError, match="no parameter that is free belongs to more than one"):
+        set_up(SeveralModels((Wave(), Line())), runs, free=["offset", "drift"])
+    set_up(SeveralModels((Wave(), Line())), runs, free=["drift"], ties={"offset": "2 * drift"})
+
+
+# An arm whose joints remember, and a loop of one of these joints on a bench: torque over angle.
+TORQUE = {"joints.memory.strength": 0.08, "joints.memory.yield_angle": 0.02}
+ARM = {**TORQUE, "joints.pitch_stiffness": 2.6, "air.drag_coefficient": 1.1}
+TIES = {
+    "elastic": "joints.pitch_stiffness",
+    "alpha": "joints.memory.strength / joints.memory.yield_angle",
+    "beta": "1 / joints.memory.yield_angle",
+}
+
+
+def bench_and_arm(folder):
+    """Files of a loop and of a motion, from models with the same numbers."""
+    random = np.random.default_rng(7)
+    angle = np.concatenate([np.linspace(a, b, 40) for a, b in ((0, 0.3), (0.3, -0.3), (-0.3, 0.2))])
+    about = {
+        "model": "hysteresis",
+        "hysteresis": {"operator": "bouc_wen", "previous_extremes": [0.0]},
+        "noise": {"output": 0.004},
+    }
+    loop = Run.from_arrays(None, {"input": angle, "output": 0 * angle}, definition=about)
+    stiffness, way = TORQUE["joints.memory.strength"] / 0.02, 1 / 0.02
+    true = {"elastic": 2.6, "alpha": stiffness, "beta": way, "gamma": 1.0, "delta": 0.0, "nu": 1.0}
+    torque = predict(replace(model_for([loop]), true), loop)["output"]
+    torque = torque + 0.004 * random.normal(size=len(angle))
+    loops = write_run(
+        folder / "loop.csv", None, {"input": angle, "output": torque}, definition=about
+    )
+    times = np.linspace(0, 6, 121)
+    command = np.interp(times, [0, 0.5, 1.5, 3, 4, 6], [0, 0, 0.5, 0.5, -0.2, -0.2])
+    driven = {"joint01_command": command, "tip_z": 0 * times}
+    about = {
+        "arm": {"links": 2, "parameters": {"joints.memory.strength": 0.02}},
+        "noise": {"position_m": 0.005},
+    }
+    arm = Run.from_arrays(times, driven, definition=about)
+    driven["tip_z"] = predict(replace(model_for([arm]), ARM), arm)["tip_z"]
+    driven["tip_z"] = driven["tip_z"] + 0.005 * random.normal(size=len(times))
+    return [loops, write_run(folder / "arm.csv", times, driven, definition=about)]
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    return bench_and_arm(tmp_path_factory.mktemp("several"))
+
+
+def task(files):
+    start = {path: 1.4 * value for path, value in ARM.items()}
+    fix = {"nu": 1.0, "gamma": 1.0, "delta": 0.0}
+    return FitTask.of(files).on_top(free=list(ARM), start=start, fix=fix, ties=TIES)
+
+
+@pytest.mark.slow
+def test_an_arm_and_a_loop_of_its_joint_are_fitted_together(files, tmp_path):
+    ready = task(files).prepare()
+    result = ready.run()
+    assert result.status == "converged"
+    assert result.verdict.status == "adequate"
+    for path, value in ARM.items():
+        estimate = result.parameters[path]
+        assert abs(estimate.value - value) < 3 * estimate.standard_error, path
+    assert result.parameters["joints.pitch_stiffness"].sources["loop"] > 3
+    assert result.parameters["air.drag_coefficient"].sources["arm"] is None
+    # The bench measures torques, so that the scale of all forces is known.
+    assert not any("per unit of mass" in sentence for sentence in result.conditions)
+    path = tmp_path / "result.json"
+    path.write_text(result.to_json())
+    again = load_result(path)
+    assert again.model.kind == "arm+hysteresis"
+    assert again.parameters["joints.damping"] == result.parameters["joints.damping"]
+    for run, before in zip(ready.runs, result.predictions, strict=True):
+        for name, values in again.predict(run).items():
+            assert_allclose(values, before[name], atol=1e-9)
+
+
+def test_what_both_models_would_say_is_asked_of_each(files):
+    runs = read_runs(files, Definition())
+    model = model_for(runs)
+    assert model.integration() == model.part("arm").integration()
+    finer = model.with_integration(solver="tsit5", tolerance=1e-9)
+    assert finer.integration() == ("tsit5", 1e-9)
+    assert finer.parts[1] is model.parts[1]
+    assert "arm.drag = strip" in model.variants()
+    with pytest.raises(InputError, match="there is no joint model here"):
+        model.part("joint")
+    joint = dataclasses.replace(model, parts=model.parts[1:])
+    with pytest.raises(InputError, match="neither a solver nor a tolerance"):
+        joint.with_integration(solver="tsit5", tolerance=None)
+
+
+def test_a_definition_asks_each_run_for_its_own_channels(files):
+    arm = {"fit": {"channels": ["tip_z", "joint01_angle"]}}
+    with pytest.raises(InputError, match="has no channel 'joint01_angle'"):
+        read_runs(files, Definition.parse(arm))
+    runs = read_runs(files, Definition.parse({"fit": {"channels": ["tip_z"]}}))
+    assert [list(run.observations) for run in runs] == [["output"], ["tip_z"]]
+
+
+def test_all_runs_of_a_model_cannot_be_held_out(files):
+    held = task(files).on_top(hold_out=["loop"])
+    with pytest.raises(InputError, match="every run of the hysteresis model is held out"):
+        held.prepare()
