@@ -15,7 +15,7 @@ endif
 endif
 
 .PHONY: help demo check quick test test-slow test-all test-lowest test-python evidence \
-	paper docs lint types bench bench-check synthetic clean
+	paper docs pictures lint types bench bench-check synthetic clean
 
 help:
 	@echo "make demo           install into $(VENV) and fit the demonstration run"
@@ -29,6 +29,7 @@ help:
 	@echo "make evidence NAME  a study that takes long, into docs/evidence; without a name, lists them"
 	@echo "make paper          the paper's figures and tables, into giajax-out/paper"
 	@echo "make docs           the site of the documentation, into build/docs"
+	@echo "make pictures       the pictures of the documentation, into docs/pictures, and its tables"
 	@echo "make lint           formatting and lint"
 	@echo "make types          static types"
 	@echo "make bench          side-by-side measurements against MuJoCo, CasADi and scipy"
@@ -84,6 +85,10 @@ paper: $(VENV)/.installed
 docs: $(VENV)/.installed-dev
 	$(BIN)/python -m sphinx -b html -W --keep-going -n -q docs build/docs
 	@echo "open build/docs/index.html"
+
+pictures: $(VENV)/.installed-dev
+	$(BIN)/python -m docs.machinery.tables
+	$(BIN)/python -m docs.machinery.pictures
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

@@ -1,11 +1,12 @@
-"""What the pages of docs/ say of the source is so, and what they show runs."""
+"""What the pages of docs/ say of the source is so."""
 
+import itertools
 import re
 from pathlib import Path
 
 import pytest
 
-from giajax.kinds import KINDS
+from docs.machinery import tables
 from giajax.runs import parse_column
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
@@ -15,56 +16,19 @@ def page(name):
     return (DOCS / name).read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param("physics.md", marks=pytest.mark.slow),
-        pytest.param("hold_out.md", marks=pytest.mark.slow),
-        pytest.param("long_fits.md", marks=pytest.mark.slow),
-    ],
-)
-def test_the_python_of_a_page_runs(name):
-    blocks = re.findall(r"```python\n(.*?)```", page(name), re.DOTALL)
-    assert blocks
-    for block in blocks:
-        assert "assert" in block
-        exec(compile(block, name, "exec"), {})
+TABLES = {path.name: tables.names(page(path.name)) for path in sorted(DOCS.glob("*.md"))}
 
 
-def channel_rows():
-    """A row for each channel that means the same to some kinds of models."""
-    kinds = {}
-    for kind in KINDS.values():
-        for row in kind.channels:
-            texts = " or ".join(f"`{text}`" for text in row.texts)
-            values = texts or (row.quantity or "any").replace("_", " ")
-            kinds.setdefault((row.column, row.part, values), []).append(kind.name)
-    for (column, part, values), names in kinds.items():
-        yield f"| `{column}` | {', '.join(names)} | {part} | {values} |"
+@pytest.mark.parametrize("name", [name for name, found in TABLES.items() if found])
+def test_the_tables_of_a_page_are_as_the_declarations_make_them(name):
+    """If not, `python -m docs.machinery.tables` writes them."""
+    text = page(name)
+    assert tables.written(text) == text
 
 
 @pytest.mark.quick
-def test_the_channels_of_the_data_contract_are_those_of_the_kinds():
-    table = "\n".join(channel_rows())
-    assert table in page("data_contract.md"), f"the table must read\n{table}"
-
-
-def key_rows():
-    """A row for each key that states a parameter."""
-    for kind in KINDS.values():
-        for name, section in {**kind.sections, **kind.run_sections}.items():
-            for key, parts in section.quantities.items():
-                paths = ", ".join(f"`{path}`" for path in dict.fromkeys(p.path for p in parts))
-                field = section.model_fields[key]
-                preset = field.json_schema_extra["preset"]
-                value = "left out" if preset is None else f"`{preset}`"
-                yield f"| `{name}.{key}` | {paths} | {value} | {field.description} |"
-
-
-@pytest.mark.quick
-def test_the_keys_of_the_data_contract_are_those_of_the_declarations():
-    table = "\n".join(key_rows())
-    assert table in page("data_contract.md"), f"the table must read\n{table}"
+def test_every_table_has_its_page():
+    assert sorted(itertools.chain(*TABLES.values())) == sorted(tables.TABLES)
 
 
 @pytest.mark.quick

@@ -40,7 +40,7 @@ def test_the_triple_pendulum_is_predicted_better_than_by_the_published_parameter
     assert result.status == "converged", result.message
     assert not any(estimate.remark for estimate in result.free.values())
     ratios = [one.ratio for one in compare(result.model, unseen, reference) if not one.pooled]
-    # As README.md and the data's own README state them.
+    # As docs/examples.md and the data's own README state them.
     np.testing.assert_allclose(ratios, [0.85, 0.92, 0.67, 0.95, 0.83, 0.96], atol=0.011)
     refitted = compare(result.model, unseen[:1], reference, refit_initial=True)
     assert max(one.ratio for one in refitted) < 1.2

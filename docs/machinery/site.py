@@ -14,7 +14,7 @@ from sphinx.addnodes import pending_xref
 from sphinx.application import Sphinx
 from sphinx.environment import BuildEnvironment
 
-from . import api, notebooks
+from . import api, commands, files, notebooks
 
 DOCS = Path(__file__).resolve().parents[1]
 ROOT = DOCS.parent
@@ -67,6 +67,8 @@ def _write(path: Path, text: str) -> None:
 def _make(app: Sphinx) -> None:
     for path in _outside():
         _write(_page(path), linked(_text(path), path, _page(path)))
+    _write(MADE / "commands.md", commands.page())
+    _write(MADE / "files.md", files.page())
     for name, text in api.pages().items():
         _write(MADE / "api" / f"{name}.md", text)
 

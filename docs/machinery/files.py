@@ -1,0 +1,62 @@
+"""The reference of files: every section and key of the TOML vocabulary, as it is declared."""
+
+import inspect
+import json
+from collections.abc import Iterator
+from typing import Any, get_args
+
+from giajax.kinds import Section
+from giajax.runs import Definition
+
+_INTRODUCTION = """\
+# Sections and keys
+
+Every section and key of a sidecar, a fit definition and the file of an arm, made from the
+declarations that read them. What files are for is in the [data contract](../data_contract.md).
+`giajax init` writes a sidecar with those that apply to a run.
+"""
+
+
+def page() -> str:
+    """The text of the page."""
+    parts = [_INTRODUCTION, "## At the top\n", *_rows(Definition), ""]
+    for name, section in _sections():
+        about = inspect.cleandoc(section.__doc__ or "")
+        parts += [f"## [{name}]\n", f"{about}\n", *_rows(section), ""]
+    return "\n".join(parts)
+
+
+def _sections() -> Iterator[tuple[str, type[Section]]]:
+    """Sections by name, and after each the tables in it whose keys are declared, too."""
+    known = {name: field.annotation for name, field in Definition.model_fields.items()}
+    for name, annotation in known.items():
+        for section in _within(annotation):
+            yield name, section
+            for key, field in section.model_fields.items():
+                yield from ((f"{name}.{key}", inner) for inner in _within(field.annotation))
+
+
+def _within(annotation: Any) -> Iterator[type[Section]]:
+    """The sections that an annotation names."""
+    if inspect.isclass(annotation) and issubclass(annotation, Section):
+        yield annotation
+    for argument in get_args(annotation):
+        yield from _within(argument)
+
+
+def _rows(section: type[Section]) -> Iterator[str]:
+    yield "| key | must be | unless stated | meaning |"
+    yield "| --- | --- | --- | --- |"
+    for name, field in section.model_fields.items():
+        extra: Any = field.json_schema_extra
+        # A section within a file is no key; it has a heading of its own.
+        if isinstance(extra, dict):
+            preset = extra.get("preset")
+            value = "" if preset is None else f"`{json.dumps(preset)}`"
+            must, meaning = (_cell(text) for text in (extra["must"], field.description or ""))
+            yield f"| `{name}` | {must} | {value} | {meaning} |"
+
+
+def _cell(text: str) -> str:
+    """Text of a cell, in which brackets are no link."""
+    return text.replace("|", r"\|").replace("[", r"\[").replace("]", r"\]")

@@ -1,0 +1,148 @@
+"""The pictures of README and pages, by the functions that giajax draws with.
+
+python -m docs.machinery.pictures            all of them, into docs/pictures, in minutes
+python -m docs.machinery.pictures arm.gif    some
+"""
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.animation import FuncAnimation, PillowWriter
+
+import giajax
+from giajax.experiments import figure_12, one_link
+from giajax.joint import LARGEST_ANGLE
+from giajax.paper import reproduce
+from giajax.report import (
+    correction_figure,
+    correlation_figure,
+    draw_scene,
+    equilibria_figure,
+    equilibria_table,
+    joint_figure,
+    new_figure,
+    plain,
+    recorded_figure,
+    residuals_figure,
+    sensitivity_figure,
+    to_png,
+)
+
+ROOT = Path(__file__).resolve().parents[2]
+FOLDER = ROOT / "docs" / "pictures"
+
+_NOISE = 0.01  # m, of a camera
+_PACE = 2  # times as fast as the arm
+
+
+def _animated() -> None:
+    """The paper's experiment in air and without, from the side."""
+    arm = giajax.takeichi_20m()
+    still = giajax.replace(arm, {"air.density": 0.0})
+    command = giajax.joint_ramps(arm.count, {1: np.deg2rad(30)}, start=0.5, duration=1.0)
+    times = jnp.linspace(0.0, 25.0, 126)
+    scenes = {
+        title: giajax.arm_scene(giajax.simulate(each, command, times, solver="springs5"))
+        for title, each in (("in air, C_D = 1.2", arm), ("without air", still))
+    }
+    figure = new_figure(8.6, 4.2, "")
+    panels = dict(zip(scenes, figure.subplots(1, 2, sharey=True), strict=True))
+    low, high = np.array([scene.extent() for scene in scenes.values()]).transpose(1, 0, 2)
+    title = figure.suptitle("", fontsize=10, x=0.01, ha="left")
+
+    def draw(sample: int) -> None:
+        for name, panel in panels.items():
+            panel.clear()
+            draw_scene(panel, scenes[name], sample)
+            plain(panel, name)
+            panel.set_xlim(-0.5, 20.5)
+            panel.set_ylim(low[:, 2].min() - 0.3, high[:, 2].max() + 0.3)
+            panel.set_xlabel("along the straight arm (m)")
+        figure.axes[0].set_ylabel("height (m)")
+        title.set_text(f"The base joint turns by 30 degrees within a second: {times[sample]:.1f} s")
+
+    animation = FuncAnimation(figure, draw, len(times))
+    rate = _PACE * (len(times) - 1) / float(times[-1])
+    animation.save(FOLDER / "arm.gif", writer=PillowWriter(fps=round(rate)), dpi=80)
+
+
+def _fit() -> None:
+    """The demonstration run and its fit."""
+    run = giajax.read_run(ROOT / "data" / "synthetic" / "base_step.csv")
+    result = giajax.fit(giajax.model_for([run]), run)
+    predicted = giajax.predict(result.model, run)
+    (record,) = result.runs
+    _save("fit", to_png(recorded_figure(result, run, predicted, record)))
+    _save("residuals", to_png(residuals_figure(result, [run], [predicted])))
+
+
+def _correlation() -> None:
+    """A fit of the camera's frame beside the arm: what the data can tell apart."""
+    result = giajax.FitTask.load(ROOT / "fits" / "camera_frame.toml").run(check=False)
+    _save("correlation", to_png(correlation_figure(result)))
+
+
+def _joint() -> None:
+    """One joint at rest."""
+    pair = giajax.JointPair()
+    end = round(float(np.rad2deg(LARGEST_ANGLE)))
+    holding, _ = equilibria_table(pair, np.linspace(-end, end, 2 * end + 1))
+    _save("equilibria", to_png(equilibria_figure(pair, holding, 20.0)))
+    _save("corrections", to_png(correction_figure(pair.joint)))
+    _save("joint", to_png(joint_figure(pair.joint, (60.0, 10.0, -2.0, -30.0))))
+
+
+def _sensitivity() -> None:
+    """When and where the paper's experiment shows C_D."""
+    times = np.linspace(0.0, 25.0, 251)
+    command = np.interp(times, [0.5, 1.5], [0.0, np.deg2rad(30.0)])
+    run = giajax.planned(times, {"joint01_command": command}, links=20)
+    found = giajax.sensitivity(
+        giajax.ArmModel(giajax.takeichi_20m()), run, ["air.drag_coefficient"]
+    )
+    _save("sensitivity", to_png(sensitivity_figure(found, _NOISE, "What each link tells of C_D")))
+
+
+def _hysteresis() -> None:
+    """The paper's 1-link experiment on a simulated joint."""
+    _save("fig12", to_png(figure_12(one_link())))
+
+
+def _paper() -> None:
+    """A figure of the paper, made again."""
+    for name, made in reproduce(["fig5"], ROOT / "data" / "paper"):
+        _save(name, to_png(made.figure))
+
+
+def _save(name: str, contents: bytes) -> None:
+    (FOLDER / f"{name}.png").write_bytes(contents)
+
+
+PICTURES: dict[str, Callable[[], None]] = {
+    "arm.gif": _animated,
+    "fit.png residuals.png": _fit,
+    "correlation.png": _correlation,
+    "equilibria.png corrections.png joint.png": _joint,
+    "sensitivity.png": _sensitivity,
+    "fig12.png": _hysteresis,
+    "fig5.png": _paper,
+}
+"""What makes which files."""
+
+
+def main(wanted: list[str]) -> None:
+    """Make those that are wanted, or all."""
+    jax.config.update("jax_enable_x64", True)
+    FOLDER.mkdir(exist_ok=True)
+    for names, make in PICTURES.items():
+        if not wanted or set(wanted) & set(names.split()):
+            make()
+            print(names, flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

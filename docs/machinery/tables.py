@@ -1,0 +1,98 @@
+"""Tables of pages that are made from what giajax declares.
+
+    python -m docs.machinery.tables     write them into the pages that have them
+
+A page has a table between two comments, `<!-- table: NAME -->` and `<!-- end of table -->`. The
+tests ask whether each is as its declarations make it.
+"""
+
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import giajax
+from giajax.joint import Friction
+from giajax.kinds import KINDS
+
+DOCS = Path(__file__).resolve().parents[1]
+_TABLE = re.compile(r"(<!-- table: ([\w ]+) -->\n\n).*?(<!-- end of table -->)", re.DOTALL)
+
+
+def _assumed(model: giajax.AbstractModel) -> Iterator[str]:
+    """A row for each parameter whose default has no source."""
+    yield "| parameter | assumed | unit | meaning |"
+    yield "| --- | --- | --- | --- |"
+    for path, parameter in giajax.declared(model).items():
+        declaration = parameter.declaration
+        if declaration.assumed:
+            unit = declaration.unit or "-"
+            yield f"| `{path}` | {declaration.default:g} | {unit} | {declaration.doc} |"
+
+
+def _channels() -> Iterator[str]:
+    """A row for each channel that means the same to some kinds of models."""
+    yield "| channel | model | part | values |"
+    yield "| --- | --- | --- | --- |"
+    yield "| `time` | any | input | time |"
+    kinds: dict[tuple[str, str, str], list[str]] = {}
+    for kind in KINDS.values():
+        for row in kind.channels:
+            texts = " or ".join(f"`{text}`" for text in row.texts)
+            values = texts or (row.quantity or "any").replace("_", " ")
+            kinds.setdefault((row.column, row.part, values), []).append(kind.name)
+    for (column, part, values), names in kinds.items():
+        yield f"| `{column}` | {', '.join(names)} | {part} | {values} |"
+
+
+def _keys() -> Iterator[str]:
+    """A row for each key that states a parameter."""
+    yield "| key | parameter | unless stated | meaning |"
+    yield "| --- | --- | --- | --- |"
+    for kind in KINDS.values():
+        for name, section in {**kind.sections, **kind.run_sections}.items():
+            for key, parts in section.quantities.items():
+                paths = ", ".join(f"`{path}`" for path in dict.fromkeys(p.path for p in parts))
+                field = section.model_fields[key]
+                extra = field.json_schema_extra
+                preset = extra["preset"] if isinstance(extra, dict) else None
+                value = "left out" if preset is None else f"`{preset}`"
+                yield f"| `{name}.{key}` | {paths} | {value} | {field.description} |"
+
+
+TABLES: dict[str, Callable[[], Iterator[str]]] = {
+    "assumed arm": lambda: _assumed(giajax.ArmModel(giajax.takeichi_20m())),
+    "assumed joint": lambda: _assumed(giajax.JointModel(giajax.Joint())),
+    "assumed braided muscle": lambda: _assumed(giajax.MuscleModel(friction=Friction())),
+    "assumed empirical muscle": lambda: _assumed(giajax.MuscleModel(giajax.EmpiricalMuscle())),
+    "assumed piston": lambda: _assumed(giajax.MuscleModel(giajax.Piston())),
+    "channels": _channels,
+    "keys": _keys,
+}
+"""What makes the rows of each table, by its name."""
+
+
+def names(text: str) -> list[str]:
+    """The tables of a page."""
+    return [match[2] for match in _TABLE.finditer(text)]
+
+
+def written(text: str) -> str:
+    """A page with its tables as the declarations make them."""
+    return _TABLE.sub(lambda match: f"{match[1]}{_markdown(match[2])}\n{match[3]}", text)
+
+
+def _markdown(name: str) -> str:
+    return "".join(f"{row}\n" for row in TABLES[name]())
+
+
+def main() -> None:
+    """Write every table into its page."""
+    for page in sorted(DOCS.glob("*.md")):
+        text = page.read_text(encoding="utf-8")
+        if (new := written(text)) != text:
+            page.write_text(new, encoding="utf-8")
+            print(f"{page.name}: {', '.join(names(text))}")
+
+
+if __name__ == "__main__":
+    main()
