@@ -21,9 +21,8 @@ TABLES = {path.name: tables.names(page(path.name)) for path in sorted(DOCS.glob(
 
 @pytest.mark.parametrize("name", [name for name, found in TABLES.items() if found])
 def test_the_tables_of_a_page_are_as_the_declarations_make_them(name):
-    """If not, `python -m docs.machinery.tables` writes them."""
     text = page(name)
-    assert tables.written(text) == text
+    assert tables.written(text) == text, "write them: python -m docs.machinery.tables"
 
 
 @pytest.mark.quick

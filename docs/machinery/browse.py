@@ -1,0 +1,176 @@
+"""Open the built site in Chromium, wide and narrow, and ask what a reader would complain of.
+
+    python -m docs.machinery.browse [SITE]                    build/docs, unless another is named
+    python -m docs.machinery.browse [SITE] --pictures DIR     and a picture of every page
+
+Dead links and fragments, messages of the console, files that are not there, and pages that are
+wider than their window. The exit status is 1 where there is one, 2 without a browser or a site.
+"""
+
+import functools
+import html
+import json
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from html.parser import HTMLParser
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+SITE = Path(__file__).resolve().parents[2] / "build" / "docs"
+WIDTHS = (1400, 390)
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+
+# A page in a frame has the width of the frame, and one browser opens them all.
+_HARNESS = """\
+<!doctype html><title>running</title><pre id="found"></pre><script>
+const pages = PAGES, widths = WIDTHS, found = [];
+const frame = document.body.appendChild(document.createElement("iframe"));
+frame.height = 900;
+(async () => {
+  for (const width of widths) for (const page of pages) {
+    frame.width = width;
+    await new Promise((loaded) => { frame.onload = loaded; frame.src = page; });
+    await new Promise((drawn) => setTimeout(drawn, 60));
+    const wide = frame.contentDocument.documentElement.scrollWidth;
+    if (wide > width) found.push(`${page} is ${wide} px wide in a window of ${width} px`);
+  }
+  document.getElementById("found").textContent = JSON.stringify(found);
+  document.title = "done";
+})();
+</script>
+"""
+
+
+class _Links(HTMLParser):
+    """What a page links to, and the fragments that it has."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.links: list[str] = []
+        self.fragments: set[str] = set()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        """One element."""
+        for name, value in attrs:
+            if name == "id" and value:
+                self.fragments.add(value)
+            elif name == ("href" if tag in ("a", "link") else "src") and value is not None:
+                self.links.append(value)
+
+
+def dead_links(site: Path) -> list[str]:
+    """Links within the site that lead nowhere."""
+    pages = {}
+    for path in site.rglob("*.html"):
+        pages[path.resolve()] = parser = _Links()
+        parser.feed(path.read_text(encoding="utf-8"))
+    dead = []
+    for path, page in pages.items():
+        for link in page.links:
+            parts = urlsplit(link)
+            if parts.scheme or parts.netloc:
+                continue
+            target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
+            fragment = unquote(parts.fragment)
+            known = pages[target].fragments if target in pages else None
+            if not target.exists() or (fragment and known is not None and fragment not in known):
+                dead.append(f"{path.relative_to(site.resolve())} links to {link}")
+    return dead
+
+
+class _Served(SimpleHTTPRequestHandler):
+    """The site, and the page that opens it, without a word for each file."""
+
+    harness = b""
+
+    def do_GET(self) -> None:
+        """A file, or the harness."""
+        if self.path != "/__harness__":
+            return super().do_GET()
+        self.send_response(200)
+        self.send_header("Content-Type", "text/html; charset=utf-8")
+        self.end_headers()
+        self.wfile.write(self.harness)
+
+    def log_message(self, format: str, *arguments: object) -> None:
+        """Nothing."""
+
+
+@contextmanager
+def _server(site: Path, pages: list[str]) -> Iterator[str]:
+    """Serve the site to this machine alone; gives the address."""
+    text = _HARNESS.replace("PAGES", json.dumps(pages)).replace("WIDTHS", json.dumps(WIDTHS))
+    served = type("Served", (_Served,), {"harness": text.encode()})
+    handler = functools.partial(served, directory=str(site))
+    server = ThreadingHTTPServer(("127.0.0.1", 0), handler)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    try:
+        yield f"http://127.0.0.1:{server.server_port}"
+    finally:
+        server.shutdown()
+        server.server_close()
+
+
+def _chromium(browser: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    with tempfile.TemporaryDirectory() as profile:
+        options = ["--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={profile}"]
+        return subprocess.run(
+            [browser, *options, "--hide-scrollbars", "--enable-logging=stderr", *arguments],
+            capture_output=True, text=True, timeout=600, check=False,
+        )  # fmt: skip
+
+
+def opened(site: Path, browser: str) -> list[str]:
+    """What is wrong with the pages in a browser."""
+    pages = sorted(f"/{path.relative_to(site)}" for path in site.rglob("*.html"))
+    budget = 200 * len(pages) * len(WIDTHS)
+    with _server(site, pages) as address:
+        ended = _chromium(
+            browser, "--dump-dom", f"--virtual-time-budget={budget}", f"{address}/__harness__"
+        )
+    wide = re.search(r'<pre id="found">(.+?)</pre>', ended.stdout, re.DOTALL)
+    if wide is None:
+        return [f"{browser} did not come to an end: {ended.stderr[-500:]}"]
+    said = [line.partition("] ")[2] for line in ended.stderr.splitlines() if ":CONSOLE" in line]
+    return [*json.loads(html.unescape(wide[1])), *dict.fromkeys(said)]
+
+
+def pictures(site: Path, browser: str, folder: Path) -> None:
+    """A picture of the top of every page, at every width."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for path in sorted(site.rglob("*.html")):
+        name = "-".join(path.relative_to(site).with_suffix("").parts)
+        for width in WIDTHS:
+            out = folder / f"{name}-{width}.png"
+            _chromium(browser, f"--window-size={width},1600", f"--screenshot={out}", path.as_uri())
+
+
+def main(words: list[str]) -> int:
+    """Look at the site; returns the exit status."""
+    folder = None
+    if "--pictures" in words:
+        place = words.index("--pictures")
+        _, name = words[place : place + 2]
+        folder, words = Path(name), words[:place] + words[place + 2 :]
+    site = Path(words[0]) if words else SITE
+    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if browser is None or not (site / "index.html").exists():
+        what = f"no browser, one of {', '.join(BROWSERS)}" if browser is None else f"no {site}"
+        print(f"there is {what}: install it" if browser is None else f"{what}: make docs")
+        return 2
+    wrong = [*dead_links(site), *opened(site, browser)]
+    print("\n".join(wrong) or "nothing is wrong")
+    if folder is not None:
+        pictures(site, browser, folder)
+    return int(bool(wrong))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
