@@ -29,6 +29,8 @@ extensions = [
 ]
 exclude_patterns = ["machinery", "_build"]
 
+# What a key must be is quoted as a file has it, and options begin with two hyphens.
+smartquotes = False
 # Headings of pages are targets of links, as they are in the repository.
 myst_heading_anchors = 4
 # `name` in a docstring is code, as it is in Markdown.

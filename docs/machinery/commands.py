@@ -12,7 +12,7 @@ _INTRODUCTION = """\
 
 What `giajax --help` and `giajax COMMAND --help` print.
 """
-_WIDTH = 96
+_WIDTH = 84
 
 
 def page() -> str:
