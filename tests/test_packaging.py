@@ -1,5 +1,6 @@
 """What is installed: version bounds that were tried, one version everywhere, a wheel that works."""
 
+import itertools
 import os
 import re
 import subprocess
@@ -29,7 +30,8 @@ def pinned(name):
 def lower_bounds():
     """Of what the package needs, and what its tests and its documentation need."""
     extras = PROJECT["optional-dependencies"]
-    texts = [*PROJECT["dependencies"], *extras["bench"], *extras["docs"], *extras["test"]]
+    several = (extras[name] for name in ("bench", "report", "docs", "test"))
+    texts = [*PROJECT["dependencies"], *itertools.chain.from_iterable(several)]
     bounds = {}
     for requirement in map(Requirement, texts):
         if requirement.name == "giajax":

@@ -23,6 +23,7 @@ from . import (
     _paper,
     _parameters,
     _predict,
+    _report,
     _sensitivity,
     _simulate,
     _suspects,
@@ -42,6 +43,8 @@ Examples:
   giajax joint --out DIR    one joint at rest: paths, forces, equilibria
   giajax fit --data run.csv
                             fit drag, stiffness and damping to it
+  giajax report giajax-out/run
+                            the fit as a page: whether to believe it, and why
   giajax suspects giajax-out/run
                             what of it the model leaves out
   giajax predict --model giajax-out/run --data other.csv
@@ -70,6 +73,7 @@ _COMMANDS: tuple[tuple[Callable[..., None], str], ...] = (
     (_paper.paper, _paper.EXAMPLES),
     (_parameters.parameters, _parameters.EXAMPLES),
     (_predict.predict, _predict.EXAMPLES),
+    (_report.report, _report.EXAMPLES),
     (_sensitivity.sensitivity, _sensitivity.EXAMPLES),
     (_simulate.simulate, _simulate.EXAMPLES),
     (_suspects.suspects, _suspects.EXAMPLES),

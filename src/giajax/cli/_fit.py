@@ -225,6 +225,9 @@ def fit(
     figures: Annotated[
         bool, typer.Option("--figures/--no-figures", help="Draw pictures of the result.")
     ] = True,
+    report: Annotated[
+        bool, typer.Option("--report", help="Write report.html, a page for a browser, too.")
+    ] = False,
 ) -> None:
     """Fit parameters to runs.
 
@@ -283,6 +286,7 @@ def fit(
             as_json=as_json,
             quiet=quiet,
             figures=figures,
+            report=report,
             strict=strict,
             suspects=suspects,
         )

@@ -58,6 +58,7 @@ def run_fit(
     as_json: bool,
     quiet: bool,
     figures: bool,
+    report: bool,
     strict: bool,
     suspects: bool,
 ) -> int:
@@ -67,7 +68,7 @@ def run_fit(
         task: what to fit to what.
         again: the result whose numbers are to come again.
         resume: go on with the journal in the task's folder.
-        force, as_json, quiet, figures, strict, suspects: the options of these names.
+        force, as_json, quiet, figures, report, strict, suspects: the options of these names.
 
     Returns:
         The exit status.
@@ -76,13 +77,24 @@ def run_fit(
 
     configure()
     from ..fitting import column_factors
-    from ..report import check_figures, check_folder, write_figures, write_result
+    from ..report import (
+        PAGE,
+        check_figures,
+        check_folder,
+        check_page,
+        report_page,
+        write_figures,
+        write_result,
+    )
+    from ..runs import write_files
     from ..study import choice_hint
     from ..tasks import compared, stored_result, version_note
 
     ready = task.prepare()
     check_figures(ready.setup.model, task.definition)
     check_folder(task.out, ready.runs, ready.setup.config, force=force)
+    if report:
+        check_page(task.out / PAGE, force=force)
     before = None if again is None or task.resolved is None else stored_result(again)[1]
     with ready.kept_in(task.out, resume=resume, force=force, complain=_complain) as journal:
         versions = journal.head["versions"] if before is None else before["versions"]
@@ -125,6 +137,12 @@ def run_fit(
     # What a person waits for is there; drawing takes a second or two.
     if figures:
         files += write_figures(result, ready.runs, task.out, held_out=ready.held_out_runs)
+    if report:
+        page = report_page(
+            asked, ready.runs, held_out=ready.held_out_runs, source=task.out / "result.json"
+        )
+        write_files({task.out / PAGE: page}, force=True)
+        files.append(task.out / PAGE)
     if not (as_json or quiet):
         show_files(files)
         if goes_on:

@@ -16,6 +16,7 @@ from ._joint_equilibria import (
 )
 from ._joint_files import JOINT_FILES as JOINT_FILES, joint_files as joint_files
 from ._joint_shape import joint_figure as joint_figure, joint_points as joint_points
+from ._pages import PAGE as PAGE, check_page as check_page, report_page as report_page
 from ._reached import Reached as Reached, check_figures as check_figures, reached as reached
 from ._recorded import recorded_figure as recorded_figure
 from ._residuals import residuals_figure as residuals_figure

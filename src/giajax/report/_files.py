@@ -16,6 +16,7 @@ from ._residuals import residuals_figure
 from ._style import SIGNATURE, to_png
 
 RESULT = "result.json"
+PAGE = "report.html"
 
 # A picture takes a second, and nobody looks at twenty of them.
 _MOST_RUNS = 6
@@ -111,7 +112,7 @@ def _written(folder: Path, contents: Mapping[str, bytes]) -> list[Path]:
     return list(paths)
 
 
-def _worth_drawing(result: FitResult) -> list[int]:
+def worth_drawing(result: FitResult) -> list[int]:
     """All runs, or of many those that are described worst, in their order."""
     if len(result.runs) <= _MOST_RUNS:
         return list(range(len(result.runs)))
@@ -132,7 +133,7 @@ def _picture_files(
     held_out: Sequence[Run],
 ) -> dict[str, bytes]:
     files = {}
-    drawn = _worth_drawing(result)
+    drawn = worth_drawing(result)
     everything = list(zip(runs, names, predictions, result.runs, strict=True))
     held = {(run.name, run.sha256): run for run in held_out}
     for run, name, predicted, record in (everything[index] for index in drawn):
@@ -165,13 +166,14 @@ def _held_out_files(
 
 
 def _remove_stale_pictures(folder: Path) -> None:
-    """Remove the pictures of an earlier fit, which do not show this one."""
+    """Remove the pictures and the page of an earlier fit, which do not show this one."""
     for pattern in (
         "recorded.png",
         "recorded_*.png",
         "held_out_*.png",
         "residuals.png",
         "correlation.png",
+        PAGE,
     ):
         for path in folder.glob(pattern):
             try:

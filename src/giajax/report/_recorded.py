@@ -11,14 +11,11 @@ from matplotlib.ticker import MaxNLocator
 
 from ..fitting import FitResult, HeldOut, RunFit
 from ..runs import Channel, Run
-from ._abscissa import abscissa, channel_label
+from ._abscissa import abscissa, channel_label, channels_together, sweep_starts
 from ._style import BLUE, GREEN, GREY, INK, VERMILLION, new_figure, plain, unfinished
 
 # More panels than this cannot be read on one screen.
 _MOST_PANELS = 24
-
-# A step of this many times the usual one, and of this part of the range, is no motion.
-_JUMP, _FAR = 20, 0.3
 
 # Of cells that were fitted, and of those that were held out.
 _SHADES = {False: GREY, True: VERMILLION}
@@ -78,28 +75,14 @@ def recorded_figure(
     return figure
 
 
-def _starts(over: np.ndarray) -> np.ndarray:
-    """Samples at which a run of sweeps starts another one, having jumped there."""
-    steps = np.abs(np.diff(over))
-    usual = np.median(steps[steps > 0]) if np.any(steps > 0) else 0.0
-    return np.flatnonzero((steps > _JUMP * usual) & (steps > _FAR * np.ptp(over))) + 1
-
-
 def _panels(run: Run) -> tuple[list[list[str]], int]:
     """Names of the channels in each panel, and how many channels have none."""
-    names = list(run.observations)
-    panels = [[name] for name in names]
-    if len(panels) > _MOST_PANELS:
-        together: dict[Any, list[str]] = {}
-        for name in names:
-            channel = run.channels[name]
-            together.setdefault((channel.kind, channel.index, channel.unit), []).append(name)
-        panels = list(together.values())
+    panels = channels_together(run, _MOST_PANELS)
     if len(panels) <= _MOST_PANELS:
         return panels, 0
     chosen = np.linspace(0, len(panels) - 1, _MOST_PANELS).round().astype(int)
     panels = [panels[i] for i in chosen]
-    return panels, len(names) - sum(len(panel) for panel in panels)
+    return panels, len(run.observations) - sum(len(panel) for panel in panels)
 
 
 def _columns(panels: int) -> int:
@@ -135,7 +118,7 @@ def _draw_panel(
             color=_colour(channel) if several else _SHADES[hollow],
             alpha=0.6,
         )
-    sweeps = np.array([], dtype=int) if over is run.times else _starts(over)
+    sweeps = np.array([], dtype=int) if over is run.times else sweep_starts(over)
     line = np.insert(np.asarray(over, dtype=float), sweeps, np.nan)
     for channel in channels:
         fitted = np.insert(channel.from_si(predicted[channel.name]), sweeps, np.nan)

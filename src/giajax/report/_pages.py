@@ -1,0 +1,74 @@
+"""Pages for a browser, and whether what draws them is installed."""
+
+import importlib.util
+from collections.abc import Sequence
+from pathlib import Path
+
+from .._errors import InputError
+from .._files import read_bytes
+from .._limits import RESULT_BYTES
+from ..fitting import FitResult
+from ..runs import Run
+from ._files import PAGE as PAGE
+from ._style import SIGNATURE
+
+_NEEDED = ("bokeh", "jinja2")
+
+
+def check_page(path: str | Path | None = None, *, force: bool = False) -> None:
+    """Refuse a page that cannot be made, before anything is computed.
+
+    Arguments:
+        path: where a fit is to write it; a page that giajax made there is written over.
+        force: write over any file.
+
+    Raises:
+        InputError: what draws it is not installed, or (without `force`) the file is someone's own.
+    """
+    missing = [name for name in _NEEDED if importlib.util.find_spec(name) is None]
+    if missing:
+        raise InputError(
+            f"a page needs {' and '.join(missing)}, which must be installed: "
+            "pip install 'giajax[report]'"
+        )
+    if path is None or force or not Path(path).exists():
+        return
+    if SIGNATURE.encode() not in read_bytes(Path(path), RESULT_BYTES)[:200]:
+        raise InputError(
+            f"{path} was not made by giajax: move it, or give --force to write over it"
+        )
+
+
+def report_page(
+    result: FitResult,
+    runs: Sequence[Run],
+    *,
+    held_out: Sequence[Run] = (),
+    source: str | Path | None = None,
+) -> bytes:
+    """A result as one HTML file, below 5 MB, that opens without a network.
+
+    The verdict comes first, then the parameters, what limits them, plots and provenance. A model
+    of which something is seen moves; it may be simulated and compiled for that.
+
+    Arguments:
+        result: the result of `fit` or `load_result`.
+        runs: the runs that were fitted, in the same order.
+        held_out: what was held out of them.
+        source: the `result.json`, from which the page says how to fit it again.
+
+    Returns:
+        The page, encoded.
+
+    Raises:
+        InputError: what draws it is not installed, or other runs than those of the result.
+
+    Example:
+        >>> page = report_page(result, [run])  # doctest: +SKIP
+        >>> Path("report.html").write_bytes(page)  # doctest: +SKIP
+    """
+    check_page()
+    from . import page
+
+    where = None if source is None else Path(source)
+    return page.report_page(result, runs, held_out=held_out, source=where)

@@ -1,0 +1,3 @@
+"""Pages for a browser: one result, or several side by side. Needs the extra `report`."""
+
+from ._report import report_page as report_page

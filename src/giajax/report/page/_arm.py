@@ -1,0 +1,98 @@
+"""A scene as compact data for a small script that draws it."""
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ...fitting import FitResult
+from ...models import Scene
+from ...runs import Run
+
+# As many as an eye follows; more make the page larger and no clearer.
+_MOST_FRAMES = 240
+
+# Coordinates are integers of this range: an eye sees a thousandth.
+_GRID = 4095
+
+# Of the extent: where a recording's axes are those of the scene, they agree better than this.
+_ALIGNED = 1e-3
+
+
+def animation(result: FitResult, run: Run, predicted: Mapping[str, np.ndarray]) -> str | None:
+    """What the arm of a run looks like over time, with its recorded markers, as JSON.
+
+    Arguments:
+        result: of the fit.
+        run: a fitted one.
+        predicted: what the model predicts for it, SI, by channel.
+
+    Returns:
+        Lines with radii, fitted and recorded markers, on a grid of integers; None for a model of
+        which nothing is seen.
+    """
+    scene = result.model_of(run).scene(run)
+    if scene is None:
+        return None
+    frames = np.unique(np.linspace(0, scene.samples - 1, _MOST_FRAMES).round().astype(int))
+    low, high = scene.extent()
+    recorded, aligned = _recorded_markers(scene, run, predicted, float(np.max(high - low)))
+    for points in recorded.values():
+        if np.any(np.isfinite(points)):
+            low = np.fmin(low, np.nanmin(points, axis=0))
+            high = np.fmax(high, np.nanmax(points, axis=0))
+    step = float(np.max(high - low)) / _GRID or 1.0
+
+    def grid(points: np.ndarray) -> list[Any]:
+        cells = np.round((points[frames] - low) / step)
+        flat = cells.reshape(len(frames), -1)
+        return [[None if np.isnan(v) else int(v) for v in row] for row in flat]
+
+    facts = {
+        "low": low.tolist(),
+        "step": step,
+        "size": ((high - low) / step).tolist(),
+        "times": None if scene.times is None else np.round(scene.times[frames], 4).tolist(),
+        "frames": (frames + 1).tolist(),
+        "lines": [
+            {
+                "points": grid(line.points),
+                "radii": np.round(line.radii / step, 1).tolist(),
+                "loose": None if line.loose is None else line.loose[frames].astype(int).tolist(),
+            }
+            for line in scene.lines
+        ],
+        "markers": [grid(points) for name, points in scene.markers.items() if name in recorded],
+        "recorded": [grid(points) for points in recorded.values()],
+        "aligned": aligned,
+    }
+    return json.dumps(facts, separators=(",", ":"))
+
+
+def _recorded_markers(
+    scene: Scene, run: Run, predicted: Mapping[str, np.ndarray], extent: float
+) -> tuple[dict[str, np.ndarray], bool]:
+    """Where markers were recorded, in the frame of the scene; none where its axes are others.
+
+    Of a marker whose coordinates were recorded in part, the others are those of the model.
+    """
+    found: dict[str, np.ndarray] = {}
+    aligned = True
+    for name, points in scene.markers.items():
+        here = points.copy()
+        measured = np.zeros(len(here), bool)
+        for axis, letter in enumerate("xyz"):
+            channel = f"{name}_{letter}"
+            if channel not in run.observations or len(predicted[channel]) != len(here):
+                continue
+            if np.nanmax(np.abs(predicted[channel] - points[:, axis])) > _ALIGNED * extent:
+                aligned = False
+                continue
+            cells = run.observations[channel]
+            here[:, axis] = cells
+            measured |= ~np.isnan(cells)
+        if measured.any():
+            here[~measured] = np.nan
+            found[name] = here
+    return (found, True) if aligned else ({}, False)

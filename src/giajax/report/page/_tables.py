@@ -1,0 +1,163 @@
+"""The tables of a page about one result, as rows of text that a template lays out."""
+
+import json
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..._text import format_estimate
+from ...diagnosis import together
+from ...fitting import Estimate, FitResult, column_factors, in_column_units
+
+
+class Table(NamedTuple):
+    """Headings and rows of text; how many columns at the left are words."""
+
+    headings: list[str]
+    rows: list[list[str]]
+    words: int = 1
+
+
+class ParameterRow(NamedTuple):
+    """One parameter, as text; `exact` is the value in all digits."""
+
+    path: str
+    value: str
+    exact: str
+    statistical: str
+    systematic: str
+    both: str
+    unit: str
+    interval: str
+    bounds: str
+    sources: str
+    remark: str
+    free: bool
+
+
+def parameter_rows(result: FitResult) -> list[ParameterRow]:
+    """What was fitted, what follows from it, and what the settings hold; in the columns' units."""
+    factors = column_factors(result.model)
+    stated = together(result.systematic)
+    rows = []
+    for path, one in in_column_units(result.shown, result.model).items():
+        # Of an element, or of a group of runs, it is that of the parameter.
+        factor = factors.get(path.partition(" of ")[0].partition("[")[0], 1.0)
+        value, error = format_estimate(one.value, one.standard_error)
+        systematic = stated[path] * factor if path in stated else None
+        both = None
+        if systematic is not None and one.standard_error is not None:
+            both = float(np.hypot(systematic, one.standard_error))
+        rows.append(
+            ParameterRow(
+                path=path,
+                value=value,
+                exact=json.dumps(one.value),
+                statistical=error,
+                systematic="-" if systematic is None else f"{systematic:.2g}",
+                both="-" if both is None else f"{both:.2g}",
+                unit=one.unit or "-",
+                interval=_interval(one, factor),
+                bounds=_bounds(one),
+                sources=_sources(one.sources),
+                remark=one.remark,
+                free=one.free,
+            )
+        )
+    return rows
+
+
+def _interval(one: Estimate, factor: float) -> str:
+    if one.interval is None or None in one.interval:
+        return "-"
+    low, high = sorted(end * factor for end in one.interval)
+    return f"{low:.5g} .. {high:.5g}"
+
+
+def _bounds(one: Estimate) -> str:
+    if one.lower is None and one.upper is None:
+        return "-"
+    if one.upper is None:
+        return f"> {one.lower:g}"
+    return f"< {one.upper:g}" if one.lower is None else f"{one.lower:g} .. {one.upper:g}"
+
+
+def _sources(sources: Mapping[str, float | None]) -> str:
+    """Recordings with what leaving each out does to the error, the weightiest first."""
+    weights = {name: np.inf if factor is None else factor for name, factor in sources.items()}
+    ordered = sorted(weights, key=lambda name: -weights[name])
+    return ", ".join(
+        f"{name} (alone)" if np.isinf(weights[name]) else f"{name} (x{weights[name]:.3g})"
+        for name in ordered
+    )
+
+
+def noise_table(result: FitResult) -> Table:
+    """Each channel of each run: how far off, against which noise."""
+    rows = []
+    for run in result.runs:
+        for name, c in run.channels.items():
+            memory = (
+                f"{c.correlated:.3g} over {c.correlation_time_s:.3g} s" if c.correlated else "-"
+            )
+            ratio = f"{c.rmse / c.noise:.2f}" if c.rmse is not None and c.noise else "-"
+            size = [c.unit or "-", str(c.n), _number(c.rmse), _number(c.noise)]
+            rows.append([run.name, name, *size, ratio, memory])
+    headings = ["run", "channel", "unit", "values", "RMSE", "noise", "RMSE / noise", "with memory"]
+    return Table(headings, rows, 3)
+
+
+def held_out_table(result: FitResult) -> Table:
+    """What was held out, and how far off its prediction is."""
+    rows = [
+        [record.name, name, c.unit or "-", str(c.n), _number(c.rmse), _number(c.size, "-")]
+        for record in result.held_out
+        for name, c in record.channels.items()
+    ]
+    headings = ["run", "channel", "unit", "values", "RMSE", "times what it may be off"]
+    return Table(headings, rows, 3)
+
+
+def validation_table(result: FitResult) -> Table:
+    """Runs that were not fitted, and how far off their prediction is."""
+    rows = [
+        [record.name, name, c.unit or "-", str(c.n), _number(c.rmse), _number(c.largest)]
+        for record in result.validation
+        for name, c in record.channels.items()
+    ]
+    return Table(["run", "channel", "unit", "values", "RMSE", "largest error"], rows, 3)
+
+
+def starts_table(result: FitResult) -> Table:
+    """Where each start ended."""
+    paths = list(result.free)
+    rows = [
+        [start.status, "-" if start.misfit is None else f"{start.misfit:.6g}"]
+        + [_number((start.parameters or {}).get(path)) for path in paths]
+        for start in result.starts
+    ]
+    return Table(["ended", "misfit", *paths], rows, 1)
+
+
+def own_table(result: FitResult) -> Table:
+    """What single runs have for themselves, such as an initial state."""
+    rows = [
+        [run.name, path, *format_estimate(own.value, own.standard_error), own.remark or "-"]
+        for run in result.runs
+        for path, own in run.parameters.items()
+    ]
+    return Table(["run", "parameter", "value", "error", "remark"], rows, 2)
+
+
+def file_rows(result: FitResult) -> Table:
+    """The files that were fitted, each with its checksum."""
+    rows = {run.path: run.sha256 for run in result.runs if run.path}
+    rows |= {record.path: record.sha256 for record in result.held_out if record.path}
+    inputs: Any = result.task.get("inputs", {})
+    listed = {**{str(path): str(sha) for path, sha in rows.items()}, **inputs}
+    return Table(["file", "SHA-256"], [[path, sha] for path, sha in listed.items()], 2)
+
+
+def _number(value: float | None, missing: str = "not finite") -> str:
+    return missing if value is None else f"{value:.4g}"

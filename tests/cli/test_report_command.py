@@ -1,0 +1,80 @@
+"""`giajax report` and `giajax fit --report`, as users run them, of models of several kinds."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from giajax import load_result
+from giajax.cli import main
+from giajax.report import _pages
+from page_reader import Page, loaded_from_elsewhere
+
+DATA = Path(__file__).resolve().parents[2] / "data" / "synthetic"
+
+
+@pytest.fixture(scope="module")
+def fit(tmp_path_factory):
+    """The folder of a fit of a muscle, with its page."""
+    folder = tmp_path_factory.mktemp("report")
+    for name in ("muscle.csv", "muscle.toml"):
+        shutil.copy(DATA / name, folder / name)
+    run = ["fit", "--data", str(folder / "muscle.csv"), "--out", str(folder / "fit"), "--report"]
+    assert main([*run, "--no-figures", "--quiet"]) == 0
+    return folder / "fit"
+
+
+def test_a_fit_writes_its_page_and_the_next_one_removes_it(fit, tmp_path):
+    page = (fit / "report.html").read_bytes()
+    assert loaded_from_elsewhere(page) == []
+    parsed = Page(page)
+    assert "arm" not in parsed.headings  # nothing is seen of a muscle
+    assert f"giajax fit --again {fit / 'result.json'}" in parsed.text
+    assert load_result(fit).runs[0].sha256 in parsed.text
+    shutil.copytree(fit, tmp_path / "fit")
+    again = ["fit", "--data", str(fit.parent / "muscle.csv"), "--out", str(tmp_path / "fit")]
+    assert main([*again, "--no-figures", "--quiet"]) == 0
+    assert not (tmp_path / "fit" / "report.html").exists()
+
+
+def test_a_page_of_a_result_is_not_written_over(fit, tmp_path, capsys):
+    out = tmp_path / "page.html"
+    command = ["report", str(fit), "--out", str(out)]
+    assert main(command) == 0
+    assert str(out) in capsys.readouterr().out
+    first = out.read_bytes()
+    assert main(command) == 2
+    assert "--force" in capsys.readouterr().err
+    assert out.read_bytes() == first
+    assert main([*command, "--force", "--quiet"]) == 0
+    assert main(["report", str(fit)]) == 2  # that of the fit is there
+    assert capsys.readouterr().out == ""
+
+
+def test_a_page_of_someones_own_stays(fit, tmp_path, capsys):
+    (tmp_path / "report.html").write_text("my own report")
+    run = ["fit", "--data", str(DATA / "muscle.csv"), "--out", str(tmp_path), "--report"]
+    assert main(run) == 2
+    assert "was not made by giajax" in capsys.readouterr().err
+    assert not (tmp_path / "result.json").exists()
+    assert (tmp_path / "report.html").read_text() == "my own report"
+
+
+def test_what_is_missing_is_said_before_the_fit(fit, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(_pages, "_NEEDED", ("no_such_library",))
+    run = ["fit", "--data", str(DATA / "muscle.csv"), "--out", str(tmp_path / "x"), "--report"]
+    for command in (run, ["report", str(fit), "--out", str(tmp_path / "page.html")]):
+        assert main(command) == 2
+        said = capsys.readouterr().err
+        assert "pip install 'giajax[report]'" in said
+        assert said.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("name", "seen"), [("joint_loops", False), ("joint", True)])
+def test_models_of_other_kinds(name, seen, tmp_path):
+    run = ["fit", "--data", str(DATA / f"{name}.csv"), "--out", str(tmp_path), "--report"]
+    main([*run, "--no-figures", "--quiet", "--no-suspects", "--max-iterations", "3"])
+    parsed = Page((tmp_path / "report.html").read_bytes())
+    assert ("arm" in parsed.headings) == seen
+    assert [a["data-plot"] for _, a in parsed.tags if "data-plot" in a]
