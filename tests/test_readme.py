@@ -5,6 +5,7 @@ import importlib
 import pkgutil
 import re
 import shlex
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -41,6 +42,21 @@ def test_the_python_of_a_page_runs(name, monkeypatch):
     for block in python(name):
         assert "assert" in block
         exec(compile(block, name, "exec"), names)
+
+
+def toml():
+    """The blocks of TOML of the pages, each with the name of its page."""
+    for name in PAGES.keys() - ELSEWHERE:
+        text = PAGES[name].read_text(encoding="utf-8")
+        yield from ((name, block) for block in re.findall(r"```toml\n(.*?)```", text, re.DOTALL))
+
+
+@pytest.mark.quick
+def test_the_files_that_pages_show_are_legal():
+    shown = list(toml())
+    assert len(shown) > 6
+    for name, block in shown:
+        giajax.Definition.parse(tomllib.loads(block), name)
 
 
 def modules():

@@ -57,20 +57,23 @@ def linked(text: str, origin: Path, page: Path) -> str:
     return _LINK.sub(moved, text)
 
 
-def _write(path: Path, text: str) -> None:
-    """Write what differs, so that Sphinx reads again what has changed alone."""
-    if not path.exists() or path.read_text(encoding="utf-8") != text:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
+def _pages() -> dict[Path, str]:
+    """What is made at each build: the text of each page by its file."""
+    made = {_page(path): linked(_text(path), path, _page(path)) for path in _outside()}
+    made[MADE / "commands.md"] = commands.page()
+    made[MADE / "files.md"] = files.page()
+    return made | {MADE / "api" / f"{name}.md": text for name, text in api.pages().items()}
 
 
 def _make(app: Sphinx) -> None:
-    for path in _outside():
-        _write(_page(path), linked(_text(path), path, _page(path)))
-    _write(MADE / "commands.md", commands.page())
-    _write(MADE / "files.md", files.page())
-    for name, text in api.pages().items():
-        _write(MADE / "api" / f"{name}.md", text)
+    """Write what differs, so that Sphinx reads again what has changed alone."""
+    made = _pages()
+    for path, text in made.items():
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text, encoding="utf-8")
+    for path in set(MADE.rglob("*.md")) - set(made):
+        path.unlink()
 
 
 def _read(app: Sphinx, name: str, source: list[str]) -> None:
@@ -81,6 +84,7 @@ def _read(app: Sphinx, name: str, source: list[str]) -> None:
     source[0] = linked(source[0], page, page)
     if name == "index":
         readme = ROOT / "README.md"
+        app.env.note_dependency(str(readme), docname=name)
         source[0] = linked(readme.read_text(encoding="utf-8"), readme, page) + "\n" + source[0]
 
 
