@@ -10,6 +10,7 @@ import jax.numpy as jnp
 
 from .._typing import Array, Bool
 from ._motion import State
+from ._turns import angle_after, turns
 
 # State of the method inside, and whether a joint turned round in the last step.
 Carried = tuple[Any, Bool[Array, ""]]
@@ -114,12 +115,5 @@ class CatchingUp(diffrax.AbstractAdaptiveSolver):
 
 def _extreme(step: Any, y0: State, y1: State) -> Array:
     """The angles (rad) at which joints turned round in a step; those at its end of the others."""
-    start, end = y0[0], y1[0]
-    v0, v1 = step * y0[1], step * y1[1]
-    turns = v0 * v1 < 0
-    # Slope of the cubic through angles and rates at both ends: v0 + 2 b x + a x^2.
-    a, b = 3 * (v0 + v1 - 2 * (end - start)), 3 * (end - start) - 2 * v0 - v1
-    # The root between 0 and 1, where the slope has the sign of v0 before and of v1 after it.
-    root = jnp.sqrt(jnp.where(turns, b * b - a * v0, 1))
-    x = jnp.clip(v0 / jnp.where(turns, -b + jnp.sign(v0) * root, 1), 0, 1)
-    return jnp.where(turns, start + x * (v0 + x * (b + x * a / 3)), end)
+    does, part = turns(step, y0, y1)
+    return jnp.where(does, angle_after(part, step, y0, y1), y1[0])

@@ -15,6 +15,7 @@ from .._typing import Array, Float, Scalar
 from ._linearly_implicit import LinearlyImplicit
 from ._rates import Rates
 from ._signal import last_before
+from ._turns import turns
 
 # Length of a step, times the rate of the motion, that a method is stable with: where its stability
 # function reaches 1 for an oscillation with 1 % of critical damping.
@@ -27,8 +28,12 @@ _STABLE: dict[type[diffrax.AbstractSolver], float] = {
     LinearlyImplicit: 2.0,
 }
 
-# A turn before this part of a step is left in it.
-_SHORT = 0.05
+# Turns before the one part of a step and after the other are left in it.
+_SHORT, _LATE = 0.05, 0.9
+
+# How far a step that is done again goes beyond the turn, so that the next one begins after it: the
+# derivatives of its first stage would be those of before the turn otherwise.
+_BEYOND = 1.04
 
 
 def step_size_controller(
@@ -121,8 +126,11 @@ class _Careful(diffrax.AbstractAdaptiveStepSizeController):
             t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
         )
         if self.turns:
-            turned = t0 + _turn(y0[1], y1_candidate[1]) * (t1 - t0)
-            next_t1 = jnp.where(keep | (turned >= t1), next_t1, turned)
+            part = _first_turn(t1 - t0, y0, y1_candidate)
+            crossed = part < 1
+            keep = keep & ~crossed
+            next_t0 = jnp.where(crossed, t0, next_t0)
+            next_t1 = jnp.where(crossed, t0 + _BEYOND * part * (t1 - t0), next_t1)
         # At rest nothing but the tolerance limits how long a step may be for the derivatives to be
         # as exact as the motion: an oscillation of size 1 would ask for about this.
         tolerance = jnp.maximum(self.rtol, self.atol)
@@ -148,13 +156,9 @@ class _Careful(diffrax.AbstractAdaptiveStepSizeController):
         return keep, next_t0, next_t1, jump, state, result
 
 
-def _turn(before: Float[Array, " joint"], after: Float[Array, " joint"]) -> Scalar:
-    """Part of a step after which the first joint turns round, by its rates; 1 if none does.
-
-    A turn that is almost at the start costs less than a step up to it.
-    """
+def _first_turn(step: Any, y0: Float[Array, "row joint"], y1: Float[Array, "row joint"]) -> Scalar:
+    """Part of a step after which the first joint turns round; 1 if none does well within it."""
     # The time of a step's end is no part of what is differentiated.
-    before, after = jax.lax.stop_gradient((before, after))
-    turns = before * after < 0
-    part = before / jnp.where(turns, before - after, 1)
-    return jnp.min(jnp.where(turns & (part > _SHORT), part, 1))
+    does, part = jax.lax.stop_gradient(turns(step, y0, y1))
+    within = does & (part > _SHORT) & (part < _LATE)
+    return jnp.min(jnp.where(within, part, 1))
