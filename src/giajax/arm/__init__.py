@@ -22,6 +22,7 @@ from ._energy import (
     drag_power as drag_power,
     hysteresis_power as hysteresis_power,
     kinetic_energy as kinetic_energy,
+    muscle_power as muscle_power,
     potential_energy as potential_energy,
 )
 from ._hysteresis import JointHysteresis as JointHysteresis
@@ -38,6 +39,8 @@ from ._links import Links as Links
 from ._load import inverse_dynamics as inverse_dynamics
 from ._masses import Buoyancy as Buoyancy, PointMasses as PointMasses
 from ._memory import Memory as Memory
+from ._muscle_drive import MuscleDrive as MuscleDrive
+from ._pneumatics import MUSCLE_BLEND as MUSCLE_BLEND, Pneumatics as Pneumatics
 from ._presets import (
     PRESETS as PRESETS,
     STANDARD_GRAVITY as STANDARD_GRAVITY,

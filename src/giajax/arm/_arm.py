@@ -5,15 +5,18 @@ Joint i precedes link i. Angles are in radians and everything is SI.
 """
 
 import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
 
 from .._errors import InputError
 from .._typing import Array, Float, Scalar
-from ..parameters import parameter
+from ..parameters import inline, parameter
 from ..quantities import BASE
 from ._atmosphere import Air
 from ._joints import Joints
 from ._links import Links
 from ._masses import Buoyancy, PointMasses
+from ._pneumatics import Pneumatics
 
 
 class Arm(eqx.Module):
@@ -29,6 +32,7 @@ class Arm(eqx.Module):
         air: what surrounds the links.
         buoyancy: helium and trim weights; None where lift and weight are no part of the model.
         point_masses: bodies fixed to links; None for none.
+        pneumatics: muscles that drive joints, in place of their springs; None where springs do.
         base_rotation: rotation vector of the straight arm, rad, shape (3,).
         gravity: along -z, m/s^2.
     """
@@ -38,6 +42,7 @@ class Arm(eqx.Module):
     air: Air
     buoyancy: Buoyancy | None = None
     point_masses: PointMasses | None = None
+    pneumatics: Pneumatics | None = inline(default=None)
     base_rotation: Float[Array, "3"] = parameter(BASE.base_rotation)
     gravity: Scalar = parameter(BASE.gravity)
 
@@ -52,8 +57,27 @@ class Arm(eqx.Module):
                 f"a point mass is on link {max(self.point_masses.links)} of an arm of "
                 f"{self.links.count} links: correct the number"
             )
+        if self.pneumatics is not None and self.pneumatics.joints[-1] > self.links.count:
+            raise InputError(
+                f"joint {self.pneumatics.joints[-1]} has muscles, but the arm has "
+                f"{self.links.count} joints: correct the number"
+            )
 
     @property
     def count(self) -> int:
         """Number of links, which is the number of joints and of degrees of freedom."""
         return self.links.count
+
+    @property
+    def spring_stiffness(self) -> Float[Array, " joint"]:
+        """Stiffness of the spring of each joint about its command, N m/rad; 0 with muscles."""
+        if self.pneumatics is None:
+            return self.joints.stiffness
+        driven = np.isin(np.arange(self.count), np.asarray(self.pneumatics.joints) - 1)
+        return jnp.where(driven, 0, self.joints.stiffness)
+
+    @property
+    def stiffest_spring(self) -> Float[Array, " joint"]:
+        """Largest stiffness of each joint: of spring or muscles, and hysteresis, N m/rad."""
+        stiffest = self.spring_stiffness + self.joints.hysteresis.stiffness
+        return stiffest if self.pneumatics is None else stiffest + self.pneumatics.stiffest

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from .._errors import InputError
+from ..joint import JointPair
 from ..parameters import checked, declaration, find, switched_on
 from ._arm import Arm
 from ._atmosphere import Air
@@ -14,6 +15,7 @@ from ._axes import named_axes
 from ._joints import Joints
 from ._links import Links
 from ._masses import Buoyancy, PointMasses
+from ._muscled import muscles_in, without_idle_springs
 from ._trim import trimmed
 
 
@@ -37,6 +39,8 @@ def chain(
     buoyancy: bool = False,
     trim: bool = False,
     point_masses: PointMasses | None = None,
+    muscles: str | Sequence[int] | None = None,
+    pair: JointPair | None = None,
     parameters: Mapping[str, Any] | None = None,
 ) -> Arm:
     """Build an arm; by default that of the paper (`takeichi_20m`).
@@ -61,6 +65,10 @@ def chain(
         trim: hang the trim weights that make each link float, and float level unless
             `buoyancy.trim_position` is among `parameters`.
         point_masses: bodies fixed to links, such as a camera at the tip.
+        muscles: joints that pairs of muscles drive in place of springs: "pitch", "all" or their
+            numbers from 1 on; none by default.
+        pair: the joint and the law of its muscles, the same in each; by default braided muscles,
+            with corrections that are blended over 1 deg about 0.
         parameters: values of any parameters by path, SI (`giajax parameters` lists them); one
             that is left out by default, such as `air.added_mass_coefficient`, is switched on.
 
@@ -68,9 +76,9 @@ def chain(
         The arm, with the default stiffnesses, damping and drag coefficient.
 
     Raises:
-        InputError: a list whose length is not the number of links, a number that is not finite
-            or, where physics needs it, not positive, an unknown path or choice, a link that is
-            too heavy to float.
+        InputError: a pair without joints, a list whose length is not the number of links, a number
+            that is not finite or, where physics needs it, not positive, an unknown path or choice,
+            a link that is too heavy to float.
 
     Example:
         >>> import giajax
@@ -78,6 +86,8 @@ def chain(
         ...     3, length=[1.0, 0.8, 0.6], parameters={"air.added_mass_coefficient": 1.0}
         ... )
     """
+    if pair is not None and muscles is None:
+        raise InputError('a pair of muscles is in no joint: give muscles="pitch" as well')
     if links < 1:
         raise InputError(f"an arm of {links} links cannot be built: give at least 1")
 
@@ -102,6 +112,10 @@ def chain(
     mass = per_link("mass", mass)
     axial = mass * (diameter / 2) ** 2
     air = {} if air_density is None else {"density": air_density}
+    joints = Joints(axes=named_axes(joint_axes, links))
+    pneumatics = None if muscles is None else muscles_in(muscles, pair, joints)
+    if pneumatics is not None:
+        joints = without_idle_springs(joints, pneumatics)
     arm = Arm(
         links=Links(
             length=length,
@@ -114,7 +128,7 @@ def chain(
             inertia_axial=per_link("inertia_axial", inertia_axial, axial),
             **{name: per_link(name, None) for name in _OTHERS},
         ),
-        joints=Joints(axes=named_axes(joint_axes, links)),
+        joints=joints,
         air=Air(
             drag=drag,
             strip_points=strip_points,
@@ -124,6 +138,7 @@ def chain(
         ),
         buoyancy=Buoyancy(trim_position=length / 2) if buoyancy or trim else None,
         point_masses=point_masses,
+        pneumatics=pneumatics,
         base_rotation=base_rotation,
         gravity=gravity,
     )

@@ -23,6 +23,7 @@ def acceleration(
     wind_rate: Float[Array, "3"] | None = None,
     torque: Float[Array, " joint"] | None = None,
     memory: Float[Array, "row joint"] | None = None,
+    pressures: Float[Array, "2 joint"] | None = None,
 ) -> Float[Array, " joint"]:
     """Joint accelerations of the arm under its commands, rad/s^2: its equation of motion.
 
@@ -35,11 +36,13 @@ def acceleration(
         wind_rate: its rate of change, m/s^2, which added mass feels; 0 by default.
         torque: of the joints' drives, beside springs and dampers, N m; none by default.
         memory: states of the joints' hysteresis (`JointHysteresis`); without strain by default.
+        pressures: in the muscles of joints that have some (`Pneumatics`), Pa; by default those with
+            which their controller holds the command.
 
     Returns:
         Accelerations, rad/s^2, shape (joint,).
     """
-    total = joint_torque(arm, angles, rates, command, memory)
+    total = joint_torque(arm, angles, rates, command, memory, pressures)
     if torque is not None:
         total = total + torque
     return forward_dynamics(arm, angles, rates, total, wind, wind_rate)
@@ -51,8 +54,9 @@ def joint_torque(
     rates: Float[Array, " joint"],
     command: Float[Array, " joint"],
     memory: Float[Array, "row joint"] | None = None,
+    pressures: Float[Array, "2 joint"] | None = None,
 ) -> Float[Array, " joint"]:
-    """Torque of the joints' springs, dampers, friction and hysteresis, N m.
+    """Torque of the joints' springs or muscles, dampers, friction and hysteresis, N m.
 
     The spring of a joint pulls towards its commanded angle (paper, III.A: a spring whose
     initial length can change); damping c and Coulomb friction f act against the joint's rate
@@ -64,11 +68,17 @@ def joint_torque(
         rates: joint rates, rad/s.
         command: commanded angles, rad.
         memory: states of the joints' hysteresis (`JointHysteresis`); without strain by default.
+        pressures: in the muscles of joints that have some (`Pneumatics`), Pa; by default those with
+            which their controller holds the command.
 
     Returns:
         Torques, N m, shape (joint,).
     """
-    torque = arm.joints.stiffness * (command - angles) - arm.joints.resistance(rates)
+    torque = arm.spring_stiffness * (command - angles) - arm.joints.resistance(rates)
+    if arm.pneumatics is not None:
+        if pressures is None:
+            pressures = arm.pneumatics.commanded(command)
+        torque = torque + arm.pneumatics.torque(angles, pressures)
     if memory is None or not arm.joints.hysteresis.rows:
         return torque
     return torque - arm.joints.hysteresis.torque(angles, memory)

@@ -43,6 +43,9 @@ def potential_energy(
 ) -> Scalar:
     """Energy of the joints' springs, of gravity and of buoyancy, J; zero at z = 0 and rest.
 
+    Of joints with muscles it has what the balloons resist; the muscles' own is the air's, and
+    `muscle_power` what they deliver.
+
     In a steady wind u added mass adds -1/2 u . M_a(q) u, which turns a link across the wind
     (the Munk moment): with it the sum of kinetic and potential energy changes by the powers of
     drag and of the joints alone.
@@ -58,7 +61,9 @@ def potential_energy(
         Energy, J, shape ().
     """
     here = pose(arm, angles)
-    springs = (arm.joints.stiffness * (angles - command) ** 2).sum() / 2
+    springs = (arm.spring_stiffness * (angles - command) ** 2).sum() / 2
+    if arm.pneumatics is not None:
+        springs = springs + arm.pneumatics.energy(angles).sum()
     if memory is not None:
         springs = springs + arm.joints.hysteresis.energy(angles, memory).sum()
     energy = springs + arm.gravity * (bodies(arm).mass * here.mass_centre[2]).sum()
@@ -128,3 +133,28 @@ def hysteresis_power(
         Power, W, shape ().
     """
     return -arm.joints.hysteresis.dissipation(angles, rates, memory).sum()
+
+
+def muscle_power(
+    arm: Arm,
+    angles: Float[Array, " joint"],
+    rates: Float[Array, " joint"],
+    pressures: Float[Array, "2 joint"],
+) -> Scalar:
+    """Power that the pressures in the muscles deliver to the joints, W.
+
+    Muscles are without friction, so that it is the pressure times the rate of the volume where
+    the law is virtual work of the gas (the ideal braid).
+
+    Arguments:
+        arm: an arm with muscles; without, it is 0.
+        angles: joint angles, rad.
+        rates: joint rates, rad/s.
+        pressures: of both muscles of each joint, Pa.
+
+    Returns:
+        Power, W, shape ().
+    """
+    if arm.pneumatics is None:
+        return jnp.zeros(())
+    return (arm.pneumatics.pull(angles, pressures) * rates).sum()

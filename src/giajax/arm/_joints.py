@@ -51,11 +51,6 @@ class Joints(eqx.Module):
         return torque + self.friction * jnp.tanh(rates / self.friction_rate)
 
     @property
-    def stiffest_spring(self) -> Float[Array, " joint"]:
-        """Largest stiffness of each joint: of its spring and its hysteresis, N m/rad."""
-        return self.stiffness + self.hysteresis.stiffness
-
-    @property
     def stiffest_damping(self) -> Float[Array, " joint"]:
         """Steepest slope of `resistance` of each joint, N m s/rad."""
         slope = self.damping

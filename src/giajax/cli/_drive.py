@@ -89,9 +89,11 @@ def drives_of(run: "Run", rate: float) -> tuple[float, float, list["Drive"]]:
         length = max(math.floor(length * rate + 1e-6), 1) / rate
     command = run.definition.section(CommandSection)
     wind = run.definition.section(WindSection)
-    drives = []
-    if run.commands:
-        drives.append(Drive(run.times, run.commands, command.interpolation))
+    by_quantity: dict[str, dict[str, Any]] = {}
+    for name, values in run.commands.items():
+        by_quantity.setdefault(run.channels[name].quantity, {})[name] = values
+    # What is straight is told by the largest value: pressures and angles have nothing in common.
+    drives = [Drive(run.times, rows, command.interpolation) for rows in by_quantity.values()]
     if run.winds:
         drives.append(Drive(run.times, run.winds, wind.interpolation))
     return float(run.times[0]), length, drives

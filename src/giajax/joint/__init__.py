@@ -20,10 +20,13 @@ from ._geometry import (
     check_geometry as check_geometry,
     is_possible as is_possible,
 )
+from ._laws import MUSCLE_LAWS as MUSCLE_LAWS
 from ._muscle import AbstractMuscle as AbstractMuscle
 from ._pair import (
     JointPair as JointPair,
     PairCommand as PairCommand,
+    commanded as commanded,
+    muscle_torques as muscle_torques,
     net_torque as net_torque,
     pair_command as pair_command,
 )
@@ -34,5 +37,6 @@ from ._path import (
     muscle_path as muscle_path,
 )
 from ._piston import Piston as Piston
+from ._resistance import resistance as resistance, resistance_energy as resistance_energy
 from ._spring import Spring as Spring, joint_spring as joint_spring
 from ._statics import Joint as Joint, balanced as balanced, muscle_state as muscle_state

@@ -14,6 +14,7 @@ from ._balance import MuscleState, muscle_balance
 from ._braided import BraidedMuscle
 from ._geometry import LARGEST_ANGLE, check_geometry
 from ._muscle import AbstractMuscle
+from ._resistance import resistance
 from ._statics import Joint, balanced
 
 
@@ -121,8 +122,18 @@ def check_range(angle: Array) -> None:
         )
 
 
-@program
-def _pair_command(pair: JointPair, angle: Array, load: Array, torque: Array) -> PairCommand:
+def commanded(pair: JointPair, angle: Array, load: Array, torque: Array) -> PairCommand:
+    """What holds a pair at an angle, as `pair_command` does; nothing is checked.
+
+    Arguments:
+        pair: the joint and its muscles.
+        angle: to be held, rad.
+        load: torque from outside, towards negative angles, N m, of the same shape.
+        torque: co-contraction torque, N m, of the same shape.
+
+    Returns:
+        Contractions, forces and pressures of both muscles.
+    """
     ahead = angle >= 0
     first = balanced(pair.joint, angle, torque + jnp.where(ahead, load, 0), ahead)
     second = balanced(pair.joint, -angle, torque - jnp.where(ahead, 0, load), ~ahead)
@@ -135,9 +146,12 @@ def _pair_command(pair: JointPair, angle: Array, load: Array, torque: Array) -> 
     )
 
 
+_pair_command = program(commanded)
+
+
 def net_torque(
     pair: JointPair,
-    pressures: Float[Array, "2"],
+    pressures: Float[Array, "2 ..."],
     load: Float[Array, ""],
     angle: Float[Array, "*shape"],
     ahead: Array,
@@ -148,7 +162,8 @@ def net_torque(
 
     Arguments:
         pair: the joint and its muscles.
-        pressures: of the first and the second muscle, Pa.
+        pressures: of the first and the second muscle, Pa, the same at all angles or each with a
+            last axis for each of theirs.
         load: torque from outside, towards negative angles, N m.
         angle: of the pair, rad.
         ahead: whether the first muscle is the inner one, of the angle's shape; what decides at 0.
@@ -156,13 +171,19 @@ def net_torque(
     Returns:
         Torque, N m, of the shape of the angle.
     """
-    one = jnp.ones_like(angle)
-    first = muscle_balance(pair.joint.geometry, angle, one, ahead)
-    second = muscle_balance(pair.joint.geometry, -angle, one, ~ahead)
-    pulls = [
-        pair.muscle.force(jnp.broadcast_to(p, angle.shape), s.contraction, pair.length) * s.lever
-        for p, s in zip(pressures, (first, second), strict=True)
-    ]
-    correction = pair.joint.correction
-    resistance = correction(angle, ahead) - correction(-angle, ~ahead)
-    return pulls[0] - pulls[1] - resistance - load
+    first, second = muscle_torques(pair, pressures, angle, ahead)
+    return first - second - resistance(pair.joint.correction, angle, ahead) - load
+
+
+def muscle_torques(
+    pair: JointPair,
+    pressures: Float[Array, "2 ..."],
+    angle: Float[Array, "*shape"],
+    ahead: Array,
+) -> Float[Array, "2 *shape"]:
+    """Torque of each muscle of a pair towards its own side, N m; arguments as of `net_torque`."""
+    angles, inner = jnp.stack([angle, -angle]), jnp.stack([ahead, ~ahead])
+    state = muscle_balance(pair.joint.geometry, angles, jnp.ones_like(angles), inner)
+    spread = pressures.reshape(pressures.shape + (1,) * (angles.ndim - pressures.ndim))
+    pressure = jnp.broadcast_to(spread, angles.shape)
+    return pair.muscle.force(pressure, state.contraction, pair.length) * state.lever

@@ -1,13 +1,15 @@
 """Roots of a scalar function between two points where its sign differs."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
-import optimistix as optx
 
 from .._typing import Array, Scalar
+
+if TYPE_CHECKING:
+    from optimistix import Solution
 
 # Halvings after which 90 deg are less than the rounding of a double.
 _HALVINGS = 56
@@ -37,8 +39,11 @@ def polish(
     Returns:
         The root, and whether the method converged.
     """
+    # Slow to import, and needed only where a program is traced.
+    import optimistix as optx
+
     tolerance = 8 * float(jnp.finfo(guess.dtype).eps)
-    solution: optx.Solution = optx.root_find(
+    solution: Solution = optx.root_find(
         function,
         optx.Newton(rtol=tolerance, atol=tolerance),
         jax.lax.stop_gradient(guess),

@@ -10,6 +10,7 @@ from .._errors import InputError
 from .._typing import Array, Bool, Float, Scalar
 from ..parameters import is_concrete
 from ._pair import JointPair, net_torque
+from ._resistance import resistance
 
 
 class OneSide(NamedTuple):
@@ -42,11 +43,7 @@ def side_slope(angle: Float[Array, "*shape"], side: OneSide) -> Float[Array, "*s
 def correction_slope(angle: Float[Array, "*shape"], side: OneSide) -> Float[Array, "*shape"]:
     """Slope of what the corrections of both muscles resist, N m/rad."""
     correction, ahead = side.pair.joint.correction, jnp.broadcast_to(side.ahead, angle.shape)
-
-    def resistance(angle: Array) -> Array:
-        return correction(angle, ahead) - correction(-angle, ~ahead)
-
-    return jax.jvp(resistance, (angle,), (jnp.ones_like(angle),))[1]
+    return jax.jvp(lambda a: resistance(correction, a, ahead), (angle,), (jnp.ones_like(angle),))[1]
 
 
 def checked_pressures(pressures: npt.ArrayLike | Array) -> Float[Array, "2"]:

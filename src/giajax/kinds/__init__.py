@@ -5,13 +5,16 @@ imports it below. Readers, commands, fits and reports ask the kind, and know non
 """
 
 from ._arm import ARM as ARM, DEFAULT_PRESET as DEFAULT_PRESET
-from ._arm_sections import (
-    ArmSection as ArmSection,
+from ._arm_inputs import (
     CommandSection as CommandSection,
     InitialSection as InitialSection,
+    WindSection as WindSection,
+)
+from ._arm_sections import (
+    MUSCLE_KEYS as MUSCLE_KEYS,
+    ArmSection as ArmSection,
     PointMass as PointMass,
     SensorsSection as SensorsSection,
-    WindSection as WindSection,
 )
 from ._content import (
     Content as Content,

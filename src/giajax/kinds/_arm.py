@@ -3,13 +3,9 @@
 from collections.abc import Mapping, Sequence
 
 from .._errors import InputError
-from ._arm_sections import (
-    ArmSection,
-    CommandSection,
-    InitialSection,
-    SensorsSection,
-    WindSection,
-)
+from ._arm_inputs import CommandSection, InitialSection, WindSection
+from ._arm_pressures import PRESSURES, check_pressures
+from ._arm_sections import ArmSection, SensorsSection
 from ._content import Content, RecordedChannel, Wording
 from ._kind import ChannelKind, Kind, Offer
 
@@ -21,12 +17,14 @@ _CHANNELS = (
     ChannelKind("joint_angle", "jointNN_angle", "angle", "output", noise="angle_deg"),
     ChannelKind("joint_rate", "jointNN_rate", "angular_velocity", "output", noise="rate_deg_per_s"),
     ChannelKind("joint_torque", "jointNN_torque", "torque", "input"),
+    ChannelKind("joint_pressure_first", "jointNN_pressure_first", "pressure", "input"),
+    ChannelKind("joint_pressure_second", "jointNN_pressure_second", "pressure", "input"),
     ChannelKind("link_angle", "linkNN_angle", "angle", "output", noise="angle_deg"),
     ChannelKind("link_position", "linkNN_x", "length", "output", noise="position_m"),
     ChannelKind("tip_position", "tip_x", "length", "output", noise="position_m"),
     ChannelKind("wind", "wind_x", "velocity", "surroundings"),
 )
-_COMMANDS = ("joint_command", "joint_torque")
+_COMMANDS = ("joint_command", "joint_torque", *PRESSURES)
 
 
 def _recognises(rows: frozenset[str]) -> bool:
@@ -67,6 +65,7 @@ def _check(content: Content, wording: Wording) -> None:
                 f"arm has {links} links: correct the number, or state links in [arm]"
             )
     _check_motion(channels, content, wording, links)
+    check_pressures(content, wording)
     windy = [channel for channel in channels.values() if channel.kind == "wind"]
     if windy and definition.section(WindSection).velocity_m_per_s is not None:
         raise InputError(
@@ -109,6 +108,11 @@ def _notes(content: Content, sidecar: bool) -> list[str]:
     if not definition.section(ArmSection).contents():
         where = "no [arm] in the sidecar" if sidecar else "no sidecar"
         notes.append(f"{where}: the constants of the preset {DEFAULT_PRESET} are assumed")
+    if rows & set(PRESSURES) and definition.section(ArmSection).muscles is None:
+        notes.append(
+            "pressures are recorded, but no joint has muscles: state muscles in [arm], such as "
+            'muscles = "pitch"'
+        )
     if not definition.section(InitialSection).contents():
         notes.append("initial state not stated: the arm starts straight and at rest")
     if (

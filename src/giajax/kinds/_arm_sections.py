@@ -1,4 +1,4 @@
-"""The sections of an arm: its constants, its sensors, and what moves it."""
+"""The sections of an arm: its constants and its sensors."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
@@ -12,7 +12,6 @@ from ..quantities import (
     BUOYANCY,
     CAMERA,
     ENCODER,
-    INITIAL,
     JOINTS,
     LINKS,
     MARKER,
@@ -21,6 +20,9 @@ from ._keys import with_keys
 from ._other_parameters import check_bounds, check_stated_once
 from ._point_mass import PointMass as PointMass
 from ._section import Finite, Name, Section, Vector, each_of, flat, key
+
+# Keys that say which muscles, where there are some.
+MUSCLE_KEYS = ("muscle_law", "muscle_correction", "muscle_blend_deg")
 
 
 @with_keys(LINKS)
@@ -81,6 +83,28 @@ class ArmSection(_Surroundings):
         "bodies fixed to links",
         example=[{"link": 20, "mass_kg": 0.003, "position_m": 0.99}],
     )
+    muscles: Literal["pitch", "all"] | list[Annotated[int, Field(ge=1, le=MOST_LINKS)]] | None = (
+        key(
+            '"pitch", "all" or a list of numbers of joints',
+            "joints that pairs of muscles drive, in place of their springs",
+            example="pitch",
+        )
+    )
+    muscle_law: Literal["braided", "empirical", "piston"] | None = key(
+        '"braided", "empirical" or "piston"',
+        "law of these muscles, as of [muscle]",
+        preset="braided",
+    )
+    muscle_correction: Literal["continuous", "none"] | None = key(
+        '"continuous" or "none"',
+        "alpha and beta of joints with muscles, as of [joint]",
+        preset="continuous",
+    )
+    muscle_blend_deg: Annotated[float, Field(gt=0, le=30, allow_inf_nan=False)] | None = key(
+        "a number above 0, and up to 30",
+        "half-width about 0 in which alpha and beta join; a motion would stick at a jump",
+        preset=1.0,
+    )
     parameters: dict[Name, Finite | list[Finite]] | None = key(
         "a table of parameter paths and numbers",
         "any other parameter by its path, SI ('giajax parameters' lists them)",
@@ -104,6 +128,15 @@ class ArmSection(_Surroundings):
         if isinstance(axes, list) and [0.0, 0.0, 0.0] in axes:
             raise ValueError("has the axis [0, 0, 0], but must have a direction: correct it")
         return axes
+
+    @model_validator(mode="after")
+    def _muscles_are_somewhere(self) -> "ArmSection":
+        about = [name for name in MUSCLE_KEYS if getattr(self, name) is not None]
+        if about and self.muscles is None:
+            raise ValueError(
+                f"states {about[0]}, but no joints with muscles: add muscles, or remove it"
+            )
+        return self
 
     @model_validator(mode="after")
     def _lists_agree(self) -> "ArmSection":
@@ -147,53 +180,3 @@ class SensorsSection(Section):
                     f"key {name} has {len(value)} values, but must have one for each of the "
                     f"{links} links: correct the list"
                 )
-
-
-@with_keys(INITIAL)
-class InitialSection(Section):
-    """`[initial]`: joint angles and rates at the first sample. By default: straight, at rest."""
-
-    first_row: bool | None = key(
-        "true or false",
-        "true: as in the first row of the joint angle and rate columns",
-        example=True,
-    )
-    free: bool | None = key(
-        "true or false",
-        "true: parameters of this run, which a fit finds; the others are a start",
-        example=True,
-    )
-
-    @model_validator(mode="after")
-    def _stated_once(self) -> "InitialSection":
-        if self.first_row and self.values():
-            raise ValueError(
-                "says first_row = true and angle_deg or rate_deg_per_s, but must say the state "
-                "once: remove one or the other"
-            )
-        return self
-
-
-Interpolation = Literal["zoh", "linear"]
-_BETWEEN_ROWS = '"linear" or "zoh" (held until the next row)'
-
-
-class CommandSection(Section):
-    """`[command]`: how the joint commands run between two rows."""
-
-    interpolation: Interpolation = key(
-        _BETWEEN_ROWS, "between two rows", default="linear", example="linear"
-    )
-
-
-class WindSection(Section):
-    """`[wind]`: how the wind columns run between two rows, or a constant wind instead."""
-
-    interpolation: Interpolation = key(
-        _BETWEEN_ROWS, "between two rows", default="linear", example="linear"
-    )
-    velocity_m_per_s: Vector | None = key(
-        "a list of three numbers",
-        "constant wind (x, y, z), instead of wind columns",
-        example=[0.0, 0.0, 0.2],
-    )

@@ -3,13 +3,30 @@
 from collections.abc import Mapping
 
 from .._text import shown
-from ..quantities import AIR, BASE, BUOYANCY, JOINT_MEMORY, JOINT_STOPS, JOINTS, LINKS, POINT_MASSES
+from ..quantities import (
+    AIR,
+    ALPHA,
+    BASE,
+    BETA,
+    BRAIDED,
+    BUOYANCY,
+    DRIVE,
+    EMPIRICAL,
+    GEOMETRY,
+    JOINT_MEMORY,
+    JOINT_STOPS,
+    JOINTS,
+    LINKS,
+    LOAD,
+    PISTON,
+    POINT_MASSES,
+)
 from ._section import Section
 
+_OF_ARMS = (LINKS, JOINTS, JOINT_MEMORY, JOINT_STOPS, BASE, AIR, BUOYANCY, POINT_MASSES)
+_OF_MUSCLES = (GEOMETRY, LOAD, ALPHA, BETA, BRAIDED, EMPIRICAL, PISTON, DRIVE)
 _DECLARED = {
-    declaration.path: declaration
-    for group in (LINKS, JOINTS, JOINT_MEMORY, JOINT_STOPS, BASE, AIR, BUOYANCY, POINT_MASSES)
-    for declaration in group
+    declaration.path: declaration for group in (*_OF_ARMS, *_OF_MUSCLES) for declaration in group
 }
 
 

@@ -169,6 +169,7 @@ class ArmModel(AbstractModel):
             derivatives="forward",
             steps_for=self.steps_for,
             span=(inputs.times[0], end),
+            pressure=inputs.pressure,
         )
 
     def predict(

@@ -22,6 +22,13 @@ SCALE = (
     "joints.memory.strength",
     "joints.stops.strength",
     "joints.armature",
+    "torque",
+    "alpha.offset",
+    "alpha.curvature",
+    "beta.offset",
+    "beta.curvature",
+    "drive.passive_stiffness",
+    "drive.stop_stiffness",
     "air.drag_coefficient",
     "air.axial_coefficient",
     "air.added_mass_coefficient",
@@ -74,7 +81,8 @@ def scale_conditions(
     scaled = [path for path in free if path.partition("[")[0] in SCALE]
     # A known force sets the scale: a drive's torque, the lift of displaced air, or the push of
     # a changing wind on it; or forces that were measured on a bench.
-    driven = any(c.kind == "joint_torque" for run in runs for c in run.channels.values())
+    forces = ("joint_torque", "joint_pressure_first")
+    driven = any(c.kind in forces for run in runs for c in run.channels.values())
     lifted = arm.buoyancy is not None and float(arm.gravity) != 0
     blown = arm.air.added_mass_coefficient is not None and any(run.winds for run in runs)
     measured = any(run.model != model.kind for run in runs)

@@ -12,7 +12,7 @@ from ..kinds import CommandSection, InitialSection, WindSection
 from ..parameters import parameter
 from ..quantities import INITIAL
 from ..runs import Run
-from ..simulation import Signal, check_wind, constant, logged
+from ..simulation import Pressures, Signal, check_muscles, check_wind, constant, logged
 from ._initial import initial_state
 from ._sensors import Encoder
 
@@ -25,13 +25,14 @@ class InitialState(eqx.Module):
 
 
 class ArmInputs(eqx.Module):
-    """What the arm needs of a run: sample times, command, wind, drive torque, initial state."""
+    """What the arm needs of a run: times, command, wind, drive torque, initial state, pressures."""
 
     times: Float[Array, " sample"]
     command: Signal
     wind: Signal | None
     torque: Signal | None
     initial: InitialState
+    pressure: Pressures | None = None
 
 
 def arm_inputs(arm: Arm, encoder: Encoder, run: Run) -> ArmInputs:
@@ -51,12 +52,15 @@ def arm_inputs(arm: Arm, encoder: Encoder, run: Run) -> ArmInputs:
     wind = _wind(run, run.times)
     check_wind(arm, wind)
     driven = any(run.channels[name].kind == "joint_torque" for name in run.commands)
+    command, pressure = _rows(arm, run, run.times, "joint_command"), _pressures(arm, run, run.times)
+    check_muscles(arm, command, pressure)
     return ArmInputs(
         times=on_device(run.times, jnp.result_type(float)),
-        command=_rows(arm, run, run.times, "joint_command"),
+        command=command,
         wind=wind,
         torque=_rows(arm, run, run.times, "joint_torque") if driven else None,
         initial=_initial(arm, encoder, run, run.times),
+        pressure=pressure,
     )
 
 
@@ -70,6 +74,25 @@ def _initial(arm: Arm, encoder: Encoder, run: Run, times: np.ndarray) -> Initial
 
 def _rows(arm: Arm, run: Run, times: np.ndarray, kind: str) -> Signal:
     """Commands or torques of all joints; those without a column are zero."""
+    values = _table(arm, run, times, kind)
+    return logged(times, values, run.definition.section(CommandSection).interpolation)
+
+
+def _pressures(arm: Arm, run: Run, times: np.ndarray) -> Pressures | None:
+    """Pressures of the joints that have columns of them."""
+    kinds = ("joint_pressure_first", "joint_pressure_second")
+    numbers = {
+        run.channels[name].index for name in run.commands if run.channels[name].kind in kinds
+    }
+    if not numbers:
+        return None
+    values = np.concatenate([_table(arm, run, times, kind) for kind in kinds], axis=1)
+    interpolation = run.definition.section(CommandSection).interpolation
+    joints = tuple(sorted(number for number in numbers if number is not None))
+    return Pressures(logged(times, values, interpolation), joints)
+
+
+def _table(arm: Arm, run: Run, times: np.ndarray, kind: str) -> np.ndarray:
     values = np.zeros((len(times), arm.count))
     for name, column in run.commands.items():
         if run.channels[name].kind != kind:
@@ -81,7 +104,7 @@ def _rows(arm: Arm, run: Run, times: np.ndarray, kind: str) -> Signal:
                 "the column, or give a longer arm"
             )
         values[:, joint - 1] = column
-    return logged(times, values, run.definition.section(CommandSection).interpolation)
+    return values
 
 
 def _wind(run: Run, times: np.ndarray) -> Signal | None:

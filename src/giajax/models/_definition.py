@@ -6,7 +6,8 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from ..arm import Arm, PointMasses, chain, named_axes, preset
+from ..arm import MUSCLE_BLEND, Arm, Pneumatics, PointMasses, chain, named_axes, preset
+from ..joint import MUSCLE_LAWS as LAWS, Correction, Joint, JointPair
 from ..kinds import DEFAULT_PRESET, ArmSection, PointMass, SensorsSection
 from ..parameters import declared, default_free, replace
 from ..quantities import BUOYANCY, POINT_MASSES, Declaration
@@ -47,10 +48,37 @@ def arm_from_definition(definition: Definition) -> Arm:
             others.setdefault(path, value)
     if others:
         changes["parameters"] = others
+    if "muscles" in keys:
+        changes |= {"muscles": keys["muscles"], "pair": _pair(section)}
     if "point_masses" in keys:
         changes["point_masses"] = _point_masses(section.point_masses or [])
     name = keys.get("preset", DEFAULT_PRESET)
     return preset(name, keys.get("links") or _listed(section), **changes)
+
+
+def _pair(section: ArmSection) -> JointPair:
+    """The pair of muscles that the keys of a section state."""
+    blend = (
+        MUSCLE_BLEND if section.muscle_blend_deg is None else np.deg2rad(section.muscle_blend_deg)
+    )
+    correction = Correction(reading=section.muscle_correction or "continuous", blend=blend)
+    return JointPair(Joint(correction=correction), LAWS[section.muscle_law or "braided"]())
+
+
+def _muscle_keys(pneumatics: Pneumatics, arm: Arm) -> dict[str, Any]:
+    """The keys that state which muscles an arm has."""
+    named = {"pitch": ~arm.joints.is_yaw, "all": np.ones(arm.count, bool)}
+    joints = {name: (np.flatnonzero(on) + 1).tolist() for name, on in named.items()}
+    own = list(pneumatics.joints)
+    correction = pneumatics.joint.correction
+    about: dict[str, Any] = {
+        "muscles": next((name for name, numbers in joints.items() if numbers == own), own),
+        "muscle_law": pneumatics.muscle.name,
+        "muscle_correction": correction.reading,
+    }
+    if correction.blend > 0:
+        about["muscle_blend_deg"] = float(np.rad2deg(correction.blend))
+    return about
 
 
 def _argument(path: str) -> str:
@@ -97,6 +125,8 @@ def arm_to_definition(arm: Arm) -> dict[str, Any]:
     }
     if arm.air.added_mass_coefficient is not None or arm.air.added_mass != "kirchhoff":
         facts["added_mass"] = arm.air.added_mass
+    if arm.pneumatics is not None:
+        facts |= _muscle_keys(arm.pneumatics, arm)
     if arm.point_masses is not None:
         facts["point_masses"] = _entries(arm.point_masses)
     keyed = {part.path for parts in ArmSection.quantities.values() for part in parts}

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from .._errors import InputError
 from .._typing import Array, Bool, Scalar
-from ..joint import AbstractMuscle, BraidedMuscle, EmpiricalMuscle, Friction, Piston
+from ..joint import MUSCLE_LAWS, AbstractMuscle, BraidedMuscle, Friction, Piston
 from ..kinds import MuscleSection
 from ..parameters import declared, get, parameter, replace
 from ..quantities import AT_REST, si_factor
@@ -18,11 +18,6 @@ from ._build import parameter_values
 from ._direct import AbstractDirectModel
 from ._muscle_inputs import MuscleInputs, muscle_inputs
 from ._protocol import Channels, Derived
-
-LAWS: dict[str, type[AbstractMuscle]] = {
-    law.name: law for law in (BraidedMuscle, EmpiricalMuscle, Piston)
-}
-"""The laws by the name that `[muscle] law` gives them."""
 
 _PASCAL = si_factor("pressure", "kPa")
 
@@ -72,7 +67,7 @@ class MuscleModel(AbstractDirectModel):
         Raises:
             InputError: it states what its law does not know, or contradicts itself.
         """
-        law = LAWS[section.law or BraidedMuscle.name]
+        law = MUSCLE_LAWS[section.law or BraidedMuscle.name]
         rubs = section.friction or ("coulomb" if law is Piston else "none")
         if rubs == "none" and section.friction_pressures_kPa is not None:
             raise InputError(

@@ -6,7 +6,12 @@ meaning. `declared(model)` walks a model and lists its parameters by dotted path
 """
 
 from ..quantities import Declaration as Declaration
-from ._field import declaration as declaration, inline as inline, parameter as parameter
+from ._field import (
+    declaration as declaration,
+    held as held,
+    inline as inline,
+    parameter as parameter,
+)
 from ._find import elements as elements, find as find, get as get
 from ._replace import (
     check_count as check_count,

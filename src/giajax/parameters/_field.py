@@ -84,6 +84,18 @@ def _converter(declaration: Declaration) -> Callable[[Any], Any]:
     return convert
 
 
+HELD = "giajax.held"
+"""Metadata of a field whose parameters a fit finds only where it is asked for them."""
+
+
+def held(*, inline: bool = False, **options: Any) -> Any:
+    """Field whose parameters are all frozen in this owner, whatever they are elsewhere.
+
+    `inline` is as of the function of that name; `options` are those of `equinox.field`.
+    """
+    return eqx.field(metadata={HELD: True, INLINE: inline}, **options)
+
+
 def inline(**options: Any) -> Any:
     """Field whose parameters appear in the paths of its owner without the field's own name.
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from .._typing import Array
 from ..quantities import Declaration
-from ._field import DECLARED, INLINE
+from ._field import DECLARED, HELD, INLINE
 
 Module = TypeVar("Module", bound=eqx.Module)
 
@@ -115,7 +115,10 @@ def _by_path(model: eqx.Module) -> dict[str, Parameter]:
     for found in _walk(model, "", lambda root: root):
         known = parameters.get(found.path)
         if known is not None:
-            found = dataclasses.replace(known, getters=(*known.getters, *found.getters))
+            # Held in one part, it is free where another part's recordings tell it.
+            freer = found if known.declaration.frozen else known
+            getters = (*known.getters, *found.getters)
+            found = dataclasses.replace(freer, getters=getters)
         parameters[found.path] = found
     return parameters
 
@@ -127,13 +130,20 @@ def _walk(node: eqx.Module, prefix: str, getter: Callable[[Any], Any]) -> Iterab
             yield Parameter(prefix + field.name, field.metadata[DECLARED], (reach,))
             continue
         inner = prefix if field.metadata.get(INLINE) else f"{prefix}{field.name}."
-        child = getattr(node, field.name)
+        child, held = getattr(node, field.name), field.metadata.get(HELD, False)
         if isinstance(child, eqx.Module):
-            yield from _walk(child, inner, reach)
+            yield from (
+                map(_frozen, _walk(child, inner, reach)) if held else _walk(child, inner, reach)
+            )
         elif isinstance(child, tuple):
             for index, part in enumerate(child):
                 if isinstance(part, eqx.Module):
                     yield from _walk(part, inner, _element(reach, index))
+
+
+def _frozen(parameter: Parameter) -> Parameter:
+    declaration = dataclasses.replace(parameter.declaration, frozen=True)
+    return dataclasses.replace(parameter, declaration=declaration)
 
 
 def checked(model: Module) -> Module:

@@ -35,7 +35,13 @@ from ._muscle import (
     FRICTION as FRICTION,
     PISTON as PISTON,
 )
-from ._pneumatic_joint import ALPHA as ALPHA, BETA as BETA, GEOMETRY as GEOMETRY, LOAD as LOAD
+from ._pneumatic_joint import (
+    ALPHA as ALPHA,
+    BETA as BETA,
+    DRIVE as DRIVE,
+    GEOMETRY as GEOMETRY,
+    LOAD as LOAD,
+)
 from ._prior import Prior as Prior
 from ._sensors import CAMERA as CAMERA, ENCODER as ENCODER, MARKER as MARKER
 from ._units import (

@@ -1,4 +1,4 @@
-"""One joint at rest: its geometry, the torque on it, and the corrections alpha and beta."""
+"""A joint with muscles: geometry, torque, the corrections alpha and beta, and what drives it."""
 
 import numpy as np
 
@@ -120,7 +120,37 @@ class _Beta(Group):
     )
 
 
+class _Drive(Group):
+    lag = Declaration(
+        0.2,
+        unit="s",
+        lower=1e-3,
+        upper=1e3,
+        optional=True,
+        has_states=True,
+        assumed=True,
+        doc="time in which the pressure of a muscle follows its command to 63 %",
+    )
+    passive_stiffness = Declaration(
+        0.1,
+        unit="N m/rad",
+        lower=0,
+        upper=1e3,
+        optional=True,
+        doc="stiffness of a joint with muscles about its straight pose, beside them",
+    )
+    stop_stiffness = Declaration(
+        10.0,
+        unit="N m/rad",
+        lower=0,
+        upper=1e4,
+        assumed=True,
+        doc="stiffness of a joint with muscles beyond 60 deg",
+    )
+
+
 GEOMETRY = _Geometry("geometry")
 LOAD = _Load("")
 ALPHA = _Alpha("alpha")
 BETA = _Beta("beta")
+DRIVE = _Drive("drive")

@@ -8,6 +8,7 @@ from ._disturbances import (
 )
 from ._integrate import integrate as integrate
 from ._joint_commands import joint_ramps as joint_ramps, joint_steps as joint_steps
+from ._pressures import Pressures as Pressures, check_muscles as check_muscles
 from ._signal import (
     Signal as Signal,
     constant as constant,

@@ -103,13 +103,15 @@ class CatchingUp(diffrax.AbstractAdaptiveSolver):
             terms, t0, t1, y0, args, inner, made_jump | turned
         )
         hysteresis = args.arm.joints.hysteresis
-        direct = hysteresis.caught_up(y1[0], y1[2:])
+        last = 2 + hysteresis.rows
+        held = y1[2:last]
+        direct = hysteresis.caught_up(y1[0], held)
         extreme = _extreme(t1 - t0, y0, y1)
-        memory = hysteresis.caught_up(y1[0], hysteresis.caught_up(extreme, y1[2:]))
+        memory = hysteresis.caught_up(y1[0], hysteresis.caught_up(extreme, held))
         unknown = jax.lax.stop_gradient(memory - direct)
-        y1 = jnp.concatenate([y1[:2], memory])
+        y1 = jnp.concatenate([y1[:2], memory, y1[last:]])
         assert y_error is not None
-        y_error = y_error.at[2:].add(unknown)
+        y_error = y_error.at[2:last].add(unknown)
         return y1, y_error, dense, (inner, jnp.any(unknown != 0)), result
 
 

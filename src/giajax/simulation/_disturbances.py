@@ -20,6 +20,7 @@ import jax.numpy as jnp
 from .._errors import InputError
 from .._typing import Array, Scalar
 from ..arm import Arm
+from ..quantities import ALPHA, BETA, BRAIDED, DRIVE, GEOMETRY, LOAD
 
 StepsFor = Literal["motion", "derivatives"]
 
@@ -27,7 +28,19 @@ STEPS_FOR = ("motion", "derivatives")
 """What the steps of a simulation are short enough for."""
 
 # Of an arm, beside the inputs and the initial state of every simulation.
-_PARAMETERS = ("base_rotation", "gravity", "air.wind", "buoyancy", "point_masses")
+_PARAMETERS = ("base_rotation", "gravity", "air.wind", "buoyancy", "point_masses", "pneumatics")
+
+# Of the muscles, whose parameters have no common name: where pressures hold a joint, each of them
+# moves it.
+_MUSCLES = tuple(
+    sorted(
+        {
+            q.path.partition(".")[0]
+            for group in (GEOMETRY, LOAD, ALPHA, BETA, BRAIDED, DRIVE)
+            for q in group
+        }
+    )
+)
 
 _REFUSAL = (
     "a simulation with steps_for='motion' was differentiated by a disturbance (command, wind, "
@@ -46,7 +59,7 @@ def is_disturbance(path: str) -> bool:
         True for a disturbance, by which only `steps_for="derivatives"` may be differentiated.
     """
     name = path.partition("[")[0]
-    return any(name == known or name.startswith(f"{known}.") for known in _PARAMETERS)
+    return any(name == known or name.startswith(f"{known}.") for known in (*_PARAMETERS, *_MUSCLES))
 
 
 def check_steps_for(steps_for: str) -> None:

@@ -12,6 +12,7 @@ from ..arm import Arm
 from ._derivatives import adjoint
 from ._disturbances import refuse_disturbances
 from ._motion import Inputs, motion
+from ._pressures import Pressures
 from ._rates import Rates, fastest_rate
 from ._signal import Signal
 from ._solvers import solver as solver_named
@@ -36,6 +37,7 @@ def integrate(
     derivatives: str,
     steps_for: str,
     span: tuple[Scalar, Scalar] | None = None,
+    pressure: Pressures | None = None,
 ) -> Trajectory:
     """The compiled core of `simulate`: no checks, and a failure is a result code.
 
@@ -46,6 +48,7 @@ def integrate(
         tolerances: relative and absolute tolerance of a step.
         solver, max_steps, derivatives, steps_for: as of `simulate`.
         span: from when to when to integrate, s; by default from the first to the last time.
+        pressure: as of `simulate`.
 
     Returns:
         The trajectory at the times; its result code says how the integration ended.
@@ -61,7 +64,8 @@ def integrate(
     from ._linearly_implicit import LinearlyImplicit
 
     begin, end = (times[0], times[-1]) if span is None else span
-    inputs = [signal for signal in (command, wind, torque) if signal is not None]
+    supplied = None if pressure is None else pressure.signal
+    inputs = [signal for signal in (command, wind, torque, supplied) if signal is not None]
     rtol, atol = tolerances
     knots = [signal.corners(rtol) for signal in inputs]
     if wind is not None and arm.air.added_mass_coefficient is not None:
@@ -77,14 +81,15 @@ def integrate(
         rate = fastest_rate(arm, state[0])
         implicit = isinstance(method, LinearlyImplicit)
         fastest = Rates(rate, fastest_rate(arm, state[0], springs=False) if implicit else rate)
+    moved = Inputs(arm, command, wind, torque, eqxi.prevbefore(end), pressure)
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(motion),
         catching_up(method, rtol, atol, derivatives) if hysteresis.stops.rows else method,
         t0=begin,
         t1=end,
         dt0=None,
-        y0=jnp.concatenate([state, hysteresis.unstrained(state[0])]),
-        args=Inputs(arm, command, wind, torque, eqxi.prevbefore(end)),
+        y0=moved.start(state, begin),
+        args=moved,
         saveat=diffrax.SaveAt(ts=times),
         stepsize_controller=step_size_controller(
             method, rtol, atol, corners, bends, fastest, turns=hysteresis.rows > 0
@@ -94,7 +99,7 @@ def integrate(
         throw=False,
     )
     assert solution.ys is not None
-    angles, rates = solution.ys[:, 0], solution.ys[:, 1]
+    angles, rates, memory, muscles = jax.vmap(moved.parts)(solution.ys)
     steps = jnp.stack(
         [
             jnp.asarray(solution.stats["num_accepted_steps"]),
@@ -106,9 +111,8 @@ def integrate(
         angles=angles,
         rates=rates,
         # Within a step sliding elements have not caught up yet.
-        memory=jax.vmap(hysteresis.caught_up)(angles, solution.ys[:, 2:])
-        if hysteresis.rows
-        else None,
+        memory=jax.vmap(hysteresis.caught_up)(angles, memory) if hysteresis.rows else None,
+        pressures=None if arm.pneumatics is None else jax.vmap(moved.inside)(times, muscles),
         arm=arm,
         command=command,
         wind=wind,

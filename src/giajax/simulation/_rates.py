@@ -49,5 +49,5 @@ def fastest_rate(arm: Arm, angles: Float[Array, " joint"], *, springs: bool = Tr
     hanging = reach @ weights
     if not springs:
         return largest(hanging)
-    oscillation = largest(arm.joints.stiffest_spring + hanging)
+    oscillation = largest(arm.stiffest_spring + hanging)
     return jnp.hypot(oscillation, largest(arm.joints.stiffest_damping) ** 2)

@@ -12,6 +12,7 @@ from ..parameters import is_concrete
 from ._derivatives import Derivatives, adjoint, guard_inputs, guard_outputs
 from ._disturbances import StepsFor, check_steps_for, refuse_disturbances
 from ._integrate import integrate
+from ._pressures import Pressures, check_muscles
 from ._signal import Signal, constant
 from ._solvers import solver as solver_named
 from ._trajectory import SimulationError, Trajectory
@@ -27,6 +28,7 @@ def simulate(
     *,
     wind: Signal | Any | None = None,
     torque: Signal | None = None,
+    pressure: Pressures | None = None,
     initial: tuple[Any, Any] | None = None,
     solver: str = "tsit5",
     rtol: Any = 1e-6,
@@ -49,6 +51,8 @@ def simulate(
             None for still air. With added mass it must not jump: the force would be infinite.
         torque: of the joints' drives over time, beside springs and dampers, N m; width = number
             of joints.
+        pressure: supplied to muscles over time (`Pressures`), where the arm has some; by default
+            their controller supplies those that hold the command.
         initial: angles (rad) and rates (rad/s) at the first time, each of shape (joint,).
         solver: one of `giajax.SOLVERS`; "springs5" is the fastest wherever springs, not accuracy,
             limit the steps of the default.
@@ -60,9 +64,9 @@ def simulate(
         steps_for: "motion" for steps that the motion needs, whose derivatives by links, joints
             and air are as exact as it is; "derivatives" for steps that are stable for whatever
             is at rest, too, as derivatives by a disturbance need: the command, the wind, the
-            torque, the initial state, or the arm's base rotation, gravity, wind, buoyancy and
-            point masses. Those are shorter where stiff joints rest; the value of the simulation
-            is the same with and without derivatives.
+            torque, the initial state, or the arm's base rotation, gravity, wind, buoyancy,
+            point masses and muscles. Those are shorter where stiff joints rest; the value of the
+            simulation is the same with and without derivatives.
         throw: raise when the simulation fails; otherwise read `Trajectory.result`.
 
     Returns:
@@ -89,14 +93,15 @@ def simulate(
         wind = constant(wind)
     state = _initial_state(arm, initial)
     _check(arm, command, times, wind, torque)
+    check_muscles(arm, command, pressure)
     solver_named(solver)  # refuse a wrong name before anything is compiled
     adjoint(derivatives)
     check_steps_for(steps_for)
     rtol, atol = (jnp.asarray(tolerance, dtype=dtype) for tolerance in (rtol, atol))
     # Behind the guard below everything seems to be differentiated.
-    rtol = rtol + refuse_disturbances(steps_for, arm, (command, wind, torque, state))
-    arm, command, wind, torque, state = guard_inputs(
-        (arm, command, wind, torque, state), derivatives
+    rtol = rtol + refuse_disturbances(steps_for, arm, (command, wind, torque, pressure, state))
+    arm, command, wind, torque, pressure, state = guard_inputs(
+        (arm, command, wind, torque, pressure, state), derivatives
     )
     trajectory = integrate(
         arm,
@@ -110,6 +115,7 @@ def simulate(
         max_steps=max_steps,
         derivatives=derivatives,
         steps_for=steps_for,
+        pressure=pressure,
     )
     trajectory = guard_outputs(trajectory, derivatives)
     if throw:

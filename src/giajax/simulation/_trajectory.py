@@ -39,6 +39,8 @@ class Trajectory(eqx.Module):
         rates: joint rates, rad/s, shape (sample, joint).
         memory: states of the joints' hysteresis (`giajax.arm.JointHysteresis`), shape (sample, row,
             joint), or None.
+        pressures: in the first and the second muscle of each joint, Pa, shape (sample, 2, joint);
+            None where no joint has muscles.
         arm: the arm that moved.
         command: its command.
         wind: the wind it moved in, or None for still air.
@@ -51,6 +53,7 @@ class Trajectory(eqx.Module):
     angles: Float[Array, "sample joint"]
     rates: Float[Array, "sample joint"]
     memory: Float[Array, "sample row joint"] | None
+    pressures: Float[Array, "sample 2 joint"] | None
     arm: Arm
     command: Signal
     wind: Signal | None
