@@ -31,6 +31,7 @@ from .arm import (
     Buoyancy as Buoyancy,
     Joints as Joints,
     Links as Links,
+    Pneumatics as Pneumatics,
     PointMasses as PointMasses,
     acceleration as acceleration,
     chain as chain,
@@ -45,6 +46,7 @@ from .arm import (
     link_centres as link_centres,
     link_velocities as link_velocities,
     mass_matrix as mass_matrix,
+    muscle_power as muscle_power,
     net_lift as net_lift,
     pendulum as pendulum,
     potential_energy as potential_energy,
@@ -143,6 +145,7 @@ from .runs import (
 from .simulation import (
     RESULTS as RESULTS,
     SOLVERS as SOLVERS,
+    Pressures as Pressures,
     Signal as Signal,
     SimulationError as SimulationError,
     Trajectory as Trajectory,

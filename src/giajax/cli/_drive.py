@@ -87,13 +87,12 @@ def drives_of(run: "Run", rate: float) -> tuple[float, float, list["Drive"]]:
     length = float(run.times[-1] - run.times[0])
     if rate > 0:
         length = max(math.floor(length * rate + 1e-6), 1) / rate
-    command = run.definition.section(CommandSection)
     wind = run.definition.section(WindSection)
-    by_quantity: dict[str, dict[str, Any]] = {}
+    interpolation = run.definition.section(CommandSection).interpolation
+    apart: dict[str, dict[str, Any]] = {}  # what is straight is told by the largest value
     for name, values in run.commands.items():
-        by_quantity.setdefault(run.channels[name].quantity, {})[name] = values
-    # What is straight is told by the largest value: pressures and angles have nothing in common.
-    drives = [Drive(run.times, rows, command.interpolation) for rows in by_quantity.values()]
+        apart.setdefault(run.channels[name].quantity, {})[name] = values
+    drives = [Drive(run.times, rows, interpolation) for rows in apart.values()]
     if run.winds:
         drives.append(Drive(run.times, run.winds, wind.interpolation))
     return float(run.times[0]), length, drives

@@ -26,8 +26,6 @@ from ._pair import (
     JointPair as JointPair,
     PairCommand as PairCommand,
     commanded as commanded,
-    muscle_torques as muscle_torques,
-    net_torque as net_torque,
     pair_command as pair_command,
 )
 from ._path import (
@@ -40,3 +38,4 @@ from ._piston import Piston as Piston
 from ._resistance import resistance as resistance, resistance_energy as resistance_energy
 from ._spring import Spring as Spring, joint_spring as joint_spring
 from ._statics import Joint as Joint, balanced as balanced, muscle_state as muscle_state
+from ._torque import muscle_torques as muscle_torques, net_torque as net_torque

@@ -1,6 +1,9 @@
 """The bending-angle controller (fig. 6): two muscles against each other, and their pressures."""
 
+from typing import TypeVar
+
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
@@ -10,12 +13,13 @@ from .._program import program
 from .._typing import Array, Float, Scalar
 from ..parameters import is_concrete
 from ._answer import PressureAnswer
-from ._balance import MuscleState, muscle_balance
+from ._balance import MuscleState
 from ._braided import BraidedMuscle
 from ._geometry import LARGEST_ANGLE, check_geometry
 from ._muscle import AbstractMuscle
-from ._resistance import resistance
 from ._statics import Joint, balanced
+
+T = TypeVar("T")
 
 
 class JointPair(eqx.Module):
@@ -135,55 +139,22 @@ def commanded(pair: JointPair, angle: Array, load: Array, torque: Array) -> Pair
         Contractions, forces and pressures of both muscles.
     """
     ahead = angle >= 0
-    first = balanced(pair.joint, angle, torque + jnp.where(ahead, load, 0), ahead)
-    second = balanced(pair.joint, -angle, torque - jnp.where(ahead, 0, load), ~ahead)
+    share = jnp.stack([jnp.where(ahead, load, 0), jnp.where(ahead, 0, -load)])
+    sides, angles = jnp.stack([ahead, ~ahead]), jnp.stack([angle, -angle])
+    # Both muscles at once are half of the operations.
+    state = balanced(pair.joint, angles, torque[None] + share, sides)
+    answer = pair.muscle.answer(state.force, state.contraction, pair.length)
+
+    def of(muscle: int, both: T) -> T:
+        return jax.tree.map(lambda values: values[muscle], both)
+
     return PairCommand(
         angle=angle,
-        first=first,
-        second=second,
-        first_pressure=pair.muscle.answer(first.force, first.contraction, pair.length),
-        second_pressure=pair.muscle.answer(second.force, second.contraction, pair.length),
+        first=of(0, state),
+        second=of(1, state),
+        first_pressure=of(0, answer),
+        second_pressure=of(1, answer),
     )
 
 
 _pair_command = program(commanded)
-
-
-def net_torque(
-    pair: JointPair,
-    pressures: Float[Array, "2 ..."],
-    load: Float[Array, ""],
-    angle: Float[Array, "*shape"],
-    ahead: Array,
-) -> Float[Array, "*shape"]:
-    """Torque towards positive angles that two pressures leave over, N m: 0 in equilibrium.
-
-    The corrections resist the bending: alpha - beta, towards 0, whichever side is bent to.
-
-    Arguments:
-        pair: the joint and its muscles.
-        pressures: of the first and the second muscle, Pa, the same at all angles or each with a
-            last axis for each of theirs.
-        load: torque from outside, towards negative angles, N m.
-        angle: of the pair, rad.
-        ahead: whether the first muscle is the inner one, of the angle's shape; what decides at 0.
-
-    Returns:
-        Torque, N m, of the shape of the angle.
-    """
-    first, second = muscle_torques(pair, pressures, angle, ahead)
-    return first - second - resistance(pair.joint.correction, angle, ahead) - load
-
-
-def muscle_torques(
-    pair: JointPair,
-    pressures: Float[Array, "2 ..."],
-    angle: Float[Array, "*shape"],
-    ahead: Array,
-) -> Float[Array, "2 *shape"]:
-    """Torque of each muscle of a pair towards its own side, N m; arguments as of `net_torque`."""
-    angles, inner = jnp.stack([angle, -angle]), jnp.stack([ahead, ~ahead])
-    state = muscle_balance(pair.joint.geometry, angles, jnp.ones_like(angles), inner)
-    spread = pressures.reshape(pressures.shape + (1,) * (angles.ndim - pressures.ndim))
-    pressure = jnp.broadcast_to(spread, angles.shape)
-    return pair.muscle.force(pressure, state.contraction, pair.length) * state.lever

@@ -9,8 +9,49 @@ import numpy.typing as npt
 from .._errors import InputError
 from .._typing import Array, Bool, Float, Scalar
 from ..parameters import is_concrete
-from ._pair import JointPair, net_torque
+from ._balance import muscle_balance
+from ._pair import JointPair
 from ._resistance import resistance
+
+
+def net_torque(
+    pair: JointPair,
+    pressures: Float[Array, "2 ..."],
+    load: Float[Array, ""],
+    angle: Float[Array, "*shape"],
+    ahead: Array,
+) -> Float[Array, "*shape"]:
+    """Torque towards positive angles that two pressures leave over, N m: 0 in equilibrium.
+
+    The corrections resist the bending: alpha - beta, towards 0, whichever side is bent to.
+
+    Arguments:
+        pair: the joint and its muscles.
+        pressures: of the first and the second muscle, Pa, the same at all angles or each with a
+            last axis for each of theirs.
+        load: torque from outside, towards negative angles, N m.
+        angle: of the pair, rad.
+        ahead: whether the first muscle is the inner one, of the angle's shape; what decides at 0.
+
+    Returns:
+        Torque, N m, of the shape of the angle.
+    """
+    first, second = muscle_torques(pair, pressures, angle, ahead)
+    return first - second - resistance(pair.joint.correction, angle, ahead) - load
+
+
+def muscle_torques(
+    pair: JointPair,
+    pressures: Float[Array, "2 ..."],
+    angle: Float[Array, "*shape"],
+    ahead: Array,
+) -> Float[Array, "2 *shape"]:
+    """Torque of each muscle of a pair towards its own side, N m; arguments as of `net_torque`."""
+    angles, inner = jnp.stack([angle, -angle]), jnp.stack([ahead, ~ahead])
+    state = muscle_balance(pair.joint.geometry, angles, jnp.ones_like(angles), inner)
+    spread = pressures.reshape(pressures.shape + (1,) * (angles.ndim - pressures.ndim))
+    pressure = jnp.broadcast_to(spread, angles.shape)
+    return pair.muscle.force(pressure, state.contraction, pair.length) * state.lever
 
 
 class OneSide(NamedTuple):

@@ -3,6 +3,7 @@
 import difflib
 import re
 import shlex
+from collections.abc import Iterable, Iterator
 
 from .._limits import LINKS
 from .._text import one_of, shown
@@ -31,6 +32,15 @@ def bad_suffix(name: str, kind: str, suffix: str | None, what: str) -> str:
     return f"{complaint}: {of} must be in {one_of(units)}, so {remedy}"
 
 
+def _listed(columns: Iterable[str]) -> Iterator[str]:
+    """Columns, of which those of one part of the arm share its name: `jointNN_angle, _rate`."""
+    before = ""
+    for column in columns:
+        part, numbered, rest = column.partition("NN")
+        yield rest if numbered and part == before else column
+        before = part if numbered else ""
+
+
 def unknown_name(name: str, what: str) -> str:
     """What to do with a column or channel (`what`) that the table does not have."""
     numbered = re.match("(joint|link)([0-9]{3,})", name)
@@ -46,7 +56,7 @@ def unknown_name(name: str, what: str) -> str:
     if near is not None:
         complaint = f"{what} {shown(name)} is not in the column table: did you mean {near!r}"
         return f"{complaint} ({rename})?" if what == "column" else f"{complaint}?"
-    known = ", ".join(row.column for row in TABLE.values())
+    known = ", ".join(_listed(row.column for row in TABLE.values()))
     remedy = f"rename it with {rename}, or remove it" if what == "column" else "correct the name"
     return f"{what} {shown(name)} is not in the column table ({known}): {remedy}"
 

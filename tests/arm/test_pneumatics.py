@@ -1,0 +1,208 @@
+"""Muscles in joints of an arm: the statics of `giajax.joint`, in place, finite and with slopes."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.flatten_util import ravel_pytree
+from numpy.testing import assert_allclose
+
+from giajax import InputError
+from giajax.arm import (
+    Pneumatics,
+    acceleration,
+    chain,
+    joint_torque,
+    muscle_power,
+    potential_energy,
+)
+from giajax.joint import (
+    Correction,
+    EmpiricalMuscle,
+    Joint,
+    JointPair,
+    branch_angles,
+    muscle_path,
+    net_torque,
+    pair_command,
+)
+
+LINKS = 4
+PAIR = Pneumatics((1,)).pair
+
+
+@pytest.mark.parametrize(
+    ("muscles", "joints"), [("pitch", [0, 2]), ("all", [0, 1, 2, 3]), ([1, 2, 4], [0, 1, 3])]
+)
+def test_the_torque_is_that_of_the_joint_at_rest(muscles, joints):
+    arm = chain(LINKS, muscles=muscles)
+    random = np.random.default_rng(1)
+    angles = jnp.asarray(random.uniform(-1, 1, LINKS))
+    pressures = jnp.asarray(random.uniform(2e4, 4e4, (2, LINKS)))
+    command, still = jnp.asarray(random.uniform(-1, 1, LINKS)), jnp.zeros(LINKS)
+    expected = np.asarray(arm.joints.yaw_stiffness) * (command - angles)
+    for joint in joints:
+        at = angles[joint]
+        own = net_torque(PAIR, pressures[:, joint], jnp.zeros(()), at, at >= 0)
+        expected = expected.at[joint].set(own)
+    found = joint_torque(arm, angles, still, command, pressures=pressures)
+    assert_allclose(found[np.asarray(joints)], expected[np.asarray(joints)], rtol=1e-12)
+    sprung = [j for j in range(LINKS) if j not in joints]
+    stiffness = np.asarray(arm.joints.stiffness)
+    assert_allclose(
+        found[np.asarray(sprung, int)], (stiffness * (command - angles))[np.asarray(sprung, int)]
+    )
+
+
+def test_the_controller_of_an_arm_is_that_of_a_joint():
+    drive = chain(LINKS, muscles="pitch").pneumatics
+    command = jnp.deg2rad(jnp.asarray([30.0, 5.0, -2.0, 0.0]))
+    found = drive.commanded(command)
+    for joint in (0, 2):
+        assert_allclose(found[:, joint], pair_command(PAIR, command[joint]).pressures, rtol=1e-13)
+    assert_allclose(found[:, np.asarray([1, 3])], 0)
+    # A joint that is stiff of itself is held against that, too.
+    stiff = chain(LINKS, muscles="pitch", parameters={"drive.passive_stiffness": 0.2})
+    torque = joint_torque(stiff, command, jnp.zeros(LINKS), command)
+    assert_allclose(torque, 0, atol=1e-14)
+    assert not np.allclose(stiff.pneumatics.commanded(command), found)
+
+
+@pytest.mark.parametrize("pressure", [0.0, 1e4, 5e4, 3e5])
+def test_beyond_its_range_a_joint_is_finite_and_comes_back(pressure):
+    drive = Pneumatics((1,))
+    for pressures in ([pressure, 0.0], [0.0, pressure], [pressure, pressure]):
+        held = jnp.asarray(pressures)[:, None]
+
+        def torque(angle, held=held):
+            return drive.torque(angle[None], held)[0]
+
+        beyond = jnp.deg2rad(jnp.asarray([60.0, 61.0, 90.0, 140.0, 300.0]))
+        for side in (1, -1):
+            both = jax.vmap(jax.value_and_grad(torque))(side * beyond)
+            assert np.all(np.isfinite(both[0]))
+            assert np.all(np.diff(side * both[0]) < 0)
+            assert np.all(both[1][1:] < 0)
+
+
+def special_states():
+    """Angles (rad) and pressures (Pa) at which something begins or ends."""
+    taut, wrapped = branch_angles(PAIR.joint.geometry)
+    correction = PAIR.joint.correction
+    kinks = [0.0, taut, wrapped, correction.blend, float(correction.beta.width)]
+    kinks += [float(correction.alpha.threshold), np.deg2rad(60.0), 2.0, -2.0]
+    for angle in [*kinks, *(-np.asarray(kinks))]:
+        for first, second in ((0.0, 0.0), (1e4, 1e4), (3e4, 2e4), (3e5, 0.0)):
+            yield angle, first, second
+
+
+@pytest.mark.parametrize("mode", [jax.jacfwd, pytest.param(jax.jacrev, marks=pytest.mark.slow)])
+def test_derivatives_are_finite_wherever_something_begins(mode):
+    drive = Pneumatics((1,))
+    rows = jnp.asarray(list(special_states()))
+    arrays, rest = eqx.partition(drive, eqx.is_inexact_array)
+
+    def values(arrays, row):
+        own = eqx.combine(arrays, rest)
+        command = jnp.clip(row[:1], -1.0, 1.0)
+        torque = own.torque(row[:1], row[1:, None])[0]
+        return jnp.stack([torque, *(own.commanded(command)[:, 0] / 1e5), own.energy(row[:1])[0]])
+
+    slopes = jax.jit(jax.vmap(mode(values, (0, 1)), (None, 0)))(arrays, rows)
+    assert all(bool(jnp.all(jnp.isfinite(leaf))) for leaf in jax.tree.leaves(slopes))
+
+
+def test_derivatives_are_those_that_differences_show():
+    drive = chain(1, muscles="all", parameters={"drive.passive_stiffness": 0.1}).pneumatics
+    flat, unflatten = ravel_pytree(drive)
+    rows = jnp.asarray([[0.3, 3e4, 2.5e4], [-0.03, 2.7e4, 2.6e4], [1.2, 5e4, 1.5e4]])
+
+    @jax.jit
+    def values(flat, row):
+        own = unflatten(flat)
+        commanded = own.commanded(jnp.clip(row[:1], -1, 1))[:, 0] / 1e5
+        return jnp.stack(
+            [own.torque(row[:1], row[1:, None])[0], *commanded, own.energy(row[:1])[0]]
+        )
+
+    slopes = jax.jit(jax.vmap(jax.jacfwd(values), (None, 0)))(flat, rows)
+    steps = 1e-6 * jnp.maximum(jnp.abs(flat), 1e-3)
+    off = jnp.diag(steps)
+    each = jax.vmap(jax.vmap(values, (0, None)), (None, 0))
+    found = (each(flat + off, rows) - each(flat - off, rows)) / (2 * steps[None, :, None])
+    scale = np.max(np.abs(found), axis=(0, 1), keepdims=True)
+    assert_allclose(jnp.swapaxes(slopes, 1, 2), found, rtol=2e-5, atol=1e-8 * scale.max())
+
+
+def test_what_muscles_do_is_stored_or_resisted():
+    """Power of the torque = power of the pressures - rate of what is stored."""
+    arm = chain(LINKS, muscles="pitch", parameters={"drive.passive_stiffness": 0.15})
+    random = np.random.default_rng(4)
+    for spread in (0.01, 0.5, 1.5):
+        angles, rates = (jnp.asarray(random.uniform(-spread, spread, LINKS)) for _ in range(2))
+        pressures = jnp.asarray(random.uniform(0, 5e4, (2, LINKS)))
+        command = angles.at[np.asarray([0, 2])].set(0)  # no spring is strained
+
+        def stored(angles, command=command):
+            return potential_energy(arm, angles, command)
+
+        change = jax.jvp(stored, (angles,), (rates,))[1]
+        torque = joint_torque(arm, angles, jnp.zeros(LINKS), command, pressures=pressures)
+        power = muscle_power(arm, angles, rates, pressures)
+        assert float(torque @ rates) == pytest.approx(float(power - change), rel=1e-10, abs=1e-12)
+
+
+def test_an_ideal_braid_does_the_work_of_its_gas():
+    """F dL = -p dV for k = eta = 1 and no dead band (Chou and Hannaford)."""
+    ideal = {"muscle.end_correction": 1.0, "muscle.dead_band": 0.0}
+    arm = chain(1, muscles="all", parameters=ideal)
+    drive, pressures = arm.pneumatics, jnp.asarray([[4e4], [2e4]])
+    muscle, length = drive.muscle, drive.joint.geometry.muscle_length
+
+    def volume(side):
+        """Of a cylinder of inextensible threads: its radius follows from its length."""
+
+        def of(angles):
+            left = muscle_path(drive.joint.geometry, side * angles).length / length
+            thread = 1 / jnp.cos(muscle.braid_angle)
+            radius = (
+                muscle.diameter / 2 * jnp.sqrt(thread**2 - left**2) / jnp.tan(muscle.braid_angle)
+            )
+            return (jnp.pi * radius**2 * left * length)[0]
+
+        return of
+
+    for at in (0.4, -0.02, -0.9):
+        angles, rates = jnp.asarray([at]), jnp.asarray([0.7])
+        gas = sum(
+            float(pressures[row, 0]) * jax.jvp(volume(side), (angles,), (rates,))[1]
+            for row, side in enumerate((1.0, -1.0))
+        )
+        assert float(muscle_power(arm, angles, rates, pressures)) == pytest.approx(float(gas))
+
+
+def test_another_law_drives_an_arm():
+    pair = JointPair(Joint(correction=Correction(reading="none")), EmpiricalMuscle())
+    arm = chain(2, muscles="pitch", pair=pair)
+    command = jnp.deg2rad(jnp.asarray([25.0, 0.0]))
+    still = jnp.zeros(2)
+    assert_allclose(acceleration(arm, command, still, command), 0, atol=1e-11)
+    braided = chain(2, muscles="pitch").pneumatics.commanded(command)
+    assert not np.allclose(arm.pneumatics.commanded(command), braided)
+
+
+def test_bad_muscles_are_refused():
+    with pytest.raises(InputError, match='use "pitch", "all" or a list'):
+        chain(2, muscles="yaw")
+    with pytest.raises(InputError, match="joint 3 has muscles, but the arm has 2 joints"):
+        chain(2, muscles=[1, 3])
+    with pytest.raises(InputError, match="increasing, each once"):
+        chain(2, muscles=[2, 1])
+    with pytest.raises(InputError, match="is in no joint"):
+        chain(2, pair=JointPair())
+    with pytest.raises(InputError, match="jump at 0"):
+        chain(2, muscles="all", pair=JointPair())
+    printed = JointPair(Joint(correction=Correction(reading="printed", blend=0.1)))
+    with pytest.raises(InputError, match="as printed"):
+        chain(2, muscles="all", pair=printed)
