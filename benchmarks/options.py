@@ -53,6 +53,8 @@ def variants(links: int) -> dict[str, tuple[Arm, float | None]]:
             arm(point_masses=masses(position=0.9, left=0.1, up=0.1)),
             1.5,
         ),
+        "muscles in the pitch joints": (arm(muscles="pitch"), None),
+        "muscles in all joints": (arm(muscles="all"), None),
         "strip drag, 3 points": (arm(**strip), 2.0),
         "the same, with axial drag": (arm(**strip, **having(air__axial_coefficient=0.02)), 2.0),
         "the same, C_D by Reynolds number": (arm(**strip, drag_curve="cylinder"), None),

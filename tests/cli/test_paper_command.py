@@ -9,8 +9,8 @@ from giajax.cli import main
 
 @pytest.mark.quick
 def test_an_unknown_figure_is_refused(tmp_path, capsys):
-    assert main(["paper", "fig6", "--out", str(tmp_path)]) == 2
-    assert "there is no figure 'fig6': use one of fig5" in capsys.readouterr().err
+    assert main(["paper", "fig7", "--out", str(tmp_path)]) == 2
+    assert "there is no figure 'fig7': use one of fig5" in capsys.readouterr().err
 
 
 @pytest.mark.quick

@@ -93,8 +93,7 @@ def drives_of(run: "Run", rate: float) -> tuple[float, float, list["Drive"]]:
     for name, values in run.commands.items():
         apart.setdefault(run.channels[name].quantity, {})[name] = values
     drives = [Drive(run.times, rows, interpolation) for rows in apart.values()]
-    if run.winds:
-        drives.append(Drive(run.times, run.winds, wind.interpolation))
+    drives += [Drive(run.times, run.winds, wind.interpolation)] if run.winds else []
     return float(run.times[0]), length, drives
 
 

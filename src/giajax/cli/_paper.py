@@ -8,7 +8,7 @@ import typer
 from .._errors import InputError
 
 # As `giajax.paper` has them, which would import JAX for a help text.
-NAMES = ("fig5", "fig9", "fig10", "fig12", "fig19", "table3")
+NAMES = ("fig5", "fig6", "fig9", "fig10", "fig12", "fig19", "table3")
 _ALL = "all"
 
 EXAMPLES = """\b
@@ -19,6 +19,7 @@ Examples:
 \b
 NAME is
   fig5      links 6, 12 and 20 after a step of the base joint, with and without air
+  fig6      the controller in the whole arm: by pressures, and by commanded angles
   fig9      contraction and force of a muscle in a joint, without corrections
   fig10     the same with alpha and beta
   fig12     one link with hysteresis, without and with compensation

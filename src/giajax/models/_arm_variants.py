@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from .._errors import InputError
 from ..arm import STANDARD_GRAVITY, Air, Arm, Buoyancy, bodies, trimmed
 from ..parameters import declared, get, replace
-from ..quantities import BUOYANCY, JOINT_MEMORY
+from ..quantities import BUOYANCY, DRIVE, JOINT_MEMORY
 from ._arm_conditions import MASSES, SCALE
 
 
@@ -38,6 +38,9 @@ def _variants(arm: Arm) -> Iterator[tuple[str, Arm]]:
         strength = JOINT_MEMORY.strength
         name = f"{strength.path} = {strength.default:g} {strength.unit}"
         yield name, replace(arm, {strength.path: strength.default})
+    if arm.pneumatics is not None and arm.pneumatics.drive.lag is None:
+        name = f"{DRIVE.lag.path} = {DRIVE.lag.default:g} {DRIVE.lag.unit}"
+        yield name, replace(arm, {DRIVE.lag.path: DRIVE.lag.default})
     if air.added_mass_coefficient is not None:
         other = "inertia" if air.added_mass == "kirchhoff" else "kirchhoff"
         yield f"arm.added_mass = {other}", _in(arm, dataclasses.replace(air, added_mass=other))

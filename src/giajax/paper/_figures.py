@@ -7,6 +7,7 @@ from pathlib import Path
 from .._errors import InputError
 from ._contenders import Fits, stand_in
 from ._fig05 import fig05
+from ._fig06 import fig06
 from ._fig09 import fig09, fig10
 from ._fig12 import fig12
 from ._fig19 import fig19
@@ -17,6 +18,7 @@ Say = Callable[[str], None]
 
 FIGURES: dict[str, Callable[[Say, Callable[[], Fits]], Reproduced]] = {
     "fig5": lambda say, fits: fig05(),
+    "fig6": lambda say, fits: fig06(),
     "fig9": lambda say, fits: fig09(),
     "fig10": lambda say, fits: fig10(),
     "fig12": lambda say, fits: fig12(say),

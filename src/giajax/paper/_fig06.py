@@ -1,0 +1,135 @@
+"""Fig. 6: the controller of a joint, in the whole arm: pressures against springs."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ..arm import takeichi_20m
+from ..joint import JointPair, equilibria, joint_spring
+from ..parameters import replace
+from ..report import BLUE, DEGREE, GREEN, VERMILLION, new_figure, plain
+from ..simulation import Pressures, Signal, Trajectory, joint_ramps, logged, simulate
+from ._reproduced import Reproduced, Sources
+
+LINKS = {6: GREEN, 12: BLUE, 20: VERMILLION}
+JOINTS = {1: VERMILLION, 3: BLUE, 5: GREEN}
+STEP_DEG, STEP_AT, STEP_FOR = 30.0, 0.5, 1.0
+DURATION, RATE = 25.0, 20.0
+TOLERANCE = 1e-8
+
+SOURCES = Sources(
+    printed="the way from a commanded angle to two pressures, and from these to a torque (fig. 6 "
+    "and eqs (2) to (11)), 0.3 N m of co-contraction, alpha and beta, the arm of table 2.",
+    assumed=f"the joint's geometry, the muscles' law, alpha and beta blended over 1{DEGREE} "
+    f"about 0, springs of the pair's stiffness at {STEP_DEG:g}{DEGREE}, C_D = 1.2, damping 0.05 N "
+    f"m s/rad, joint 1 sent to {STEP_DEG:g}{DEGREE} within {STEP_FOR:g} s and all others to 0.",
+    reconstructed="nothing.",
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Motions:
+    """The arm whose pitch joints have muscles, driven by pressures, and that with springs.
+
+    Attributes:
+        pressures: driven by the pressures of the controller.
+        springs: driven by the angles that the controller was told.
+        pair: of each joint with muscles.
+    """
+
+    pressures: Trajectory
+    springs: Trajectory
+    pair: JointPair
+
+
+def motions(tolerance: float = TOLERANCE) -> Motions:
+    """Both motions after the base joint is sent to an angle.
+
+    Arguments:
+        tolerance: relative and absolute tolerance of the integrator.
+    """
+    arm = takeichi_20m(muscles="pitch")
+    assert arm.pneumatics is not None
+    pair, target = arm.pneumatics.pair, np.deg2rad(STEP_DEG)
+    command = joint_ramps(arm.count, {1: target}, start=STEP_AT, duration=STEP_FOR)
+    times = np.linspace(0.0, DURATION, round(DURATION * RATE) + 1)
+    pressures = [arm.pneumatics.commanded(command(jnp.asarray(time))).ravel() for time in times]
+    supplied = Pressures(logged(times, np.asarray(pressures)), arm.pneumatics.joints)
+    at_target = jnp.asarray(arm.pneumatics.commanded(command(jnp.asarray(DURATION)))[:, 0])
+    stiffness = float(joint_spring(pair, at_target, target).stiffness)
+    sprung = replace(takeichi_20m(), {"joints.pitch_stiffness": stiffness})
+    still: Signal = joint_ramps(arm.count, {})
+    return Motions(
+        simulate(arm, still, times, pressure=supplied, rtol=tolerance, atol=tolerance),
+        simulate(sprung, command, times, rtol=tolerance, atol=tolerance),
+        pair,
+    )
+
+
+def fig06() -> Reproduced:
+    """The arm by pressures beside the arm by angles, and where its joints may rest."""
+    both = motions()
+    by_pressure, by_angle = np.rad2deg(both.pressures.angles), np.rad2deg(both.springs.angles)
+    supplied = np.asarray(both.pressures.pressures)
+    rows = []
+    for joint in (1, 3, 5, 19):
+        rests = equilibria(both.pair, supplied[-1, :, joint - 1]).stable
+        allowed = ", ".join(f"{np.rad2deg(rest.angle):.1f}" for rest in rests)
+        command = STEP_DEG if joint == 1 else 0.0
+        at = joint - 1
+        rows.append((joint, command, allowed, by_pressure[-1, at], by_angle[-1, at]))
+    columns = {"time_s": np.asarray(both.pressures.times)}
+    for row, name in enumerate(("first", "second")):
+        columns[f"joint01_pressure_{name}_kPa"] = supplied[:, row, 0] / 1e3
+    for joint in JOINTS:
+        columns[f"joint{joint:02d}_angle_by_pressures_deg"] = by_pressure[:, joint - 1]
+        columns[f"joint{joint:02d}_angle_by_angles_deg"] = by_angle[:, joint - 1]
+    for link in LINKS:
+        columns[f"link{link:02d}_z_by_pressures_m"] = _heights(both.pressures)[:, link - 1]
+        columns[f"link{link:02d}_z_by_angles_m"] = _heights(both.springs)[:, link - 1]
+    return Reproduced(
+        "The arm by the pressures of its muscles, and by commanded angles",
+        SOURCES,
+        _drawn(both),
+        ("joint", "commanded, deg", "stable at, deg", "by pressures, deg", "by springs, deg"),
+        tuple(rows),
+        columns,
+    )
+
+
+def _heights(motion: Trajectory) -> np.ndarray:
+    return np.asarray(motion.link_centres[..., 2])
+
+
+def _drawn(both: Motions) -> Figure:
+    figure = new_figure(8, 8.2, "Fig. 6: driven by pressures (solid) and by angles (dotted)")
+    panels = figure.subplots(3, 1, sharex=True, height_ratios=[1, 1.6, 1.6])
+    times = np.asarray(both.pressures.times)
+    supplied = np.asarray(both.pressures.pressures)[:, :, 0] / 1e3
+    panels[0].plot(times, supplied[:, 0], color=VERMILLION, label="first muscle")
+    panels[0].plot(times, supplied[:, 1], color=BLUE, label="second muscle")
+    panels[0].set_ylabel("pressure in joint 1 (kPa)")
+    angles = [np.rad2deg(motion.angles) for motion in (both.pressures, both.springs)]
+    _curves(panels[1], times, angles, JOINTS, "joint")
+    panels[1].set_ylabel(f"angle ({DEGREE})")
+    _curves(panels[2], times, [_heights(m) for m in (both.pressures, both.springs)], LINKS, "link")
+    panels[2].set_ylabel("z of the link's centre (m)")
+    panels[2].set_xlabel("time (s)")
+    panels[2].set_xlim(times[0], times[-1])
+    for panel in panels:
+        plain(panel)
+        panel.legend(fontsize=8, frameon=False, ncols=3)
+    return figure
+
+
+def _curves(
+    panel: Axes, times: np.ndarray, both: list[np.ndarray], colours: dict[int, str], what: str
+) -> None:
+    """Solid curves by pressures and dotted ones by angles."""
+    for number, colour in colours.items():
+        solid, dotted = (values[:, number - 1] for values in both)
+        panel.plot(times, solid, color=colour, linewidth=1.6, label=f"{what} {number}")
+        panel.plot(times, dotted, color=colour, linewidth=1.2, linestyle=(0, (1, 1.5)))

@@ -1,0 +1,198 @@
+"""An arm with muscles as a model: its files, runs with pressures, and fits."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import giajax
+from giajax import InputError, Run
+from giajax.cli import main
+from giajax.fitting import fit
+from giajax.models import (
+    ArmModel,
+    JointModel,
+    MuscleModel,
+    arm_from_definition,
+    arm_to_definition,
+    build_model,
+    model_for,
+    parameter_values,
+)
+from giajax.parameters import declared, default_free, replace
+from giajax.runs import Definition
+
+LINKS = 3
+TIMES = np.linspace(0.0, 16.0, 161)
+CHANNELS = ("link01_z", "link03_x", "link03_y", "link03_z")
+NOISE = 0.005
+ARM = {"links": LINKS, "muscles": "pitch", "parameters": {"drive.lag": 0.3}}
+TRUTH = {
+    "air.drag_coefficient": 1.2,
+    "joints.damping": 0.08,
+    "joints.yaw_stiffness": 5.0,
+    "muscle.effectiveness": 1.0,
+    "alpha.offset": 0.03,
+    "drive.lag": 0.3,
+}
+
+
+def arm_of(section):
+    return arm_from_definition(Definition.parse({"arm": section}))
+
+
+@pytest.mark.parametrize(
+    "section",
+    [
+        ARM,
+        {"links": 2, "muscles": "all", "muscle_law": "empirical", "muscle_blend_deg": 2.0},
+        {"links": 4, "muscles": [1, 4], "muscle_correction": "none"},
+        {"links": 2, "muscles": [1], "parameters": {"geometry.anchor_y": 0.2, "torque": 0.4}},
+    ],
+)
+def test_an_arm_with_muscles_goes_through_its_files(section):
+    arm = arm_of(section)
+    assert eqx.tree_equal(arm_of(arm_to_definition(arm)), arm)
+    model = ArmModel(arm)
+    again = build_model("arm", model.definition(), parameter_values(model))
+    assert eqx.tree_equal(again.arm, arm)
+
+
+def test_each_key_changes_the_arm():
+    keys = {"muscle_law": "empirical", "muscle_correction": "none", "muscle_blend_deg": 3.0}
+    plain = arm_of({"links": 2, "muscles": "pitch"})
+    assert plain.pneumatics.joints == (1,)
+    assert arm_of({"links": 2, "muscles": "all"}).pneumatics.joints == (1, 2)
+    for key, value in keys.items():
+        assert not eqx.tree_equal(arm_of({"links": 2, "muscles": "pitch", key: value}), plain)
+        with pytest.raises(InputError, match=f"states {key}, but no joints with muscles"):
+            arm_of({"links": 2, key: value})
+    with pytest.raises(InputError, match="pressure_limit"):
+        arm_of({"links": 2, "muscles": "all", "parameters": {"muscle.pressure_limit": -1.0}})
+
+
+def test_paths_are_those_of_a_joint_and_of_a_muscle():
+    arm = declared(ArmModel(giajax.chain(2, muscles="all")))
+    others = [declared(JointModel(giajax.Joint())), declared(MuscleModel())]
+    shared = [path for other in others for path in other if path != "length"]
+    assert len(shared) > 20
+    for path in shared:
+        own = next(other[path].declaration for other in others if path in other)
+        assert arm[path].declaration.unit == own.unit
+        assert arm[path].declaration.default == own.default
+
+
+def test_a_fit_frees_what_an_arm_can_tell():
+    free = default_free(ArmModel(giajax.chain(2, muscles="pitch")))
+    assert free == ("joints.yaw_stiffness", "joints.damping", "air.drag_coefficient")
+    free = default_free(ArmModel(giajax.chain(2, muscles=[2])))
+    assert free == ("joints.pitch_stiffness", "joints.damping", "air.drag_coefficient")
+
+
+def driven_run(measured=None, **changes):
+    """Pressures and a yaw command that go through stable angles of both sides."""
+    drive = arm_of(ARM).pneumatics
+    knots = np.asarray([0.0, 1.0, 1.5, 6.0, 6.5, 11.0, 16.0])
+    angles = [(0, 0), (0, 0), (35, 25), (35, 25), (50, -35), (25, -50), (40, -30)]
+    rows = np.stack([drive.commanded(jnp.deg2rad(jnp.asarray([a, 0.0, b]))) for a, b in angles])
+    values = {
+        f"joint{joint:02d}_pressure_{name}": np.interp(TIMES, knots, rows[:, row, joint - 1])
+        for joint in (1, 3)
+        for row, name in enumerate(("first", "second"))
+    }
+    yaw = np.interp(TIMES, [0, 1, 2, 8, 9, 16], [0, 0, 0.4, 0.4, -0.3, -0.3])
+    values["joint02_command"] = yaw
+    measured = {name: np.zeros_like(TIMES) for name in CHANNELS} if measured is None else measured
+    definition = {"arm": ARM}
+    return Run.from_arrays(TIMES, {**values, **measured}, definition=definition, **changes)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("off", [1.3, 0.7])
+def test_muscles_are_fitted_beside_drag(off):
+    blank = driven_run()
+    exact = giajax.predict(replace(model_for([blank]), TRUTH), blank, CHANNELS)
+    random = np.random.default_rng(0)
+    noisy = {name: row + random.normal(scale=NOISE, size=row.shape) for name, row in exact.items()}
+    run = driven_run(noisy, noise={"position": NOISE})
+    start = {path: off * value for path, value in TRUTH.items()}
+    result = fit(model_for([run]), run, free=list(TRUTH), start=start)
+    assert result.status == "converged", result.message
+    for path, value in TRUTH.items():
+        estimate = result.free[path]
+        assert abs(estimate.value - value) < 3 * estimate.standard_error, path
+        assert estimate.standard_error < 0.06 * value, path
+    # Pressures are forces: they set the scale.
+    assert not any("per unit of mass" in sentence for sentence in result.conditions)
+
+
+TOML = """
+[arm]
+links = 3
+muscles = "pitch"
+
+[arm.parameters]
+"joints.damping" = 0.5
+"""
+
+
+def test_the_commands_know_muscles(tmp_path, capsys):
+    """A run driven by pressures: made by angles first, simulated again, checked and listed."""
+    (tmp_path / "arm.toml").write_text(TOML)
+    arm = Definition.load(tmp_path / "arm.toml")
+    drive = arm_from_definition(arm).pneumatics
+    first, second = np.asarray(drive.commanded(jnp.deg2rad(jnp.asarray([25.0, 0, 0]))))[:, 0] / 1e3
+    rows = "".join(f"{t:g},{first / 1e3:.12g},{second:.12g},0\n" for t in (0.0, 1.0, 30.0))
+    columns = "time_s,joint01_pressure_first_MPa,joint01_pressure_second_kPa,joint02_command_deg\n"
+    path, out = tmp_path / "pressures.csv", tmp_path / "run.csv"
+    path.write_text(columns + rows)
+    made = ["simulate", "--out", str(out), "--arm", str(tmp_path / "arm.toml")]
+    made += ["--command", str(path), "--channels", "joint01_angle", "--rate", "1"]
+    assert main(made) == 0
+    run = giajax.read_run(out)
+    assert_allclose(np.rad2deg(run.values["joint01_angle"][-1]), 25.0, atol=0.01)
+    assert run.definition.arm.muscles == "pitch"
+    capsys.readouterr()
+    assert main(["check", str(out)]) == 0
+    assert "joint01_pressure_first" in capsys.readouterr().out
+    assert main(["parameters", str(out)]) == 0
+    listed = capsys.readouterr().out
+    for name in ("geometry.anchor_x", "alpha.offset", "muscle.effectiveness", "drive.lag"):
+        assert name in listed
+    assert main(["init", str(path), "--stdout"]) == 0
+    assert '# muscles = "pitch"' in capsys.readouterr().out
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize(
+    ("columns", "sentence"),
+    [
+        ({"joint01_pressure_first": 1e4}, "add the column joint01_pressure_second_kPa"),
+        ({"joint01_pressure_second": 1e4}, "add the column joint01_pressure_first_kPa"),
+        (
+            {"joint01_pressure_first": 1e4, "joint01_pressure_second": -1.0},
+            "'joint01_pressure_second' is below 0 in sample 0",
+        ),
+        (
+            {
+                "joint01_pressure_first": 1e4,
+                "joint01_pressure_second": 1e4,
+                "joint01_command": 0.0,
+            },
+            "joint 1 has a command and pressures",
+        ),
+    ],
+)
+def test_columns_that_are_no_drive_are_refused(columns, sentence):
+    values = {name: np.full(3, value) for name, value in columns.items()}
+    with pytest.raises(InputError) as refused:
+        Run.from_arrays([0.0, 1.0, 2.0], {**values, "link01_z": np.zeros(3)})
+    assert sentence in str(refused.value)
+
+
+def test_pressures_need_muscles():
+    values = {f"joint01_pressure_{name}": np.full(3, 1e4) for name in ("first", "second")}
+    run = Run.from_arrays([0.0, 1.0, 2.0], {**values, "link01_z": np.zeros(3)})
+    with pytest.raises(InputError, match='muscles = "pitch" in'):
+        model_for([run]).prepare(run)
