@@ -130,7 +130,9 @@ def test_derivatives_are_those_that_differences_show():
     steps = 1e-6 * jnp.maximum(jnp.abs(flat), 1e-3)
     off = jnp.diag(steps)
     each = jax.vmap(jax.vmap(values, (0, None)), (None, 0))
-    found = (each(flat + off, rows) - each(flat - off, rows)) / (2 * steps[None, :, None])
+    found = (each(flat[None] + off, rows) - each(flat[None] - off, rows)) / (
+        2 * steps[None, :, None]
+    )
     scale = np.max(np.abs(found), axis=(0, 1), keepdims=True)
     assert_allclose(jnp.swapaxes(slopes, 1, 2), found, rtol=2e-5, atol=1e-8 * scale.max())
 
