@@ -14,6 +14,7 @@ from . import (
     _cache,
     _check,
     _choose,
+    _compare,
     _compensate,
     _examples,
     _fit,
@@ -45,6 +46,8 @@ Examples:
                             fit drag, stiffness and damping to it
   giajax report giajax-out/run
                             the fit as a page: whether to believe it, and why
+  giajax compare giajax-out/run giajax-out/other
+                            whether two fits agree to within their errors
   giajax suspects giajax-out/run
                             what of it the model leaves out
   giajax predict --model giajax-out/run --data other.csv
@@ -66,6 +69,7 @@ _COMMANDS: tuple[tuple[Callable[..., None], str], ...] = (
     (_check.check, _check.EXAMPLES),
     (_fit.fit, _fit.EXAMPLES),
     (_choose.choose, _choose.EXAMPLES),
+    (_compare.compare, _compare.EXAMPLES),
     (_compensate.compensate, _compensate.EXAMPLES),
     (_hysteresis.hysteresis, _hysteresis.EXAMPLES),
     (_init.init, _init.EXAMPLES),

@@ -1,6 +1,7 @@
 """What a person sees of fits and models: tables, pictures and files."""
 
 from .._text import format_estimate as format_estimate
+from ._contrast import contrast_json as contrast_json, contrast_tables as contrast_tables
 from ._correlation import correlation_figure as correlation_figure
 from ._csv import to_csv as to_csv
 from ._files import write_figures as write_figures, write_result as write_result
@@ -16,7 +17,12 @@ from ._joint_equilibria import (
 )
 from ._joint_files import JOINT_FILES as JOINT_FILES, joint_files as joint_files
 from ._joint_shape import joint_figure as joint_figure, joint_points as joint_points
-from ._pages import PAGE as PAGE, check_page as check_page, report_page as report_page
+from ._pages import (
+    PAGE as PAGE,
+    check_page as check_page,
+    compare_page as compare_page,
+    report_page as report_page,
+)
 from ._reached import Reached as Reached, check_figures as check_figures, reached as reached
 from ._recorded import recorded_figure as recorded_figure
 from ._residuals import residuals_figure as residuals_figure

@@ -9,6 +9,7 @@ from .._files import read_bytes
 from .._limits import RESULT_BYTES
 from ..fitting import FitResult
 from ..runs import Run
+from ..study import Contrast
 from ._files import PAGE as PAGE
 from ._style import SIGNATURE
 
@@ -72,3 +73,22 @@ def report_page(
 
     where = None if source is None else Path(source)
     return page.report_page(result, runs, held_out=held_out, source=where)
+
+
+def compare_page(found: Contrast, results: Sequence[FitResult]) -> bytes:
+    """Results side by side as one HTML file that opens without a network.
+
+    Arguments:
+        found: what `giajax.study.contrast` says of them.
+        results: the results, in the same order.
+
+    Returns:
+        The page, encoded.
+
+    Raises:
+        InputError: what draws it is not installed.
+    """
+    check_page()
+    from . import page
+
+    return page.compare_page(found, results)

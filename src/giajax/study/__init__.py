@@ -8,6 +8,12 @@ from ._choose import (
     choose_hysteresis as choose_hysteresis,
 )
 from ._compare import Comparison as Comparison, compare as compare
+from ._contrast import (
+    Contrast as Contrast,
+    ContrastColumn as ContrastColumn,
+    ContrastRow as ContrastRow,
+    contrast as contrast,
+)
 from ._ends import misfit as misfit
 from ._multi_start import (
     SAME_END as SAME_END,

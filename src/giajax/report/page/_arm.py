@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,7 +20,21 @@ _GRID = 4095
 _ALIGNED = 1e-3
 
 
-def animation(result: FitResult, run: Run, predicted: Mapping[str, np.ndarray]) -> str | None:
+class Arm(NamedTuple):
+    """A model that moves.
+
+    Attributes:
+        data: what the script draws, as JSON.
+        recorded: how many markers were recorded.
+        aligned: whether the axes of the recording are those of the model; if not, none is drawn.
+    """
+
+    data: str
+    recorded: int
+    aligned: bool
+
+
+def animation(result: FitResult, run: Run, predicted: Mapping[str, np.ndarray]) -> Arm | None:
     """What the arm of a run looks like over time, with its recorded markers, as JSON.
 
     Arguments:
@@ -65,9 +79,8 @@ def animation(result: FitResult, run: Run, predicted: Mapping[str, np.ndarray]) 
         ],
         "markers": [grid(points) for name, points in scene.markers.items() if name in recorded],
         "recorded": [grid(points) for points in recorded.values()],
-        "aligned": aligned,
     }
-    return json.dumps(facts, separators=(",", ":"))
+    return Arm(json.dumps(facts, separators=(",", ":")), len(recorded), aligned)
 
 
 def _recorded_markers(

@@ -23,7 +23,7 @@ def new_plot(height: int, across: str, up: str, **more: Any) -> Any:
         height=height,
         sizing_mode="stretch_width",
         tools="xpan,box_zoom,reset",
-        # Nothing is active by touch or wheel: a finger that scrolls the page must not zoom.
+        # None for the wheel: who scrolls the page does not mean to zoom.
         active_drag="box_zoom",
         toolbar_location="above",
         x_axis_label=across,

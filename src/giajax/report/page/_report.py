@@ -16,7 +16,7 @@ from ...tasks import repeatable
 from .._files import worth_drawing
 from .._suspects import SUSPECT_HEADINGS, first_suspects, systematic_table
 from .._text import summary_rows
-from ._arm import animation
+from ._arm import Arm, animation
 from ._band import can_have_bands, prediction_errors_of_parameters
 from ._correlations import correlation_cells
 from ._figures import curve_item
@@ -47,7 +47,8 @@ class _RunPart(NamedTuple):
     name: str
     panels: list[Panel]
     left_out: int
-    arm: str | None
+    arm: Arm | None
+    over_time: bool
 
     @property
     def thinned(self) -> Panel | None:
@@ -95,6 +96,7 @@ def report_page(
         systematic=Table(*systematic_table(result), 1) if result.systematic else None,
         parts=parts,
         bands=bands,
+        timed=any(run.times is not None for run in runs),
         cost=_cost(result),
         paths=result.correlation.parameters,
         correlations=correlation_cells(result),
@@ -138,7 +140,7 @@ def _run_parts(
         ]
         # One arm that moves is enough; two are a page that no phone opens.
         arm = animation(result, run, predicted) if not parts else None
-        parts.append(_RunPart(run.name, shown, left_out, arm))
+        parts.append(_RunPart(run.name, shown, left_out, arm, run.drawn_over is None))
     return parts
 
 

@@ -12,6 +12,22 @@
   };
   if (window.Bokeh) { Bokeh.set_log_level("warn"); next(); }
 
+  // A finger that scrolls the page must not zoom: a plot that is tapped takes fingers, the others not.
+  if (matchMedia("(pointer: coarse)").matches) {
+    const plots = [...document.querySelectorAll("[data-plot]")];
+    // Not by pointer-events, which BokehJS sets within the plot.
+    plots.forEach((one) => { one.inert = true; });
+    document.body.classList.add("touch");
+    addEventListener("click", (event) => {
+      const tapped = event.target.closest(".panel, .narrow");
+      for (const one of plots) {
+        const live = Boolean(tapped) && (tapped === one || tapped.contains(one));
+        one.inert = !live;
+        one.classList.toggle("live", live);
+      }
+    });
+  }
+
   // What is folded on the screen is not lost on paper.
   addEventListener("beforeprint", () => {
     document.querySelectorAll("details").forEach((one) => { one.open = true; });

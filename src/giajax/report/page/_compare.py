@@ -1,0 +1,97 @@
+"""The page about several results."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from ...fitting import FitResult
+from ...study import Contrast, ContrastRow
+from .._contrast import contrast_tables
+from .._style import BLUE, GREEN, GREY, INK, VERMILLION
+from ._opening import Opening, opening
+from ._render import rendered
+from ._tables import Table
+
+# Width of the picture of one parameter and height of a result in it, pixels.
+_WIDTH, _HEIGHT = 360.0, 15.0
+
+_COLOURS = (BLUE, VERMILLION, GREEN, INK, GREY)
+
+# So many joint standard errors are a difference.
+_DIFFERENT = 3.0
+
+
+class _Bar(NamedTuple):
+    """One estimate in the picture of a parameter: pixels, and its words."""
+
+    low: float
+    middle: float
+    high: float
+    across: float
+    colour: str
+    text: str
+
+
+def compare_page(found: Contrast, results: Sequence[FitResult]) -> bytes:
+    """Several results as one HTML file that opens without a network.
+
+    Arguments:
+        found: them side by side.
+        results: the results, in the same order.
+
+    Returns:
+        The page, encoded.
+    """
+    parameters, whole = contrast_tables(found)
+    openings: list[Opening] = [opening(result) for result in results]
+    names = [column.name for column in found.columns]
+    return rendered(
+        "compare.html",
+        plots=False,
+        names=names,
+        colours=[_COLOURS[index % len(_COLOURS)] for index in range(len(names))],
+        openings=list(zip(names, openings, strict=True)),
+        parameters=Table(*parameters, 2),
+        whole=Table(*whole, 1),
+        pictures=[(row.path, bars) for row in found.rows if len(bars := _bars(row)) > 1],
+        height=_HEIGHT * len(names) + 6,
+        width=_WIDTH,
+        apart=_apart(found),
+        notes=found.notes,
+    )
+
+
+def _apart(found: Contrast) -> list[str]:
+    """Sentences on the parameters that differ."""
+    names = [column.name for column in found.columns]
+    return [
+        f"{row.path} of {names[index]} is {abs(difference):.2g} joint standard errors "
+        f"{'above' if difference > 0 else 'below'} that of {names[0]}"
+        for row in found.rows
+        for index, difference in enumerate(row.differences)
+        if difference is not None and abs(difference) > _DIFFERENT
+    ]
+
+
+def _bars(row: ContrastRow) -> list[_Bar]:
+    """Values with two standard errors on an axis of their own; held ones are ticks."""
+    known = [
+        (index, one.value, 2 * (one.standard_error or 0.0))
+        for index, one in enumerate(row.estimates)
+        if one is not None and isinstance(one.value, float)
+    ]
+    if not any(width for _, _, width in known):
+        return []
+    low = min(value - width for _, value, width in known)
+    high = max(value + width for _, value, width in known)
+    scale = (_WIDTH - 20) / ((high - low) or 1.0)
+    return [
+        _Bar(
+            low=10 + (value - width - low) * scale,
+            middle=10 + (value - low) * scale,
+            high=10 + (value + width - low) * scale,
+            across=_HEIGHT * (index + 0.5) + 3,
+            colour=_COLOURS[index % len(_COLOURS)],
+            text=f"{value:.6g}",
+        )
+        for index, value, width in known
+    ]
