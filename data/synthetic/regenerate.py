@@ -198,6 +198,91 @@ def turned_camera_run(name: str) -> Run:
     )
 
 
+# An arm of three links: muscles bend its pitch joints, all of its joints remember.
+_WHOLE_ARM = {"links": 3, "muscles": "pitch"}
+_WHOLE_CORRECTIONS = {
+    "alpha.offset": 0.04,
+    "alpha.threshold": 0.45,
+    "alpha.curvature": 0.9,
+    "beta.threshold": 0.45,
+    "beta.curvature": 0.5,
+}
+_WHOLE_JOINT = {
+    "drive.passive_stiffness": 0.12,
+    "joints.memory.strength": 0.03,
+    "joints.memory.yield_angle": 0.02,
+}
+_WHOLE_AIR = {
+    "air.drag_coefficient": 1.15,
+    "joints.yaw_stiffness": 5.0,
+    "joints.damping": 0.07,
+}
+
+
+def whole_arm(name: str) -> Run:
+    """The arm, driven by the pressures of a controller that knows no friction and no stiffness."""
+    import jax.numpy as jnp
+
+    from giajax import arm_from_definition, model_for, replace, synthesise
+
+    options = {path: _WHOLE_JOINT[path] for path in list(_WHOLE_JOINT)[:2]}
+    known = {"arm": {**_WHOLE_ARM, "parameters": options}}
+    drive = arm_from_definition(Definition.parse(known)).pneumatics
+    assert drive is not None
+    times = np.linspace(0.0, 16.0, 161)
+    knots = [0.0, 1.0, 1.5, 6.0, 6.5, 11.0, 16.0]
+    angles = [(0, 0), (0, 0), (35, 25), (35, 25), (50, -35), (25, -50), (40, -30)]
+    rows = [drive.commanded(jnp.deg2rad(jnp.asarray([one, 0.0, other]))) for one, other in angles]
+    inputs = {
+        f"joint{joint:02d}_pressure_{which}": np.interp(
+            times, knots, np.stack(rows)[:, row, joint - 1]
+        )
+        for joint in (1, 3)
+        for row, which in enumerate(("first", "second"))
+    }
+    inputs["joint02_command"] = np.interp(times, [1, 2, 8, 9], [0, 0.4, 0.4, -0.3])
+    channels = ["link01_z", "link03_x", "link03_y", "link03_z"]
+    blank = {channel: np.zeros_like(times) for channel in channels}
+    model = model_for([Run.from_arrays(times, {**inputs, **blank}, definition=known)])
+    truth = {**_WHOLE_AIR, **_WHOLE_JOINT, **_WHOLE_CORRECTIONS}
+    return synthesise(
+        replace(model.refined(1e-3), truth),
+        times,
+        inputs,
+        channels,
+        noise={"position": 0.005},
+        constants=model,
+        seed=8,
+        definition={**known, "truth": truth},
+        name=name,
+    )
+
+
+def whole_loop(name: str) -> Run:
+    """Torque over angle of one of its joints without pressure, to and fro on a bench."""
+    from giajax import model_for, replace, synthesise
+
+    turns = [0, 20, -20, 10, -5, 30, 0]
+    ways = [np.linspace(a, b, abs(b - a) + 1)[1:] for a, b in itertools.pairwise(turns)]
+    stiffness, strength, width = _WHOLE_JOINT.values()
+    truth = {"elastic": stiffness, "alpha": strength / width, "beta": 1 / width}
+    section = {"operator": "bouc_wen", "previous_extremes": [0.0]}
+    shape = {"gamma": 1.0, "delta": 0.0, "nu": 1.0, "offset": 0.0}
+    angle = np.deg2rad(np.concatenate([[0.0], *ways]))
+    known = {"model": "hysteresis", "hysteresis": section}
+    blank = Run.from_arrays(None, {"input": angle, "output": 0 * angle}, definition=known)
+    return synthesise(
+        replace(model_for([blank]), {**truth, **shape}),
+        None,
+        {"input": angle},
+        ["output"],
+        noise={"output": 0.001},
+        seed=9,
+        definition={"truth": _WHOLE_JOINT},
+        name=name,
+    )
+
+
 _CORRECTIONS = {
     "alpha.offset": 0.035,
     "alpha.threshold": 0.66,
@@ -287,6 +372,22 @@ STILL = {
         bouc_wen_multisine,
         (),
     ),
+    "whole_arm": (
+        "An arm whose pitch joints are bent by muscles, driven by pressures; its joints remember. "
+        "`fits/whole_arm.toml` fits it together with the two runs below.",
+        whole_arm,
+        (),
+    ),
+    "whole_joint": (
+        "A muscle of one of its joints on the bench, as in joint.csv.",
+        joint_run,
+        (_WHOLE_CORRECTIONS, [], 0.02),
+    ),
+    "whole_loop": (
+        "Torque over angle of one of its joints without pressure: a spring and Dahl's friction.",
+        whole_loop,
+        (),
+    ),
     "one_link": (
         "A simulated 1-link arm that snaps through about 0 deg, on the paper's history and on "
         "loops within it (`giajax hysteresis`).",
@@ -296,7 +397,10 @@ STILL = {
 }
 
 # Of runs whose channels may have any quantity.
-UNITS = {"bouc_wen_multisine": {"input": "N", "output": "mm"}}
+UNITS = {
+    "bouc_wen_multisine": {"input": "N", "output": "mm"},
+    "whole_loop": {"input": "deg", "output": "N_m"},
+}
 
 
 def wind_input() -> str:

@@ -50,8 +50,10 @@ class SeveralModels(AbstractModel):
         known: dict[str, tuple[str, Any]] = {}
         for part in self.parts:
             for path, parameter in {**declared(part), **left_out(part)}.items():
-                kind, declaration = known.setdefault(path, (part.kind, parameter.declaration))
-                if declaration != parameter.declaration:
+                # One of them may hold what another one frees.
+                declaration = dataclasses.replace(parameter.declaration, frozen=True)
+                kind, first = known.setdefault(path, (part.kind, declaration))
+                if first != declaration:
                     raise InputError(
                         f"'{path}' is another quantity in the {part.kind} model than in the {kind} "
                         "model: fit their runs separately"
