@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from giajax._errors import InputError
-from giajax.fitting import Correlation
+from giajax.fitting import Correlation, Finding, SystematicError
 from giajax.report import report_page
 from giajax.report.page import _report
 from giajax.report.page._autocorrelation import autocorrelation
@@ -74,7 +74,7 @@ def test_its_plots_and_its_arm_are_data(page, result, run):
 
 def test_a_hostile_name_is_text(result, run):
     record = dataclasses.replace(result.runs[0], name=HOSTILE)
-    finding = dataclasses.replace(_any_finding(), sentence=HOSTILE, advice=HOSTILE)
+    finding = Finding("short_record", (), HOSTILE, HOSTILE)
     hostile = dataclasses.replace(
         result, runs=(record,), message=HOSTILE, findings=(finding,), status="not_converged"
     )
@@ -83,12 +83,6 @@ def test_a_hostile_name_is_text(result, run):
     assert len(parsed.programs()) == 1
     assert "b" not in [tag for tag, _ in parsed.tags]
     assert parsed.text.count("alert(1)") > 3
-
-
-def _any_finding():
-    from giajax.fitting import Finding
-
-    return Finding("short_record", (), "", "")
 
 
 def test_sixty_channels_of_ten_thousand_rows_stay_below_the_limit(result, monkeypatch):
@@ -124,6 +118,21 @@ def test_what_limits_the_numbers_is_said_first(result):
     loose = dataclasses.replace(result, parameters={**result.parameters, path: lost})
     assert opening(loose).grade == "doubtful"
     assert any(path in limit and "do not determine" in limit for limit in opening(loose).limits)
+
+
+def test_what_recordings_and_held_numbers_do_is_in_the_table(result, run):
+    path = "air.drag_coefficient"
+    known = dataclasses.replace(
+        result.free[path], standard_error=0.03, sources={"a": 2.5, "b": None}
+    )
+    held = SystematicError("links.mass", "kg", 0.05, 0.01, True, dict.fromkeys(result.free, 0.04))
+    more = dataclasses.replace(
+        result, parameters={**result.parameters, path: known}, systematic=(held,)
+    )
+    parsed = Page(report_page(more, [run]))
+    (row,) = [row for row in parsed.rows if row[:1] == [path] and len(row) > 8]
+    assert row[2:5] == ["0.030", "0.04", "0.05"]
+    assert "b (alone), a (x2.5)" in row
 
 
 def test_other_runs_are_refused(result, run):

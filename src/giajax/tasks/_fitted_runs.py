@@ -110,8 +110,8 @@ def _read_again(
 def _missing(record: "RunFit | HeldOut", data: Sequence[str | Path]) -> str:
     if record.path is None:
         return (
-            f"'{record.name}' was made in memory and has no file: call giajax.suspects with "
-            "the run itself"
+            f"'{record.name}' was made in memory and has no file: use Python, "
+            "whose functions take the run itself"
         )
     named = ", ".join(map(str, data))
     return f"{named} have not the content of {record.path}, which was fitted: give that file"

@@ -78,7 +78,8 @@ def opening(result: FitResult) -> Opening:
 
 
 def _of_the_model(result: FitResult) -> list[str]:
-    said = [reason.sentence for reason in result.verdict.reasons]
+    reasons = result.verdict.reasons if result.status == "converged" else ()
+    said = [reason.sentence for reason in reasons]
     asked = [row for row in promising(result.suspects) if (row.p_value or 0.0) < LEVEL]
     if asked:
         said.append(

@@ -82,6 +82,7 @@ def report_page(
     predictions = result.predictions or [result.predict(run) for run in runs]
     bands = can_have_bands(result)
     parts = _run_parts(result, runs, predictions, held_out, bands=bands)
+    parameters = parameter_rows(result)
     suspects = Table(list(SUSPECT_HEADINGS), first_suspects(result, _MOST_SUSPECTS), 1)
     return rendered(
         "report.html",
@@ -89,7 +90,8 @@ def report_page(
         title=", ".join(dict.fromkeys(run.name for run in result.runs)),
         result=result,
         opening=opening(result),
-        parameters=parameter_rows(result),
+        parameters=parameters,
+        places={row.path: index for index, row in enumerate(parameters, 1)},
         has_systematic=any(error.stated for error in result.systematic),
         has_sources=any(one.sources for one in result.free.values()),
         suspects=suspects,
@@ -139,7 +141,8 @@ def _run_parts(
             for names in panels
         ]
         # One arm that moves is enough; two are a page that no phone opens.
-        arm = animation(result, run, predicted) if not parts else None
+        seen = any(part.arm for part in parts)
+        arm = None if seen else animation(result, run, predicted)
         parts.append(_RunPart(run.name, shown, left_out, arm, run.drawn_over is None))
     return parts
 
