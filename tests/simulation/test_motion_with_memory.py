@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from giajax import InputError
 from giajax.arm import acceleration, chain
 from giajax.parameters import replace
-from giajax.simulation import logged, simulate
+from giajax.simulation import Signal, logged, simulate
 from giajax.simulation._catch_up import catching_up
 from giajax.simulation._solvers import solver as solver_named
 
@@ -158,3 +158,25 @@ def test_a_method_that_iterates_has_the_tolerances_of_its_steps():
 def test_bad_values_are_refused():
     with pytest.raises(InputError, match="3 values: give one finite number"):
         arm_with({"joints.memory.strength": [0.1, 0.1, 0.1]})
+
+
+@pytest.mark.slow
+def test_a_derivative_by_when_a_command_turns_is_that_of_the_motion():
+    """Not of the steps that end there, of which each later one depends on those before."""
+    arm = arm_with({"joints.memory.strength": 0.1, "joints.memory.yield_angle": 0.005})
+    times = np.linspace(0.0, END, 21)
+
+    def angles(lasting):
+        knots = jnp.stack([jnp.zeros(()), lasting, jnp.asarray(1.0), 1.0 + lasting])
+        values = jnp.zeros((4, LINKS)).at[1:3].set(0.5)
+        slopes = jnp.zeros((4, LINKS)).at[0].set(0.5 / lasting).at[2].set(-0.5 / lasting)
+        command = Signal(knots, values, slopes, jnp.full(4, jnp.inf))
+        options = {"solver": "springs5", "steps_for": "derivatives"}
+        return simulate(arm, command, times, rtol=1e-6, atol=1e-6, **options).angles
+
+    at, step = jnp.asarray(0.37), 1e-3
+    found = jax.jvp(angles, (at,), (jnp.ones(()),))[1]
+    expected = (angles(at + step) - angles(at - step)) / (2 * step)
+    assert np.abs(expected).max() > 0.2
+    # With steps that move with the command it was off by thousands.
+    assert_allclose(found, expected, atol=0.1)

@@ -71,7 +71,8 @@ def integrate(
     if wind is not None and arm.air.added_mass_coefficient is not None:
         # Added mass feels the rate of the wind, which jumps at each of its knots.
         knots[1] = (wind.times, jnp.full_like(wind.times, jnp.inf))
-    corners, bends = map(jnp.concatenate, zip(*knots, strict=True))
+    # Where steps end is no part of what is differentiated, and a command may be, by when it turns.
+    corners, bends = jax.lax.stop_gradient(tuple(map(jnp.concatenate, zip(*knots, strict=True))))
     if derivatives == "forward":
         rtol = rtol + refuse_disturbances(steps_for, arm, (inputs, state))
     method = solver_named(solver)
