@@ -284,10 +284,14 @@ def test_help_imports_no_jax(words):
 
 
 @pytest.mark.slow
-def test_gusts_are_recorded_about_the_mean_wind(out):
+def test_gusts_are_recorded_about_the_mean_wind(out, capsys):
     """And the arm moves in them alone."""
     run = simulate(out, *SHORT, "--wind", "0,0.3,0", "--gusts", "0.4,0.2,0:2")
     assert "--gusts 0.4,0.2,0:2" in run.definition.origin
+    along, level = run.definition.truth["gusts_left_out"]
+    assert 0 < along < level < 0.1
+    said = f"left out: {along:.1%} of the variance along the mean wind, {level:.1%} across it"
+    assert said in capsys.readouterr().out
     assert run.definition.wind.velocity_m_per_s is None
     across = run.values["wind_y"]
     assert 0.02 < np.ptp(across) < 1

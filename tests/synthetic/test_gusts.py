@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy.special import hyp2f1
 
 from giajax import InputError, gusts
 from giajax.simulation import ramps
-from giajax.synthetic import gust_spectrum
+from giajax.synthetic import gust_spectrum, gusts_left_out
 
 pytestmark = pytest.mark.quick
 
@@ -96,3 +97,20 @@ def test_what_is_no_wind_is_refused(mean, changes, message):
     numbers = {"intensity": 0.5, "length_scale": 2.0, "duration": 10.0}
     with pytest.raises(InputError, match=message):
         gusts(mean, **{**numbers, **changes})
+
+
+def test_what_rows_do_not_resolve_is_what_a_wind_lacks():
+    """By the hypergeometric integral along, and by a long wind across."""
+    along, across = gusts_left_out(0.2, length_scale=0.5, interval=0.1)
+    highest = 2.5
+    x = (2 * np.pi * 1.339 * 0.5 / 0.2 * highest) ** 2
+    below = 4 * 2.5 * highest * hyp2f1(0.5, 5 / 6, 1.5, -x)
+    assert along == pytest.approx(1 - below, rel=1e-3)
+    wind = gusts(
+        [0, 0.2, 0], intensity=[0, 0.5, 0], length_scale=0.5, duration=2000.0, interval=0.1, seed=1
+    )
+    assert np.var(columns(wind)[:, 0]) / 0.1**2 == pytest.approx(1 - across, abs=0.04)
+    assert 0.05 < along < across < 0.3
+    # Of rows that are dense nothing is left out, and of rare ones all.
+    assert max(gusts_left_out(0.2, length_scale=5.0, interval=1e-4)) < 1e-3
+    assert min(gusts_left_out(0.2, length_scale=0.001, interval=10.0)) > 0.9

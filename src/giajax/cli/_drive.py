@@ -99,10 +99,13 @@ def drives_of(run: "Run", rate: float) -> tuple[float, float, list["Drive"]]:
 
 def gusts_of(
     text: str, definition: "Definition", replayed: "Run | None", *, rate: float, **sampling: Any
-) -> "Drive":
-    """The wind of --gusts about the constant one; `sampling` is as of `giajax.gusts`."""
+) -> tuple["Drive", tuple[float, float]]:
+    """The wind of --gusts about the constant one, and the shares of its variance left out.
+
+    `sampling` is as of `giajax.gusts`.
+    """
     from ..kinds import WindSection
-    from ..synthetic import gusts
+    from ..synthetic import gusts, gusts_left_out
 
     match = _GUSTS.fullmatch(text.replace(" ", ""))
     if match is None:
@@ -121,7 +124,9 @@ def gusts_of(
     parts = [float(part) for part in match["intensity"].split(",")]
     intensity = parts if len(parts) == 3 else parts[0]
     sampling |= {"interval": 1 / rate if rate else 0.0, "length_scale": float(match["length"])}
-    return gusts(mean, intensity=intensity, **sampling)
+    wind = gusts(mean, intensity=intensity, **sampling)
+    scales = {key: sampling[key] for key in ("length_scale", "interval")}
+    return wind, gusts_left_out(math.hypot(*mean), **scales)
 
 
 def moves_of(step: Sequence[str], ramp: Sequence[str], count: int, duration: float) -> "Drive":

@@ -146,7 +146,13 @@ def simulate(
         drives = [moves_of(step or [], ramp or [], count, duration)]
     if gusts is not None:
         sampling = {"start": start, "duration": duration, "rate": rate, "seed": seed}
-        drives.append(gusts_of(gusts, definition, replayed, **sampling))
+        wind_rows, left_out = gusts_of(gusts, definition, replayed, **sampling)
+        drives.append(wind_rows)
+        truth["gusts_left_out"] = list(left_out)
+        typer.echo(
+            f"gusts quicker than {4 / rate:g} s are left out: {left_out[0]:.1%} of the variance "
+            f"along the mean wind, {left_out[1]:.1%} across it (option --rate)"
+        )
     recorded = channel_names(channels or [], count)
     deviations(section, "--noise", recorded)
     facts = facts_of(definition, replayed, drives, model)

@@ -1,7 +1,11 @@
 """Runs that a model makes instead of an experiment: what drives them, and how they are recorded."""
 
 from ._drive import Drive as Drive, Move as Move, joint_moves as joint_moves, sampled as sampled
-from ._gusts import gust_spectrum as gust_spectrum, gusts as gusts
+from ._gusts import (
+    gust_spectrum as gust_spectrum,
+    gusts as gusts,
+    gusts_left_out as gusts_left_out,
+)
 from ._recording import recorded_again as recorded_again
 from ._recording_errors import (
     RecordingErrors as RecordingErrors,

@@ -51,7 +51,8 @@ def gusts(
         length_scale: longitudinal length scale L, m; a gust lasts about L over the mean speed.
         duration: of the wind, s.
         start: first time, s.
-        interval: between two rows, s; gusts quicker than four of them are left out.
+        interval: between two rows, s; gusts quicker than four of them are left out
+            (`gusts_left_out` says how much of the variance that is).
         seed: of the phases. A component has its own, whatever the others are.
 
     Returns:
@@ -113,6 +114,32 @@ def gusts(
         velocity += np.outer(gust, axis)
     columns = {f"wind_{axis}": velocity[:, at] for at, axis in enumerate("xyz")}
     return Drive(times, columns, "linear")
+
+
+def gusts_left_out(speed: float, *, length_scale: float, interval: float) -> tuple[float, float]:
+    """How much of the variance of gusts is quicker than their rows can say, and left out.
+
+    Arguments:
+        speed: of the mean flow, m/s.
+        length_scale: longitudinal length scale, m.
+        interval: between two rows, s.
+
+    Returns:
+        Shares of the variance, along the mean flow and across it. At the other end of the
+        spectrum about 1 % is left out, too.
+    """
+    highest = _RESOLVED / (2 * interval)
+    frequencies = np.geomspace(highest, 1e4 * max(highest, speed / length_scale), 4001)
+    along, across = (
+        gust_spectrum(frequencies, speed=speed, deviation=1.0, length_scale=length_scale, along=so)
+        for so in (True, False)
+    )
+    # Beyond that the spectra fall by the power -5/3.
+    beyond = 1.5 * frequencies[-1]
+    return (
+        float(np.trapezoid(along, frequencies) + beyond * along[-1]),
+        float(np.trapezoid(across, frequencies) + beyond * across[-1]),
+    )
 
 
 def gust_spectrum(
