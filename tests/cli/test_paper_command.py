@@ -4,7 +4,11 @@ import json
 
 import pytest
 
+import giajax.paper
 from giajax.cli import main
+from giajax.cli._paper import NAMES
+from giajax.paper import Reproduced, Sources
+from giajax.report import new_figure
 
 
 @pytest.mark.quick
@@ -20,6 +24,57 @@ def test_nothing_is_written_over(tmp_path, capsys):
     assert "fig9.json exists and is not written over" in capsys.readouterr().err
     assert main(["paper", "all", "--out", str(tmp_path)]) == 2
     assert [path.name for path in tmp_path.iterdir()] == ["fig9.json"]
+
+
+@pytest.mark.quick
+def test_only_table_3_has_an_inverse(tmp_path, capsys):
+    assert main(["paper", "fig5", "--inverse", "--out", str(tmp_path)]) == 2
+    assert "--inverse is of table3, and not of fig5" in capsys.readouterr().err
+
+
+@pytest.fixture
+def made(monkeypatch):
+    """Names of figures as they are made, each a picture of a line; the third one is stopped."""
+    names = []
+
+    def make(name):
+        if len(names) == 2 and names[-1] != "again":
+            names.append("again")
+            raise KeyboardInterrupt
+        names.append(name)
+        figure = new_figure(4, 3, name)
+        figure.subplots().plot([0, 1])
+        sources = Sources("a.", "b.", "c.")
+        return Reproduced(f"This is {name}", sources, figure, ("n",), ((1,),), {"n": [1]})
+
+    def reproduce(asked, recordings, *, progress):
+        return ((name, make(name)) for name in asked)
+
+    monkeypatch.setattr(giajax.paper, "reproduce", reproduce)
+    return names
+
+
+@pytest.mark.quick
+def test_all_goes_on_where_it_was_stopped(tmp_path, capsys, made):
+    words = ["paper", "all", "--out", str(tmp_path)]
+    assert main(words) == 130
+    assert made == ["fig5", "fig9", "again"]
+    assert main(words) == 0
+    assert made == ["fig5", "fig9", "again", "fig10", "fig12", "fig19", "table3"]
+    assert "fig5, fig9: there and whole, and not made again" in capsys.readouterr().err
+    page = (tmp_path / "index.html").read_text()
+    assert [f"This is {name}" in page for name in NAMES] == [True] * len(NAMES)
+    # What is whole stays, and what is not is not this command's to write over.
+    (tmp_path / "fig12.png").write_bytes(b"half")
+    assert main(words) == 2
+    assert "fig12.png exists and is not written over" in capsys.readouterr().err
+    (tmp_path / "fig12.png").unlink()
+    (tmp_path / "fig12.csv").unlink()
+    (tmp_path / "fig12.json").unlink()
+    assert main([*words, "--quiet"]) == 0
+    assert made[7:] == ["fig12"]
+    assert main([*words, "--force"]) == 0
+    assert made[8:] == list(NAMES)
 
 
 @pytest.mark.slow

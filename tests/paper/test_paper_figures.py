@@ -9,8 +9,16 @@ import numpy as np
 import pytest
 
 from giajax.arm import takeichi_20m
-from giajax.cli._paper import NAMES
-from giajax.paper import FIGURES, Reproduced, Sources, reproduced_files, reproduction_page
+from giajax.cli._paper import INVERSE, NAMES
+from giajax.paper import (
+    FIGURES,
+    Reproduced,
+    Sources,
+    reproduced_files,
+    reproduced_record,
+    reproduction_page,
+    stored_record,
+)
 from giajax.paper._fig05 import LINKS, STEP_AT, STEP_DEG, TOLERANCE, heights
 from giajax.parameters import replace
 from giajax.report import new_figure
@@ -20,7 +28,7 @@ from peers.compiling import NoCompilerError
 
 @pytest.mark.quick
 def test_the_command_knows_every_figure():
-    assert tuple(FIGURES) == NAMES
+    assert tuple(FIGURES) == (*NAMES, INVERSE)
 
 
 @pytest.fixture
@@ -61,7 +69,7 @@ def test_the_sources_stand_below_the_picture(shown):
 
 @pytest.mark.quick
 def test_the_page_shows_each_figure_with_its_sources(shown):
-    page = reproduction_page([("fig0", shown), ("fig1", shown)]).decode()
+    page = reproduction_page([reproduced_record(name, shown) for name in ("fig0", "fig1")]).decode()
     assert re.findall(r'src="(.*?)"', page) == ["fig0.png", "fig1.png"]
     assert re.findall(r'href="(.*?)"', page) == [
         "fig0.csv", "fig0.json", "fig1.csv", "fig1.json",
@@ -70,6 +78,26 @@ def test_the_page_shows_each_figure_with_its_sources(shown):
     assert "A &lt;title&gt;" in page
     assert "<title>" in page
     assert "A <title>" not in page
+
+
+@pytest.mark.quick
+def test_a_figure_that_is_whole_is_known_again(shown, tmp_path):
+    assert stored_record(tmp_path, "fig0") is None
+    files = reproduced_files("fig0", shown)
+    for name, content in files.items():
+        (tmp_path / name).write_bytes(content)
+    assert stored_record(tmp_path, "fig0") == reproduced_record("fig0", shown)
+    for name, broken in (
+        ("fig0.png", files["fig0.png"][:-4]),
+        ("fig0.csv", b""),
+        ("fig0.json", files["fig0.json"][:-9]),
+        ("fig0.json", files["fig0.json"].replace(b'"name": "fig0"', b'"name": "fig1"')),
+        ("fig0.json", re.sub(b'"giajax": "', b'"giajax": "0.', files["fig0.json"])),
+        ("fig0.json", b"[]"),
+    ):
+        (tmp_path / name).write_bytes(broken)
+        assert stored_record(tmp_path, "fig0") is None, (name, broken)
+        (tmp_path / name).write_bytes(files[name])
 
 
 @pytest.fixture(scope="module")

@@ -1,20 +1,27 @@
 """`giajax paper`: the paper's figures and tables, made again."""
 
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from .._errors import InputError
+from .._signals import is_stopped, stopped_status
+from ._errors import Ended
 
 # As `giajax.paper` has them, which would import JAX for a help text.
 NAMES = ("fig5", "fig6", "fig9", "fig10", "fig12", "fig19", "table3")
 _ALL = "all"
+INVERSE = "table3_inverse"
+_PAGE = "index.html"
 
 EXAMPLES = """\b
 Examples:
   giajax paper fig5 --out paper
-  giajax paper all --out paper          everything, and index.html
+  giajax paper all --out paper          everything, and index.html; once more after it was
+                                        stopped, and it goes on
+  giajax paper table3 --inverse --out paper
 
 \b
 NAME is
@@ -24,7 +31,8 @@ NAME is
   fig10     the same with alpha and beta
   fig12     one link with hysteresis, without and with compensation
   fig19     links 2, 6, 12 and 20 in models and in a stand-in for the experiment
-  table3    how well the models follow it: the concordance with and without air
+  table3    how well the models follow it: the concordance with and without air; with
+            --inverse arms for which it would be as the paper prints it (many minutes)
 
 Each writes NAME.png, NAME.csv and NAME.json, and says what is printed in the paper, assumed, or
 reconstructed."""
@@ -33,6 +41,10 @@ reconstructed."""
 def paper(
     name: Annotated[str, typer.Argument(metavar="NAME", help="See below, or 'all'.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for pictures and numbers.")],
+    inverse: Annotated[
+        bool,
+        typer.Option("--inverse", help="Of table3: which arms give the numbers that are printed."),
+    ] = False,
     force: Annotated[bool, typer.Option("--force", help="Write over files.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print the tables only.")] = False,
 ) -> None:
@@ -40,34 +52,68 @@ def paper(
 
     From the functions that you would use for your own arm.
     """
-    from ..runs import check_output_folder, make_folder, write_files
+    from ..runs import check_output_folder
 
     if name not in (*NAMES, _ALL):
         raise InputError(f"there is no figure '{name}': use one of {', '.join(NAMES)}, {_ALL}")
-    names = NAMES if name == _ALL else (name,)
-    files = [f"{each}.{ending}" for each in names for ending in ("png", "csv", "json")]
-    page = ["index.html"] if name == _ALL else []
-    check_output_folder(out, [*files, *page], force=force)
+    if inverse and name != "table3":
+        raise InputError(f"--inverse is of table3, and not of {name}: leave it out, or say table3")
+    names: tuple[str, ...] = (INVERSE,) if inverse else NAMES if name == _ALL else (name,)
+    if name != _ALL:
+        check_output_folder(out, _files(names), force=force)
 
     from ._jax import configure
 
     configure()
-    from ..paper import reproduce, reproduced_files, reproduction_page
+    from ..paper import reproduction_page, stored_record
+
+    kept = {}
+    if name == _ALL and not force:
+        kept = {each: record for each in names if (record := stored_record(out, each))}
+        names = tuple(each for each in names if each not in kept)
+        # The page of figures that were made before is this command's own.
+        check_output_folder(out, [*_files(names), *([] if kept else [_PAGE])])
+        if kept and not quiet:
+            text = f"{', '.join(kept)}: there and whole, and not made again (--force does)"
+            typer.echo(text, err=True)
+    made = _made(names, out, force=force, quiet=quiet)
+    written = _files(names)
+    if name == _ALL:
+        from ..runs import write_files
+
+        records = {**kept, **made}
+        page = reproduction_page(records[each] for each in NAMES)
+        write_files({out / _PAGE: page}, force=force or bool(kept))
+        written = [_PAGE, *written]
+    if not quiet:
+        print(f"wrote {out}: {', '.join(written)}")
+    if is_stopped():
+        raise Ended(stopped_status())
+
+
+def _files(names: Iterable[str]) -> list[str]:
+    """As `giajax.paper` has them."""
+    return [f"{each}.{ending}" for each in names for ending in ("png", "csv", "json")]
+
+
+def _made(
+    names: Sequence[str], out: Path, *, force: bool, quiet: bool
+) -> dict[str, dict[str, Any]]:
+    """Make figures, write each as it is made, and return their records by name."""
+    from ..paper import reproduce, reproduced_files, reproduced_record
+    from ..runs import make_folder, write_files
     from ._examples import examples_root
     from ._output import print_table
 
     progress = None if quiet else (lambda text: typer.echo(text, err=True))
-    made = []
+    made = {}
     recordings = examples_root() / "data" / "paper"
     for each, shown in reproduce(names, recordings, progress=progress):
         make_folder(out)
         contents = reproduced_files(each, shown)
         write_files({out / file: contents[file] for file in contents}, force=force)
-        made.append((each, shown))
+        made[each] = reproduced_record(each, shown)
         print(shown.title)
         print_table(shown.headings, shown.rows)
         print()
-    if page:
-        write_files({out / page[0]: reproduction_page(made)}, force=force)
-    if not quiet:
-        print(f"wrote {out}: {', '.join([*page, *files])}")
+    return made

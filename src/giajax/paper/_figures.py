@@ -11,6 +11,7 @@ from ._fig06 import fig06
 from ._fig09 import fig09, fig10
 from ._fig12 import fig12
 from ._fig19 import fig19
+from ._inverse import table3_inverse
 from ._reproduced import Reproduced
 from ._table3 import table3
 
@@ -24,8 +25,9 @@ FIGURES: dict[str, Callable[[Say, Callable[[], Fits]], Reproduced]] = {
     "fig12": lambda say, fits: fig12(say),
     "fig19": lambda say, fits: fig19(fits()),
     "table3": lambda say, fits: table3(fits()),
+    "table3_inverse": lambda say, fits: table3_inverse(say),
 }
-"""What is made again, by the name that the command takes."""
+"""What is made again, by the name of its files; the last one by `table3 --inverse` alone."""
 
 
 def reproduce(

@@ -4,6 +4,7 @@ import html
 import json
 import math
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,10 +26,30 @@ dt { font-weight: 600; }
 dd { margin: 0 0 0.4rem 0; }
 """
 
+# How every whole PNG file ends.
+_PNG_END = b"IEND\xaeB`\x82"
+
 
 def reproduced_names(name: str) -> tuple[str, str, str]:
     """Names of the files of a figure: picture, CSV and JSON."""
     return f"{name}.png", f"{name}.csv", f"{name}.json"
+
+
+def reproduced_record(name: str, shown: Reproduced) -> dict[str, Any]:
+    """What the JSON file of a figure holds."""
+    record = {
+        "name": name,
+        "title": shown.title,
+        "giajax": __version__,
+        "sources": {
+            word.lower().replace(" ", "_"): text for word, text in shown.sources.by_word().items()
+        },
+        "table": {"headings": list(shown.headings), "rows": [list(row) for row in shown.rows]},
+        "columns": {heading: list(column) for heading, column in shown.columns.items()},
+        **shown.facts,
+    }
+    plain: dict[str, Any] = _plain(record)
+    return plain
 
 
 def reproduced_files(name: str, shown: Reproduced) -> dict[str, bytes]:
@@ -41,42 +62,54 @@ def reproduced_files(name: str, shown: Reproduced) -> dict[str, bytes]:
     Returns:
         Contents by name of the file.
     """
-    record = {
-        "name": name,
-        "title": shown.title,
-        "giajax": __version__,
-        "sources": {
-            word.lower().replace(" ", "_"): text for word, text in shown.sources.by_word().items()
-        },
-        "table": {"headings": list(shown.headings), "rows": [list(row) for row in shown.rows]},
-        "columns": {heading: list(column) for heading, column in shown.columns.items()},
-        **shown.facts,
-    }
-    text = json.dumps(_plain(record), indent=1, ensure_ascii=False, allow_nan=False)
+    record = reproduced_record(name, shown)
+    text = json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False)
     contents = to_png(shown.figure), to_csv(shown.columns), f"{text}\n".encode()
     return dict(zip(reproduced_names(name), contents, strict=True))
 
 
-def reproduction_page(shown: Iterable[tuple[str, Reproduced]]) -> bytes:
+def stored_record(folder: Path, name: str) -> dict[str, Any] | None:
+    """What the JSON file of a figure that is there holds.
+
+    Arguments:
+        folder: where figures are written.
+        name: of the figure.
+
+    Returns:
+        The record; None where one of its files is missing, none of this version's, or not whole.
+    """
+    picture, table, record = (folder / file for file in reproduced_names(name))
+    try:
+        stored = json.loads(record.read_bytes())
+        whole = picture.read_bytes().endswith(_PNG_END) and table.stat().st_size > 0
+        same = (stored["name"], stored["giajax"]) == (name, __version__)
+        missing = {"title", "sources", "table"} - stored.keys()
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+        return None
+    return stored if whole and same and not missing else None
+
+
+def reproduction_page(records: Iterable[Mapping[str, Any]]) -> bytes:
     """A page (HTML) of figures whose files lie beside it.
 
     Arguments:
-        shown: figures by their names.
+        records: of the figures, as `reproduced_record` and `stored_record` give them.
 
     Returns:
         The content of the file.
     """
     parts = []
-    for name, figure in shown:
+    for shown in records:
+        name, title = shown["name"], html.escape(shown["title"])
         picture, table, record = reproduced_names(name)
         sources = "".join(
-            f"<dt>{word}</dt><dd>{html.escape(text)}</dd>"
-            for word, text in figure.sources.by_word().items()
+            f"<dt>{word.replace('_', ' ').capitalize()}</dt><dd>{html.escape(text)}</dd>"
+            for word, text in shown["sources"].items()
         )
         parts.append(
-            f'<h2 id="{name}">{html.escape(figure.title)}</h2>\n'
-            f'<img src="{picture}" alt="{html.escape(figure.title)}">\n'
-            f'<div class="wide">{_table(figure)}</div>\n<dl>{sources}</dl>\n'
+            f'<h2 id="{name}">{title}</h2>\n'
+            f'<img src="{picture}" alt="{title}">\n'
+            f'<div class="wide">{_table(shown["table"])}</div>\n<dl>{sources}</dl>\n'
             f'<p>Numbers: <a href="{table}">{table}</a>, <a href="{record}">{record}</a></p>\n'
         )
     return (
@@ -91,11 +124,11 @@ def reproduction_page(shown: Iterable[tuple[str, Reproduced]]) -> bytes:
     ).encode()
 
 
-def _table(figure: Reproduced) -> str:
-    heads = "".join(f"<th>{html.escape(heading)}</th>" for heading in figure.headings)
+def _table(table: Mapping[str, Any]) -> str:
+    heads = "".join(f"<th>{html.escape(heading)}</th>" for heading in table["headings"])
     rows = "".join(
         "<tr>" + "".join(f"<td>{html.escape(_cell(cell))}</td>" for cell in row) + "</tr>\n"
-        for row in figure.rows
+        for row in table["rows"]
     )
     return f"<table><tr>{heads}</tr>\n{rows}</table>"
 
