@@ -1,6 +1,7 @@
 """Drag along the links, C_D by Reynolds number, added mass and unsteady wind in closed form."""
 
 import dataclasses
+import functools
 import runpy
 from itertools import pairwise
 from pathlib import Path
@@ -17,6 +18,7 @@ from giajax.arm import _cylinder, chain, cylinder_drag_coefficient, takeichi_20m
 from giajax.parameters import replace
 from peers.arms import full_arm, random_states
 
+acceleration = eqx.filter_jit(giajax.arm.acceleration)
 drag_force = eqx.filter_jit(giajax.arm.drag_force)
 drag_power = eqx.filter_jit(giajax.arm.drag_power)
 inverse_dynamics = eqx.filter_jit(giajax.arm.inverse_dynamics)
@@ -203,6 +205,41 @@ def test_a_growing_wind_pushes_a_held_link():
     # The second link turned into the wind, at the end of the first.
     bent = inverse_dynamics(arm, jnp.array([0.0, np.pi / 2]), still, still, calm, rate)
     assert_allclose(bent, [-(across * LENGTH / 2 + along * LENGTH), 0], rtol=1e-12, atol=1e-15)
+
+
+def test_a_wind_of_each_link_acts_on_each():
+    """At rest drag is that of the link alone, and so is the push of a wind that grows."""
+    arm = chain(3, drag="strip", parameters={"air.added_mass_coefficient": 0.7})
+    random = np.random.default_rng(2)
+    winds, growing = random.normal(size=(2, 3, 3))
+    still = jnp.zeros(3)
+    forces = drag_force(arm, still, still, jnp.asarray(winds))
+    for link, wind in enumerate(winds):
+        alone = drag_force(arm, still, still, jnp.asarray(wind))
+        assert_allclose(forces[link], alone[link], rtol=1e-12)
+        assert np.abs(alone[(link + 1) % 3] - forces[(link + 1) % 3]).max() > 1e-3
+    # Loads of a wind along a chain are the sum of those on its links, each where it is.
+    state = (still, still, still)
+    torque = inverse_dynamics(arm, *state, jnp.asarray(winds), jnp.asarray(growing))
+    parts = 0.0
+    for link in range(3):
+        one, its = np.zeros((2, 3, 3))
+        one[link], its[link] = winds[link], growing[link]
+        parts += inverse_dynamics(arm, *state, jnp.asarray(one), jnp.asarray(its))
+    assert_allclose(torque, parts, rtol=1e-10)
+    # And the derivative of a motion by the wind of a link, through the custom one of dynamics.
+    forward = functools.partial(acceleration, arm, still, still, still)
+    aside = jnp.zeros((3, 3)).at[1, 2].set(1e-6)
+    ahead, behind = (forward(jnp.asarray(winds) + sign * aside) for sign in (1, -1))
+    slope = jax.jvp(forward, (jnp.asarray(winds),), (aside,))[1]
+    assert np.abs(slope).max() > 1e-8
+    assert_allclose(slope, (ahead - behind) / 2, atol=1e-5 * np.abs(slope).max())
+    same = jnp.asarray(np.tile(winds[0], (3, 1)))
+    assert_allclose(
+        inverse_dynamics(arm, *state, same, same),
+        inverse_dynamics(arm, *state, same[0], same[0]),
+        rtol=1e-12,
+    )
 
 
 def test_the_couple_of_munk_turns_a_link_across_the_wind():

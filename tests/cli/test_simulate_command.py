@@ -300,6 +300,26 @@ def test_gusts_are_recorded_about_the_mean_wind(out, capsys):
     np.testing.assert_allclose(run.values["tip_z"], 0, atol=1e-9)
 
 
+@pytest.mark.slow
+def test_each_link_has_gusts_of_its_own(out):
+    """What is read again is what moved the arm: its own run, predicted, is the same."""
+    run = simulate(
+        out, *SHORT, "--wind", "0,0.3,0", "--gusts", "0.4:1", "--coherence", "12",
+        "--set", "air.added_mass_coefficient=1", "--channels", "tip",
+    )  # fmt: skip
+    assert len(run.winds) == 9
+    assert np.ptp([run.values[f"link{link:02d}_wind_y"] for link in (1, 2, 3)], axis=0).max() > 0.05
+    again = predict(ArmModel.for_runs([run]), run, ("tip_y", "tip_z"))
+    assert np.abs(again["tip_y"]).max() > 1e-3
+    for channel, values in again.items():
+        np.testing.assert_allclose(values, run.values[channel], atol=1e-6)
+
+
+def test_coherence_is_of_gusts(out, capsys):
+    simulate(out, *SHORT, "--wind", "0,0.3,0", "--coherence", "12", status=2)
+    assert "give --gusts, too" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("text", ["0.3", "0.3:", "0.3,0.1:5", "a:5", "0.3:5:1"])
 def test_gusts_that_are_none_are_refused(out, text, capsys):
     simulate(out, *SHORT, "--wind", "0,0.3,0", "--gusts", text, status=2)

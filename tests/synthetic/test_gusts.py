@@ -6,7 +6,7 @@ from scipy.special import hyp2f1
 
 from giajax import InputError, gusts
 from giajax.simulation import ramps
-from giajax.synthetic import gust_spectrum, gusts_left_out
+from giajax.synthetic import gust_coherence, gust_spectrum, gusts_left_out
 
 pytestmark = pytest.mark.quick
 
@@ -114,3 +114,45 @@ def test_what_rows_do_not_resolve_is_what_a_wind_lacks():
     # Of rows that are dense nothing is left out, and of rare ones all.
     assert max(gusts_left_out(0.2, length_scale=5.0, interval=1e-4)) < 1e-3
     assert min(gusts_left_out(0.2, length_scale=0.001, interval=10.0)) > 0.9
+
+
+def test_gusts_along_the_arm_are_coherent_over_distances():
+    """Over many winds: covariances are the integrals of spectrum times coherence."""
+    places = np.array([[0.0, 0, 0], [0.1, 0, 0], [0.8, 0, 0]])
+    scales = {"speed": 0.5, "length_scale": 1.0}
+    rows = []
+    for seed in range(120):
+        wind = gusts(
+            [0, 0.5, 0],
+            intensity=[0, 0, 0.4],
+            length_scale=1.0,
+            duration=0.2,
+            seed=seed,
+            places=places,
+        )
+        assert len(wind.values) == 9
+        rows.append([wind.values[f"link{link:02d}_wind_z"][0] for link in (1, 2, 3)])
+    found = np.cov(np.transpose(rows))
+    frequencies = np.geomspace(1e-3, 2.5, 400)
+    density = gust_spectrum(frequencies, deviation=0.2, along=False, **scales)
+    shared = [
+        gust_coherence(places, each, along=np.array([0.0, 1, 0]), **scales) for each in frequencies
+    ]
+    theory = np.trapezoid(density[:, None, None] * shared, frequencies, axis=0)
+    # A covariance of 120 winds has a standard error of about 0.13 of a variance.
+    np.testing.assert_allclose(found, theory, atol=0.3 * 0.2**2)
+    assert theory[0, 0] > 1.5 * theory[0, 1] > 2 * theory[0, 2]
+    assert theory[0, 2] < 0.2 * theory[0, 0]
+
+
+def test_gusts_come_later_along_the_mean_flow():
+    """Frozen, where nothing is lost across: 1 m at 0.5 m/s is 2 s, or twenty rows."""
+    places = np.array([[0.0, 0, 0], [0, 1.0, 0]])
+    wind = gusts([0, 0.5, 0], intensity=0.4, length_scale=1.0, duration=60.0, seed=3, places=places)
+    first, second = (wind.values[f"link{link:02d}_wind_y"] for link in (1, 2))
+    np.testing.assert_allclose(second[20:], first[:-20], atol=1e-3)
+    assert np.abs(second - first).max() > 0.1
+    with pytest.raises(InputError, match=r"the places of gusts have the shape \(3,\)"):
+        gusts([0, 1, 0], intensity=0.1, length_scale=1, duration=1, places=[0, 0, 0])
+    with pytest.raises(InputError, match="the decay of gusts is -1"):
+        gusts([0, 1, 0], intensity=0.1, length_scale=1, duration=1, places=places, decay=-1)

@@ -63,7 +63,7 @@ def added_mass_load(
         wind: its rate of change counts here.
     """
     e = here.direction
-    through = acceleration - wind.rate[:, None]
+    through = acceleration - wind.rate
 
     def rate_of_across(vector: Rows, rate: Rows) -> Rows:
         """d/dt of the part of a vector that is normal to the link."""
@@ -72,6 +72,6 @@ def added_mass_load(
 
     impulse = scaled(rod.mass, across_link(e, relative))
     force = -scaled(rod.mass, rate_of_across(relative, through))
-    force = force + scaled(arm.air.density * arm.links.volume, wind.rate[:, None])
+    force = force + scaled(arm.air.density * arm.links.volume, wind.rate)
     couple = scaled(rod.inertia, rate_of_across(omega, alpha)) + cross(relative, impulse)
     return force, -couple

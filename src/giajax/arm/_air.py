@@ -13,12 +13,18 @@ from ._body_drag import body_drag
 from ._cylinder import drag_factor
 from ._kinematics import Pose, Rows, angular_velocities, centre_velocities, pose
 
+Wind = Float[Array, "3"] | Float[Array, "link 3"]
+"""Of the air: one vector for the whole arm, or one for each link."""
+
 
 class Flow(NamedTuple):
-    """The wind at one time: the velocity of the air (m/s) and its rate of change (m/s^2)."""
+    """The wind at one time: the velocity of the air (m/s) and its rate of change (m/s^2).
 
-    velocity: Float[Array, "3"]
-    rate: Float[Array, "3"]
+    One column for the whole arm, or one for each link.
+    """
+
+    velocity: Float[Array, "3 places"]
+    rate: Float[Array, "3 places"]
 
 
 class Load(NamedTuple):
@@ -28,16 +34,21 @@ class Load(NamedTuple):
     couple: Rows | None
 
 
-def flow(arm: Arm, wind: Float[Array, "3"] | None, rate: Float[Array, "3"] | None = None) -> Flow:
+def flow(arm: Arm, wind: Wind | None, rate: Wind | None = None) -> Flow:
     """The wind of a run; what is None is zero."""
-    zero = jnp.zeros(3, arm.links.length.dtype)
-    return Flow(zero if wind is None else wind, zero if rate is None else rate)
+
+    def columns(vectors: Wind | None) -> Array:
+        if vectors is None:
+            return jnp.zeros((3, 1), arm.links.length.dtype)
+        return vectors[:, None] if vectors.ndim == 1 else vectors.T
+
+    return Flow(columns(wind), columns(rate))
 
 
 def relative_velocity(arm: Arm, centre_velocity: Rows, wind: Flow) -> Rows:
     """Velocity of each link's centre relative to the air, the arm's own wind included."""
-    air = wind.velocity if arm.air.wind is None else wind.velocity + arm.air.wind
-    return centre_velocity - air[:, None]
+    own = arm.air.wind
+    return centre_velocity - (wind.velocity if own is None else wind.velocity + own[:, None])
 
 
 def drag(arm: Arm, here: Pose, relative: Rows, omega: Rows) -> Load:
@@ -103,7 +114,7 @@ def drag_force(
     arm: Arm,
     angles: Float[Array, " joint"],
     rates: Float[Array, " joint"],
-    wind: Float[Array, "3"] | None = None,
+    wind: Wind | None = None,
 ) -> Float[Array, "link 3"]:
     """Drag force of the air on each link, N.
 
@@ -115,7 +126,8 @@ def drag_force(
         arm: the arm.
         angles: joint angles, rad.
         rates: joint rates, rad/s.
-        wind: velocity of the air in the base frame, m/s; still air by default.
+        wind: velocity of the air in the base frame, m/s, one for the arm or one for each link;
+            still air by default.
 
     Returns:
         Force in the base frame, N, shape (link, 3).
@@ -135,7 +147,7 @@ def drag_in_motion(
     arm: Arm,
     angles: Float[Array, " joint"],
     rates: Float[Array, " joint"],
-    wind: Float[Array, "3"] | None,
+    wind: Wind | None,
 ) -> Dragged:
     """Drag in one state of motion, with the velocities of the links' centres and turns."""
     here = pose(arm, angles)

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from .._typing import Array, Float
-from ._air import Flow, flow
+from ._air import Flow, Wind, flow
 from ._arm import Arm
 from ._inertia import carried_inertia, mass_matrix_upper
 from ._kinematics import Pose, pose, sum_from_tip
@@ -19,8 +19,8 @@ def acceleration(
     angles: Float[Array, " joint"],
     rates: Float[Array, " joint"],
     command: Float[Array, " joint"],
-    wind: Float[Array, "3"] | None = None,
-    wind_rate: Float[Array, "3"] | None = None,
+    wind: Wind | None = None,
+    wind_rate: Wind | None = None,
     torque: Float[Array, " joint"] | None = None,
     memory: Float[Array, "row joint"] | None = None,
     pressures: Float[Array, "2 joint"] | None = None,
@@ -32,7 +32,8 @@ def acceleration(
         angles: joint angles, rad.
         rates: joint rates, rad/s.
         command: commanded angles, rad.
-        wind: velocity of the air in the base frame, m/s; still air by default.
+        wind: velocity of the air in the base frame, m/s, one for the arm or one for each
+            link; still air by default.
         wind_rate: its rate of change, m/s^2, which added mass feels; 0 by default.
         torque: of the joints' drives, beside springs and dampers, N m; none by default.
         memory: states of the joints' hysteresis (`JointHysteresis`); without strain by default.
@@ -89,8 +90,8 @@ def forward_dynamics(
     angles: Float[Array, " joint"],
     rates: Float[Array, " joint"],
     torques: Float[Array, " joint"],
-    wind: Float[Array, "3"] | None = None,
-    wind_rate: Float[Array, "3"] | None = None,
+    wind: Wind | None = None,
+    wind_rate: Wind | None = None,
 ) -> Float[Array, " joint"]:
     """Joint accelerations under joint torques, gravity and drag, rad/s^2.
 
@@ -99,7 +100,8 @@ def forward_dynamics(
         angles: joint angles, rad.
         rates: joint rates, rad/s.
         torques: joint torques, N m.
-        wind: velocity of the air in the base frame, m/s; still air by default.
+        wind: velocity of the air in the base frame, m/s, one for the arm or one for each
+            link; still air by default.
         wind_rate: its rate of change, m/s^2, which added mass feels; 0 by default.
 
     Returns:

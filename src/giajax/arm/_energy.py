@@ -6,6 +6,7 @@ from .._maths import dot
 from .._typing import Array, Float, Scalar
 from ._added_mass import added_mass
 from ._air import (
+    Wind,
     across_link,
     drag_in_motion,
     flow,
@@ -38,7 +39,7 @@ def potential_energy(
     arm: Arm,
     angles: Float[Array, " joint"],
     command: Float[Array, " joint"],
-    wind: Float[Array, "3"] | None = None,
+    wind: Wind | None = None,
     memory: Float[Array, "row joint"] | None = None,
 ) -> Scalar:
     """Energy of the joints' springs, of gravity and of buoyancy, J; zero at z = 0 and rest.
@@ -54,7 +55,8 @@ def potential_energy(
         arm: the arm.
         angles: joint angles, rad.
         command: commanded angles, rad.
-        wind: steady velocity of the air in the base frame, m/s; still air by default.
+        wind: steady velocity of the air in the base frame, m/s, one for the arm or one for each
+            link; still air by default.
         memory: states of the joints' hysteresis (`JointHysteresis`); without strain by default.
 
     Returns:
@@ -82,7 +84,7 @@ def drag_power(
     arm: Arm,
     angles: Float[Array, " joint"],
     rates: Float[Array, " joint"],
-    wind: Float[Array, "3"] | None = None,
+    wind: Wind | None = None,
 ) -> Scalar:
     """Power that the air's drag delivers to the links, W; negative in still air.
 
@@ -90,7 +92,8 @@ def drag_power(
         arm: the arm.
         angles: joint angles, rad.
         rates: joint rates, rad/s.
-        wind: velocity of the air in the base frame, m/s; still air by default.
+        wind: velocity of the air in the base frame, m/s, one for the arm or one for each
+            link; still air by default.
 
     Returns:
         Power, W, shape ().

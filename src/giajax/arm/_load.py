@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from .._maths import cross, dot, scaled
 from .._typing import Array, Float
 from ._added_mass import added_mass, added_mass_load
-from ._air import Flow, drag, flow, lift_force, relative_velocity
+from ._air import Flow, Wind, drag, flow, lift_force, relative_velocity
 from ._arm import Arm
 from ._bodies import bodies
 from ._inertia import inertia_times
@@ -17,8 +17,8 @@ def inverse_dynamics(
     angles: Float[Array, " joint"],
     rates: Float[Array, " joint"],
     accelerations: Float[Array, " joint"],
-    wind: Float[Array, "3"] | None = None,
-    wind_rate: Float[Array, "3"] | None = None,
+    wind: Wind | None = None,
+    wind_rate: Wind | None = None,
 ) -> Float[Array, " joint"]:
     """Joint torques that produce accelerations against inertia, gravity and drag, N m.
 
@@ -30,7 +30,8 @@ def inverse_dynamics(
         angles: joint angles, rad.
         rates: joint rates, rad/s.
         accelerations: joint accelerations, rad/s^2.
-        wind: velocity of the air in the base frame, m/s; still air by default.
+        wind: velocity of the air in the base frame, m/s, one for the arm or one for each
+            link; still air by default.
         wind_rate: its rate of change, m/s^2, which added mass feels; 0 by default.
 
     Returns:

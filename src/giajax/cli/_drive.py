@@ -28,8 +28,6 @@ _MOVE = re.compile(
     rf"(?:@(?P<start>{NUMBER})(?::(?P<duration>{NUMBER}))?)?"
 )
 
-_GUSTS = re.compile(rf"(?P<intensity>{NUMBER}(?:,{NUMBER},{NUMBER})?):(?P<length>{NUMBER})")
-
 
 def definition_from_options(arm: Path | None, links: int | None, wind: str | None) -> "Definition":
     """What the arm file and the options say, the options on top."""
@@ -97,38 +95,6 @@ def drives_of(run: "Run", rate: float) -> tuple[float, float, list["Drive"]]:
     return float(run.times[0]), length, drives
 
 
-def gusts_of(
-    text: str, definition: "Definition", replayed: "Run | None", *, rate: float, **sampling: Any
-) -> tuple["Drive", tuple[float, float]]:
-    """The wind of --gusts about the constant one, and the shares of its variance left out.
-
-    `sampling` is as of `giajax.gusts`.
-    """
-    from ..kinds import WindSection
-    from ..synthetic import gusts, gusts_left_out
-
-    match = _GUSTS.fullmatch(text.replace(" ", ""))
-    if match is None:
-        raise InputError(
-            f"--gusts is {text!r}: give the intensity, or three of them, and the length scale in "
-            "m, such as 0.3:5 or 0.3,0.2,0.1:5"
-        )
-    source = definition if replayed is None else replayed.definition
-    mean = source.section(WindSection).velocity_m_per_s
-    if replayed is not None and replayed.winds:
-        raise InputError(f"'{replayed.name}' has recorded a wind: leave --gusts out")
-    if mean is None:
-        raise InputError(
-            "--gusts are about a constant wind, and none is there: give it by --wind X,Y,Z"
-        )
-    parts = [float(part) for part in match["intensity"].split(",")]
-    intensity = parts if len(parts) == 3 else parts[0]
-    sampling |= {"interval": 1 / rate if rate else 0.0, "length_scale": float(match["length"])}
-    wind = gusts(mean, intensity=intensity, **sampling)
-    scales = {key: sampling[key] for key in ("length_scale", "interval")}
-    return wind, gusts_left_out(math.hypot(*mean), **scales)
-
-
 def moves_of(step: Sequence[str], ramp: Sequence[str], count: int, duration: float) -> "Drive":
     """The commands of --step and --ramp, for an arm of `count` joints and a run of a length (s)."""
     from ..synthetic import Move, joint_moves
@@ -184,7 +150,7 @@ def facts_of(
     facts: dict[str, Any] = {"schema_version": 1}
     initial = definition.section(InitialSection).contents()
     commanded = [drive for name, drive in driven.items() if name.startswith("joint")]
-    winds = [drive for name, drive in driven.items() if name.startswith("wind")]
+    winds = [drive for name, drive in driven.items() if "wind_" in name]
     velocity = source.section(WindSection).velocity_m_per_s
     if not (driven or initial or velocity or float(model.arm.gravity)):
         raise InputError(

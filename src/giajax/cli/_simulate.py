@@ -1,4 +1,7 @@
-"""`giajax simulate`: a run made by the model."""
+"""`giajax simulate`: a run made by the model.
+
+The file is longer than 200 lines because it declares each option with its help.
+"""
 
 import shlex
 from pathlib import Path
@@ -13,11 +16,11 @@ from ._drive import (
     definition_from_options,
     drives_of,
     facts_of,
-    gusts_of,
     model_and_truth,
     moves_of,
     replayed_run,
 )
+from ._gusts import gusts_of
 from ._origin import origin
 from ._values import deviations, noise_section
 
@@ -32,7 +35,7 @@ Examples:
   giajax simulate --out run.csv --command logged.csv --set air.drag_coefficient=1.0
   giajax simulate --out run.csv --arm my_arm.toml --ramp 2=-20@1:3 --channels all
                   --set camera.origin=0.1,0,0
-  giajax simulate --out run.csv --wind 0,0.2,0 --gusts 0.3:5
+  giajax simulate --out run.csv --wind 0,0.2,0 --gusts 0.3:5 --coherence 12
 
 \b
 CHANNELS is link06 (its x, y and z), link06_z, tip, joint03_angle, joint03_rate,
@@ -81,6 +84,14 @@ def simulate(
         str | None,
         typer.Option(
             metavar="I:L", help="Gusts about --wind: turbulence intensity and length scale, m."
+        ),
+    ] = None,
+    coherence: Annotated[
+        float | None,
+        typer.Option(
+            metavar="DECAY",
+            help="Gusts of each link, coherent over distances with this decay (IEC 61400-1: 12); "
+            "else they are the same along the whole arm.",
         ),
     ] = None,
     duration: Annotated[
@@ -144,9 +155,12 @@ def simulate(
     duration = DURATION if duration is None else duration
     if step or ramp:
         drives = [moves_of(step or [], ramp or [], count, duration)]
+    if coherence is not None and gusts is None:
+        raise InputError("--coherence is of gusts, and there are none: give --gusts, too")
     if gusts is not None:
-        sampling = {"start": start, "duration": duration, "rate": rate, "seed": seed}
-        wind_rows, left_out = gusts_of(gusts, definition, replayed, **sampling)
+        sampling: dict[str, Any] = {"start": start, "duration": duration, "rate": rate}
+        sampling |= {"coherence": coherence, "seed": seed}
+        wind_rows, left_out = gusts_of(gusts, definition, replayed, model.arm, **sampling)
         drives.append(wind_rows)
         truth["gusts_left_out"] = list(left_out)
         typer.echo(

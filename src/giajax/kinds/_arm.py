@@ -23,7 +23,9 @@ _CHANNELS = (
     ChannelKind("link_position", "linkNN_x", "length", "output", noise="position_m"),
     ChannelKind("tip_position", "tip_x", "length", "output", noise="position_m"),
     ChannelKind("wind", "wind_x", "velocity", "surroundings"),
+    ChannelKind("link_wind", "linkNN_wind_x", "velocity", "surroundings"),
 )
+_WINDS = ("wind", "link_wind")
 _COMMANDS = ("joint_command", "joint_torque", *PRESSURES)
 
 
@@ -48,7 +50,7 @@ def _check(content: Content, wording: Wording) -> None:
     links = links_of(section)
     for channel in channels.values():
         if links is not None and channel.index is not None and channel.index > links:
-            part = "link" if channel.kind == "link_position" else "joint"
+            part = "link" if channel.name.startswith("link") else "joint"
             raise InputError(
                 f"{wording.source}: {wording.of(channel)} is of {part} {channel.index}, but the "
                 f"arm has {links} links: correct the name, or state links in [arm]"
@@ -66,7 +68,7 @@ def _check(content: Content, wording: Wording) -> None:
             )
     _check_motion(channels, content, wording, links)
     check_pressures(content, wording)
-    windy = [channel for channel in channels.values() if channel.kind == "wind"]
+    windy = [channel for channel in channels.values() if channel.kind in _WINDS]
     if windy and definition.section(WindSection).velocity_m_per_s is not None:
         raise InputError(
             f"{wording.source}: wind.velocity_m_per_s states a constant wind, but "
@@ -121,6 +123,8 @@ def _notes(content: Content, sidecar: bool) -> list[str]:
     ):
         notes.append("command interpolation not stated: linear between two rows")
     if "wind" not in rows:
+        if "link_wind" in rows:
+            return notes
         if definition.section(WindSection).velocity_m_per_s is None:
             notes.append("wind not stated: still air is assumed")
         return notes
@@ -143,7 +147,7 @@ def _template(channels: Sequence[RecordedChannel]) -> list[Offer]:
     angles = {channel.index for channel in channels if channel.kind == "joint_angle"}
     recorded = largest > 0 and angles == set(range(1, largest + 1))
     state = ["first_row"] if recorded else list(InitialSection.quantities)
-    wind = "interpolation" if "wind" in rows else "velocity_m_per_s"
+    wind = "interpolation" if rows & set(_WINDS) else "velocity_m_per_s"
     return [
         *([] if commanded else [Offer("", {"free_motion": True})]),
         Offer("arm", arm, "known constants; a number holds for all links, a list has one a link"),

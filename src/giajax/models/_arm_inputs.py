@@ -49,7 +49,7 @@ def arm_inputs(arm: Arm, encoder: Encoder, run: Run) -> ArmInputs:
     """
     if run.model != "arm" or run.times is None:
         raise InputError(f"'{run.name}' is a run of the {run.model} model: give a run of an arm")
-    wind = _wind(run, run.times)
+    wind = _wind(arm, run, run.times)
     check_wind(arm, wind)
     driven = any(run.channels[name].kind == "joint_torque" for name in run.commands)
     command, pressure = _rows(arm, run, run.times, "joint_command"), _pressures(arm, run, run.times)
@@ -107,13 +107,21 @@ def _table(arm: Arm, run: Run, times: np.ndarray, kind: str) -> np.ndarray:
     return values
 
 
-def _wind(run: Run, times: np.ndarray) -> Signal | None:
+def _wind(arm: Arm, run: Run, times: np.ndarray) -> Signal | None:
+    """The wind of the arm, or of each link: where a link has no columns, that of the arm."""
     section = run.definition.section(WindSection)
     if section.velocity_m_per_s is not None:
         return constant(section.velocity_m_per_s)
     if not run.winds:
         return None
-    velocity = np.zeros((len(times), 3))
-    for name, values in run.winds.items():
-        velocity[:, run.channels[name].component] = values
-    return logged(times, velocity, section.interpolation)
+    velocity = np.zeros((len(times), arm.count, 3))
+    each = False
+    for own in (False, True):
+        for name, values in run.winds.items():
+            channel = run.channels[name]
+            if (channel.index is not None) == own:
+                places = slice(None) if channel.index is None else channel.index - 1
+                velocity[:, places, channel.component] = values if own else values[:, None]
+                each = each or own
+    rows = velocity.reshape(len(times), -1) if each else velocity[:, 0]
+    return logged(times, rows, section.interpolation)

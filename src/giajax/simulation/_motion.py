@@ -19,7 +19,8 @@ class Inputs(eqx.Module):
     Attributes:
         arm: the arm.
         command: commanded angles over time, rad.
-        wind: velocity of the air over time, m/s, or None for still air.
+        wind: velocity of the air over time, m/s, of the whole arm or of link after link, or None
+            for still air.
         torque: of the joints' drives over time, N m, or None.
         end: the last time before the end of the motion, s.
         pressure: supplied to muscles over time, or None where their controller does.
@@ -74,8 +75,8 @@ def motion(time: Any, state: State, inputs: Inputs) -> State:
     angles, rates, memory, muscles = inputs.parts(state)
     arm, wind = inputs.arm, inputs.wind
     command = inputs.command(time)
-    air = None if wind is None else wind(time)
-    gust = None if wind is None else wind.rate(time)
+    air = None if wind is None else along_links(arm, wind(time))
+    gust = None if wind is None else along_links(arm, wind.rate(time))
     drive = None if inputs.torque is None else inputs.torque(time)
     pressures = inputs.inside(time, muscles)
     moved = acceleration(arm, angles, rates, command, air, gust, drive, memory, pressures)
@@ -85,6 +86,11 @@ def motion(time: Any, state: State, inputs: Inputs) -> State:
         assert supplied is not None
         rows.append(arm.pneumatics.rate(supplied, muscles))
     return jnp.concatenate(rows)
+
+
+def along_links(arm: Arm, wind: Float[Array, " width"]) -> Array:
+    """A wind as a signal has it, in a row for each link where it differs from link to link."""
+    return wind if wind.size == 3 else wind.reshape(arm.count, 3)
 
 
 class Springs(NamedTuple):

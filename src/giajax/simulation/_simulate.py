@@ -47,7 +47,8 @@ def simulate(
         arm: the arm.
         command: commanded angles over time, rad; width = number of joints.
         times: increasing times of the samples, s, shape (sample,).
-        wind: velocity of the air in the base frame, m/s: a signal of width 3, three numbers, or
+        wind: velocity of the air in the base frame, m/s: a signal of width 3, one of x, y and z
+            of link after link (width 3 times their number), three numbers, or
             None for still air. With added mass it must not jump: the force would be infinite.
         torque: of the joints' drives over time, beside springs and dampers, N m; width = number
             of joints.
@@ -148,8 +149,11 @@ def _check(
             f"the command drives {command.width} joints and the arm has {arm.count}: "
             "give one column per joint"
         )
-    if wind is not None and wind.width != 3:
-        raise InputError(f"the wind has {wind.width} components: give x, y and z")
+    if wind is not None and wind.width not in (3, 3 * arm.count):
+        raise InputError(
+            f"the wind has {wind.width} components: give x, y and z, or those of each of the "
+            f"{arm.count} links"
+        )
     if torque is not None and torque.width != arm.count:
         raise InputError(
             f"the torque drives {torque.width} joints and the arm has {arm.count}: "

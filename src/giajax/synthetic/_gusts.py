@@ -11,24 +11,31 @@ The gusts are sums of cosines with random phases (Shinozuka and Deodatis, Simula
 processes by spectral representation, Applied Mechanics Reviews 44, 1991, p. 191). They have no
 frequency that their rows would not resolve, so they are smooth, as added mass needs them.
 
-They are the same along the whole arm: one velocity of the air at a time.
+They are the same along the whole arm, unless its places are given. Then they are coherent over
+distances: two places at r across the mean flow have the coherence
+
+    exp(-a sqrt((f r / U)^2 + (0.12 r / L)^2)),    a = 12,
+
+of IEC 61400-1 (Wind energy generation systems, design requirements, annex of turbulence models),
+which is Davenport's exponential (The spectrum of horizontal gustiness near the ground in high
+winds, Quarterly Journal of the Royal Meteorological Society 87, 1961, p. 194) but for the second
+term: that one makes slow gusts end after some length scales, too. It is the root of the coherence
+of power, and used for all components. Along the mean flow gusts come later, by the distance over
+its speed (Taylor's frozen turbulence). At each frequency its matrix is factored, as Shinozuka and
+Deodatis do.
 """
 
 import numpy as np
 import numpy.typing as npt
 
 from .._errors import InputError
-from .._typing import Float
 from ._drive import Drive
+from ._turbulence import DECAY, RESOLVED, gust_coherence, gust_spectrum
 
 # Bands of frequency, evenly spaced in their logarithm. Below the lowest, a period of 400 times L/U,
 # there is 1 % of the variance.
 _BANDS = 400
 _LOWEST = 0.0025
-# Of the frequency that rows resolve at all.
-_RESOLVED = 0.5
-
-_LAMBDA = 2 * np.pi * 1.339
 
 
 def gusts(
@@ -40,8 +47,10 @@ def gusts(
     start: float = 0.0,
     interval: float = 0.1,
     seed: int = 0,
+    places: npt.ArrayLike | None = None,
+    decay: float = DECAY,
 ) -> Drive:
-    """An unsteady wind, the same along the whole arm.
+    """An unsteady wind, the same along the whole arm or coherent from link to link.
 
     Arguments:
         mean: velocity of the mean flow in the base frame, m/s, shape (3,); not 0, because it is
@@ -54,12 +63,15 @@ def gusts(
         interval: between two rows, s; gusts quicker than four of them are left out
             (`gusts_left_out` says how much of the variance that is).
         seed: of the phases. A component has its own, whatever the others are.
+        places: of the links where the arm rests, m, shape (link, 3); None for one wind.
+        decay: of the coherence over distances, a above; 0 for one wind but for its lag.
 
     Returns:
-        The wind `wind_x`, `wind_y`, `wind_z` at its rows, linear between them.
+        The wind at its rows, linear between them: `wind_x`, `wind_y`, `wind_z`, or with places
+        `link01_wind_x` and on.
 
     Raises:
-        InputError: no mean flow, or numbers that are not positive.
+        InputError: no mean flow, numbers that are not positive, or places of another shape.
 
     Example:
         >>> import giajax
@@ -92,12 +104,17 @@ def gusts(
     speed = float(np.linalg.norm(mean))
     rows = max(round(duration / interval), 1)
     times = start + np.linspace(0.0, duration, rows + 1)
-    highest = _RESOLVED * rows / (2 * duration)
+    highest = RESOLVED * rows / (2 * duration)
     edges = np.geomspace(min(_LOWEST * speed / length_scale, highest / 10), highest, _BANDS + 1)
     frequencies = np.sqrt(edges[1:] * edges[:-1])
-    velocity = np.tile(mean, (len(times), 1))
+    where = None if places is None else _checked(places, decay)
+    count = 1 if where is None else len(where)
+    velocity = np.tile(mean, (len(times), count, 1))
     deviations = speed * np.broadcast_to(parts, 3)
-    for component, axis in enumerate(_frame(mean / speed)):
+    along = mean / speed
+    for component, axis in enumerate(_frame(along)):
+        if deviations[component] == 0:
+            continue
         spectrum = gust_spectrum(
             frequencies,
             speed=speed,
@@ -106,67 +123,49 @@ def gusts(
             along=component == 0,
         )
         sizes = np.sqrt(2 * spectrum * np.diff(edges))
-        phases = 2 * np.pi * np.random.default_rng([seed, component]).uniform(size=_BANDS)
-        gust = np.zeros(len(times))
+        phases = 2 * np.pi * np.random.default_rng([seed, component]).uniform(size=(_BANDS, count))
+        gust = np.zeros((len(times), count))
         # One after the other: a table of all would be hundreds of times as large as the run.
         for frequency, size, phase in zip(frequencies, sizes, phases, strict=True):
-            gust += size * np.cos(2 * np.pi * frequency * (times - start) + phase)
-        velocity += np.outer(gust, axis)
-    columns = {f"wind_{axis}": velocity[:, at] for at, axis in enumerate("xyz")}
+            turned = 2 * np.pi * frequency * (times - start)
+            if where is None:
+                gust += size * np.cos(turned[:, None] + phase)
+                continue
+            root = np.linalg.cholesky(
+                gust_coherence(
+                    where,
+                    frequency,
+                    along=along,
+                    speed=speed,
+                    length_scale=length_scale,
+                    decay=decay,
+                )
+                # Places that are one have the same wind.
+                + 1e-9 * np.eye(count)
+            )
+            late = np.exp(-2j * np.pi * frequency * (where @ along) / speed)
+            gust += size * np.real(
+                np.exp(1j * turned)[:, None] * (root @ np.exp(1j * phase) * late)
+            )
+        velocity += gust[:, :, None] * axis
+    columns = {
+        f"{'' if where is None else f'link{link + 1:02d}_'}wind_{axis}": velocity[:, link, at]
+        for link in range(count)
+        for at, axis in enumerate("xyz")
+    }
     return Drive(times, columns, "linear")
 
 
-def gusts_left_out(speed: float, *, length_scale: float, interval: float) -> tuple[float, float]:
-    """How much of the variance of gusts is quicker than their rows can say, and left out.
-
-    Arguments:
-        speed: of the mean flow, m/s.
-        length_scale: longitudinal length scale, m.
-        interval: between two rows, s.
-
-    Returns:
-        Shares of the variance, along the mean flow and across it. At the other end of the
-        spectrum about 1 % is left out, too.
-    """
-    highest = _RESOLVED / (2 * interval)
-    frequencies = np.geomspace(highest, 1e4 * max(highest, speed / length_scale), 4001)
-    along, across = (
-        gust_spectrum(frequencies, speed=speed, deviation=1.0, length_scale=length_scale, along=so)
-        for so in (True, False)
-    )
-    # Beyond that the spectra fall by the power -5/3.
-    beyond = 1.5 * frequencies[-1]
-    return (
-        float(np.trapezoid(along, frequencies) + beyond * along[-1]),
-        float(np.trapezoid(across, frequencies) + beyond * across[-1]),
-    )
-
-
-def gust_spectrum(
-    frequencies: Float[np.ndarray, " frequency"],
-    *,
-    speed: float,
-    deviation: float,
-    length_scale: float,
-    along: bool,
-) -> Float[np.ndarray, " frequency"]:
-    """Von Karman's one-sided spectrum of one component of isotropic turbulence.
-
-    Arguments:
-        frequencies: Hz.
-        speed: of the mean flow, m/s.
-        deviation: standard deviation of the component, m/s.
-        length_scale: longitudinal length scale, m.
-        along: of the component along the mean flow, or of one across it.
-
-    Returns:
-        Its density, m^2/s^2 per Hz; its integral from 0 is the variance.
-    """
-    lasting = length_scale / speed
-    square = (_LAMBDA * lasting * frequencies) ** 2
-    if along:
-        return 4 * deviation**2 * lasting / (1 + square) ** (5 / 6)
-    return 2 * deviation**2 * lasting * (1 + 8 / 3 * square) / (1 + square) ** (11 / 6)
+def _checked(places: npt.ArrayLike, decay: float) -> np.ndarray:
+    """The places as they are, if they are some."""
+    where = np.asarray(places, dtype=float)
+    if where.ndim != 2 or where.shape[1:] != (3,) or not np.all(np.isfinite(where)):
+        raise InputError(
+            f"the places of gusts have the shape {where.shape}: give x, y and z of each link in m"
+        )
+    if not 0 <= decay < np.inf:
+        raise InputError(f"the decay of gusts is {decay:g}: give a number of at least 0")
+    return where
 
 
 def _frame(along: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,0 +1,62 @@
+"""The option --gusts as a wind. JAX is imported where it is needed only."""
+
+import math
+import re
+from typing import TYPE_CHECKING, Any
+
+from .._errors import InputError
+from ._values import NUMBER
+
+if TYPE_CHECKING:
+    from ..arm import Arm
+    from ..runs import Definition, Run
+    from ..synthetic import Drive
+
+_GUSTS = re.compile(rf"(?P<intensity>{NUMBER}(?:,{NUMBER},{NUMBER})?):(?P<length>{NUMBER})")
+
+
+def gusts_of(
+    text: str,
+    definition: "Definition",
+    replayed: "Run | None",
+    arm: "Arm",
+    *,
+    coherence: float | None,
+    rate: float,
+    **sampling: Any,
+) -> tuple["Drive", tuple[float, float]]:
+    """The wind of --gusts about the constant one, and the shares of its variance left out.
+
+    With --coherence it is that of each link, where the arm rests. `sampling` is as of
+    `giajax.gusts`.
+    """
+    import jax.numpy as jnp
+    import numpy as np
+
+    from ..arm import link_centres
+    from ..kinds import WindSection
+    from ..synthetic import gusts, gusts_left_out
+
+    match = _GUSTS.fullmatch(text.replace(" ", ""))
+    if match is None:
+        raise InputError(
+            f"--gusts is {text!r}: give the intensity, or three of them, and the length scale in "
+            "m, such as 0.3:5 or 0.3,0.2,0.1:5"
+        )
+    source = definition if replayed is None else replayed.definition
+    mean = source.section(WindSection).velocity_m_per_s
+    if replayed is not None and replayed.winds:
+        raise InputError(f"'{replayed.name}' has recorded a wind: leave --gusts out")
+    if mean is None:
+        raise InputError(
+            "--gusts are about a constant wind, and none is there: give it by --wind X,Y,Z"
+        )
+    parts = [float(part) for part in match["intensity"].split(",")]
+    intensity = parts if len(parts) == 3 else parts[0]
+    sampling |= {"interval": 1 / rate if rate else 0.0, "length_scale": float(match["length"])}
+    if coherence is not None:
+        sampling |= {"places": np.asarray(link_centres(arm, jnp.zeros(arm.count)))}
+        sampling |= {"decay": coherence}
+    wind = gusts(mean, intensity=intensity, **sampling)
+    scales = {key: sampling[key] for key in ("length_scale", "interval")}
+    return wind, gusts_left_out(math.hypot(*mean), **scales)
