@@ -14,7 +14,7 @@ $(eval $(NAME):;@:)
 endif
 endif
 
-.PHONY: help demo check quick test test-slow test-all test-lowest test-python evidence \
+.PHONY: help demo check quick test test-slow test-all test-long test-lowest test-python evidence \
 	paper docs pictures lint types bench bench-check synthetic clean
 
 help:
@@ -24,6 +24,7 @@ help:
 	@echo "make check          lint, types and the tests that compile nothing, within a minute"
 	@echo "make test-slow      the tests that 'make test' leaves out"
 	@echo "make test-all       both"
+	@echo "make test-long      studies and benchmarks again, before a release"
 	@echo "make test-lowest    the lowest versions that pyproject.toml allows"
 	@echo "make test-python    another Python: make test-python PYTHON=python3.13"
 	@echo "make evidence NAME  a study that takes long, into docs/evidence; without a name, lists them"
@@ -59,10 +60,13 @@ quick: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m quick $(PYTEST_ARGS)
 
 test: $(VENV)/.installed-dev
-	$(PYTEST) -m "not slow" $(PYTEST_ARGS)
+	$(PYTEST) -m "not slow and not long" $(PYTEST_ARGS)
 
 test-slow: $(VENV)/.installed-dev
 	$(PYTEST) -m slow $(PYTEST_ARGS)
+
+test-long: $(VENV)/.installed-dev
+	$(PYTEST) -m long $(PYTEST_ARGS)
 
 # What is slow is run even where something else failed, and is not run twice.
 test-all: $(VENV)/.installed-dev

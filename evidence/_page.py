@@ -11,7 +11,7 @@ _INTRODUCTION = """\
 # Evidence
 
 What takes too long for a test. Each table is written by `make evidence NAME` from the file
-beside it, which has the commit, the versions and the seed; `make test-all` runs a fiftieth of
+beside it, which has the commit, the versions and the seed; `make test-long` runs a fiftieth of
 each study, or of some of its cases, again with other random numbers, and compares.
 """
 

@@ -1,7 +1,7 @@
 """One session, one precision: float64, strict promotion, every warning an error.
 
 And the tiers: tests marked `quick` compile nothing (`make check`), tests marked `slow` are left out
-of `make test`, which says so at its end.
+of `make test`, and those marked `long` of `make test-all`, too; both say so at their end.
 """
 
 import gc
@@ -77,33 +77,37 @@ def pytest_runtest_call(item):
     return outcome
 
 
-SLOW_LEFT_OUT = pytest.StashKey[int]()
+LEFT_OUT = pytest.StashKey[dict[str, int]]()
+# Of each mark, what runs its tests.
+RUN_BY = {"slow": "make test-all", "long": "make test-long"}
 
 
 def pytest_deselected(items):
-    """Count what is left out for being slow; `pytest -k` and `make check` leave out more."""
-    if not items or (config := items[0].config).option.markexpr != "not slow":
+    """Count what `make test` leaves out; `pytest -k` and `make check` leave out more."""
+    if not items or (config := items[0].config).option.markexpr != "not slow and not long":
         return
-    slow = sum(item.get_closest_marker("slow") is not None for item in items)
-    config.stash[SLOW_LEFT_OUT] = config.stash.get(SLOW_LEFT_OUT, 0) + slow
+    counts = config.stash.setdefault(LEFT_OUT, dict.fromkeys(RUN_BY, 0))
+    for mark in RUN_BY:
+        counts[mark] += sum(item.get_closest_marker(mark) is not None for item in items)
 
 
 def pytest_sessionfinish(session):
     """Workers select the tests, and tell the process that reports: each the same number."""
     if hasattr(session.config, "workeroutput"):
-        session.config.workeroutput["slow_left_out"] = session.config.stash.get(SLOW_LEFT_OUT, 0)
+        session.config.workeroutput["left_out"] = session.config.stash.get(LEFT_OUT, {})
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_testnodedown(node):
     """A worker of pytest-xdist has ended."""
-    node.config.stash[SLOW_LEFT_OUT] = getattr(node, "workeroutput", {}).get("slow_left_out", 0)
+    node.config.stash[LEFT_OUT] = getattr(node, "workeroutput", {}).get("left_out", {})
 
 
 def pytest_terminal_summary(terminalreporter, config):
     """What was left out is said, so that nobody takes a part for the whole."""
-    if number := config.stash.get(SLOW_LEFT_OUT, 0):
-        terminalreporter.write_sep("-", f"{number} slow tests left out: make test-all runs them")
+    for mark, number in config.stash.get(LEFT_OUT, {}).items():
+        if number:
+            terminalreporter.write_sep("-", f"{number} {mark} tests left out: {RUN_BY[mark]}")
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -37,7 +37,7 @@ def test_the_page_has_a_row_for_every_fit_and_the_biases_that_they_show():
         )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_table_comes_out_of_its_script():
     bias, rows = script(), written()
     runs = {"calm": bias.CALM}

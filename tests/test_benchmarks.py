@@ -112,7 +112,7 @@ def test_nothing_stored_is_no_failure(tmp_path):
     assert subprocess.run(command, cwd=ROOT).returncode == 0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_benchmark_of_stiff_joints_runs(tmp_path):
     benchmark("stiffness", "--quick", "--out", tmp_path / "out")
     found = json.loads((tmp_path / "out" / "stiffness.json").read_text())
@@ -126,7 +126,7 @@ def test_the_benchmark_of_stiff_joints_runs(tmp_path):
         assert (tmp_path / "out" / name).read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("case", ["100,000 samples", "160 links"])
 def test_the_benchmark_of_size_runs(case):
     """A case is a process; the others compile arms for half a minute."""
@@ -143,7 +143,7 @@ def test_the_benchmark_of_cores_runs(tmp_path):
     assert found["runs"]["standard errors apart"] <= 1e-6
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_benchmark_of_batches_runs(tmp_path):
     out = tmp_path / "new" / "batch.json"
     benchmark("batch", "--quick", "--out", out)
@@ -154,7 +154,7 @@ def test_the_benchmark_of_batches_runs(tmp_path):
     assert all(seconds > 0 for part in ("evaluation", "run") for seconds in found[part].values())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_benchmark_of_the_scans_runs():
     size = ["--samples", "500", "--thresholds", "5", "--repeats", "1"]
     rows = json.loads(benchmark("hysteresis", *size, "--json"))
@@ -166,7 +166,7 @@ def test_the_benchmark_of_the_scans_runs():
         assert row["peak_mib"] >= row["history_mib"] >= 0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_cost_of_every_option_is_measured(tmp_path):
     out = tmp_path / "options.json"
     benchmark("options", "--quick", "--out", out)
@@ -177,7 +177,7 @@ def test_the_cost_of_every_option_is_measured(tmp_path):
     assert {each["allowed"] for each in found.values()} == {1.0, 1.5, 2.0, None}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_hard_fits_end_and_say_why(tmp_path):
     """Four steps of a fit of two windows, and all of those of three links."""
     out = tmp_path / "hard.json"
@@ -196,7 +196,7 @@ def test_the_benchmark_of_the_start_runs():
     assert re.search(r"ratio +[0-9.]+, at most 1.5", benchmark("startup", "--quick"))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_benchmark_of_the_noise_runs(tmp_path):
     printed = benchmark("noise", "--quick", "--out", tmp_path / "noise.json")
     each = json.loads((tmp_path / "noise.json").read_text())["joint_loops"]
@@ -204,7 +204,7 @@ def test_the_benchmark_of_the_noise_runs(tmp_path):
     assert set(each["seconds"]) == set(each["iterations"]) == {"white", "correlated"}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_benchmark_of_the_tolerance_runs(tmp_path):
     out = tmp_path / "tolerance.json"
     printed = benchmark("tolerance", "--quick", "--out", out)
@@ -220,7 +220,7 @@ def test_the_benchmark_of_a_fit_as_a_process_runs(tmp_path):
     processes = json.loads((tmp_path / "fit.json").read_text())["processes"]["here"]
     cold, warm = processes["cold"], processes["warm"]
     # The program of the fit is the one that is worth keeping.
-    assert (cold["cached"], warm["cached"]) == (0, 1)
+    assert cold["cached"] == 0 < warm["cached"]
     assert warm["compiled"] < cold["compiled"]
     assert 0 < warm["first_iteration_s"] < warm["processor_s"]
     assert warm["estimates"] == cold["estimates"]

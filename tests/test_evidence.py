@@ -111,7 +111,7 @@ def is_within(one):
 AGAIN = {name: study for name, study in STORED.items() if name != "suspects"}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("study", AGAIN.values(), ids=list(AGAIN))
 def test_a_part_of_a_study_run_again_agrees_with_what_is_stored(study):
     stored = read(study)

@@ -58,7 +58,7 @@ def test_the_published_triple_pendulum_has_the_errors_that_its_authors_report():
         assert np.median(errors) == pytest.approx(expected, abs=0.5e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_friction_under_drive_is_better_than_the_published_one():
     ready = prepared("dfki_double_pendulum")
     unseen = ready.validation
