@@ -43,6 +43,15 @@ def format_estimate(value: Any, standard_error: float | None) -> tuple[str, str]
     return f"{value:.{min(max(digits, 0), 15)}e}", f"{standard_error:.1e}"
 
 
+def format_bounds(lower: float | None, upper: float | None) -> str:
+    """Where a value may be; a dash where it may be anywhere."""
+    if lower is None and upper is None:
+        return "-"
+    if upper is None:
+        return f"> {lower:g}"
+    return f"< {upper:g}" if lower is None else f"{lower:g} .. {upper:g}"
+
+
 def time_in_words(seconds: float) -> str:
     """A time as a person says it.
 

@@ -60,6 +60,16 @@ def test_a_page_of_someones_own_stays(fit, tmp_path, capsys):
     assert (tmp_path / "report.html").read_text() == "my own report"
 
 
+def test_a_place_that_takes_no_page_is_told_before_the_fit(tmp_path, capsys):
+    run = ["fit", "--data", str(DATA / "muscle.csv"), "--report", "--force", "--out"]
+    assert main([*run, str(tmp_path / "page.html")]) == 2
+    assert "is the name of a file" in capsys.readouterr().err
+    (tmp_path / "fit" / "report.html").mkdir(parents=True)
+    assert main([*run, str(tmp_path / "fit")]) == 2
+    assert "is a folder" in capsys.readouterr().err
+    assert not (tmp_path / "fit" / "result.json").exists()
+
+
 def test_what_is_missing_is_said_before_the_fit(fit, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(_pages, "_NEEDED", ("no_such_library",))
     run = ["fit", "--data", str(DATA / "muscle.csv"), "--out", str(tmp_path / "x"), "--report"]

@@ -70,5 +70,12 @@ def compare(
 
 def _names(paths: list[Path]) -> list[str]:
     """Names of the folders of results, or of files; whole paths where these are not different."""
-    short = [path.parent.name if path.name == "result.json" else path.stem for path in paths]
+    short = [_name(path) for path in paths]
     return short if len(set(short)) == len(short) and all(short) else [str(path) for path in paths]
+
+
+def _name(path: Path) -> str:
+    # A folder may have points in its name, such as those of a version.
+    if path.is_dir():
+        return path.name
+    return path.parent.name if path.name == "result.json" else path.stem

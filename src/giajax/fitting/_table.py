@@ -4,7 +4,7 @@ import html
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from .._text import format_estimate, wrapped
+from .._text import format_bounds, format_estimate, wrapped
 from ._records import Estimate
 
 # A remark that would be squeezed into fewer columns than this goes below its row instead.
@@ -75,14 +75,6 @@ def _rows(estimates: Mapping[str, Estimate]) -> list[_Row]:
     rows = []
     for path, estimate in estimates.items():
         value, error = format_estimate(estimate.value, estimate.standard_error)
-        bounds = _bounds(estimate.lower, estimate.upper)
+        bounds = format_bounds(estimate.lower, estimate.upper)
         rows.append(_Row(path, value, error, estimate.unit or "-", bounds, estimate.remark))
     return rows
-
-
-def _bounds(lower: float | None, upper: float | None) -> str:
-    if lower is None and upper is None:
-        return "-"
-    if upper is None:
-        return f"> {lower:g}"
-    return f"< {upper:g}" if lower is None else f"{lower:g} .. {upper:g}"

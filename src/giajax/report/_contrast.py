@@ -65,13 +65,14 @@ def contrast_json(found: Contrast) -> str:
 
 
 def estimate_cell(one: Estimate | None) -> str:
-    """Value and error; of what was held, that it was."""
+    """Value and error; of what was held or tied, that it was."""
     if one is None:
         return "-"
     value, error = format_estimate(one.value, one.standard_error)
     if error != "-":
         return f"{value} {PLUS_MINUS} {error}"
-    return f"{value} (not determined)" if one.free else f"{value} (held)"
+    # The remark of what was tied says to what, too, which is no text for a cell.
+    return f"{value} ({'not determined' if one.free else one.remark.partition(':')[0] or 'held'})"
 
 
 def _signed(value: float | None) -> str:

@@ -1,6 +1,6 @@
 """A result as a folder of files."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +8,7 @@ import numpy as np
 from .._errors import InputError
 from ..fitting import FitResult, RunFit
 from ..runs import Run, check_output_folder, make_folder, observing, write_files
+from ..study import begun_where_it_ended
 from ._correlation import correlation_figure
 from ._names import unique_names
 from ._prediction import prediction_files
@@ -102,7 +103,8 @@ def _parts(
     if [run.sha256 for run in runs] != [record.sha256 for record in result.runs]:
         raise InputError("the runs are not those of the result: give the same ones in their order")
     # A result that was loaded has no predictions with it.
-    predictions = result.predictions or [result.predict(run) for run in runs]
+    begun = runs if result.predictions else begun_where_it_ended(result, runs)
+    predictions = result.predictions or [result.predict(run) for run in begun]
     return runs, unique_names(runs), predictions
 
 
@@ -116,13 +118,20 @@ def worth_drawing(result: FitResult) -> list[int]:
     """All runs, or of many those that are described worst, in their order."""
     if len(result.runs) <= _MOST_RUNS:
         return list(range(len(result.runs)))
-
-    def misfit(record: RunFit) -> float:
-        ratios = [c.rmse / c.noise for c in record.channels.values() if c.rmse]
-        return max(ratios, default=0.0)
-
-    worst = sorted(range(len(result.runs)), key=lambda index: -misfit(result.runs[index]))
+    worst = sorted(range(len(result.runs)), key=lambda index: -times_noise(result.runs[index]))
     return sorted(worst[:_MOST_RUNS])
+
+
+def times_noise(record: RunFit, names: Iterable[str] | None = None) -> float:
+    """The largest RMSE over noise of some channels, or of all; infinite where one is not finite."""
+    channels = [record.channels[name] for name in (record.channels if names is None else names)]
+    return max(
+        (
+            float("inf") if c.rmse is None else c.rmse / c.noise if c.noise else 0.0
+            for c in channels
+        ),
+        default=0.0,
+    )
 
 
 def _picture_files(

@@ -24,7 +24,8 @@ def check_page(path: str | Path | None = None, *, force: bool = False) -> None:
         force: write over any file.
 
     Raises:
-        InputError: what draws it is not installed, or (without `force`) the file is someone's own.
+        InputError: what draws it is not installed, there is a folder of this name, or (without
+            `force`) the file is someone's own or cannot be read.
     """
     missing = [name for name in _NEEDED if importlib.util.find_spec(name) is None]
     if missing:
@@ -32,9 +33,19 @@ def check_page(path: str | Path | None = None, *, force: bool = False) -> None:
             f"a page needs {' and '.join(missing)}, which must be installed: "
             "pip install 'giajax[report]'"
         )
-    if path is None or force or not Path(path).exists():
+    if path is None:
         return
-    if SIGNATURE.encode() not in read_bytes(Path(path), RESULT_BYTES)[:200]:
+    if Path(path).is_dir():
+        raise InputError(f"{path} is a folder, but the page is written there: move it")
+    if force or not Path(path).exists():
+        return
+    try:
+        beginning = read_bytes(Path(path), RESULT_BYTES)[:200]
+    except OSError as error:
+        raise InputError(
+            f"{path} cannot be read ({error.strerror}): move it, or give --force to write over it"
+        ) from None
+    if SIGNATURE.encode() not in beginning:
         raise InputError(
             f"{path} was not made by giajax: move it, or give --force to write over it"
         )

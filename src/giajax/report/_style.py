@@ -9,6 +9,7 @@ from ..fitting import FitResult
 
 # Okabe and Ito's colours, which people who see red and green alike can tell apart.
 BLUE, VERMILLION, GREEN = "#0072B2", "#D55E00", "#009E73"
+PURPLE, ORANGE, SKY = "#CC79A7", "#E69F00", "#56B4E9"
 INK, GREY, LIGHT = "#222222", "#767676", "#E3E3E3"
 
 MINUS = "\N{MINUS SIGN}"

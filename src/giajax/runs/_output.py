@@ -9,7 +9,7 @@ from .._files import check_path
 from ._read import sidecar_path
 
 # What files of this toolkit end in: a folder of such a name is a slip.
-_FILES = (".csv", ".parquet", ".toml", ".json", ".png", ".txt")
+_FILES = (".csv", ".parquet", ".toml", ".json", ".png", ".txt", ".html")
 
 
 def check_output_files(paths: Iterable[str | Path], *, force: bool) -> None:

@@ -4,7 +4,7 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
-from ..fitting import FitResult
+from ..fitting import FitResult, RunFit
 
 # What must be the same, beside the data, where likelihoods are compared.
 _ASSUMED = ("noise", "loss", "prior")
@@ -47,18 +47,28 @@ def _known(result: FitResult) -> bool:
 
 def _data(result: FitResult) -> list[Any]:
     """What was fitted: files, windows, channels and how many values of each."""
-    windows = result.config.get("runs", [])
-    rows = [about.get("from_s") for about in windows] + [None] * len(result.runs)
     return sorted(
-        (str(run.sha256), rows[i] or 0.0, sorted((name, c.n) for name, c in run.channels.items()))
-        for i, run in enumerate(result.runs)
+        (*_place(run, about), sorted((name, c.n) for name, c in run.channels.items()))
+        for run, about in _described(result)
     )
+
+
+def _described(result: FitResult) -> list[tuple[RunFit, dict[str, Any]]]:
+    """The runs with what the configuration says of each; nothing where it does not."""
+    said = [*result.config.get("runs", []), *({} for _ in result.runs)]
+    return list(zip(result.runs, said, strict=False))
+
+
+def _place(run: RunFit, about: dict[str, Any]) -> tuple[str, float]:
+    """File and window of a run, by which runs are ordered: fits name them in any order."""
+    return str(run.sha256), about.get("from_s") or 0.0
 
 
 def _of(result: FitResult, what: str) -> str:
     """What a fit took for granted, as text."""
     config = result.config
-    stated = [about.get("noise") for about in config.get("runs", [])]
+    ordered = sorted(_described(result), key=lambda described: _place(*described))
+    stated = [about.get("noise") for _, about in ordered]
     assumed = {
         "noise": [stated, config.get("noise_model"), config.get("noise_per_run")],
         "loss": config.get("loss"),

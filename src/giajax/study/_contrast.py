@@ -142,13 +142,11 @@ def _values(result: FitResult) -> int:
 
 
 def _parameters(result: FitResult) -> int:
-    # A group of runs has one value, which each of its runs carries.
-    own = {
-        (path, one.value, one.standard_error)
-        for run in result.runs
-        for path, one in run.parameters.items()
-    }
-    return len(result.free.keys() - {path for path, _, _ in own}) + len(own)
+    own = [(path, one) for run in result.runs for path, one in run.parameters.items()]
+    # A group of runs has one value, which each of its runs carries; a state is of one run alone.
+    shared = {(path, one) for path, one in own if path in result.free}
+    states = [path for path, _ in own if path not in result.free]
+    return len(result.free.keys() - {path for path, _ in shared}) + len(shared) + len(states)
 
 
 def _bic(result: FitResult) -> float:

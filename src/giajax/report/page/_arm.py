@@ -9,6 +9,7 @@ import numpy as np
 from ...fitting import FitResult
 from ...models import Scene
 from ...runs import Run
+from ...simulation import SimulationError
 
 # As many as an eye follows; more make the page larger and no clearer.
 _MOST_FRAMES = 240
@@ -44,9 +45,12 @@ def animation(result: FitResult, run: Run, predicted: Mapping[str, np.ndarray]) 
 
     Returns:
         Lines with radii, fitted and recorded markers, on a grid of integers; None for a model of
-        which nothing is seen.
+        which nothing is seen, or that cannot be simulated there.
     """
-    scene = result.model_of(run).scene(run)
+    try:
+        scene = result.model_of(run).scene(run)
+    except SimulationError:
+        return None
     if scene is None:
         return None
     frames = np.unique(np.linspace(0, scene.samples - 1, _MOST_FRAMES).round().astype(int))

@@ -20,7 +20,11 @@ def can_have_bands(result: FitResult) -> bool:
         and set(paths) <= set(result.parameters)
         and not result.config.get("ties")
         and all(result.parameters[path].standard_error for path in paths)
-        and all(value is not None for row in result.correlation.matrix for value in row)
+        and all(
+            value is not None and np.isfinite(value)
+            for row in result.correlation.matrix
+            for value in row
+        )
         and not any(run.parameters.keys() & result.free.keys() for run in result.runs)
     )
 

@@ -6,15 +6,15 @@ from typing import NamedTuple
 from ...fitting import FitResult
 from ...study import Contrast, ContrastRow
 from .._contrast import contrast_tables
-from .._style import BLUE, GREEN, GREY, INK, VERMILLION
+from .._style import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, SKY, VERMILLION
 from ._opening import Opening, opening
-from ._render import rendered
+from ._render import rendered, some_of
 from ._tables import Table
 
 # Width of the picture of one parameter and height of a result in it, pixels.
 _WIDTH, _HEIGHT = 360.0, 15.0
 
-_COLOURS = (BLUE, VERMILLION, GREEN, INK, GREY)
+_COLOURS = (BLUE, VERMILLION, GREEN, INK, GREY, PURPLE, ORANGE, SKY)
 
 # So many joint standard errors are a difference.
 _DIFFERENT = 3.0
@@ -44,20 +44,42 @@ def compare_page(found: Contrast, results: Sequence[FitResult]) -> bytes:
     parameters, whole = contrast_tables(found)
     openings: list[Opening] = [opening(result) for result in results]
     names = [column.name for column in found.columns]
+    apart = _apart(found)
+    grade, headline = _verdict(found, apart)
     return rendered(
         "compare.html",
         plots=False,
+        title=", ".join(some_of(names)),
+        grade=grade,
+        headline=headline,
         names=names,
         colours=[_COLOURS[index % len(_COLOURS)] for index in range(len(names))],
         openings=list(zip(names, openings, strict=True)),
         parameters=Table(*parameters, 2),
         whole=Table(*whole, 1),
-        pictures=[(row.path, bars) for row in found.rows if len(bars := _bars(row)) > 1],
+        pictures=[(row.path, bars) for row in found.rows if len(bars := _bars(row, names)) > 1],
         height=_HEIGHT * len(names) + 6,
         width=_WIDTH,
-        apart=_apart(found),
+        apart=apart,
         notes=found.notes,
     )
+
+
+def _verdict(found: Contrast, apart: Sequence[str]) -> tuple[str, str]:
+    """A grade, which colours it, and one sentence."""
+    if apart:
+        return "doubtful", "The results differ by more than their errors"
+    if all(difference is None for row in found.rows for difference in row.differences):
+        return "doubtful", (
+            "No parameter is determined by the first result and by another, so nothing is compared"
+        )
+    agree = (
+        "No parameter that both determine differs from the first result by more than "
+        f"{_DIFFERENT:g} joint standard errors"
+    )
+    if any(column.status != "converged" for column in found.columns):
+        return "doubtful", f"{agree}, but not every fit has converged"
+    return "good", agree
 
 
 def _apart(found: Contrast) -> list[str]:
@@ -72,7 +94,7 @@ def _apart(found: Contrast) -> list[str]:
     ]
 
 
-def _bars(row: ContrastRow) -> list[_Bar]:
+def _bars(row: ContrastRow, names: Sequence[str]) -> list[_Bar]:
     """Values with two standard errors on an axis of their own; held ones are ticks."""
     known = [
         (index, one.value, 2 * (one.standard_error or 0.0))
@@ -91,7 +113,7 @@ def _bars(row: ContrastRow) -> list[_Bar]:
             high=10 + (value + width - low) * scale,
             across=_HEIGHT * (index + 0.5) + 3,
             colour=_COLOURS[index % len(_COLOURS)],
-            text=f"{value:.6g}",
+            text=f"{names[index]}: {value:.6g}",
         )
         for index, value, width in known
     ]

@@ -1,5 +1,6 @@
 """The correlation matrix as coloured cells of a table."""
 
+import math
 from typing import NamedTuple
 
 from ...fitting import FitResult
@@ -30,7 +31,8 @@ def correlation_cells(result: FitResult) -> list[list[Cell]]:
 
 
 def _cell(value: float | None, about: str) -> Cell:
-    if value is None:
+    # In memory it is not a number where in a file it is null.
+    if value is None or not math.isfinite(value):
         return Cell("?", "#ffffff", "#222222", about)
     size = min(abs(value), 1.0)
     end = _POSITIVE if value > 0 else _NEGATIVE

@@ -7,11 +7,14 @@ from typing import NamedTuple
 
 from ..._text import format_estimate
 from ...diagnosis import LEVEL, promising
-from ...fitting import Estimate, FitResult
+from ...fitting import Estimate, FitResult, in_column_units
 
 # Correlations beyond this, errors beyond this part of a value, and predictions of what was held
 # out that are off by so many times what they should be, are worth a sentence.
 _CORRELATED, _VAGUE, _FAR_OFF = 0.9, 0.1, 1.5
+
+# Derivatives that disagree with differences by more than this may have ended a fit anywhere.
+_WRONG_DERIVATIVES = 1e-2
 
 # A shift of a held number, or of the tolerance, by this many standard errors is too.
 _NOTABLE = 0.5
@@ -70,6 +73,13 @@ def opening(result: FitResult) -> Opening:
             "all parameters are determined by them",
             limits,
         )
+    if _has_wrong_derivatives(result):
+        return Opening(
+            "doubtful",
+            "The fit has converged and the model describes the data to within the noise, but the "
+            "derivatives by which it got there are not right",
+            limits,
+        )
     return Opening(
         "good",
         "The fit has converged, and the model describes the data to within the noise",
@@ -113,7 +123,7 @@ def _precision(result: FitResult) -> list[str]:
     if known:
         worst = max(known, key=lambda path: known[path])
         if known[worst] > _VAGUE:
-            one = result.free[worst]
+            one = in_column_units(result.free, result.model)[worst]
             value, error = format_estimate(one.value, one.standard_error)
             unit = f" {one.unit}" if one.unit else ""
             said.append(f"{worst} is known worst: {value} \N{PLUS-MINUS SIGN} {error}{unit}")
@@ -160,7 +170,11 @@ def _computation(result: FitResult) -> list[str]:
     largest = None if effect is None else effect.largest_in_standard_errors
     if largest is not None and largest > _NOTABLE:
         said.append(f"a finer tolerance of the solver would move a value by {largest:.2g} errors")
-    check = result.gradient_check
-    if check is not None and check.relative_difference > 1e-2:
+    if _has_wrong_derivatives(result):
         said.append("the derivatives disagree with differences, so the fit may have ended anywhere")
     return said
+
+
+def _has_wrong_derivatives(result: FitResult) -> bool:
+    check = result.gradient_check
+    return check is not None and check.relative_difference > _WRONG_DERIVATIVES

@@ -13,6 +13,7 @@ from bokeh.transform import dodge
 from ...fitting import RunFit
 from ...runs import Channel, Run
 from .._abscissa import abscissa, channel_label, channels_together, sweep_starts
+from .._files import times_noise
 from .._style import BLUE, GREY, INK, VERMILLION
 from ._figures import colour_of, memory_plot, new_plot, small
 from ._thin import thinned
@@ -43,17 +44,9 @@ def worst_panels(run: Run, record: RunFit, most: int) -> tuple[list[list[str]], 
     Of more than `most` those that are described worst stay, in the order of the file.
     """
     groups = channels_together(run, most)
-    shown = sorted(range(len(groups)), key=lambda i: -misfit(record, groups[i]))[:most]
+    shown = sorted(range(len(groups)), key=lambda i: -times_noise(record, groups[i]))[:most]
     kept = [groups[i] for i in sorted(shown)]
     return kept, len(run.observations) - sum(map(len, kept))
-
-
-def misfit(record: RunFit, names: Sequence[str]) -> float:
-    """The largest RMSE over noise of some channels; infinite where one is not finite."""
-    channels = [record.channels[name] for name in names]
-    return max(
-        (float("inf") if c.rmse is None else c.rmse / c.noise if c.noise else 0.0) for c in channels
-    )
 
 
 def panel(

@@ -1,6 +1,7 @@
 """Templates, styles and scripts as one file that needs no other and no network."""
 
 import functools
+from collections.abc import Iterable
 from importlib.resources import files
 from typing import Any
 
@@ -10,6 +11,9 @@ from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
 _FOLDER = files(__package__) / "templates"
+
+# More names than this are no title.
+_MOST_NAMES = 3
 
 
 def rendered(template: str, *, plots: bool, **facts: Any) -> bytes:
@@ -35,6 +39,13 @@ def rendered(template: str, *, plots: bool, **facts: Any) -> bytes:
         **facts,
     )
     return page.encode()
+
+
+def some_of(names: Iterable[str]) -> list[str]:
+    """The first different names for a title, and how many more there are."""
+    different = list(dict.fromkeys(names))
+    more = len(different) - _MOST_NAMES
+    return different if more <= 0 else [*different[:_MOST_NAMES], f"and {more} more"]
 
 
 def _text(name: str) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 from ..._errors import InputError
 from ...fitting import FitResult
 from ...runs import Run
+from ...study import begun_where_it_ended
 from ...tasks import repeatable
 from .._files import worth_drawing
 from .._suspects import SUSPECT_HEADINGS, first_suspects, systematic_table
@@ -22,7 +23,7 @@ from ._correlations import correlation_cells
 from ._figures import curve_item
 from ._opening import opening
 from ._plots import Panel, panel, worst_panels
-from ._render import rendered
+from ._render import rendered, some_of
 from ._tables import (
     Table,
     file_rows,
@@ -49,6 +50,7 @@ class _RunPart(NamedTuple):
     left_out: int
     arm: Arm | None
     over_time: bool
+    held: bool
 
     @property
     def thinned(self) -> Panel | None:
@@ -79,6 +81,8 @@ def report_page(
     """
     if [run.sha256 for run in runs] != [record.sha256 for record in result.runs]:
         raise InputError("the runs are not those of the result: give the same ones in their order")
+    # What is predicted here, the bands and the arm with it, begins where the fitted values do.
+    runs = begun_where_it_ended(result, runs)
     predictions = result.predictions or [result.predict(run) for run in runs]
     bands = can_have_bands(result)
     parts = _run_parts(result, runs, predictions, held_out, bands=bands)
@@ -87,7 +91,7 @@ def report_page(
     return rendered(
         "report.html",
         plots=True,
-        title=", ".join(dict.fromkeys(run.name for run in result.runs)),
+        title=", ".join(some_of(run.name for run in result.runs)),
         result=result,
         opening=opening(result),
         parameters=parameters,
@@ -98,6 +102,7 @@ def report_page(
         systematic=Table(*systematic_table(result), 1) if result.systematic else None,
         parts=parts,
         bands=bands,
+        hollow=any(part.held for part in parts),
         timed=any(run.times is not None for run in runs),
         cost=_cost(result),
         paths=result.correlation.parameters,
@@ -112,7 +117,7 @@ def report_page(
         config=json.dumps(json.loads(result.to_json())["config"], indent=2),
         again=_again(source),
         dates=_dates(source),
-        source=None if source is None else str(source),
+        source=None if source is None else shlex.quote(str(source)),
     )
 
 
@@ -136,6 +141,8 @@ def _run_parts(
         run, predicted, record = runs[index], predictions[index], result.runs[index]
         widths = prediction_errors_of_parameters(result, run, predicted) if bands else {}
         partly = held.get((run.name, run.sha256))
+        drawn_names = {name for names in panels for name in names}
+        hollow = partly is not None and bool(drawn_names & partly.observations.keys())
         shown = [
             panel(names, run, predicted, record, held=partly, bands=widths, values=values)
             for names in panels
@@ -143,7 +150,7 @@ def _run_parts(
         # One arm that moves is enough; two are a page that no phone opens.
         seen = any(part.arm for part in parts)
         arm = None if seen else animation(result, run, predicted)
-        parts.append(_RunPart(run.name, shown, left_out, arm, run.drawn_over is None))
+        parts.append(_RunPart(run.name, shown, left_out, arm, run.drawn_over is None, hollow))
     return parts
 
 
@@ -171,5 +178,5 @@ def _dates(source: Path | None) -> list[tuple[str, str]]:
     dates: list[tuple[str, Any]] = [("this page", now)]
     if source is not None and source.exists():
         written = datetime.datetime.fromtimestamp(source.stat().st_mtime).astimezone()
-        dates.insert(0, ("the result", written))
+        dates.insert(0, ("result.json last changed", written))
     return [(name, date.strftime("%Y-%m-%d %H:%M %z")) for name, date in dates]

@@ -2,11 +2,11 @@
 
 import json
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from ..._text import format_estimate
+from ..._text import format_bounds, format_estimate
 from ...diagnosis import together
 from ...fitting import Estimate, FitResult, column_factors, in_column_units
 
@@ -59,7 +59,7 @@ def parameter_rows(result: FitResult) -> list[ParameterRow]:
                 both="-" if both is None else f"{both:.2g}",
                 unit=one.unit or "-",
                 interval=_interval(one, factor),
-                bounds=_bounds(one),
+                bounds=format_bounds(one.lower, one.upper),
                 sources=_sources(one.sources),
                 remark=one.remark,
                 free=one.free,
@@ -73,14 +73,6 @@ def _interval(one: Estimate, factor: float) -> str:
         return "-"
     low, high = sorted(end * factor for end in one.interval)
     return f"{low:.5g} .. {high:.5g}"
-
-
-def _bounds(one: Estimate) -> str:
-    if one.lower is None and one.upper is None:
-        return "-"
-    if one.upper is None:
-        return f"> {one.lower:g}"
-    return f"< {one.upper:g}" if one.lower is None else f"{one.lower:g} .. {one.upper:g}"
 
 
 def _sources(sources: Mapping[str, float | None]) -> str:
@@ -130,33 +122,47 @@ def validation_table(result: FitResult) -> Table:
 
 
 def starts_table(result: FitResult) -> Table:
-    """Where each start ended."""
-    paths = list(result.free)
+    """Where each start ended, in the columns' units."""
+    factors = column_factors(result.model)
+    # Of an element of an array, it is that of the array.
+    paths = {path: factors.get(path.partition("[")[0], 1.0) for path in result.free}
     rows = [
         [start.status, "-" if start.misfit is None else f"{start.misfit:.6g}"]
-        + [_number((start.parameters or {}).get(path)) for path in paths]
+        + [_number(_times((start.parameters or {}).get(path), paths[path])) for path in paths]
         for start in result.starts
     ]
-    return Table(["ended", "misfit", *paths], rows, 1)
+    units = {path: one.unit for path, one in in_column_units(result.free, result.model).items()}
+    headings = [f"{path} ({units[path]})" if units[path] else path for path in paths]
+    return Table(["ended", "misfit", *headings], rows, 1)
 
 
 def own_table(result: FitResult) -> Table:
-    """What single runs have for themselves, such as an initial state."""
-    rows = [
-        [run.name, path, *format_estimate(own.value, own.standard_error), own.remark or "-"]
-        for run in result.runs
-        for path, own in run.parameters.items()
-    ]
-    return Table(["run", "parameter", "value", "error", "remark"], rows, 2)
+    """What single runs have for themselves, such as an initial state, in the columns' units."""
+    factors = column_factors(result.model)
+    units = {path: one.unit for path, one in in_column_units(result.free, result.model).items()}
+    rows = []
+    for run in result.runs:
+        for path, own in run.parameters.items():
+            factor = factors.get(path.partition("[")[0], 1.0)
+            numbers = format_estimate(own.value * factor, _times(own.standard_error, factor))
+            # A state is no parameter of the model, which would know its unit.
+            unit = units.get(path, "SI") or "-"
+            rows.append([run.name, path, *numbers, unit, own.remark or "-"])
+    return Table(["run", "parameter", "value", "error", "unit", "remark"], rows, 2)
 
 
 def file_rows(result: FitResult) -> Table:
     """The files that were fitted, each with its checksum."""
     rows = {run.path: run.sha256 for run in result.runs if run.path}
     rows |= {record.path: record.sha256 for record in result.held_out if record.path}
-    inputs: Any = result.task.get("inputs", {})
-    listed = {**{str(path): str(sha) for path, sha in rows.items()}, **inputs}
-    return Table(["file", "SHA-256"], [[path, sha] for path, sha in listed.items()], 2)
+    listed = {**rows, **result.task.get("inputs", {})}
+    # A recording without a sidecar: that there was none is a part of what was fitted.
+    files = [[str(path), str(sha or "there was no such file")] for path, sha in listed.items()]
+    return Table(["file", "SHA-256"], files, 2)
+
+
+def _times(value: float | None, factor: float) -> float | None:
+    return None if value is None else value * factor
 
 
 def _number(value: float | None, missing: str = "not finite") -> str:

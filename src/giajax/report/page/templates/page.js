@@ -7,7 +7,13 @@
   const next = async () => {
     const place = places.shift();
     if (!place) { document.body.dataset.drawn = "all"; return; }
-    await Bokeh.embed.embed_item(told(place.dataset.plot), place);
+    // What one plot lacks must not take the others with it.
+    try {
+      await Bokeh.embed.embed_item(told(place.dataset.plot), place);
+    } catch (error) {
+      console.error(error);
+      place.textContent = "This plot could not be drawn.";
+    }
     setTimeout(next, 0);
   };
   if (window.Bokeh) { Bokeh.set_log_level("warn"); next(); }
