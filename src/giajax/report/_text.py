@@ -191,7 +191,7 @@ def _strongest_correlation(result: FitResult) -> str:
 
 
 # A fit with derivatives wrong by this much may stop anywhere. In 64-bit a good one has 1e-5.
-_WRONG_DERIVATIVES = 1e-2
+WRONG_DERIVATIVES = 1e-2
 
 
 def _gradient(result: FitResult) -> str:
@@ -199,7 +199,7 @@ def _gradient(result: FitResult) -> str:
     if check is None:
         return "not done"
     relative = check.relative_difference
-    if relative > _WRONG_DERIVATIVES:
+    if relative > WRONG_DERIVATIVES:
         text = f"derivatives DISAGREE with differences, by {relative:.1e} (relative)"
     else:
         text = f"derivatives agree with differences to {relative:.1e} (relative)"

@@ -69,7 +69,13 @@ def _verdict(found: Contrast, apart: Sequence[str]) -> tuple[str, str]:
     """A grade, which colours it, and one sentence."""
     if apart:
         return "doubtful", "The results differ by more than their errors"
-    if all(difference is None for row in found.rows for difference in row.differences):
+    others = list(enumerate(found.columns))[1:]
+    alone = [
+        column.name
+        for index, column in others
+        if all(row.differences[index] is None for row in found.rows)
+    ]
+    if len(alone) == len(others):
         return "doubtful", (
             "No parameter is determined by the first result and by another, so nothing is compared"
         )
@@ -77,6 +83,8 @@ def _verdict(found: Contrast, apart: Sequence[str]) -> tuple[str, str]:
         "No parameter that both determine differs from the first result by more than "
         f"{_DIFFERENT:g} joint standard errors"
     )
+    if alone:
+        return "doubtful", f"{agree}, but it shares none with {', '.join(some_of(alone))}"
     if any(column.status != "converged" for column in found.columns):
         return "doubtful", f"{agree}, but not every fit has converged"
     return "good", agree

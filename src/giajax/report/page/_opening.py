@@ -8,13 +8,11 @@ from typing import NamedTuple
 from ..._text import format_estimate
 from ...diagnosis import LEVEL, promising
 from ...fitting import Estimate, FitResult, in_column_units
+from .._text import WRONG_DERIVATIVES
 
 # Correlations beyond this, errors beyond this part of a value, and predictions of what was held
 # out that are off by so many times what they should be, are worth a sentence.
 _CORRELATED, _VAGUE, _FAR_OFF = 0.9, 0.1, 1.5
-
-# Derivatives that disagree with differences by more than this may have ended a fit anywhere.
-_WRONG_DERIVATIVES = 1e-2
 
 # A shift of a held number, or of the tolerance, by this many standard errors is too.
 _NOTABLE = 0.5
@@ -177,4 +175,4 @@ def _computation(result: FitResult) -> list[str]:
 
 def _has_wrong_derivatives(result: FitResult) -> bool:
     check = result.gradient_check
-    return check is not None and check.relative_difference > _WRONG_DERIVATIVES
+    return check is not None and check.relative_difference > WRONG_DERIVATIVES
