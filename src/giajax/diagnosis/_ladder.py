@@ -8,7 +8,7 @@ import numpy as np
 from .._errors import InputError
 from ..fitting import FitResult, Suspect
 from ..models import AbstractModel
-from ..parameters import elements, left_out, switched_on
+from ..parameters import declared, elements, left_out, switched_on
 from ..runs import Run
 from ..study import refit
 from ._axes import all_axes, name_of, turned_back
@@ -147,7 +147,11 @@ def _with(
     """A fit with what a suspect asks for, and the runs and those held out as it sees them."""
     same = list(runs), list(apart)
     if suspect.kind == "switch":
-        return refit(result, runs, model=result.model.variants()[suspect.path]), *same
+        other = result.model.variants()[suspect.path]
+        # What a number switches on, as its strength does memory, has that number free.
+        by = suspect.path.partition(" = ")[0]
+        free = [by] if by in declared(other) else []
+        return refit(result, runs, model=other, free=free), *same
     if suspect.kind == "axes":
         way = next(way for way in all_axes() if name_of(way) == suspect.path)
         turned = [turned_back(run, way) for run in runs]

@@ -105,7 +105,10 @@ def responses(
         tables, blocks, successful = answer
         if not np.all(successful):
             first = jax.tree.map(lambda leaf: leaf[0], inputs)
-            raise InputError(f"the fitted model cannot be evaluated: {model.failure(first)}")
+            # Derivatives may take other steps than the motion, which is right by itself then.
+            why = model.for_derivatives((*paths, *free)).failure(first)
+            why = why or "a derivative of it is not finite"
+            raise InputError(f"the fitted model cannot be evaluated: {why}")
         for member, table, block in zip(members, tables, blocks, strict=True):
             observed = np.stack([runs[member].observations[c] for c in channels], axis=-1)
             count = len(observed)
