@@ -97,9 +97,10 @@ def test_every_key_of_the_result(fitted):
     for path, estimate in record["parameters"].items():
         assert set(estimate) == {
             "value", "standard_error", "unit", "lower", "upper", "free", "remark",
-            "interval", "freedom", "sandwich_error", "prior_share",
+            "interval", "freedom", "sandwich_error", "prior_share", "sources",
         }  # fmt: skip
         assert estimate["prior_share"] is None
+        assert estimate["sources"] == {}
         assert estimate["free"] == (path in TRUTH)
         assert isinstance(estimate["unit"], str)
         assert isinstance(estimate["remark"], str)
