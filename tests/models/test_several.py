@@ -164,15 +164,20 @@ def bench_and_arm(folder):
     about = {
         "model": "hysteresis",
         "hysteresis": {"operator": "bouc_wen", "previous_extremes": [0.0]},
-        "noise": {"output": 0.004},
+        "noise": {"output_N_m": 0.004},
     }
-    loop = Run.from_arrays(None, {"input": angle, "output": 0 * angle}, definition=about)
+    blank = {key: value for key, value in about.items() if key != "noise"}
+    loop = Run.from_arrays(None, {"input": angle, "output": 0 * angle}, definition=blank)
     stiffness, way = TORQUE["joints.memory.strength"] / 0.02, 1 / 0.02
     true = {"elastic": 2.6, "alpha": stiffness, "beta": way, "gamma": 1.0, "delta": 0.0, "nu": 1.0}
     torque = predict(replace(model_for([loop]), true), loop)["output"]
     torque = torque + 0.004 * random.normal(size=len(angle))
     loops = write_run(
-        folder / "loop.csv", None, {"input": angle, "output": torque}, definition=about
+        folder / "loop.csv",
+        None,
+        {"input": angle, "output": torque},
+        definition=about,
+        units={"output": "N_m"},
     )
     times = np.linspace(0, 6, 121)
     command = np.interp(times, [0, 0.5, 1.5, 3, 4, 6], [0, 0, 0.5, 0.5, -0.2, -0.2])
@@ -242,6 +247,56 @@ def test_a_definition_asks_each_run_for_its_own_channels(files):
         read_runs(files, Definition.parse(arm))
     runs = read_runs(files, Definition.parse({"fit": {"channels": ["tip_z"]}}))
     assert [list(run.observations) for run in runs] == [["output"], ["tip_z"]]
+
+
+def test_a_channel_of_no_run_is_refused(files):
+    for name in ("force", "nothing"):
+        with pytest.raises(InputError, match=f"'{name}' is no channel that these runs"):
+            read_runs(files, Definition.parse({"fit": {"channels": [name]}}))
+    # A run of the validation may be of one of the models alone.
+    asked = Definition.parse({"fit": {"channels": ["tip_z"], "window_s": 2.0}})
+    both = read_runs(files, Definition())
+    (loop,) = read_runs(files[:1], asked, beside=both)
+    assert list(loop.observations) == ["output"]
+
+
+def test_a_few_rows_beside_many_are_no_obstacle(runs):
+    """A recording with fewer rows than parameters, and one that shares nothing with another."""
+    wave, line = runs
+    short = Run.from_arrays(
+        None, {key: values[:1] for key, values in line.values.items()}, name="short",
+        definition={"noise": {"output": SIGMA}},
+    )  # fmt: skip
+    result = fit(SeveralModels((Wave(), Line())), [wave, short], free=["amplitude", "drift"])
+    assert result.parameters["drift"].sources == {"wave": None, "short": None}
+    assert result.parameters["amplitude"].sources["short"] == pytest.approx(1.0, rel=1e-6)
+
+
+def test_what_sidecars_state_of_a_shared_parameter_must_agree():
+    def joint(length):
+        section = {} if length is None else {"wire_length_m": length}
+        values = {"angle": [0.1, 0.2], "side": ["inner", "inner"], "force": [1.0, 1.0]}
+        return Run.from_arrays(None, values, definition={"joint": section})
+
+    def arm(length):
+        section = {"links": 2, "muscles": "pitch"}
+        if length is not None:
+            section["parameters"] = {"geometry.wire_length": length}
+        values = {"joint01_command": [0.0, 0.0], "tip_z": [0.0, 0.0]}
+        return Run.from_arrays([0.0, 1.0], values, definition={"arm": section})
+
+    for lengths in ((0.35, None), (None, 0.35), (0.35, 0.35)):
+        model = model_for([joint(lengths[0]), arm(lengths[1])])
+        assert [float(part.definition() and value(model)) for part, value in zip(
+            model.parts, declared(model)["geometry.wire_length"].getters, strict=True
+        )] == [0.35, 0.35]  # fmt: skip
+    with pytest.raises(InputError, match=r"different values of 'geometry\.wire_length'"):
+        model_for([joint(0.35), arm(0.36)])
+
+
+def test_values_for_single_runs_are_for_runs_of_one_model(files):
+    with pytest.raises(InputError, match="has values for single runs, and the runs are of several"):
+        task(files).on_top(per_run=["camera.delay"]).prepare()
 
 
 def test_all_runs_of_a_model_cannot_be_held_out(files):

@@ -24,7 +24,9 @@ def test_a_cubic_motion_turns_where_it_does():
     assert_allclose(part, [0.25 / STEP, 1.0, 0.39 / STEP], rtol=1e-12)
     assert_allclose(angle_after(part, STEP, state(0.0), state(STEP))[0], 0.0, atol=1e-15)
     # That at its end is left in the step.
-    assert _first_turn(STEP, state(0.0), state(STEP)) == pytest.approx(0.25 / STEP)
+    assert _first_turn(STEP, state(0.0), state(STEP), 1e-8) == pytest.approx(0.25 / STEP)
+    # Nor does it count where nothing moves.
+    assert _first_turn(STEP, state(0.0), state(STEP), 10.0) == 1
 
 
 @pytest.mark.parametrize("remembers", [True, False])

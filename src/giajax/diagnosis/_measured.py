@@ -68,7 +68,7 @@ class Measured:
             chi_square += float(np.sum(rho(loss, rest)))
             values += len(rest)
         squares = [
-            (rest / (stated or _deviation(noise[0], name))) ** 2
+            (rest / (stated or _deviation(_nearest(noise, name), name))) ** 2
             for name, stated, rest in self.apart
         ]
         return Rung(
@@ -80,6 +80,11 @@ class Measured:
             result=self.result,
             removed=self.removed,
         )
+
+
+def _nearest(noise: Noise, name: str) -> Mapping[str, float]:
+    """That of a run with the channel; of one that none has, the first one's."""
+    return next((deviations for deviations in noise if name in deviations), noise[0])
 
 
 def _deviation(deviations: Mapping[str, float], name: str) -> float:

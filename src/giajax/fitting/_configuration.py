@@ -251,7 +251,20 @@ def _check_determined(asked: Free, runs: Sequence[Run]) -> None:
 def _check_together(asked: Free, runs: Sequence[Run]) -> None:
     """Refuse a fit of runs of several kinds that have nothing in common: a mistake, or two fits."""
     kinds = dict.fromkeys(run.model for run in runs)
-    if len(kinds) > 1 and not asked.ties and not any(p.is_shared for p in asked.parameters):
+    if len(kinds) < 2:
+        return
+    if asked.groups:
+        path = next(iter(asked.groups))
+        raise InputError(
+            f"'{path}' has values for single runs, and the runs are of several models: leave them "
+            "out, or fit the runs of one model"
+        )
+    joins = [
+        tie
+        for tie in asked.ties
+        if any(p.partition("[")[0] != tie.path.partition("[")[0] for p in tie.expression.paths)
+    ]
+    if not joins and not any(p.is_shared for p in asked.parameters):
         raise InputError(
             f"no parameter that is free belongs to more than one of the models of these runs, "
             f"{' and '.join(kinds)}: free or tie one that does, or fit them separately"

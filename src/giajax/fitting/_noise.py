@@ -46,9 +46,14 @@ class Noise:
             per_run: whether a channel has another noise in every run, instead of one in all.
         """
         stated = tuple({name: _stated(run, name) for name in run.observations} for run in runs)
+        several = len({run.model for run in runs}) > 1
         keys = tuple(
-            {name: _key(name, number, known, per_run) for name, known in of_run.items()}
-            for number, of_run in enumerate(stated)
+            {
+                # A load cell of a joint's bench is not that of a stand for muscles.
+                name: _key(f"{run.model} {name}" if several else name, number, known, per_run)
+                for name, known in of_run.items()
+            }
+            for number, (run, of_run) in enumerate(zip(runs, stated, strict=True))
         )
         guesses: dict[str, list[float]] = {}
         for run, names in zip(runs, keys, strict=True):

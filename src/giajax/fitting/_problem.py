@@ -80,7 +80,8 @@ class Problem(eqx.Module):
 
     def free_paths(self, group: Group) -> tuple[str, ...]:
         """Paths of all that the predictions of a group's runs are differentiated by."""
-        return (*self.paths, *(path for path, _ in group.own))
+        following = (tie.path for tie in self.ties)
+        return (*self.paths, *following, *(path for path, _ in group.own))
 
 
 class Prediction(eqx.Module):

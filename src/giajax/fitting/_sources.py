@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from ..runs import Run
 from ._identifiability import COLLINEAR, undetermined_groups
 from ._jacobian import BlockJacobian
 from ._state import FitState
@@ -31,12 +32,12 @@ def sources(
     """
     problem = state.problem
     members = [member for group in problem.groups for member in group.members]
-    names = [state.setup.runs[member].recording for member in members]
+    names = _names([state.setup.runs[member] for member in members])
     if len(set(names)) < 2:
         return {}
-    common = alive[alive < problem.shared]
+    common, own = alive[alive < problem.shared], alive[alive >= problem.shared]
     triangles = [
-        _of_shared(block, columns, common)
+        _of_shared(block, columns, common, own)
         for block, columns in zip(jacobian.blocks, jacobian.columns, strict=True)
     ]
     whole = _triangle(triangles)
@@ -54,18 +55,30 @@ def sources(
     return found
 
 
-def _of_shared(block: np.ndarray, columns: np.ndarray, common: np.ndarray) -> np.ndarray:
+def _names(runs: Sequence[Run]) -> list[str]:
+    """Of the recording of each run; of files of the same name their paths."""
+    paths: dict[str, set[str]] = {}
+    for run in runs:
+        paths.setdefault(run.recording, set()).add(str(run.path))
+    return [run.recording if len(paths[run.recording]) == 1 else str(run.path) for run in runs]
+
+
+def _of_shared(
+    block: np.ndarray, columns: np.ndarray, common: np.ndarray, own: np.ndarray
+) -> np.ndarray:
     """What the rows of a run say of the common parameters, once its own ones fit as they like."""
-    own = ~np.isin(columns, common)
-    triangle = _triangle([block[:, own], block[:, ~own]], axis=1)
-    left = triangle[int(own.sum()) :, int(own.sum()) :]
+    alone, shared = np.isin(columns, own), np.isin(columns, common)
+    triangle = _triangle([block[:, alone], block[:, shared]], axis=1)
+    left = triangle[int(alone.sum()) :, int(alone.sum()) :]
     placed = np.zeros((len(left), len(common)))
-    placed[:, np.searchsorted(common, columns[~own])] = left
+    placed[:, np.searchsorted(common, columns[shared])] = left
     return placed
 
 
 def _triangle(parts: Sequence[np.ndarray], axis: int = 0) -> np.ndarray:
-    return np.asarray(np.linalg.qr(np.concatenate(parts, axis=axis), mode="r"))
+    """R of the QR factorisation, square also where there are fewer rows."""
+    triangle = np.asarray(np.linalg.qr(np.concatenate(parts, axis=axis), mode="r"))
+    return np.pad(triangle, ((0, triangle.shape[1] - len(triangle)), (0, 0)))
 
 
 def _variances(root: np.ndarray, norms: np.ndarray) -> dict[int, float]:

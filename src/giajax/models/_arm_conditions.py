@@ -85,7 +85,12 @@ def scale_conditions(
     driven = any(c.kind in forces for run in runs for c in run.channels.values())
     lifted = arm.buoyancy is not None and float(arm.gravity) != 0
     blown = arm.air.added_mass_coefficient is not None and any(run.winds for run in runs)
-    measured = any(run.model != model.kind for run in runs)
+    measured = any(
+        channel.quantity in ("force", "torque")
+        for run in runs
+        if run.model != model.kind
+        for channel in run.channels.values()
+    )
     sentences = []
     if scaled and not (driven or lifted or blown or measured):
         present = declared(model)

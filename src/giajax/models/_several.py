@@ -2,6 +2,8 @@
 
 An arm that muscles drive has the corrections alpha and beta of its joints, and so has a joint on a
 bench: a fit to runs of both has one alpha for both.
+
+Longer than 200 lines because all that is asked of a model is asked of each of them.
 """
 
 import dataclasses
@@ -9,11 +11,12 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Self
 
 import equinox as eqx
+import numpy as np
 
 from .._errors import InputError
 from .._typing import Array, Bool
 from ..kinds import KINDS
-from ..parameters import declared, inline, left_out
+from ..parameters import declared, inline, left_out, replace
 from ..runs import Run
 from ._build import model_class
 from ._protocol import AbstractModel, Channels, Derived, Integration
@@ -53,7 +56,9 @@ class SeveralModels(AbstractModel):
                 # One of them may hold what another one frees.
                 declaration = dataclasses.replace(parameter.declaration, frozen=True)
                 kind, first = known.setdefault(path, (part.kind, declaration))
-                if first != declaration:
+                # Of a unit of "input" and "output" each model has another one.
+                words = {"input", "output"} & set(declaration.unit.replace("/", " ").split())
+                if kind != part.kind and (words or first != declaration):
                     raise InputError(
                         f"'{path}' is another quantity in the {part.kind} model than in the {kind} "
                         "model: fit their runs separately"
@@ -66,9 +71,14 @@ class SeveralModels(AbstractModel):
 
     @classmethod
     def for_runs(cls, runs: Sequence[Run]) -> Self:
-        """The models of the runs of each kind, with the constants that their sidecars state."""
+        """The models of the runs of each kind, with the constants that their sidecars state.
+
+        Raises:
+            InputError: they state different values of a parameter that they share.
+        """
         by_kind = {kind: [run for run in runs if run.model == kind] for kind in KINDS}
-        return cls(tuple(model_class(kind).for_runs(its) for kind, its in by_kind.items() if its))
+        parts = (model_class(kind).for_runs(its) for kind, its in by_kind.items() if its)
+        return cls(tuple(parts))._agreed()
 
     @classmethod
     def from_definition(cls, definition: Mapping[str, Any]) -> Self:
@@ -171,7 +181,32 @@ class SeveralModels(AbstractModel):
 
     def for_derivatives(self, paths: Sequence[str]) -> Self:
         """Each of them as exact in derivatives as in predictions."""
-        return self._each(lambda part: part.for_derivatives(paths))
+        # Of paths that no model has, those of prepared inputs, any may be asked.
+        ours = _paths_of(self, paths)
+        inputs = [path for path in paths if path not in ours]
+        return self._each(lambda part: part.for_derivatives([*_paths_of(part, ours), *inputs]))
+
+    def _agreed(self) -> Self:
+        """With what one states of a shared parameter and the others leave at its default."""
+        agreed = self
+        for path, parameter in declared(self).items():
+            if not parameter.is_shared:
+                continue
+            usual = parameter.declaration.default
+            found = [
+                np.asarray(value)
+                for reach in parameter.getters
+                if (value := reach(self)) is not None
+            ]
+            stated = [value for value in found if not np.all(value == usual)]
+            if any(not np.array_equal(value, stated[0]) for value in stated[1:]):
+                raise InputError(
+                    f"the sidecars state different values of '{path}', which is one parameter of "
+                    f"the models {self.kind}: correct one of them"
+                )
+            if stated and len(stated) < len(found):
+                agreed = replace(agreed, {path: stated[0]})
+        return agreed
 
     def _each(self, change: Callable[[AbstractModel], AbstractModel]) -> Self:
         return dataclasses.replace(self, parts=tuple(map(change, self.parts)))

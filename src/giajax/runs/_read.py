@@ -52,6 +52,7 @@ def read_runs(
     definition: Definition,
     *,
     rename: Mapping[str, str] | None = None,
+    beside: Sequence[Run] = (),
 ) -> list[Run]:
     """Read the runs of a fit, with the channels and the windows that its definition asks for.
 
@@ -59,12 +60,13 @@ def read_runs(
         paths: as of `read_run`.
         definition: the fit definition.
         rename: as of `read_run`.
+        beside: runs that the definition is about, too: those that are fitted, of a validation.
 
     Raises:
         InputError: as `read_run`, `observing` and `windows`.
     """
     runs = [read_run(path, rename=rename, definition=definition) for path in paths]
-    return selected(runs, definition.fit.channels, definition.fit.window_s)
+    return selected(runs, definition.fit.channels, definition.fit.window_s, beside)
 
 
 def run_of(table: Table, path: Path, definition: Definition) -> Run:

@@ -17,7 +17,10 @@ _LINK_ANGLE = re.compile(r"link([0-9]{1,4})_angle")
 
 
 def selected(
-    runs: Sequence[Run], channels: Sequence[str] | None, window_s: float | None
+    runs: Sequence[Run],
+    channels: Sequence[str] | None,
+    window_s: float | None,
+    beside: Sequence[Run] = (),
 ) -> list[Run]:
     """The runs of a fit with these channels, in windows.
 
@@ -28,11 +31,19 @@ def selected(
         runs: as they were read.
         channels: names without unit; None for all that were measured.
         window_s: length of a window, s; None for whole runs.
+        beside: further runs that the same is asked of.
 
     Raises:
-        InputError: as `observing` and `windows`.
+        InputError: as `observing` and `windows`, or a channel that none of them measures.
     """
-    several = len({run.model for run in runs}) > 1
+    everything = [*runs, *beside]
+    several = len({run.model for run in everything}) > 1
+    for name in channels or () if several else ():
+        if not any(_may_hold(run, name) for run in everything):
+            raise InputError(
+                f"'{name}' is no channel that these runs are compared in: choose among "
+                f"{', '.join(dict.fromkeys(c for run in everything for c in run.observations))}"
+            )
     chosen = list(runs)
     for index, run in enumerate(runs if channels is not None else ()):
         names = [name for name in channels or () if not several or _may_hold(run, name)]
@@ -44,9 +55,9 @@ def selected(
 
 
 def _may_hold(run: Run, name: str) -> bool:
-    """Whether a channel of this name is one of the run's model, or of none."""
+    """Whether a channel of this name is one that the run's model predicts."""
     row = match_name(name)
-    return row is None or any(each.name == row.kind for each in run.kind.channels)
+    return row is not None and row.kind in run.kind.outputs
 
 
 def _has_state(run: Run) -> bool:

@@ -35,6 +35,9 @@ _SHORT, _LATE = 0.05, 0.9
 # derivatives of its first stage would be those of before the turn otherwise.
 _BEYOND = 1.04
 
+# Part of the tolerance that a joint has to move by in a step for its turn to count.
+_WORTH = 0.01
+
 
 def step_size_controller(
     solver: diffrax.AbstractSolver,
@@ -126,11 +129,13 @@ class _Careful(diffrax.AbstractAdaptiveStepSizeController):
             t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
         )
         if self.turns:
-            part = _first_turn(t1 - t0, y0, y1_candidate)
-            crossed = part < 1
+            least = _WORTH * jnp.maximum(self.rtol, self.atol)
+            end = t0 + _BEYOND * _first_turn(t1 - t0, y0, y1_candidate, least) * (t1 - t0)
+            # Of a step that fails by itself, too, no more than what its error allows.
+            crossed = (end < t1) & (keep | (end < next_t1)) & (end - t0 > _ulps(t1))
             keep = keep & ~crossed
             next_t0 = jnp.where(crossed, t0, next_t0)
-            next_t1 = jnp.where(crossed, t0 + _BEYOND * part * (t1 - t0), next_t1)
+            next_t1 = jnp.where(crossed, end, next_t1)
         # At rest nothing but the tolerance limits how long a step may be for the derivatives to be
         # as exact as the motion: an oscillation of size 1 would ask for about this.
         tolerance = jnp.maximum(self.rtol, self.atol)
@@ -144,7 +149,7 @@ class _Careful(diffrax.AbstractAdaptiveStepSizeController):
         crossed = (bend < next_t1) & (bend > next_t0 + 0.01 * (next_t1 - next_t0))
         next_t1 = jnp.where(crossed, bend, next_t1)
 
-        shortest = 4 * jnp.finfo(jnp.result_type(t1)).eps * jnp.abs(t1)
+        shortest = _ulps(t1)
         # Written so that it holds for a NaN, too.
         stuck = ~keep & ~(next_t1 - next_t0 > shortest)
         code = diffrax.RESULTS.where(
@@ -156,9 +161,23 @@ class _Careful(diffrax.AbstractAdaptiveStepSizeController):
         return keep, next_t0, next_t1, jump, state, result
 
 
-def _first_turn(step: Any, y0: Float[Array, "row joint"], y1: Float[Array, "row joint"]) -> Scalar:
-    """Part of a step after which the first joint turns round; 1 if none does well within it."""
+def _ulps(time: Any) -> Any:
+    """What a step is longer than, s."""
+    return 4 * jnp.finfo(jnp.result_type(time)).eps * jnp.abs(time)
+
+
+def _first_turn(
+    step: Any, y0: Float[Array, "row joint"], y1: Float[Array, "row joint"], least: Any
+) -> Scalar:
+    """Part of a step after which the first joint turns round; 1 if none does well within it.
+
+    Arguments:
+        step: its length, s.
+        y0, y1: states at its ends.
+        least: angle (rad) below which a joint that moves so far in a step is at rest.
+    """
     # The time of a step's end is no part of what is differentiated.
     does, part = jax.lax.stop_gradient(turns(step, y0, y1))
-    within = does & (part > _SHORT) & (part < _LATE)
+    moves = step * jnp.maximum(jnp.abs(y0[1]), jnp.abs(y1[1])) > least
+    within = does & moves & (part > _SHORT) & (part < _LATE)
     return jnp.min(jnp.where(within, part, 1))

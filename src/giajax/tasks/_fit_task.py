@@ -252,7 +252,7 @@ class FitTask:
         if not self.data:
             raise InputError("the task has no data: give at least one run")
         runs = read_runs(self.data, self.definition, rename=self.rename)
-        validation = read_runs(self.validation, self.definition, rename=self.rename)
+        validation = read_runs(self.validation, self.definition, rename=self.rename, beside=runs)
         record = record_of(self)
         from ._preparation import prepare
 

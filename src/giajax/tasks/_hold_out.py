@@ -85,7 +85,7 @@ def set_up_parts(
                 "hold out only some of them"
             )
     if len(fitted) < len(parts):
-        model_for(runs)  # refuses a run of another model than that of the others
+        model_for(runs)  # refuses runs whose sidecars contradict each other
     setup = set_up_for(model_for(fitted), fitted, _among(groups, fitted, runs))
     whole = set_up_for(setup.model, runs, groups)
     config: dict[str, list[dict[str, Any]]] = {"runs": [], "hold_out": []}

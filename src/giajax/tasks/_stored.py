@@ -89,6 +89,10 @@ def compared(result: "FitResult", before: Mapping[str, Any]) -> str:
     """
     now = json.loads(result.to_json())
     keys = ("parameters", "correlation", "cost", "reduced_chi_square", "history")
+    if not any("sources" in estimate for estimate in before["parameters"].values()):
+        # An earlier version did not say what each recording is worth.
+        for estimate in now["parameters"].values():
+            del estimate["sources"]
     same = all(now[key] == before[key] for key in keys)
     for key, what in (("runs", "runs fitted"), ("held_out", "runs with a part held out")):
         ours, theirs = now[key], before.get(key, [])
