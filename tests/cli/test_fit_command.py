@@ -279,7 +279,7 @@ def test_a_definition_and_what_goes_before_it(tmp_path, monkeypatch):
     assert config["start"] == {"air.drag_coefficient": 0.8, "joints.damping": 0.07}
     assert config["fix"] == {"joints.yaw_stiffness": 4.0}
     # The definition's noise goes before the sidecar's, whose arm stays.
-    assert record["runs"][0]["channels"]["link04_z"]["noise"] == 0.02
+    assert record["runs"][0]["channels"]["link04_z"]["noise"] == pytest.approx(0.02)
     assert config["definition"]["arm"]["links"] == 4
     verdicts = {line.split()[1]: line.split()[0] for line in out.splitlines()
                 if line.startswith(("reached", "MISSED"))}  # fmt: skip
