@@ -23,7 +23,7 @@ def benchmark(name, *options):
     return ended.stdout
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_benchmark_runs(tmp_path):
     out = tmp_path / "new" / "bench.json"
     printed = benchmark("bench", "--quick", "--out", out)
@@ -135,7 +135,7 @@ def test_the_benchmark_of_size_runs(case):
     assert found.get("status", "converged") == "converged"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_benchmark_of_cores_runs(tmp_path):
     out = tmp_path / "cores.json"
     benchmark("cores", "--quick", "--out", out)
@@ -214,7 +214,7 @@ def test_the_benchmark_of_the_tolerance_runs(tmp_path):
     assert "of the former" in printed
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_benchmark_of_a_fit_as_a_process_runs(tmp_path):
     benchmark("fit_process", "--quick", "--out", tmp_path / "fit.json")
     processes = json.loads((tmp_path / "fit.json").read_text())["processes"]["here"]

@@ -67,12 +67,15 @@ def test_it_states_the_truth_and_starts_away_from_it(path):
             assert start == 0 or abs(np.log(start / truth)) > off
 
 
-# This one takes a minute, and `joint_memory` asks for as much; test_stand_in has its physics.
-QUICKER = [path for path in FITS if path.stem != "independent_friction"]
+# What the others ask for each by itself is together in these, or once more.
+LONG = {"independent_friction", "two_runs", "independent_pitch_yaw", "independent_wind"}
+REACHING = [
+    pytest.param(path, marks=pytest.mark.long if path.stem in LONG else pytest.mark.slow)
+    for path in FITS
+]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("path", QUICKER, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", REACHING, ids=lambda path: path.stem)
 def test_it_reaches_its_figures(path):
     task = FitTask.load(path)
     definition, runs = task.definition, task.prepare().runs

@@ -3,14 +3,15 @@
 from pathlib import Path
 
 import pytest
+from numpy.testing import assert_allclose
 
-from giajax import FitTask
+from giajax import FitTask, load_result, read_run
 
 WHOLE = Path(__file__).parents[1] / "fits" / "whole_arm.toml"
 
 
 @pytest.mark.slow
-def test_without_the_bench_only_the_difference_of_alpha_and_beta_is_determined():
+def test_without_the_bench_only_the_difference_of_alpha_and_beta_is_determined(tmp_path):
     """Beta is a fall, so that its curvature adds to that of alpha."""
     task = FitTask.load(WHOLE)
     arm, _, loop = task.data
@@ -25,3 +26,13 @@ def test_without_the_bench_only_the_difference_of_alpha_and_beta_is_determined()
     error = float(error.split(":")[0])
     assert abs(float(value) - (0.9 + 0.5)) < 3 * error
     assert error < 0.03
+    assert result.parameters["drive.passive_stiffness"].sources["whole_loop"] > 3
+    assert result.parameters["air.drag_coefficient"].sources["whole_arm"] is None
+    # The bench measures torques, so that the scale of all forces is known.
+    assert not any("per unit of mass" in sentence for sentence in result.conditions)
+    path = tmp_path / "result.json"
+    path.write_text(result.to_json())
+    again = load_result(path)
+    assert again.model.kind == "arm+hysteresis"
+    bench = read_run(loop)
+    assert_allclose(again.predict(bench)["output"], result.predictions[1]["output"], atol=1e-9)

@@ -1,4 +1,4 @@
-"""Several models in one fit: against closed forms, and an arm with a loop of one of its joints."""
+"""Several models in one fit: against closed forms. `test_whole_arm` fits an arm and a bench."""
 
 import dataclasses
 from typing import ClassVar
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from giajax import Definition, FitTask, InputError, Run, fit, load_result, predict, replace
+from giajax import Definition, FitTask, InputError, Run, fit, predict, replace
 from giajax._typing import Scalar
 from giajax.fitting import set_up
 from giajax.models import SeveralModels, model_for
@@ -201,29 +201,6 @@ def task(files):
     start = {path: 1.4 * value for path, value in ARM.items()}
     fix = {"nu": 1.0, "gamma": 1.0, "delta": 0.0}
     return FitTask.of(files).on_top(free=list(ARM), start=start, fix=fix, ties=TIES)
-
-
-@pytest.mark.slow
-def test_an_arm_and_a_loop_of_its_joint_are_fitted_together(files, tmp_path):
-    ready = task(files).prepare()
-    result = ready.run()
-    assert result.status == "converged"
-    assert result.verdict.status == "adequate"
-    for path, value in ARM.items():
-        estimate = result.parameters[path]
-        assert abs(estimate.value - value) < 3 * estimate.standard_error, path
-    assert result.parameters["joints.pitch_stiffness"].sources["loop"] > 3
-    assert result.parameters["air.drag_coefficient"].sources["arm"] is None
-    # The bench measures torques, so that the scale of all forces is known.
-    assert not any("per unit of mass" in sentence for sentence in result.conditions)
-    path = tmp_path / "result.json"
-    path.write_text(result.to_json())
-    again = load_result(path)
-    assert again.model.kind == "arm+hysteresis"
-    assert again.parameters["joints.damping"] == result.parameters["joints.damping"]
-    for run, before in zip(ready.runs, result.predictions, strict=True):
-        for name, values in again.predict(run).items():
-            assert_allclose(values, before[name], atol=1e-9)
 
 
 def test_what_both_models_would_say_is_asked_of_each(files):
