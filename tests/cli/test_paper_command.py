@@ -73,6 +73,11 @@ def test_all_goes_on_where_it_was_stopped(tmp_path, capsys, made):
     (tmp_path / "fig12.json").unlink()
     assert main([*words, "--quiet"]) == 0
     assert made[len(NAMES) + 1 :] == ["fig12"]
+    # Neither is a page of someone else.
+    (tmp_path / "index.html").write_text("mine")
+    assert main(words) == 2
+    assert "index.html exists and is not written over" in capsys.readouterr().err
+    assert (tmp_path / "index.html").read_text() == "mine"
     assert main([*words, "--force"]) == 0
     assert made[len(NAMES) + 2 :] == list(NAMES)
 

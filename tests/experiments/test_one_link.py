@@ -1,10 +1,13 @@
 """The 1-link experiment: the protocol, the simulated joint, and what compensation brings."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from giajax.experiments import (
     SimulatedJoint,
+    _one_link,
     figure_12,
     history,
     one_link,
@@ -71,6 +74,13 @@ def test_the_noise_is_that_of_two_markers():
     np.testing.assert_array_equal(
         joint.measured(still), SimulatedJoint(pressure_noise=0).measured(still)
     )
+
+
+def test_no_trial_is_made_with_a_fit_that_was_stopped(monkeypatch):
+    stopped = SimpleNamespace(status="interrupted")
+    monkeypatch.setattr(_one_link, "identify", lambda recording: stopped)
+    with pytest.raises(KeyboardInterrupt):
+        one_link()
 
 
 @pytest.mark.slow

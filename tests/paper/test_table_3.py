@@ -84,7 +84,8 @@ def test_a_model_is_fitted_to_another_run_than_it_is_compared_with(fits, monkeyp
     # No model is needed to see which run it is fitted to.
     monkeypatch.setattr(_contenders, "takeichi_20m", lambda *_, **__: None)
     monkeypatch.setattr(_contenders, "ArmModel", lambda arm: arm)
-    monkeypatch.setattr(_contenders, "fit", lambda model, run, **_: used.append(run.name) or run)
+    done = SimpleNamespace(status="converged")
+    monkeypatch.setattr(_contenders, "fit", lambda model, run, **_: used.append(run.name) or done)
     for name in ("own", "with_air", "without_air", "own"):
         for run in fits.runs[:2]:
             Fits.result(fits, name, run)
@@ -97,12 +98,22 @@ def test_without_air_is_the_fitted_model_without_its_drag(fits, monkeypatch):
     # What is fitted, and what of it is changed, is seen without a model.
     monkeypatch.setattr(_contenders, "takeichi_20m", lambda *_, **__: None)
     monkeypatch.setattr(_contenders, "ArmModel", lambda _: None)
-    monkeypatch.setattr(_contenders, "fit", lambda *_, **__: SimpleNamespace(model="fitted"))
+    done = SimpleNamespace(model="fitted", status="converged")
+    monkeypatch.setattr(_contenders, "fit", lambda *_, **__: done)
     monkeypatch.setattr(_contenders, "replace", lambda model, values: (model, dict(values)))
     monkeypatch.setattr(_contenders, "predict", lambda model, _: asked.append(model) or run.values)
     for name in ("with_air", "without_air"):
         Fits.predicted(fits, name, run)
     assert asked == [("fitted", {}), ("fitted", {"air.drag_coefficient": 0.0})]
+
+
+def test_no_table_is_made_of_a_fit_that_was_stopped(fits, monkeypatch):
+    monkeypatch.setattr(_contenders, "takeichi_20m", lambda *_, **__: None)
+    monkeypatch.setattr(_contenders, "ArmModel", lambda _: None)
+    stopped = SimpleNamespace(status="interrupted")
+    monkeypatch.setattr(_contenders, "fit", lambda *_, **__: stopped)
+    with pytest.raises(KeyboardInterrupt):
+        Fits.result(fits, "with_air", fits.runs[0])
 
 
 def test_a_folder_without_the_runs_is_refused(tmp_path):

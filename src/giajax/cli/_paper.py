@@ -65,14 +65,15 @@ def paper(
     from ._jax import configure
 
     configure()
-    from ..paper import reproduction_page, stored_record
+    from ..paper import is_reproduction_page, reproduction_page, stored_record
 
-    kept = {}
+    kept, own_page = {}, False
     if name == _ALL and not force:
         kept = {each: record for each in names if (record := stored_record(out, each))}
         names = tuple(each for each in names if each not in kept)
-        # The page of figures that were made before is this command's own.
-        check_output_folder(out, [*_files(names), *([] if kept else [_PAGE])])
+        # The page of figures that were made before is this command's own, if it made it.
+        own_page = bool(kept) and is_reproduction_page(out / _PAGE)
+        check_output_folder(out, [*_files(names), *([] if own_page else [_PAGE])])
         if kept and not quiet:
             text = f"{', '.join(kept)}: there and whole, and not made again (--force does)"
             typer.echo(text, err=True)
@@ -83,7 +84,7 @@ def paper(
 
         records = {**kept, **made}
         page = reproduction_page(records[each] for each in NAMES)
-        write_files({out / _PAGE: page}, force=force or bool(kept))
+        write_files({out / _PAGE: page}, force=force or own_page)
         written = [_PAGE, *written]
     if not quiet:
         print(f"wrote {out}: {', '.join(written)}")

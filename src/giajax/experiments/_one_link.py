@@ -103,6 +103,9 @@ def one_link(
 
     Returns:
         The trials, the recording and the fit.
+
+    Raises:
+        KeyboardInterrupt: after Ctrl-C, where a fit alone keeps the best so far.
     """
     joint = SimulatedJoint() if joint is None else joint
     say = progress or (lambda text: None)
@@ -114,6 +117,9 @@ def one_link(
     branches = compensator_for_loop(_run(paper, on_paper), travel)
     say("fitting the modified Prandtl-Ishlinskii operator")
     result = identify(recording)
+    if result.status == "interrupted":
+        # Trials with an operator that was cut short would look like whole ones.
+        raise KeyboardInterrupt
     inverse = compensator_for_model(result.model)
     trials, number = [], 0
     for plan in (paper, other_history()):

@@ -3,6 +3,7 @@
 from ._concordance import concordance as concordance, relative_error as relative_error
 from ._figures import FIGURES as FIGURES, reproduce as reproduce
 from ._files import (
+    is_reproduction_page as is_reproduction_page,
     reproduced_files as reproduced_files,
     reproduced_names as reproduced_names,
     reproduced_record as reproduced_record,

@@ -131,7 +131,11 @@ class Fits:
         self._results: dict[tuple[str, str], FitResult] = {}
 
     def result(self, name: str, run: Run) -> FitResult:
-        """The fit of a contender that is to be compared with a run."""
+        """The fit of a contender that is to be compared with a run.
+
+        Raises:
+            KeyboardInterrupt: after Ctrl-C, where a fit alone keeps the best so far.
+        """
         contender = CONTENDERS[name]
         used = self._other if contender.on_another else run
         # With air and without it, the paper's model is fitted once.
@@ -139,7 +143,7 @@ class Fits:
         if key not in self._results:
             self._say(f"{contender.label.partition(',')[0]}: fitting it to {used.name}")
             # The noise is white, as the sidecars state it: what else is left is no noise.
-            self._results[key] = fit(
+            result = fit(
                 contender.start(),
                 used,
                 free=contender.free,
@@ -147,6 +151,10 @@ class Fits:
                 max_iterations=contender.iterations,
                 check=False,
             )
+            if result.status == "interrupted":
+                # A table of a fit that was cut short would look like a whole one.
+                raise KeyboardInterrupt
+            self._results[key] = result
         return self._results[key]
 
     def predicted(self, name: str, run: Run) -> dict[str, np.ndarray]:

@@ -26,6 +26,13 @@ dt { font-weight: 600; }
 dd { margin: 0 0 0.4rem 0; }
 """
 
+_HEAD = """\
+<!doctype html>
+<html lang="en"><head><meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>The paper's figures by giajax</title>
+"""
+
 # How every whole PNG file ends.
 _PNG_END = b"IEND\xaeB`\x82"
 
@@ -113,15 +120,21 @@ def reproduction_page(records: Iterable[Mapping[str, Any]]) -> bytes:
             f'<p>Numbers: <a href="{table}">{table}</a>, <a href="{record}">{record}</a></p>\n'
         )
     return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>The paper's figures by giajax</title>\n<style>\n{_STYLE}</style></head>\n<body>\n"
+        f"{_HEAD}<style>\n{_STYLE}</style></head>\n<body>\n"
         "<h1>The paper's figures by giajax</h1>\n<p>Figures and tables that Takeichi, Suzumori, "
         "Endo and Nabae (<i>Development of a 20-m-long Giacometti arm with balloon body based on "
         "kinematic model with air resistance</i>) derive from their models, made again by "
         f"giajax {__version__}. Below each stands what is printed in the paper, what is assumed, "
         "and what was reconstructed.</p>\n" + "".join(parts) + "</body></html>\n"
     ).encode()
+
+
+def is_reproduction_page(path: Path) -> bool:
+    """Whether a file is a page that `reproduction_page` made, and no one else's."""
+    try:
+        return path.read_bytes().startswith(_HEAD.encode())
+    except OSError:
+        return False
 
 
 def _table(table: Mapping[str, Any]) -> str:
