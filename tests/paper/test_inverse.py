@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from giajax.arm import takeichi_20m
-from giajax.paper import _inverse_search, concordance, reproduced_files
+from giajax.paper import _inverse, _inverse_search, concordance, reproduced_files
 from giajax.paper._inverse import shown
 from giajax.paper._inverse_drawn import directions
-from giajax.paper._inverse_search import CELLS, Ended, search
+from giajax.paper._inverse_search import CELLS, SearchEnd, search
 from giajax.paper._readings import READINGS
 from giajax.paper._unknown_experiment import UNKNOWNS, Compared, evaluated
 from giajax.simulation import ramps, simulate
@@ -30,6 +30,13 @@ def known(offset):
         return Compared(cells, np.full(4, 0.1), np.zeros(4, bool))
 
     return evaluated, lambda logarithms: (evaluated(logarithms), SLOPES)
+
+
+def ended(reading, jacobian):
+    """A search that ended two points off."""
+    out = Compared(CELLS + 2.0, np.full(4, 0.1), np.zeros(4, bool))
+    ones = np.exp(READINGS[reading].spread() @ READINGS[reading].box()[0])
+    return SearchEnd(reading, 1, "minimum", 3, ones, ones, out, jacobian, jacobian)
 
 
 @pytest.fixture(params=[1, 2])
@@ -74,6 +81,45 @@ def test_it_can_be_stopped(monkeypatch, cores):
     assert shown(ends).rows
 
 
+def test_a_search_that_is_stopped_or_fails_at_its_start(monkeypatch):
+    """Those before it are kept, and what it has not found is no number."""
+    monkeypatch.setenv("GIAJAX_CORES", "1")
+    for why in ("interrupted", "failed"):
+        there = known(5.0)[1]
+        calls = []
+
+        def linearised(logarithms, calls=calls, there=there, why=why):
+            calls.append(logarithms)
+            out, slopes = there(logarithms)
+            if len(calls) == 2 and why == "interrupted":
+                raise KeyboardInterrupt
+            return (out, slopes) if len(calls) < 2 else (out._replace(cells=CELLS + np.nan), slopes)
+
+        monkeypatch.setattr(_inverse_search, "evaluated", known(5.0)[0])
+        monkeypatch.setattr(_inverse_search, "linearised", linearised)
+        ends = search("own", starts=2, pool=5, iterations=0)
+        assert [end.why for end in ends] == ["iterations", why]
+        assert np.all(np.isfinite(ends[0].out.cells))
+        assert np.all(np.isnan(ends[1].out.cells))
+        table = shown(ends)
+        assert [row[3] for row in table.rows if row[0] == "link 2, with air, %"] == ["nan"]
+
+
+@pytest.mark.quick
+def test_searches_are_kept_when_the_next_reading_is_stopped(monkeypatch):
+    def stopped(reading, *, say):
+        if reading == stop:
+            raise KeyboardInterrupt
+        return [ended(reading, np.zeros((8, 8)))] * 5
+
+    monkeypatch.setattr(_inverse, "search", stopped)
+    stop = "own"
+    assert len(_inverse.table3_inverse().facts["searches"]) == 5
+    stop = "memory"
+    with pytest.raises(KeyboardInterrupt):
+        _inverse.table3_inverse()
+
+
 @pytest.mark.quick
 def test_readings():
     memory, own = READINGS["memory"], READINGS["own"]
@@ -92,9 +138,7 @@ def test_directions_are_told():
     jacobian = np.zeros((8, 8))
     jacobian[0, 0], jacobian[1, 2] = 3.0, -7.0
     jacobian[0, 1] = 3.0
-    out = Compared(CELLS + 2.0, np.full(4, 0.1), np.zeros(4, bool))
-    ones = np.exp(READINGS["memory"].spread() @ READINGS["memory"].box()[0])
-    end = Ended("memory", 1, "minimum", 3, ones, ones, out, jacobian, jacobian)
+    end = ended("memory", jacobian)
     sizes, rows = directions(end)
     np.testing.assert_allclose(sizes[:3], [7, 3 * np.sqrt(2), 0], atol=1e-12)
     np.testing.assert_allclose(rows[0], np.eye(8)[2], atol=1e-12)

@@ -5,7 +5,7 @@ from typing import Any
 
 from ._contenders import LINKS
 from ._inverse_drawn import directions, drawn, in_words, nearest, rms, rough
-from ._inverse_search import CELLS, Ended, Say, search
+from ._inverse_search import CELLS, STARTS, Say, SearchEnd, search
 from ._readings import READINGS
 from ._reproduced import Reproduced, Sources
 from ._unknown_experiment import STARTS_AT, UNKNOWNS
@@ -35,15 +35,20 @@ def table3_inverse(say: Say = lambda text: None) -> Reproduced:
     Raises:
         KeyboardInterrupt: stopped before any search had begun.
     """
-    ends: list[Ended] = []
+    ends: list[SearchEnd] = []
     for reading in READINGS:
-        ends += search(reading, say=say)
-        if any(end.why == "interrupted" for end in ends):
+        try:
+            found = search(reading, say=say)
+        except KeyboardInterrupt:
+            # What the searches before it found is kept.
+            break
+        ends += found
+        if len(found) < STARTS or any(end.why == "interrupted" for end in found):
             break
     return shown(ends)
 
 
-def shown(ends: Sequence[Ended]) -> Reproduced:
+def shown(ends: Sequence[SearchEnd]) -> Reproduced:
     """How searches ended, as a table and a picture.
 
     Arguments:
@@ -71,7 +76,7 @@ def shown(ends: Sequence[Ended]) -> Reproduced:
     )
 
 
-def _rows(ends: Sequence[Ended]) -> tuple[tuple[Any, ...], ...]:
+def _rows(ends: Sequence[SearchEnd]) -> tuple[tuple[Any, ...], ...]:
     rows: list[tuple[Any, ...]] = []
     for at, place in enumerate(_PLACES):
         rows.append((place, f"{CELLS[at]:g}", *(f"{end.out.cells[at]:.1f}" for end in ends)))
@@ -96,7 +101,7 @@ def _rows(ends: Sequence[Ended]) -> tuple[tuple[Any, ...], ...]:
     return tuple(rows)
 
 
-def _columns(ends: Sequence[Ended]) -> dict[str, list[Any]]:
+def _columns(ends: Sequence[SearchEnd]) -> dict[str, list[Any]]:
     columns: dict[str, list[Any]] = {
         "reading": [end.reading for end in ends],
         "start": [end.number for end in ends],
@@ -114,7 +119,7 @@ def _columns(ends: Sequence[Ended]) -> dict[str, list[Any]]:
     return columns
 
 
-def _record(end: Ended) -> dict[str, Any]:
+def _record(end: SearchEnd) -> dict[str, Any]:
     sizes, rows = directions(end)
     free = READINGS[end.reading].free
     return {

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..report import BLUE, GREY, INK, VERMILLION, new_figure, plain
-from ._inverse_search import CELLS, ROUNDING, Ended
+from ._inverse_search import CELLS, ROUNDING, SearchEnd
 from ._readings import READINGS
 
 _COLOURS = {"memory": BLUE, "own": VERMILLION}
@@ -15,22 +15,22 @@ _COLOURS = {"memory": BLUE, "own": VERMILLION}
 _WORTH = 0.25
 
 
-def nearest(ends: Sequence[Ended]) -> Ended:
+def nearest(ends: Sequence[SearchEnd]) -> SearchEnd:
     """The search that ended nearest to the printed cells."""
     sizes = [rms(end) if np.isfinite(rms(end)) else np.inf for end in ends]
     return ends[int(np.argmin(sizes))]
 
 
-def rms(end: Ended) -> float:
+def rms(end: SearchEnd) -> float:
     """Root mean square of the errors of the cells, percentage points."""
     return float(np.sqrt(np.mean(end.misfit**2)))
 
 
-def directions(end: Ended) -> tuple[np.ndarray, np.ndarray]:
+def directions(end: SearchEnd) -> tuple[np.ndarray, np.ndarray]:
     """Singular values and right singular vectors of the Jacobian.
 
-    A joint with memory that trembles may have derivatives that are no slopes of the
-    cells: columns that are far from differences are replaced by these.
+    Where joints remember, derivatives may be no slopes of the cells: columns that are far
+    from differences are replaced by these.
 
     Arguments:
         end: of a search.
@@ -48,7 +48,7 @@ def directions(end: Ended) -> tuple[np.ndarray, np.ndarray]:
     return sizes, rows * np.sign(rows[np.arange(len(rows)), np.abs(rows).argmax(axis=1)])[:, None]
 
 
-def rough(end: Ended) -> np.ndarray:
+def rough(end: SearchEnd) -> np.ndarray:
     """Which derivatives are off from differences by more than a tenth and a point."""
     off = np.abs(end.jacobian - end.checked).max(axis=0)
     return np.asarray(off > np.maximum(0.1 * np.abs(end.checked).max(axis=0), 1.0))
@@ -60,7 +60,7 @@ def in_words(row: np.ndarray, names: Sequence[str]) -> str:
     return " ".join(f"{names[at]}^{row[at]:.2f}" for at in order)
 
 
-def drawn(ends: Sequence[Ended], title: str) -> Figure:
+def drawn(ends: Sequence[SearchEnd], title: str) -> Figure:
     """Singular values of all searches, and the directions of the nearest."""
     figure = new_figure(11, 5.4, title)
     left, right = figure.subplots(1, 2)
@@ -78,7 +78,7 @@ def drawn(ends: Sequence[Ended], title: str) -> Figure:
     for share in (0.1, 1.0):
         left.axhline(ROUNDING / share, color=GREY, linewidth=0.8, linestyle=(0, (4, 2)))
         left.annotate(
-            f"rounding alone leaves {share:.0%}",
+            f"half a point is {share:.0%}",
             (1, ROUNDING / share),
             xytext=(0, 3),
             textcoords="offset points",

@@ -34,19 +34,19 @@ _SOLVER = Marquardt(largest_step=0.5, rtol=0.0, atol=1e-3, distance=1e-4)
 
 
 @dataclasses.dataclass(frozen=True)
-class Ended:
+class SearchEnd:
     """How the search from one start ended.
 
     Attributes:
         reading: name of the reading.
         number: of the start, from 1.
-        why: "reached", "minimum" (converged beside the printed cells), "stuck" (no step lowers the
-            residual, and no minimum), "iterations", "failed" or "interrupted".
+        why: "reached", "minimum" (converged beside the printed cells), "stuck" (no minimum, but no
+            step along these slopes helps), "iterations", "failed" or "interrupted".
         iterations: steps that were tried.
         start, end: values of `UNKNOWNS` there, SI, shape (unknown,).
-        out: what comes out at the end.
+        out: what comes out at the end; all NaN where nothing was evaluated, as what follows.
         jacobian: of the cells by the logarithms of what is free, % a unit, shape (8, free).
-        checked: the same by differences of the cells, NaN where nothing was evaluated.
+        checked: the same by differences of the cells.
     """
 
     reading: str
@@ -83,7 +83,7 @@ def search(
     iterations: int = ITERATIONS,
     seed: int = SEED,
     say: Say = lambda text: None,
-) -> list[Ended]:
+) -> list[SearchEnd]:
     """Look for arms from the best of some random ones.
 
     Arguments:
@@ -96,6 +96,9 @@ def search(
 
     Returns:
         How each search ended; after Ctrl-C those that had begun.
+
+    Raises:
+        KeyboardInterrupt: stopped at the random arms, before any search had begun.
     """
     taken = READINGS[reading]
     random = np.random.default_rng(seed)
@@ -113,14 +116,15 @@ def search(
 
 def _descend(
     reading: str, number: int, start: np.ndarray, iterations: int, say: Say, tell: Tell
-) -> Ended:
+) -> SearchEnd:
     """One search, by the solver of every fit; its steps are taken here, to be told and stopped."""
     taken = READINGS[reading]
     options = dict(zip(("lower", "upper"), map(jnp.asarray, taken.box()), strict=True))
-    at, why, tried = jnp.asarray(start), "iterations", 0
-    there = _weighed(taken, start)
-    state = _SOLVER.init(_unused, at, None, options, jnp.asarray(there[0]), there[4], frozenset())
+    at, why, tried, state = jnp.asarray(start), "iterations", 1, None
+    out, slopes, checked = _nothing(taken)
     try:
+        there = _weighed(taken, start)
+        state = _SOLVER.init(_unused, at, None, options, there[0], there[4], frozenset())
         for tried in range(1, iterations + 2):
             trial = _SOLVER.propose(at, options, state)
             # The first one is the start, which is known.
@@ -138,20 +142,29 @@ def _descend(
                 break
         checked = _differences(taken, np.asarray(at))
     except KeyboardInterrupt:
-        why, checked = "interrupted", np.full((len(CELLS), len(taken.free)), np.nan)
-    if not np.isfinite(float(state.cost)):
-        why = why if why == "interrupted" else "failed"
-    return Ended(
+        why = "interrupted"
+    if state is not None and np.isfinite(float(state.cost)):
+        out, slopes = jax.tree.map(np.asarray, (state.aux, state.jacobian[: len(CELLS)]))
+    elif why != "interrupted":
+        why = "failed"
+    return SearchEnd(
         reading=reading,
         number=number,
         why=why,
         iterations=tried - 1,
         start=np.exp(np.asarray(taken.all(start))),
         end=np.exp(np.asarray(taken.all(np.asarray(at)))),
-        out=jax.tree.map(np.asarray, state.aux),
-        jacobian=np.asarray(state.jacobian)[: len(CELLS)],
+        out=out,
+        jacobian=slopes,
         checked=checked,
     )
+
+
+def _nothing(taken: Reading) -> tuple[Compared, np.ndarray, np.ndarray]:
+    """What comes out, and its derivatives in both ways, where nothing was evaluated."""
+    slopes: Any = np.full((len(CELLS), len(taken.free)), np.nan)
+    four = slopes[:LINKS_COMPARED, 0]
+    return Compared(slopes[:, 0], four, four > 0), slopes, slopes
 
 
 def _unused(y: Any, args: Any) -> Any:
