@@ -1,16 +1,20 @@
 """`giajax simulate`: a run that is read, checked and fitted, or one sentence."""
 
+import re
 import shlex
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from giajax import ArmModel, arm_from_definition, read_run
 from giajax.cli import main
+from giajax.cli._gusts import gusts_of
 from giajax.fitting import predict
 from giajax.parameters import replace
+from giajax.runs import Definition
 
 SHORT = ["--links", "3", "--duration", "2"]
 
@@ -288,10 +292,13 @@ def test_gusts_are_recorded_about_the_mean_wind(out, capsys):
     """And the arm moves in them alone."""
     run = simulate(out, *SHORT, "--wind", "0,0.3,0", "--gusts", "0.4,0.2,0:2")
     assert "--gusts 0.4,0.2,0:2" in run.definition.origin
-    along, level = run.definition.truth["gusts_left_out"]
-    assert 0 < along < level < 0.1
-    said = f"left out: {along:.1%} of the variance along the mean wind, {level:.1%} across it"
-    assert said in capsys.readouterr().out
+    command, note = run.definition.origin.split("  # ")
+    assert shlex.split(run.definition.origin, comments=True) == shlex.split(command)
+    assert f"{note} (option --rate)" in capsys.readouterr().out
+    along, level = (float(share) for share in re.findall(r"([\d.]+)% a", note))
+    assert 0 < along < level < 10
+    # What is stated is all of it a parameter.
+    replace(ArmModel(arm_from_definition(run.definition)), run.definition.truth)
     assert run.definition.wind.velocity_m_per_s is None
     across = run.values["wind_y"]
     assert 0.02 < np.ptp(across) < 1
@@ -318,6 +325,22 @@ def test_each_link_has_gusts_of_its_own(out):
 def test_coherence_is_of_gusts(out, capsys):
     simulate(out, *SHORT, "--wind", "0,0.3,0", "--coherence", "12", status=2)
     assert "give --gusts, too" in capsys.readouterr().err
+    windy = (*SHORT, "--wind", "0,0.3,0", "--gusts", "0.3:5")
+    simulate(out, *windy, "--coherence", "-1", status=2)
+    assert "--coherence is -1: give a decay of at least 0" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("intensity", "ways"),
+    [("2,0,0", ["along"]), ("0,0,1", ["across"]), ("0.3", ["along", "across"])],
+)
+def test_what_is_left_out_of_gusts_is_of_those_there_are(intensity, ways):
+    definition = Definition.parse({"wind": {"velocity_m_per_s": [0, 0.2, 0]}})
+    arm = SimpleNamespace(count=3)
+    sampling = {"start": 0.0, "duration": 1.0, "rate": 10.0, "seed": 0}
+    _, note = gusts_of(f"{intensity}:2", definition, None, arm, coherence=None, **sampling)
+    assert re.findall(r"% (\w+)", note) == ways
+    assert note.endswith(" the mean wind")
 
 
 @pytest.mark.parametrize("text", ["0.3", "0.3:", "0.3,0.1:5", "a:5", "0.3:5:1"])

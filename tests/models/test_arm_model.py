@@ -257,6 +257,13 @@ def test_runs_that_disagree_about_the_arm_are_refused(run):
         model_for([run, other])
 
 
+def test_the_wind_of_a_link_that_there_is_not_is_refused():
+    values = {"joint01_command": 0 * TIMES, "link05_wind_x": 0 * TIMES + 0.1}
+    windy = Run.from_arrays(TIMES, values)
+    with pytest.raises(InputError, match="has the wind of link 5, but the arm has 4 links"):
+        truth_model().prepare(windy)
+
+
 @pytest.mark.slow
 def test_a_wind_moves_the_arm_and_steady_rows_are_merged():
     still = {"joint01_command": 0 * TIMES, "tip_z": np.zeros_like(TIMES)}

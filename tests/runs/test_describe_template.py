@@ -90,6 +90,16 @@ def test_notes_say_what_is_assumed():
     assert (facts["sidecar"], facts["wind"]) == (None, None)
 
 
+def test_winds_of_some_links_are_told():
+    times, definition = [0.0, 1.0], {"arm": {"links": 2}}
+    names = [f"link{link:02d}_wind_{axis}" for link in (1, 2) for axis in "xyz"]
+    for count, told in ((6, False), (3, True)):
+        winds = {name: [0.0, 0.1] for name in names[:count]}
+        run = Run.from_arrays(times, {"joint01_command": times, **winds}, definition=definition)
+        notes = "\n".join(describe(run)["notes"])
+        assert ("wind of links or along axes that are not recorded" in notes) == told
+
+
 def test_text_channels_are_counted():
     sides = {"side": ["inner", "outer", "inner"], "angle": [0.1, -0.1, 0.2]}
     run = Run.from_arrays(None, {**sides, "force": [1, 2, 3]})

@@ -24,11 +24,11 @@ def gusts_of(
     coherence: float | None,
     rate: float,
     **sampling: Any,
-) -> tuple["Drive", tuple[float, float]]:
-    """The wind of --gusts about the constant one, and the shares of its variance left out.
+) -> tuple["Drive", str]:
+    """The wind of --gusts about the constant one, and what of its variance is left out.
 
-    With --coherence it is that of each link, where the arm rests. `sampling` is as of
-    `giajax.gusts`.
+    With --coherence it is that of each link, in the places of the straight arm. `sampling` is as
+    of `giajax.gusts`.
     """
     import jax.numpy as jnp
     import numpy as np
@@ -51,6 +51,8 @@ def gusts_of(
         raise InputError(
             "--gusts are about a constant wind, and none is there: give it by --wind X,Y,Z"
         )
+    if coherence is not None and not 0 <= coherence < math.inf:
+        raise InputError(f"--coherence is {coherence:g}: give a decay of at least 0, such as 12")
     parts = [float(part) for part in match["intensity"].split(",")]
     intensity = parts if len(parts) == 3 else parts[0]
     sampling |= {"interval": 1 / rate if rate else 0.0, "length_scale": float(match["length"])}
@@ -59,4 +61,10 @@ def gusts_of(
         sampling |= {"decay": coherence}
     wind = gusts(mean, intensity=intensity, **sampling)
     scales = {key: sampling[key] for key in ("length_scale", "interval")}
-    return wind, gusts_left_out(math.hypot(*mean), **scales)
+    along, across = gusts_left_out(math.hypot(*mean), **scales)
+    # Of a direction without gusts nothing is left out.
+    shares = [f"{along:.1%} along"] * (parts[0] > 0) + [f"{across:.1%} across"] * any(parts[-2:])
+    return wind, (
+        f"gusts quicker than {4 * scales['interval']:g} s are left out, of the variance: "
+        f"{', '.join(shares)} the mean wind"
+    )

@@ -157,20 +157,18 @@ def simulate(
         drives = [moves_of(step or [], ramp or [], count, duration)]
     if coherence is not None and gusts is None:
         raise InputError("--coherence is of gusts, and there are none: give --gusts, too")
+    left_out = ""
     if gusts is not None:
         sampling: dict[str, Any] = {"start": start, "duration": duration, "rate": rate}
         sampling |= {"coherence": coherence, "seed": seed}
         wind_rows, left_out = gusts_of(gusts, definition, replayed, model.arm, **sampling)
         drives.append(wind_rows)
-        truth["gusts_left_out"] = list(left_out)
-        typer.echo(
-            f"gusts quicker than {4 / rate:g} s are left out: {left_out[0]:.1%} of the variance "
-            f"along the mean wind, {left_out[1]:.1%} across it (option --rate)"
-        )
+        typer.echo(f"{left_out} (option --rate)")
     recorded = channel_names(channels or [], count)
     deviations(section, "--noise", recorded)
     facts = facts_of(definition, replayed, drives, model)
-    facts["origin"] = origin(context)
+    # What follows is a comment to a shell; [truth] has parameters only.
+    facts["origin"] = origin(context) + (f"  # {left_out}" if left_out else "")
     facts["noise"] = {key: deviation for key, deviation in section.items() if deviation}
     times, inputs = sampled(drives, start=start, duration=duration, rate=rate)
     try:

@@ -124,6 +124,10 @@ def _notes(content: Content, sidecar: bool) -> list[str]:
         notes.append("command interpolation not stated: linear between two rows")
     if "wind" not in rows:
         if "link_wind" in rows:
+            columns = sum(each.kind == "link_wind" for each in content.channels.values())
+            links = links_of(definition.section(ArmSection))
+            if links is None or columns < 3 * links:
+                notes.append("wind of links or along axes that are not recorded: taken as zero")
             return notes
         if definition.section(WindSection).velocity_m_per_s is None:
             notes.append("wind not stated: still air is assumed")

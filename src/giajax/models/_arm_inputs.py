@@ -119,6 +119,11 @@ def _wind(arm: Arm, run: Run, times: np.ndarray) -> Signal | None:
     for own in (False, True):
         for name, values in run.winds.items():
             channel = run.channels[name]
+            if (channel.index or 0) > arm.count:
+                raise InputError(
+                    f"'{run.name}' has the wind of link {channel.index}, but the arm has "
+                    f"{arm.count} links: remove the column, or give a longer arm"
+                )
             if (channel.index is not None) == own:
                 places = slice(None) if channel.index is None else channel.index - 1
                 velocity[:, places, channel.component] = values if own else values[:, None]

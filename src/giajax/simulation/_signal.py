@@ -29,6 +29,9 @@ class Signal(eqx.Module):
     From knot i on, until the next knot, the value is `values[i] + slopes[i] * (t - times[i])`;
     before the first knot it is `values[0]`.
 
+    Derivatives of a simulation by `times` are right where the signal does not jump. By when a jump
+    comes they are incomplete, and no error: those of `steps` and of `zoh` rows are 0.
+
     Arguments:
         times: of the knots, increasing, s, shape (knot,).
         values: just after each knot, shape (knot, width).

@@ -21,8 +21,11 @@ which is Davenport's exponential (The spectrum of horizontal gustiness near the 
 winds, Quarterly Journal of the Royal Meteorological Society 87, 1961, p. 194) but for the second
 term: that one makes slow gusts end after some length scales, too. It is the root of the coherence
 of power, and used for all components. Along the mean flow gusts come later, by the distance over
-its speed (Taylor's frozen turbulence). At each frequency its matrix is factored, as Shinozuka and
-Deodatis do.
+its speed (Taylor's frozen turbulence). At each frequency its matrix is factored (Shinozuka and Jan,
+Digital simulation of random processes and its applications, Journal of Sound and Vibration 25,
+1972, p. 111; Deodatis, Simulation of ergodic multivariate stochastic processes, Journal of
+Engineering Mechanics 122, 1996, p. 778). All factors have the same frequencies here, so that
+variances and coherences of places are right in the mean over seeds, and not of each run.
 """
 
 import numpy as np
