@@ -16,10 +16,25 @@ _HALVINGS = 56
 _NEWTON_STEPS = 8
 
 
-def bisect(function: Callable[[Array], Array], lower: Scalar, upper: Scalar) -> Scalar:
-    """A point between `lower` and `upper` where the sign changes; NaN where it does not."""
-    start = jnp.sign(function(lower))
-    differs = start * jnp.sign(function(upper)) <= 0
+def bisect(
+    function: Callable[[Array], Array],
+    lower: Scalar,
+    upper: Scalar,
+    signs: tuple[Scalar, Scalar] | None = None,
+) -> Scalar:
+    """A point between `lower` and `upper` where the sign changes; NaN where it does not.
+
+    Arguments:
+        function: of one point.
+        lower, upper: the two points.
+        signs: of the function at both, where they are known. A root at one of them is lost where
+            another evaluation rounds to the other sign.
+
+    Returns:
+        The point.
+    """
+    start, end = signs or (jnp.sign(function(lower)), jnp.sign(function(upper)))
+    differs = start * end <= 0
 
     def halve(_: int, ends: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = ends

@@ -107,7 +107,8 @@ def _between(
         fill_value=len(nodes),
     )
     low, high = (nodes.at[at + step].get(mode="fill", fill_value=0.0) for step in (0, 1))
-    roots = jax.vmap(lambda a, b: bisect(lambda x: function(x, side), a, b))(low, high)
+    signs = tuple(sign.at[at + step].get(mode="fill", fill_value=0.0) for step in (0, 1))
+    roots = jax.vmap(lambda *ends: bisect(lambda x: function(x, side), *ends))(low, high, signs)
     return jnp.where(at < len(nodes), roots, jnp.nan)
 
 
