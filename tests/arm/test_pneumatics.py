@@ -22,6 +22,7 @@ from giajax.joint import (
     EmpiricalMuscle,
     Joint,
     JointPair,
+    Piston,
     branch_angles,
     muscle_path,
     net_torque,
@@ -194,9 +195,47 @@ def test_another_law_drives_an_arm():
     assert not np.allclose(arm.pneumatics.commanded(command), braided)
 
 
+def test_at_60_degrees_the_slope_is_that_of_the_range():
+    drive = Pneumatics((1,))
+
+    def pressures(angle):
+        return drive.commanded(angle[None])[:, 0]
+
+    slope = jax.jit(jax.jacfwd(pressures))
+    for side in (1, -1):
+        at, inside = (slope(jnp.asarray(side * np.deg2rad(a))) for a in (60.0, 60 - 1e-6))
+        assert_allclose(at, inside, rtol=1e-5)
+
+
+def test_a_bound_of_the_stiffness_holds_for_any_pressures():
+    arm = chain(2, muscles="pitch", parameters={"joints.yaw_stiffness": 7.0})
+    drive = arm.pneumatics
+    angles = np.deg2rad(np.linspace(-59.5, 59.5, 120))
+    held = np.asarray([[a, b] for a in (0, 1e5, 3e5) for b in (0, 1e5, 3e5)])
+
+    def slope(angle, pressures):
+        own = lambda a: drive.torque(jnp.stack([a, 0 * a]), jnp.stack([pressures] * 2, 1))[0]  # noqa: E731
+        return -jax.grad(own)(angle)
+
+    found = jax.jit(jax.vmap(jax.vmap(slope, (0, None)), (None, 0)))(angles, held)
+    bound = np.asarray(eqx.filter_jit(lambda arm: arm.stiffest_spring)(arm))
+    assert np.max(found) <= bound[0] < 1.2 * np.max(found)
+    # The stop is stiffer, and is none of it; nor have springs anything of the muscles.
+    assert bound[0] < float(drive.drive.stop_stiffness)
+    assert bound[1] == 7.0
+
+
+def test_a_spring_that_no_joint_has_is_0_whoever_states_it():
+    stated = chain(1, muscles="pitch", parameters={"joints.pitch_stiffness": 3.0})
+    assert float(stated.joints.pitch_stiffness) == 0
+
+
 def test_bad_muscles_are_refused():
-    with pytest.raises(InputError, match='use "pitch", "all" or a list'):
-        chain(2, muscles="yaw")
+    for wrong in ([1.9], 3, "yaw", [True]):
+        with pytest.raises(InputError, match='use "pitch", "all" or a list'):
+            chain(2, muscles=wrong)
+    with pytest.raises(InputError, match="which pushes"):
+        chain(2, muscles="all", pair=JointPair(PAIR.joint, Piston()))
     with pytest.raises(InputError, match="joint 3 has muscles, but the arm has 2 joints"):
         chain(2, muscles=[1, 3])
     with pytest.raises(InputError, match="increasing, each once"):

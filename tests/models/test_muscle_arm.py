@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 
 import giajax
 from giajax import InputError, Run
+from giajax.arm import acceleration
 from giajax.cli import main
 from giajax.fitting import fit
 from giajax.models import (
@@ -20,7 +21,8 @@ from giajax.models import (
     model_for,
     parameter_values,
 )
-from giajax.parameters import declared, default_free, replace
+from giajax.models._arm_conditions import SCALE
+from giajax.parameters import declared, default_free, get, replace
 from giajax.runs import Definition
 
 LINKS = 3
@@ -48,6 +50,7 @@ def arm_of(section):
         ARM,
         {"links": 2, "muscles": "all", "muscle_law": "empirical", "muscle_blend_deg": 2.0},
         {"links": 4, "muscles": [1, 4], "muscle_correction": "none"},
+        {"links": 2, "muscles": [1], "muscle_blend_deg": 1.56},
         {"links": 2, "muscles": [1], "parameters": {"geometry.anchor_y": 0.2, "torque": 0.4}},
     ],
 )
@@ -123,8 +126,41 @@ def test_muscles_are_fitted_beside_drag(off):
         estimate = result.free[path]
         assert abs(estimate.value - value) < 3 * estimate.standard_error, path
         assert estimate.standard_error < 0.06 * value, path
-    # Pressures are forces: they set the scale.
-    assert not any("per unit of mass" in sentence for sentence in result.conditions)
+    # One of them is the strength of the muscles.
+    assert any("per unit of mass" in sentence for sentence in result.conditions)
+
+
+def test_pressures_set_the_scale_only_by_the_strength_of_the_muscles():
+    run = driven_run()
+    model = model_for([run])
+    (held,) = [c for c in model.conditions(["air.drag_coefficient"], [run]) if "muscle" in c]
+    assert "holds for muscle.effectiveness = 1, muscle.diameter = 0.0035 m" in held
+    for strength in ("muscle.effectiveness", "muscle.diameter"):
+        free = ["air.drag_coefficient", strength]
+        (scaled,) = [c for c in model.conditions(free, [run]) if strength in c]
+        assert "strength of muscles and damping together leaves the motion" in scaled
+        assert "held at links.mass" in scaled
+    # Scaled together they leave the motion unchanged.
+    paths = [path for path in (*SCALE, "muscle.effectiveness") if path in declared(model)]
+    heavy = replace(model, {path: 2 * get(model, path) for path in paths}).arm
+    angles, rates = jnp.asarray([[0.3, -0.2, 0.5], [0.1, 0.4, -0.2]])
+    pressures = model.arm.pneumatics.commanded(angles)
+    one, other = (
+        acceleration(arm, angles, rates, 0 * angles, pressures=pressures)
+        for arm in (model.arm, heavy)
+    )
+    assert_allclose(one, other, rtol=1e-10)
+
+
+def test_what_the_controller_is_taken_to_know_is_said():
+    run = driven_run()
+    model = model_for([run])
+    free = ["air.drag_coefficient", "alpha.offset"]
+    assert not any("the controller" in c for c in model.conditions(free, [run]))
+    values = {"joint01_command": np.zeros_like(TIMES), "link01_z": np.zeros_like(TIMES)}
+    angled = Run.from_arrays(TIMES, values, definition={"arm": ARM})
+    (said,) = [c for c in model.conditions(free, [angled]) if "the controller" in c]
+    assert said.startswith("alpha.offset: ")
 
 
 TOML = """
@@ -189,6 +225,24 @@ def test_columns_that_are_no_drive_are_refused(columns, sentence):
     with pytest.raises(InputError) as refused:
         Run.from_arrays([0.0, 1.0, 2.0], {**values, "link01_z": np.zeros(3)})
     assert sentence in str(refused.value)
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize(
+    "section",
+    [
+        {"muscles": "pitch"},
+        {"muscles": [1, 3]},
+        {"links": 2, "muscles": "pitch", "joint_axes": ["pitch", "yaw"]},
+    ],
+)
+def test_pressures_of_a_joint_without_muscles_are_found_in_the_file(section):
+    values = {f"joint02_pressure_{name}": np.full(3, 1e4) for name in ("first", "second")}
+    values["link01_z"] = np.zeros(3)
+    with pytest.raises(InputError, match="joint 2 has no muscles"):
+        Run.from_arrays([0.0, 1.0, 2.0], values, definition={"arm": section})
+    other = {**section, "muscles": "all"}
+    Run.from_arrays([0.0, 1.0, 2.0], values, definition={"arm": other})
 
 
 def test_pressures_need_muscles():

@@ -18,6 +18,8 @@ from giajax.arm import (
 from giajax.joint import equilibria
 from giajax.parameters import replace
 from giajax.simulation import Pressures, joint_ramps, joint_steps, logged, simulate, steps
+from giajax.simulation._pressures import check_muscles
+from giajax.simulation._rates import fastest_rate
 
 LINKS = 3
 DAMPED = {"joints.damping": 0.6, "joints.yaw_stiffness": 5.0}
@@ -126,6 +128,15 @@ def swinging(lag, solver):
     return arm, simulate(arm, command, times, initial=begin, solver=solver, **EXACT)
 
 
+def test_a_short_lag_is_a_fast_motion_of_explicit_steps():
+    plain, quick = arm_with(), arm_with({**DAMPED, "drive.lag": 1e-3})
+    still = jnp.zeros(LINKS)
+    assert float(fastest_rate(plain, still)) < 500
+    assert float(fastest_rate(quick, still)) > 1000
+    for arm in (plain, quick):
+        assert float(fastest_rate(arm, still, springs=False)) == 0
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("lag", [None, 0.3])
 def test_methods_agree(lag):
@@ -202,5 +213,18 @@ def test_what_muscles_cannot_do_is_refused():
     low = steps([0.0], [np.full(2 * LINKS, -5.0)])
     with pytest.raises(InputError, match="is -5 Pa"):
         simulate(arm, still, times, pressure=Pressures(low, (1,)))
+    # Only of joints that are driven by them: what is of others counts for nothing.
+    check_muscles(arm, still, Pressures(steps([0.0], [[1e4, 9e9, 0, 1e4, -5.0, 9e9]]), (1,)))
+    with pytest.raises(InputError, match=r"is 3e\+07 Pa: .* muscle.pressure_limit = 300000 Pa"):
+        check_muscles(arm, still, Pressures(steps([0.0], [np.full(2 * LINKS, 3e7)]), (1,)))
+    thin, far = arm_with({"muscle.diameter": 2e-3}), joint_steps(LINKS, {3: np.deg2rad(60)})
+    with pytest.raises(InputError, match=r"hold a joint at 60 deg.*more than the pres"):
+        check_muscles(thin, far, None)
+    check_muscles(arm, far, None)
+    check_muscles(thin, still, None)
+    with pytest.raises(InputError, match=r"jumps at 0 deg from 0\.\d+ to 0\.\d+ m"):
+        check_muscles(
+            arm_with({"geometry.contact_y": 0.19, "geometry.wire_length": 0.4}), still, None
+        )
     with pytest.raises(InputError, match="3 columns and the arm has 3 joints"):
         simulate(arm, still, times, pressure=Pressures(steps([0.0], [np.zeros(3)]), (1,)))

@@ -80,4 +80,6 @@ class Arm(eqx.Module):
     def stiffest_spring(self) -> Float[Array, " joint"]:
         """Largest stiffness of each joint: of spring or muscles, and hysteresis, N m/rad."""
         stiffest = self.spring_stiffness + self.joints.hysteresis.stiffness
-        return stiffest if self.pneumatics is None else stiffest + self.pneumatics.stiffest
+        if self.pneumatics is None:
+            return stiffest
+        return stiffest + self.pneumatics.stiffest(self.count)

@@ -1,5 +1,6 @@
 """The general constructor of an arm."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from inspect import signature
 from typing import Any
@@ -114,8 +115,6 @@ def chain(
     air = {} if air_density is None else {"density": air_density}
     joints = Joints(axes=named_axes(joint_axes, links))
     pneumatics = None if muscles is None else muscles_in(muscles, pair, joints)
-    if pneumatics is not None:
-        joints = without_idle_springs(joints, pneumatics)
     arm = Arm(
         links=Links(
             length=length,
@@ -148,6 +147,9 @@ def chain(
             "trim computes buoyancy.trim_mass, which is among the parameters, too: leave one out"
         )
     arm = _with_parameters(arm, values)
+    if pneumatics is not None:
+        idle = without_idle_springs(arm.joints, pneumatics)
+        arm = dataclasses.replace(arm, joints=idle)
     return trimmed(arm, level="buoyancy.trim_position" not in values) if trim else arm
 
 

@@ -15,14 +15,15 @@ from ._pneumatics import Pneumatics
 def muscles_in(muscles: str | Sequence[int], pair: JointPair | None, joints: Joints) -> Pneumatics:
     """Muscles in the joints of a name or of these numbers."""
     named = {"pitch": ~joints.is_yaw, "all": np.ones(len(joints.axes), bool)}
-    if isinstance(muscles, str):
-        if muscles not in named:
-            raise InputError(
-                f'muscles is "{muscles}": use "pitch", "all" or a list of numbers of joints'
-            )
-        chosen = tuple((np.flatnonzero(named[muscles]) + 1).tolist())
+    if isinstance(muscles, str) and muscles in named:
+        numbers = np.flatnonzero(named[muscles]) + 1
     else:
-        chosen = tuple(int(joint) for joint in muscles)
+        numbers = np.asarray(muscles)
+    if numbers.ndim != 1 or numbers.dtype.kind not in "iu":
+        raise InputError(
+            f'muscles is {muscles!r}: use "pitch", "all" or a list of numbers of joints'
+        )
+    chosen = tuple(numbers.tolist())
     if pair is None:
         return Pneumatics(chosen)
     return Pneumatics(chosen, joint=pair.joint, muscle=pair.muscle)

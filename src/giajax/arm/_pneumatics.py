@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._errors import InputError
-from .._typing import Array, Float, Scalar
+from .._typing import Array, Float
 from ..joint import (
     LARGEST_ANGLE,
     AbstractMuscle,
@@ -17,6 +17,7 @@ from ..joint import (
     Correction,
     Joint,
     JointPair,
+    PairCommand,
     commanded,
     muscle_torques,
     net_torque,
@@ -25,12 +26,13 @@ from ..joint import (
 )
 from ..parameters import held
 from ._muscle_drive import MuscleDrive
+from ._stiffest_pair import stiffest_pair
 
 MUSCLE_BLEND = float(np.deg2rad(1.0))
 """Half-width about 0 within which alpha and beta join unless stated, rad."""
 
-# Angles at which the steepest slope is looked for.
-_ANGLES = np.linspace(-LARGEST_ANGLE, LARGEST_ANGLE, 121)
+# The largest angle as other conversions from degrees round it.
+_END = LARGEST_ANGLE * (1 + 1e-14)
 
 # A pressure as a state of the motion is in this unit, Pa: of the size of an angle.
 _UNIT = 1e5
@@ -55,7 +57,7 @@ class Pneumatics(eqx.Module):
         drive: lag, passive stiffness and stop.
 
     Raises:
-        InputError: no joint or the same twice, or corrections that jump.
+        InputError: no joint or the same twice, a law that pushes, or corrections that jump.
     """
 
     joints: tuple[int, ...] = eqx.field(static=True)
@@ -69,6 +71,11 @@ class Pneumatics(eqx.Module):
             raise InputError(
                 f"muscles are in joints {list(self.joints)}: give numbers of joints from 1 on, "
                 "increasing, each once"
+            )
+        if self.muscle.pushes:
+            raise InputError(
+                f'the law of an arm\'s muscles is "{self.muscle.name}", which pushes, and a pair '
+                "of muscles pulls: use another law"
             )
         correction = self.joint.correction
         if correction.reading == "printed":
@@ -108,14 +115,18 @@ class Pneumatics(eqx.Module):
             return states
         return (supplied / _UNIT - states) / self.drive.lag
 
-    def commanded(self, command: Float[Array, " joint"]) -> Float[Array, "2 joint"]:
-        """Pressures with which the controller holds commanded angles (rad), Pa."""
-        angle = self._limited(self._of(command))
+    def asked(self, angle: Float[Array, "*shape"]) -> PairCommand:
+        """What the controller asks of both muscles of a joint at angles (rad)."""
+        angle = self._limited(angle)
         load = jnp.zeros_like(angle)
         if self.drive.passive_stiffness is not None:
             load = self.drive.passive_stiffness * angle
         torque = jnp.broadcast_to(self.joint.torque, angle.shape)
-        pressures = commanded(self.pair, angle, load, torque).pressures
+        return commanded(self.pair, angle, load, torque)
+
+    def commanded(self, command: Float[Array, " joint"]) -> Float[Array, "2 joint"]:
+        """Pressures with which the controller holds commanded angles (rad), Pa."""
+        pressures = self.asked(self._of(command)).pressures
         return self._in(command, jnp.moveaxis(pressures, -1, 0))
 
     def torque(
@@ -150,21 +161,19 @@ class Pneumatics(eqx.Module):
             energy = energy + self.drive.passive_stiffness * angle**2 / 2
         return self._in(angles, energy)
 
-    @property
-    def stiffest(self) -> Scalar:
-        """Largest stiffness that any pressures give a joint, N m/rad."""
-        angles = jnp.asarray(_ANGLES)
-        pressures = jnp.full(2, 1.0) * self.muscle.limit
+    def stiffest(self, count: int) -> Float[Array, " joint"]:
+        """Bound of the stiffness that any pressures give each of so many joints, N m/rad.
 
-        def torque(angle: Array) -> Array:
-            return net_torque(self.pair, pressures, jnp.zeros(()), angle, angle >= 0)
-
-        slopes = jax.jvp(torque, (angles,), (jnp.ones_like(angles),))[1]
-        passive = 0.0 if self.drive.passive_stiffness is None else self.drive.passive_stiffness
-        return jnp.maximum(jnp.max(-slopes), self.drive.stop_stiffness) + passive
+        It is that of the range. A motion that reaches the stop is left to the control of errors.
+        """
+        stiffest = stiffest_pair(self.pair)
+        if self.drive.passive_stiffness is not None:
+            stiffest = stiffest + self.drive.passive_stiffness
+        return self._in(jnp.zeros(count), jnp.full(len(self.joints), stiffest))
 
     def _limited(self, angle: Array) -> Array:
-        return jnp.clip(angle, -LARGEST_ANGLE, LARGEST_ANGLE)
+        # Not `clip`, whose slope is a half at 60 deg itself, a usual command.
+        return jnp.where(jnp.abs(angle) <= _END, angle, jnp.sign(angle) * LARGEST_ANGLE)
 
     @property
     def _stride(self) -> int | None:

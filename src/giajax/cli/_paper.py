@@ -26,7 +26,7 @@ Examples:
 \b
 NAME is
   fig5      links 6, 12 and 20 after a step of the base joint, with and without air
-  fig6      the controller in the whole arm: by pressures, and by commanded angles
+  fig6      the controller in the whole arm: muscles by pressures, and springs
   fig9      contraction and force of a muscle in a joint, without corrections
   fig10     the same with alpha and beta
   fig12     one link with hysteresis, without and with compensation

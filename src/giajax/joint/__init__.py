@@ -1,6 +1,10 @@
 """One joint at rest: muscle paths, forces, corrections, muscles and their pressures."""
 
-from ._answer import PressureAnswer as PressureAnswer
+from ._answer import (
+    NEEDS_PRESSURE as NEEDS_PRESSURE,
+    TOO_SHORT as TOO_SHORT,
+    PressureAnswer as PressureAnswer,
+)
 from ._balance import MuscleState as MuscleState, muscle_balance as muscle_balance
 from ._braided import BraidedMuscle as BraidedMuscle
 from ._correction import (

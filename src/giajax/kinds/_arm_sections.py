@@ -90,8 +90,8 @@ class ArmSection(_Surroundings):
             example="pitch",
         )
     )
-    muscle_law: Literal["braided", "empirical", "piston"] | None = key(
-        '"braided", "empirical" or "piston"',
+    muscle_law: Literal["braided", "empirical"] | None = key(
+        '"braided" or "empirical"',
         "law of these muscles, as of [muscle]",
         preset="braided",
     )

@@ -30,7 +30,7 @@ from ..simulation import (
     is_disturbance,
 )
 from ._agreement import agreed_parts
-from ._arm_conditions import scale_conditions, sensor_conditions
+from ._arm_conditions import controller_conditions, scale_conditions, sensor_conditions
 from ._arm_inputs import ArmInputs, arm_inputs
 from ._arm_scene import arm_scene
 from ._arm_sensors import recorded_channels
@@ -229,7 +229,9 @@ class ArmModel(AbstractModel):
 
     def conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
         """The scale that motion alone cannot determine, and what C_D and sensors refer to."""
-        return scale_conditions(self, self.arm, free, runs) + sensor_conditions(self, free, runs)
+        scale = scale_conditions(self, self.arm, free, runs)
+        known = controller_conditions(self.arm, free, runs)
+        return scale + known + sensor_conditions(self, free, runs)
 
     def definition(self) -> dict[str, Any]:
         """The arm's constants, its sensors and the settings of the integrator."""

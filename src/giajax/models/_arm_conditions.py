@@ -39,6 +39,13 @@ SCALE = (
     "point_masses.drag_area",
 )
 
+# Force of a muscle at a pressure: a known one if they are held, and a part of that scale if not.
+# The diameter counts by its square. The controller divides by them: to commands they are nothing.
+STRENGTHS = ("muscle.effectiveness", "muscle.force_limit", "muscle.diameter")
+
+# Beside `STRENGTHS`, what turns a commanded angle into pressures.
+_OF_THE_CONTROLLER = ("geometry.", "alpha.", "beta.", "torque", "muscle.", "drive.passive")
+
 # Those of them that are the inertia, and not what moves it.
 MASSES = (
     "links.mass",
@@ -78,11 +85,13 @@ def scale_conditions(
         A sentence for each condition.
     """
     fitted = {path.partition("[")[0] for path in free}
-    scaled = [path for path in free if path.partition("[")[0] in SCALE]
+    kinds = {channel.kind for run in runs for channel in run.channels.values()}
+    present = declared(model)
+    strengths = [p for p in STRENGTHS if p in present and "joint_pressure_first" in kinds]
+    scaled = [path for path in free if path.partition("[")[0] in (*SCALE, *strengths)]
     # A known force sets the scale: a drive's torque, the lift of displaced air, or the push of
     # a changing wind on it; or forces that were measured on a bench.
-    forces = ("joint_torque", "joint_pressure_first")
-    driven = any(c.kind in forces for run in runs for c in run.channels.values())
+    driven = "joint_torque" in kinds
     lifted = arm.buoyancy is not None and float(arm.gravity) != 0
     blown = arm.air.added_mass_coefficient is not None and any(run.winds for run in runs)
     measured = any(
@@ -93,13 +102,19 @@ def scale_conditions(
     )
     sentences = []
     if scaled and not (driven or lifted or blown or measured):
-        present = declared(model)
-        held = [path for path in SCALE if path in present and path not in fitted]
-        sentences.append(
-            f"{', '.join(scaled)}: determined only per unit of mass, because scaling masses, "
-            "inertias, drag, stiffness and damping together leaves the motion unchanged; "
-            + (f"held at {_values(model, held)}" if held else "nothing of these is held")
-        )
+        if strengths and not fitted & set(strengths):
+            sentences.append(
+                f"{', '.join(scaled)}: holds for {_values(model, strengths)}, because pressures "
+                "are forces only by the strength of the muscles"
+            )
+        else:
+            held = [path for path in SCALE if path in present and path not in fitted]
+            other = "stiffness, strength of muscles" if strengths else "stiffness"
+            sentences.append(
+                f"{', '.join(scaled)}: determined only per unit of mass, because scaling masses, "
+                f"inertias, drag, {other} and damping together leaves the motion unchanged; "
+                + (f"held at {_values(model, held)}" if held else "nothing of these is held")
+            )
     area = [path for path in _DRAG_AREA if path not in fitted]
     if "air.drag_coefficient" in fitted and area:
         sentences.append(f"air.drag_coefficient: holds for {_values(model, area)}")
@@ -107,6 +122,29 @@ def scale_conditions(
         density = _values(model, ["air.density"])
         sentences.append(f"point_masses.drag_area: holds for {density}")
     return sentences
+
+
+def controller_conditions(arm: Arm, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
+    """What the controller of muscles is taken to know.
+
+    Arguments:
+        arm: of the model.
+        free: paths of the parameters that are fitted.
+        runs: what they are fitted to.
+
+    Returns:
+        A sentence, or none.
+    """
+    known = [path for path in free if path.startswith(_OF_THE_CONTROLLER)]
+    if arm.pneumatics is None or not known:
+        return []
+    names = [f"joint{joint:02d}_pressure_first" for joint in arm.pneumatics.joints]
+    if all(name in run.channels for run in runs if run.model == "arm" for name in names):
+        return []
+    return [
+        f"{', '.join(known)}: where angles are commanded the controller is taken to know them; if "
+        "the real one had other numbers, give the pressures"
+    ]
 
 
 def sensor_conditions(model: AbstractModel, free: Sequence[str], runs: Sequence[Run]) -> list[str]:

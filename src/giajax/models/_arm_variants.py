@@ -9,7 +9,7 @@ from .._errors import InputError
 from ..arm import STANDARD_GRAVITY, Air, Arm, Buoyancy, bodies, trimmed
 from ..parameters import declared, get, replace
 from ..quantities import BUOYANCY, DRIVE, JOINT_MEMORY
-from ._arm_conditions import MASSES, SCALE
+from ._arm_conditions import MASSES, SCALE, STRENGTHS
 
 
 def arm_variants(arm: Arm) -> dict[str, Arm]:
@@ -69,10 +69,10 @@ def _floating(arm: Arm, depth: float | None) -> Arm:
     )
     other = trimmed(other, level=True)
     ratio = float(jnp.sum(bodies(other).mass) / jnp.sum(bodies(arm).mass))
-    paths = (
-        [path for path in SCALE if path not in MASSES and path in declared(arm)] if still else []
-    )
-    return replace(other, {path: ratio * get(arm, path) for path in paths})
+    # One strength of muscles is enough: the first that their law has.
+    strength = [path for path in STRENGTHS if path in declared(arm)][:1]
+    forces = [path for path in (*SCALE, *strength) if path not in MASSES and path in declared(arm)]
+    return replace(other, {path: ratio * get(arm, path) for path in (forces if still else [])})
 
 
 def _in(arm: Arm, air: Air) -> Arm:

@@ -77,8 +77,15 @@ def _muscle_keys(pneumatics: Pneumatics, arm: Arm) -> dict[str, Any]:
         "muscle_correction": correction.reading,
     }
     if correction.blend > 0:
-        about["muscle_blend_deg"] = float(np.rad2deg(correction.blend))
+        about["muscle_blend_deg"] = _degrees(correction.blend)
     return about
+
+
+def _degrees(radians: float) -> float:
+    """The degrees that become these radians again, bit for bit."""
+    degrees = float(np.rad2deg(radians))
+    near = (round(degrees, 12), degrees, np.nextafter(degrees, 0), np.nextafter(degrees, np.inf))
+    return next((float(each) for each in near if np.deg2rad(each) == radians), degrees)
 
 
 def _argument(path: str) -> str:

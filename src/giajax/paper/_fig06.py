@@ -70,9 +70,9 @@ def motions(tolerance: float = TOLERANCE) -> Motions:
 
 
 def fig06() -> Reproduced:
-    """The arm by pressures beside the arm by angles, and where its joints may rest."""
+    """The arm by pressures beside the arm with springs, and where its joints may rest."""
     both = motions()
-    by_pressure, by_angle = np.rad2deg(both.pressures.angles), np.rad2deg(both.springs.angles)
+    by_pressure, by_spring = np.rad2deg(both.pressures.angles), np.rad2deg(both.springs.angles)
     supplied = np.asarray(both.pressures.pressures)
     rows = []
     for joint in (1, 3, 5, 19):
@@ -80,18 +80,18 @@ def fig06() -> Reproduced:
         allowed = ", ".join(f"{np.rad2deg(rest.angle):.1f}" for rest in rests)
         command = STEP_DEG if joint == 1 else 0.0
         at = joint - 1
-        rows.append((joint, command, allowed, by_pressure[-1, at], by_angle[-1, at]))
+        rows.append((joint, command, allowed, by_pressure[-1, at], by_spring[-1, at]))
     columns = {"time_s": np.asarray(both.pressures.times)}
     for row, name in enumerate(("first", "second")):
         columns[f"joint01_pressure_{name}_kPa"] = supplied[:, row, 0] / 1e3
     for joint in JOINTS:
         columns[f"joint{joint:02d}_angle_by_pressures_deg"] = by_pressure[:, joint - 1]
-        columns[f"joint{joint:02d}_angle_by_angles_deg"] = by_angle[:, joint - 1]
+        columns[f"joint{joint:02d}_angle_by_springs_deg"] = by_spring[:, joint - 1]
     for link in LINKS:
         columns[f"link{link:02d}_z_by_pressures_m"] = _heights(both.pressures)[:, link - 1]
-        columns[f"link{link:02d}_z_by_angles_m"] = _heights(both.springs)[:, link - 1]
+        columns[f"link{link:02d}_z_by_springs_m"] = _heights(both.springs)[:, link - 1]
     return Reproduced(
-        "The arm by the pressures of its muscles, and by commanded angles",
+        "The arm by the pressures of its muscles, and with springs",
         SOURCES,
         _drawn(both),
         ("joint", "commanded, deg", "stable at, deg", "by pressures, deg", "by springs, deg"),
@@ -105,7 +105,7 @@ def _heights(motion: Trajectory) -> np.ndarray:
 
 
 def _drawn(both: Motions) -> Figure:
-    figure = new_figure(8, 8.2, "Fig. 6: driven by pressures (solid) and by angles (dotted)")
+    figure = new_figure(8, 8.2, "Fig. 6: muscles by pressures (solid), springs (dotted)")
     panels = figure.subplots(3, 1, sharex=True, height_ratios=[1, 1.6, 1.6])
     times = np.asarray(both.pressures.times)
     supplied = np.asarray(both.pressures.pressures)[:, :, 0] / 1e3
@@ -128,7 +128,7 @@ def _drawn(both: Motions) -> Figure:
 def _curves(
     panel: Axes, times: np.ndarray, both: list[np.ndarray], colours: dict[int, str], what: str
 ) -> None:
-    """Solid curves by pressures and dotted ones by angles."""
+    """Solid curves by pressures and dotted ones with springs."""
     for number, colour in colours.items():
         solid, dotted = (values[:, number - 1] for values in both)
         panel.plot(times, solid, color=colour, linewidth=1.6, label=f"{what} {number}")

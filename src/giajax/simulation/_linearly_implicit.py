@@ -37,9 +37,9 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
     state. The implicit part being linear in the state, a stage is one solution with one matrix,
     M + gamma h D + (gamma h)^2 K, which is factorised once a step.
 
-    Where joints remember, J has the slopes of their states z, too: of the torque by z, and of dz/dt
-    by z and by the rate. Each state depends on its own joint alone, so that it drops out of the
-    matrix and adds to the damping.
+    Where joints remember, or pressures lag, J has the slopes of these states z, too: of the torque
+    by z, and of dz/dt by z and by the rate. Each state depends on its own joint alone, so that it
+    drops out of the matrix and adds to the damping. What supplies pressures is explicit.
 
     Source: Kennedy and Carpenter, Applied Numerical Mathematics 44 (2003) 139; the coefficients
     are those of `diffrax.KenCarp5`.

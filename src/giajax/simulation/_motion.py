@@ -100,7 +100,7 @@ class Springs(NamedTuple):
         mass: mass matrix, kg m^2.
         stiffness: N m/rad.
         damping: N m s/rad.
-        memory: of the joints' hysteresis, or None.
+        memory: of hysteresis of the joints and pressures that lag, or None.
     """
 
     mass: Float[Array, "joint joint"]
@@ -110,12 +110,12 @@ class Springs(NamedTuple):
 
 
 class Strain(NamedTuple):
-    """How torque and states of the joints' hysteresis depend on each other.
+    """How torques and further states depend on each other: hysteresis, and pressures that lag.
 
     Attributes:
         torque: of a unit of each state, against the motion, N m.
-        filling: change of each state with the angle of its joint, 1/rad.
-        forgetting: rate at which each state falls back by itself while its joint moves, 1/s.
+        filling: change of each state with the angle of its joint, 1/rad; 0 for a pressure.
+        forgetting: rate at which each state falls back by itself, 1/s.
     """
 
     torque: Float[Array, "row joint"]

@@ -7,9 +7,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._errors import InputError
+from .._program import program
 from .._typing import Array, Float
-from ..arm import Arm
-from ..joint import LARGEST_ANGLE, check_geometry
+from ..arm import Arm, Pneumatics
+from ..joint import (
+    LARGEST_ANGLE,
+    NEEDS_PRESSURE,
+    TOO_SHORT,
+    PairCommand,
+    check_geometry,
+    muscle_balance,
+)
 from ..parameters import is_concrete
 from ._signal import Signal
 
@@ -31,9 +39,9 @@ class Pressures(eqx.Module):
         """Pressures at a time (s), Pa, where the controller is commanded to angles (rad)."""
         supplied = self.signal(time).reshape(2, arm.count)
         assert arm.pneumatics is not None
-        if set(self.joints) >= set(arm.pneumatics.joints):
-            return supplied
         given = np.isin(np.arange(arm.count) + 1, self.joints)
+        if set(self.joints) >= set(arm.pneumatics.joints):
+            return jnp.where(given, supplied, 0)
         return jnp.where(given, supplied, arm.pneumatics.commanded(command))
 
 
@@ -46,8 +54,9 @@ def check_muscles(arm: Arm, command: Signal, pressure: Pressures | None) -> None
         pressure: supplied pressures over time, Pa. While a program is traced no number is checked.
 
     Raises:
-        InputError: pressures for joints without muscles, pressures below 0, a command beyond 60
-            deg, or an impossible geometry.
+        InputError: pressures for joints without muscles, pressures that are no numbers from 0 to
+            the limit of the muscles, a command beyond 60 deg or for which they are too weak, an
+            impossible geometry, or one whose lever jumps at 0.
     """
     known = () if arm.pneumatics is None else arm.pneumatics.joints
     driven = () if pressure is None else pressure.joints
@@ -65,12 +74,16 @@ def check_muscles(arm: Arm, command: Signal, pressure: Pressures | None) -> None
         return
     if is_concrete(arm):
         check_geometry(arm.pneumatics.joint.geometry)
-    if pressure is not None and is_concrete(pressure):
-        lowest = float(np.min(_reached(pressure.signal)))
-        if lowest < 0:
+        _check_lever(arm.pneumatics)
+    if pressure is not None and is_concrete((pressure, arm.pneumatics.muscle.limit)):
+        columns = np.asarray(driven, dtype=int) - 1
+        given = _reached(pressure.signal)[:, np.concatenate([columns, columns + arm.count])]
+        limit = float(arm.pneumatics.muscle.limit)
+        wrong = given[~((given >= 0) & (given <= limit * (1 + 1e-9)))]
+        if wrong.size:
             raise InputError(
-                f"a pressure of a muscle is {lowest:g} Pa: give pressures above the surroundings, "
-                "0 or more"
+                f"a pressure of a muscle is {wrong[0]:g} Pa: give pressures above the "
+                f"surroundings, from 0 to muscle.pressure_limit = {limit:g} Pa"
             )
     if is_concrete(command):
         by_angle = np.asarray(sorted(set(known) - set(driven)), dtype=int) - 1
@@ -82,6 +95,52 @@ def check_muscles(arm: Arm, command: Signal, pressure: Pressures | None) -> None
                 f"joint {by_angle[worst] + 1} is commanded to {np.rad2deg(largest[worst]):.4g} "
                 "deg, and a pair of muscles bends it by 60 deg at most: command a smaller angle"
             )
+        if is_concrete(arm) and by_angle.size:
+            _check_strength(arm.pneumatics, _reached(command)[:, by_angle])
+
+
+# So many angles at most, so that other commands need no other program.
+_ANGLES = 64
+
+
+def _check_strength(pneumatics: Pneumatics, commanded: np.ndarray) -> None:
+    """Refuse commanded angles (rad) for which no pressure is high enough.
+
+    Where a muscle would have to push, the controller empties it, as it does in a straight joint
+    that something else bends.
+    """
+    angles = np.unique(commanded)
+    angles = angles[np.linspace(0, angles.size - 1, _ANGLES).round().astype(int)]
+    asked = _asked(pneumatics, jnp.asarray(angles))
+    for answer in (asked.first_pressure, asked.second_pressure):
+        weak = np.flatnonzero(np.isin(np.asarray(answer.code), (NEEDS_PRESSURE, TOO_SHORT)))
+        if weak.size:
+            raise InputError(
+                f"no pressures hold a joint at {np.rad2deg(angles[weak[0]]):.4g} deg, as it is "
+                f"commanded to: {answer.message(int(weak[0]))}"
+            )
+
+
+@program
+def _asked(pneumatics: Pneumatics, angles: Array) -> PairCommand:
+    return pneumatics.asked(angles)
+
+
+def _check_lever(pneumatics: Pneumatics) -> None:
+    """Refuse a geometry in which the torque of a muscle jumps where it becomes the outer one."""
+    inner, outer = (float(lever) for lever in _levers(pneumatics))
+    if abs(inner - outer) > 1e-9:
+        raise InputError(
+            f"the lever of a muscle jumps at 0 deg from {outer:.4g} to {inner:.4g} m: make "
+            "geometry.anchor_y larger than geometry.contact_y, and the wire long enough to be slack"
+        )
+
+
+@program
+def _levers(pneumatics: Pneumatics) -> Array:
+    """Of a muscle at 0, as the inner and the outer one, m."""
+    angle, inner = jnp.zeros(2), jnp.asarray([True, False])
+    return muscle_balance(pneumatics.joint.geometry, angle, jnp.ones(2), inner).lever
 
 
 def _reached(signal: Signal) -> np.ndarray:

@@ -22,14 +22,14 @@ class Rates(NamedTuple):
 
 
 def fastest_rate(arm: Arm, angles: Float[Array, " joint"], *, springs: bool = True) -> Scalar:
-    """Rate of the fastest motion of springs, dampers and gravity in one configuration, 1/s.
+    """Rate of the fastest motion of springs, dampers, gravity and lags in one configuration, 1/s.
 
     Without `springs`, that of gravity alone.
 
     Arguments:
         arm: the arm.
         angles: of its joints, rad, shape (joint,).
-        springs: whether the springs and dampers of the joints count.
+        springs: whether the springs and dampers of the joints count, and the lag of muscles.
     """
     # Lengths of steps are no part of what is differentiated.
     arm, angles = jax.lax.stop_gradient((arm, angles))
@@ -50,4 +50,7 @@ def fastest_rate(arm: Arm, angles: Float[Array, " joint"], *, springs: bool = Tr
     if not springs:
         return largest(hanging)
     oscillation = largest(arm.stiffest_spring + hanging)
-    return jnp.hypot(oscillation, largest(arm.joints.stiffest_damping) ** 2)
+    rate = jnp.hypot(oscillation, largest(arm.joints.stiffest_damping) ** 2)
+    if arm.pneumatics is None or arm.pneumatics.drive.lag is None:
+        return rate
+    return jnp.hypot(rate, 1 / arm.pneumatics.drive.lag)
