@@ -22,6 +22,7 @@ from giajax.models import (
     parameter_values,
 )
 from giajax.models._arm_conditions import SCALE
+from giajax.models._arm_variants import arm_variants
 from giajax.parameters import declared, default_free, get, replace
 from giajax.runs import Definition
 
@@ -150,6 +151,18 @@ def test_pressures_set_the_scale_only_by_the_strength_of_the_muscles():
         for arm in (model.arm, heavy)
     )
     assert_allclose(one, other, rtol=1e-10)
+
+
+@pytest.mark.parametrize("law", ["braided", "empirical"])
+def test_muscles_of_an_arm_that_floats_are_as_much_stronger_as_it_is_heavier(law):
+    arm = arm_of({"links": 2, "muscles": "pitch", "muscle_law": law})
+    floating = arm_variants(arm)["arm.trim = true"]
+    ratio = float(floating.air.drag_coefficient / arm.air.drag_coefficient)
+    assert ratio > 1.1
+    own, other = arm.pneumatics.muscle, floating.pneumatics.muscle
+    # Force is proportional to one strength, and the other ones stay.
+    at = (jnp.asarray(1e5), jnp.asarray(0.05), jnp.asarray(1.96))
+    assert float(other.force(*at)) == pytest.approx(ratio * float(own.force(*at)))
 
 
 def test_what_the_controller_is_taken_to_know_is_said():
