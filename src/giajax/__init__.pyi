@@ -157,8 +157,10 @@ from .simulation import (
 from .study import (
     Comparison as Comparison,
     Sensitivity as Sensitivity,
+    WindFit as WindFit,
     choose_hysteresis as choose_hysteresis,
     compare as compare,
+    fit_wind as fit_wind,
     multi_start as multi_start,
     planned as planned,
     sensitivity as sensitivity,

@@ -33,6 +33,15 @@ def test_the_components_are_those_of_isotropic_turbulence():
     np.testing.assert_allclose(across[1:-1], expected[1:-1], rtol=1e-4)
 
 
+def test_more_lines_are_the_same_turbulence():
+    given = {"intensity": 0.2, "length_scale": 1.0, "duration": 300.0, "seed": 3}
+    few, many = (columns(gusts([0.5, 0, 0], lines=n, **given)) for n in (400, 1600))
+    assert np.std(many, axis=0) == pytest.approx(np.full(3, 0.1), rel=0.2)
+    assert np.max(np.abs(many - few)) > 0.05
+    with pytest.raises(InputError, match="lines"):
+        gusts([0.5, 0, 0], lines=0, **given)
+
+
 def columns(wind):
     return np.stack([wind.values[f"wind_{axis}"] for axis in "xyz"], axis=1)
 

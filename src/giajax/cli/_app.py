@@ -29,6 +29,7 @@ from . import (
     _simulate,
     _suspects,
     _synth,
+    _wind,
 )
 from ._errors import Commands, run
 from ._words import command_of
@@ -56,6 +57,8 @@ Examples:
                             which hysteresis model describes a joint
   giajax compensate --model fit --target target.csv --out command.csv
                             commands that undo the hysteresis
+  giajax wind --data resting.csv --wind 0,0.2,0
+                            the gusts that a resting arm undulates in
   giajax hysteresis --out DIR
                             the paper's 1-link experiment, simulated
   giajax paper all --out DIR
@@ -82,6 +85,7 @@ _COMMANDS: tuple[tuple[Callable[..., None], str], ...] = (
     (_simulate.simulate, _simulate.EXAMPLES),
     (_suspects.suspects, _suspects.EXAMPLES),
     (_synth.synth, _synth.EXAMPLES),
+    (_wind.wind, _wind.EXAMPLES),
     (_examples.examples, _examples.EXAMPLES),
     (_cache.cache, _cache.EXAMPLES),
 )

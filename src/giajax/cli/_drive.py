@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .._errors import InputError
-from ._values import NUMBER, number, plain_settings, settings, with_settings
+from ._values import NUMBER, plain_settings, settings, velocity, with_settings
 
 if TYPE_CHECKING:
     from ..models import ArmModel
@@ -42,12 +42,8 @@ def definition_from_options(arm: Path | None, links: int | None, wind: str | Non
             raise InputError(f"--links is {links}: give at least 1 link")
         definition = definition.merged_with(Definition.parse({"arm": {"links": links}}))
     if wind is not None:
-        velocity = [number(part) for part in wind.split(",")]
-        if len(velocity) != 3 or None in velocity:
-            raise InputError(f"--wind is {wind!r}: give three numbers in m/s, such as 0,0.2,0")
-        definition = definition.merged_with(
-            Definition.parse({"wind": {"velocity_m_per_s": velocity}})
-        )
+        stated = {"velocity_m_per_s": velocity(wind, "--wind")}
+        definition = definition.merged_with(Definition.parse({"wind": stated}))
     return definition
 
 

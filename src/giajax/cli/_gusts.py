@@ -37,12 +37,7 @@ def gusts_of(
     from ..kinds import WindSection
     from ..synthetic import gusts, gusts_left_out
 
-    match = _GUSTS.fullmatch(text.replace(" ", ""))
-    if match is None:
-        raise InputError(
-            f"--gusts is {text!r}: give the intensity, or three of them, and the length scale in "
-            "m, such as 0.3:5 or 0.3,0.2,0.1:5"
-        )
+    parts, length_scale = gust_numbers(text)
     source = definition if replayed is None else replayed.definition
     mean = source.section(WindSection).velocity_m_per_s
     if replayed is not None and replayed.winds:
@@ -53,9 +48,8 @@ def gusts_of(
         )
     if coherence is not None and not 0 <= coherence < math.inf:
         raise InputError(f"--coherence is {coherence:g}: give a decay of at least 0, such as 12")
-    parts = [float(part) for part in match["intensity"].split(",")]
     intensity = parts if len(parts) == 3 else parts[0]
-    sampling |= {"interval": 1 / rate if rate else 0.0, "length_scale": float(match["length"])}
+    sampling |= {"interval": 1 / rate if rate else 0.0, "length_scale": length_scale}
     if coherence is not None:
         sampling |= {"places": np.asarray(link_centres(arm, jnp.zeros(arm.count)))}
         sampling |= {"decay": coherence}
@@ -68,3 +62,18 @@ def gusts_of(
         f"gusts quicker than {4 * scales['interval']:g} s are left out, of the variance: "
         f"{', '.join(shares)} the mean wind"
     )
+
+
+def gust_numbers(text: str) -> tuple[list[float], float]:
+    """Intensity, one number or three, and length scale (m) of --gusts.
+
+    Raises:
+        InputError: it is written otherwise.
+    """
+    match = _GUSTS.fullmatch(text.replace(" ", ""))
+    if match is None:
+        raise InputError(
+            f"--gusts is {text!r}: give the intensity, or three of them, and the length scale in "
+            "m, such as 0.3:5 or 0.3,0.2,0.1:5"
+        )
+    return [float(part) for part in match["intensity"].split(",")], float(match["length"])

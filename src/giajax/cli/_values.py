@@ -136,3 +136,16 @@ def deviations(
             )
     # A deviation of 0 is none, which [noise] does not state.
     return by_channel({key: value for key, value in section.items() if value > 0})
+
+
+def velocity(text: str, option: str) -> list[float]:
+    """Three numbers in m/s.
+
+    Raises:
+        InputError: it is written otherwise.
+    """
+    parts = [number(part) for part in text.split(",")]
+    found = [part for part in parts if part is not None]
+    if len(parts) != 3 or len(found) != 3:
+        raise InputError(f"{option} is {text!r}: give three numbers in m/s, such as 0,0.2,0")
+    return found

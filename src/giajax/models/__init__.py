@@ -3,6 +3,7 @@
 from ._arm import ArmModel as ArmModel
 from ._arm_inputs import ArmInputs as ArmInputs
 from ._arm_scene import arm_scene as arm_scene
+from ._arm_sensors import recorded_channels as recorded_channels
 from ._build import (
     build_model as build_model,
     model_for as model_for,

@@ -53,3 +53,4 @@ from ._suspects import (
     systematic_table as systematic_table,
 )
 from ._text import parameter_table as parameter_table, summary as summary
+from ._wind import wind_figure as wind_figure, wind_json as wind_json

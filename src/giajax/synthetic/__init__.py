@@ -9,7 +9,10 @@ from ._recording_errors import (
 )
 from ._synthesise import synthesise as synthesise
 from ._turbulence import (
+    DECAY as DECAY,
+    RESOLVED as RESOLVED,
     gust_coherence as gust_coherence,
     gust_spectrum as gust_spectrum,
     gusts_left_out as gusts_left_out,
+    wind_frame as wind_frame,
 )

@@ -33,11 +33,10 @@ import numpy.typing as npt
 
 from .._errors import InputError
 from ._drive import Drive
-from ._turbulence import DECAY, RESOLVED, gust_coherence, gust_spectrum
+from ._turbulence import DECAY, RESOLVED, gust_coherence, gust_spectrum, wind_frame
 
-# Bands of frequency, evenly spaced in their logarithm. Below the lowest, a period of 400 times L/U,
-# there is 1 % of the variance.
-_BANDS = 400
+# Below the lowest frequency, a period of 400 times L/U, there is 1 % of the variance.
+_LINES = 400
 _LOWEST = 0.0025
 
 
@@ -52,6 +51,7 @@ def gusts(
     seed: int = 0,
     places: npt.ArrayLike | None = None,
     decay: float = DECAY,
+    lines: int = _LINES,
 ) -> Drive:
     """An unsteady wind, the same along the whole arm or coherent from link to link.
 
@@ -68,6 +68,8 @@ def gusts(
         seed: of the phases. A component has its own, whatever the others are.
         places: of the links where the arm rests, m, shape (link, 3); None for one wind.
         decay: of the coherence over distances, a above; 0 for one wind but for its lag.
+        lines: number of frequencies, evenly spaced in their logarithm. In a long record bins of a
+            spectrum are narrower than lines are apart, and some have none, unless there are more.
 
     Returns:
         The wind at its rows, linear between them: `wind_x`, `wind_y`, `wind_z`, or with places
@@ -89,6 +91,8 @@ def gusts(
             "0, because the mean flow carries the gusts past the arm"
         )
     parts = np.asarray(intensity, dtype=float)
+    if lines < 1:
+        raise InputError(f"the lines of gusts are {lines}: give a whole number of at least 1")
     if seed < 0:
         raise InputError(f"the seed of gusts is {seed}: give a whole number of at least 0")
     sound = np.all((parts >= 0) & (parts < np.inf)) and np.any(parts)
@@ -108,14 +112,14 @@ def gusts(
     rows = max(round(duration / interval), 1)
     times = start + np.linspace(0.0, duration, rows + 1)
     highest = RESOLVED * rows / (2 * duration)
-    edges = np.geomspace(min(_LOWEST * speed / length_scale, highest / 10), highest, _BANDS + 1)
+    edges = np.geomspace(min(_LOWEST * speed / length_scale, highest / 10), highest, lines + 1)
     frequencies = np.sqrt(edges[1:] * edges[:-1])
     where = None if places is None else _checked(places, decay)
     count = 1 if where is None else len(where)
     velocity = np.tile(mean, (len(times), count, 1))
     deviations = speed * np.broadcast_to(parts, 3)
     along = mean / speed
-    for component, axis in enumerate(_frame(along)):
+    for component, axis in enumerate(wind_frame(along)):
         if deviations[component] == 0:
             continue
         spectrum = gust_spectrum(
@@ -126,7 +130,7 @@ def gusts(
             along=component == 0,
         )
         sizes = np.sqrt(2 * spectrum * np.diff(edges))
-        phases = 2 * np.pi * np.random.default_rng([seed, component]).uniform(size=(_BANDS, count))
+        phases = 2 * np.pi * np.random.default_rng([seed, component]).uniform(size=(lines, count))
         gust = np.zeros((len(times), count))
         # One after the other: a table of all would be hundreds of times as large as the run.
         for frequency, size, phase in zip(frequencies, sizes, phases, strict=True):
@@ -169,11 +173,3 @@ def _checked(places: npt.ArrayLike, decay: float) -> np.ndarray:
     if not 0 <= decay < np.inf:
         raise InputError(f"the decay of gusts is {decay:g}: give a number of at least 0")
     return where
-
-
-def _frame(along: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Along the mean flow, and two directions across it, the first as level as can be."""
-    upwards = np.array([0.0, 0.0, 1.0]) if abs(along[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
-    level = np.cross(upwards, along)
-    level = level / np.linalg.norm(level)
-    return along, level, np.cross(along, level)

@@ -4,8 +4,8 @@ import numpy as np
 
 from .._typing import Float
 
-# Of the frequency that rows resolve at all.
 RESOLVED = 0.5
+"""Of the frequency that rows resolve at all: gusts quicker than four rows are left out."""
 
 DECAY = 12.0
 """Of the coherence of gusts over distances, in IEC 61400-1."""
@@ -95,3 +95,11 @@ def gust_coherence(
     across = np.linalg.norm(apart - (apart @ along)[..., None] * along, axis=-1)
     root: np.ndarray = np.exp(-decay * across * np.hypot(frequency / speed, _SLOW / length_scale))
     return root
+
+
+def wind_frame(along: Float[np.ndarray, "3"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Along the mean flow, and two directions across it, the first as level as can be."""
+    upwards = np.array([0.0, 0.0, 1.0]) if abs(along[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
+    level = np.cross(upwards, along)
+    level = level / np.linalg.norm(level)
+    return along, level, np.cross(along, level)

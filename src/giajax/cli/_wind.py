@@ -1,0 +1,167 @@
+"""`giajax wind`: the wind that a resting arm undulates in."""
+
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, cast
+
+import typer
+
+from .._errors import InputError
+from ._gusts import gust_numbers
+from ._model import definition_of, model_of
+from ._values import velocity
+
+if TYPE_CHECKING:
+    from ..models import ArmModel
+    from ..study import WindFit
+
+EXAMPLES = """\b
+Examples:
+  giajax wind --data resting.csv --wind 0,0.2,0
+  giajax wind --data resting.csv --model giajax-out/run --gusts 0.3:5 --out wind
+  giajax wind --data resting.csv --wind 0,0.2,0 --free decay --skip 60 --json
+
+\b
+MODEL is the folder of a fit, its result.json, or a TOML file whose [arm] states an
+arm; without it the sidecar's is taken. NAME is speed, deviation, length_scale
+(which are free), decay, heading or climb (which are held)."""
+
+_FILES = ("wind.json", "wind.png")
+
+
+def wind(
+    data: Annotated[Path, typer.Option(metavar="RUN.csv", help="A run under constant commands.")],
+    model: Annotated[Path | None, typer.Option(metavar="MODEL", help="The arm; see below.")] = None,
+    mean: Annotated[
+        str | None,
+        typer.Option(
+            "--wind",
+            metavar="X,Y,Z",
+            help="Mean flow to begin with, m/s; its direction is held. [the run's or the arm's]",
+        ),
+    ] = None,
+    gusts: Annotated[
+        str,
+        typer.Option(metavar="I:L", help="Intensity and length scale (m) to begin with."),
+    ] = "0.2:5",
+    coherence: Annotated[
+        float, typer.Option(metavar="A", help="Decay of the coherence of gusts over distances.")
+    ] = 12.0,
+    free: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="Fit this, too. Repeatable.")
+    ] = None,
+    hold: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="Hold this. Repeatable.")
+    ] = None,
+    no_mean: Annotated[
+        bool,
+        typer.Option("--no-mean", help="Do not use where the arm rests, only how it moves there."),
+    ] = False,
+    skip: Annotated[
+        float, typer.Option(metavar="S", help="Leave out the beginning, until gusts alone move.")
+    ] = 0.0,
+    highest: Annotated[
+        float | None,
+        typer.Option(metavar="HZ", help="Frequency to look up to. [half of what rows resolve]"),
+    ] = None,
+    channels: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Only this channel, without its unit. Repeatable."),
+    ] = None,
+    rename: Annotated[
+        list[str] | None,
+        typer.Option(metavar="OLD=NEW", help="Read column OLD of the run as NEW. Repeatable."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write wind.json and wind.png there.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Write over files.")] = False,
+) -> None:
+    """Fit mean flow and gusts to the recording of a resting arm.
+
+    Spectra and mean of its channels are compared with those of the arm, linearised about its
+    rest, in von Karman's gusts; the gusts themselves stay unknown.
+    """
+    from ..runs import (
+        Definition,
+        check_output_folder,
+        make_folder,
+        parse_rename,
+        read_run,
+        write_files,
+    )
+
+    if out is not None:
+        check_output_folder(out, _FILES, force=force)
+    parts, length_scale = gust_numbers(gusts)
+    begin = None if mean is None else velocity(mean, "--wind")
+    settings = {"fit": {"channels": channels}} if channels else {}
+    definition = definition_of(model).merged_with(Definition.parse(settings, "the command line"))
+    run = read_run(data, definition=definition, rename=parse_rename(rename or []))
+
+    from ._jax import configure
+
+    configure()
+    from ..kinds import ARM
+    from ..report import to_png, wind_figure, wind_json
+    from ..study import USUALLY, fit_wind
+
+    stated = model_of(model, [run])
+    if stated.kind != ARM.name:
+        raise InputError(f"the model is that of a {stated.kind}: give that of an arm")
+    arm = cast("ArmModel", stated)
+    names = [name for name in (*USUALLY, *(free or [])) if name not in (hold or [])]
+    found = fit_wind(
+        arm,
+        run,
+        mean=begin,
+        intensity=parts if len(parts) == 3 else parts[0],
+        length_scale=length_scale,
+        decay=coherence,
+        free=names,
+        use_mean=not no_mean,
+        skip=skip,
+        highest=highest,
+    )
+    text = wind_json(found, run)
+    if out is not None:
+        picture = to_png(wind_figure(found, f"{run.name}: spectra at rest, and those of the wind"))
+        make_folder(out)
+        contents = (f"{text}\n".encode(), picture)
+        files = zip(_FILES, contents, strict=True)
+        write_files({out / name: content for name, content in files}, force=force)
+    if as_json:
+        typer.echo(text)
+        return
+    _show(found)
+    if run.winds:
+        typer.echo("note: the run's own wind columns were not used")
+    if out is not None:
+        typer.echo(f"\nwrote {shlex.quote(str(out))}: {', '.join(_FILES)}")
+
+
+def _show(found: "WindFit") -> None:
+    from ._output import print_table
+
+    rows = [
+        [
+            name,
+            one.value,
+            one.standard_error if one.standard_error is not None else _without(one.free),
+            one.unit or None,
+        ]
+        for name, one in found.numbers.items()
+    ]
+    print_table(["number", "value", "standard error", "unit"], rows)
+    flow = ", ".join(f"{part:.4g}" for part in found.wind.mean)
+    typer.echo(f"\nmean flow ({flow}) m/s; {len(found.channels)} channels")
+    typer.echo(
+        f"spectra over those expected {found.misfit[0]:.3f} (1 within {found.misfit[1]:.3f})"
+    )
+    for note in found.notes:
+        typer.echo(f"note: {note}")
+
+
+def _without(free: bool) -> str:
+    return "not determined" if free else "held"

@@ -1,0 +1,271 @@
+"""The wind of a resting arm: its response, its likelihood, and known winds found again."""
+
+import functools
+import json
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.linalg import toeplitz
+
+import giajax
+from giajax import ArmModel, InputError, Run, fit_wind, gusts, write_run
+from giajax.cli import main
+from giajax.simulation import constant, logged
+from giajax.study._multitaper import TAPERS, bands, tapered
+from giajax.study._resting import resting
+from giajax.study._whittle import (
+    Expected,
+    Recorded,
+    gradient_and_information,
+    log_likelihood,
+    slopes,
+)
+from giajax.study._wind_model import WindModel
+from giajax.study._wind_numbers import first_guess
+from giajax.study._wind_response import joint_responses
+from giajax.synthetic import gust_spectrum
+
+MODEL = ArmModel(giajax.takeichi_20m(2))
+MEAN = np.array([0.0, 0.5, 0.2])
+SPEED = float(np.linalg.norm(MEAN))
+TIMES = np.arange(0.0, 420.01, 0.2)
+NAMES = ("link02_y", "link02_z", "joint01_angle")
+STILL = {"free_motion": True}
+# Slow, and near the resonance of the first joint.
+WAVES = np.array([0.1, 0.7])
+
+
+@functools.cache
+def moved(kind, seed=0):
+    """Angles of the joints in gusts, or in small waves along the mean wind."""
+    places = np.asarray(giajax.link_centres(MODEL.arm, jnp.zeros(2)))
+    if kind == "wave":
+        wave = 0.005 * SPEED * np.sin(2 * np.pi * WAVES[:, None] * TIMES).sum(axis=0)
+        rows = np.tile(MEAN + wave[:, None] * MEAN / SPEED, (1, 2))
+    else:
+        wind = gusts(
+            MEAN,
+            intensity=0.15,
+            length_scale=2.0,
+            duration=TIMES[-1],
+            interval=0.2,
+            seed=seed,
+            places=places,
+        )
+        rows = np.stack([wind.values[f"link0{k}_wind_{a}"] for k in (1, 2) for a in "xyz"], axis=1)
+    motion = giajax.simulate(
+        MODEL.arm,
+        constant(np.zeros(2)),
+        TIMES,
+        wind=logged(TIMES, rows, "linear"),
+        solver="springs5",
+        rtol=1e-8,
+        atol=1e-8,
+    )
+    return np.asarray(motion.angles), motion
+
+
+def recording(seed, noise=2e-4):
+    angles, motion = moved("gusts", seed)
+    places = np.asarray(motion.link_centres)
+    random = np.random.default_rng(100 + seed)
+    clean = dict(zip(NAMES, (places[:, 1, 1], places[:, 1, 2], angles[:, 0]), strict=True))
+    values = {name: v + noise * random.normal(size=len(TIMES)) for name, v in clean.items()}
+    return Run.from_arrays(
+        TIMES, values, noise={"position": noise, "angle": noise}, definition=STILL
+    )
+
+
+@pytest.fixture(scope="module")
+def found():
+    """Winds found from recordings of two seeds, begun elsewhere."""
+    return [
+        fit_wind(
+            MODEL,
+            recording(seed),
+            mean=0.75 * MEAN,
+            intensity=0.3,
+            length_scale=4.0,
+            skip=20.0,
+            highest=0.5,
+        )
+        for seed in range(2)
+    ]
+
+
+def test_known_winds_are_found_again(found):
+    """Simulated with all of the drag, which is quadratic; pulls are of logarithms."""
+    truth = {"speed": SPEED, "deviation": 0.15 * SPEED, "length_scale": 2.0}
+    assert all(one.converged and not one.left_out for one in found)
+    pulls = np.array(
+        [
+            [
+                np.log(one.numbers[name].value / value)
+                * one.numbers[name].value
+                / one.numbers[name].standard_error
+                for name, value in truth.items()
+            ]
+            for one in found
+        ]
+    )
+    assert np.max(np.abs(pulls)) < 3
+    assert 0.1 < np.sqrt(np.mean(pulls**2)) < 2
+    # The errors say something, too.
+    errors = [one.numbers["deviation"].standard_error / (0.15 * SPEED) for one in found]
+    assert max(errors) < 0.2
+    assert all(abs(one.misfit[0] - 1) < 0.2 for one in found)
+
+
+def test_the_response_is_that_of_the_simulation_to_a_small_wave():
+    record = resting(MODEL, recording(0), skip=20.0)
+    here, _, _ = WindModel(MODEL, record, use_mean=False).about(first_guess(MEAN, 1e-5, 2.0, 12.0))
+    kept = TIMES >= 20.0 - 1e-9
+    kept[-1] = False  # forty periods
+    angles = moved("wave")[0][kept]
+    np.testing.assert_allclose(angles.mean(axis=0), _rest(here), rtol=1e-3)
+    turned = np.exp(-2j * np.pi * WAVES[:, None] * TIMES[kept])
+    # Straight lines between the rows take some of a wave.
+    taken = np.sinc(WAVES[:, None] * 0.2) ** 2
+    seen = 2j / 0.005 * (turned @ angles) / len(angles) / taken
+    expected = joint_responses(here, WAVES).sum(axis=2) @ MEAN
+    assert np.min(np.abs(expected)) > 1e-4
+    np.testing.assert_allclose(seen[0], expected[0], rtol=0.01)
+    # The stiff joint follows the corners at the rows, which is where it is sampled.
+    np.testing.assert_allclose(seen[1, 0], expected[1, 0], rtol=0.01)
+
+
+def _rest(here):
+    """Angles of the rest, from the places of the links: the first pitches, the second yaws."""
+    pitch = np.arctan2(here.places[0, 2], here.places[0, 0])
+    along = np.array([np.cos(pitch), 0.0, np.sin(pitch)])
+    half = here.places[1] - 2 * here.places[0]
+    return np.array([pitch, np.arctan2(half[1], half @ along)])
+
+
+def test_the_likelihood_is_nearly_that_of_a_normal_vector():
+    """Bands leave out one bin in six, and what is nearest to zero."""
+    samples, interval, noise = 256, 0.25, 0.02
+    where = bands(samples, interval, 1 / (2 * interval))
+    # No spectrum beyond what the samples resolve, so that nothing is folded back.
+    fine = np.linspace(0.0, 1 / (2 * interval), 8001)
+
+    def spectrum(at, frequencies):
+        wind = {"deviation": np.exp(at[0]), "length_scale": np.exp(at[1])}
+        gust = gust_spectrum(frequencies, speed=0.5, along=True, **wind)
+        return gust + 2 * noise**2 * interval
+
+    def exact(at):
+        turned = 2 * np.pi * np.outer(np.arange(samples) * interval, fine)
+        return toeplitz(np.trapezoid(np.cos(turned) * spectrum(at, fine), fine, axis=1))
+
+    def whittle(at):
+        seen = spectrum(at, where.frequencies)[where.members].mean(axis=1)
+        return Expected(seen[:, None, None], None, None)
+
+    truth, other = np.log([0.1, 1.0]), np.log([0.1, 1.6])
+    random = np.random.default_rng(5)
+    both = [exact(truth), exact(other)]
+    draws = np.linalg.cholesky(both[0]) @ random.normal(size=(samples, 60))
+    differences = []
+    for draw in draws.T:
+        record = Recorded(tapered(draw[:, None], interval, where.middles), np.zeros(1))
+        ours = log_likelihood(whittle(truth), record) - log_likelihood(whittle(other), record)
+        normal = [-0.5 * (draw @ np.linalg.solve(c, draw) + np.linalg.slogdet(c)[1]) for c in both]
+        differences.append((ours, normal[0] - normal[1]))
+    ours, normal = np.transpose(differences)
+    assert np.corrcoef(ours, normal)[0, 1] > 0.8
+    assert 0.6 < ours.mean() / normal.mean() < 1.05
+    # And so is what it promises.
+    _, information = gradient_and_information(whittle(truth), slopes(whittle, truth), record)
+    by = [(exact(truth + d) - exact(truth - d)) / 2e-3 for d in 1e-3 * np.eye(2)]
+    parts = [np.linalg.solve(exact(truth), one) for one in by]
+    bound = [[0.5 * np.trace(a @ b) for b in parts] for a in parts]
+    share = np.diag(information) / np.diag(bound)
+    assert np.all((share > 0.7) & (share < 1.02)), share
+
+
+@pytest.mark.quick
+def test_the_gradient_is_that_of_the_likelihood():
+    random = np.random.default_rng(0)
+    transforms = random.normal(size=(3, TAPERS, 2)) + 1j * random.normal(size=(3, TAPERS, 2))
+    record = Recorded(transforms, np.array([0.3, -0.2]))
+    level = np.array([1.0, 2.0, 3.0])[:, None, None]
+
+    def model(at):
+        both = np.array([[np.exp(at[0]), 0.3 * at[1]], [0.3 * at[1], 1.0 + at[1] ** 2]])
+        return Expected(level * both + 0j, np.array([at[0], at[1]]), 0.1 * both)
+
+    at = np.array([0.2, 0.5])
+    gradient, information = gradient_and_information(model(at), slopes(model, at), record)
+    for index, step in enumerate(1e-5 * np.eye(2)):
+        up, down = (log_likelihood(model(at + s), record) for s in (step, -step))
+        assert gradient[index] == pytest.approx((up - down) / 2e-5, rel=1e-5)
+    assert np.all(np.linalg.eigvalsh(information) > 0)
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"command": np.linspace(0, 0.1, 601)}, "moves by"),
+        ({"lasts": 60.0}, "too short"),
+        ({"mean": None}, "no mean wind"),
+        ({"mean": [0.0, 0.0, 0.0]}, "no mean wind"),
+        ({"free": ["colour"]}, "free is colour"),
+        ({"jitter": 0.05}, "even"),
+        ({"gaps": 100}, "empty in"),
+        ({"channel": "link05_z"}, "has link05_z, but"),
+    ],
+)
+def test_what_is_no_record_of_rest_is_refused(change, words):
+    rows = round(change.get("lasts", 120.0) / 0.2) + 1
+    times = 0.2 * np.arange(rows)
+    times[5] += change.get("jitter", 0.0)
+    values = np.random.default_rng(0).normal(size=rows)
+    values[10 : 10 + change.get("gaps", 0)] = np.nan
+    table = {
+        change.get("channel", "link02_z"): values,
+        "joint01_command": change.get("command", np.zeros(rows)),
+    }
+    run = Run.from_arrays(times, table)
+    with pytest.raises(InputError, match=words) as caught:
+        fit_wind(
+            MODEL,
+            run,
+            mean=change.get("mean", MEAN),
+            free=change.get("free", ["speed"]),
+            highest=0.5,
+        )
+    assert "\n" not in str(caught.value)
+
+
+def test_friction_has_no_slope_at_rest():
+    sticky = ArmModel(giajax.takeichi_20m(2, parameters={"joints.friction": 0.1}))
+    with pytest.raises(InputError, match="friction"):
+        fit_wind(sticky, recording(0), mean=MEAN)
+
+
+def test_the_command_writes_what_it_found_and_not_over_it(tmp_path, capsys):
+    run = recording(0)
+    path, out = tmp_path / "resting.csv", tmp_path / "wind"
+    definition = {**run.definition.contents(), "arm": {"links": 2}}
+    write_run(path, run.times, run.values, definition=definition, digits=12)
+    wind = ",".join(f"{0.75 * part:.9g}" for part in MEAN)
+    asked = ["wind", "--data", path, "--wind", wind, "--gusts", "0.3:4", "--skip", "20"]
+    asked += ["--highest", "0.5", "--hold", "deviation", "--hold", "length_scale", "--out", out]
+    assert main([str(part) for part in asked]) == 0
+    text, error = capsys.readouterr()
+    assert error == ""
+    facts = json.loads((out / "wind.json").read_text())
+    speed, held = facts["numbers"]["speed"], facts["numbers"]["deviation"]
+    assert facts["free"] == ["speed"]
+    assert held["value"] == pytest.approx(0.3 * 0.75 * SPEED)
+    assert speed["value"] == pytest.approx(SPEED, rel=0.15)
+    assert f"{speed['value']:.5g}" in text
+    assert set(facts["channels"]) == set(NAMES)
+    assert (out / "wind.png").stat().st_size > 10_000
+    assert main([str(part) for part in asked]) == 2
+    error = capsys.readouterr().err
+    assert "--force" in error
+    assert error.count("\n") == 1
