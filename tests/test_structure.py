@@ -26,7 +26,7 @@ ROOMS = [
     ("report",),
     ("tasks",),
     ("diagnosis",),
-    ("study",),
+    ("study", "wind"),
     ("fitting",),
     ("control",),
     ("synthetic",),

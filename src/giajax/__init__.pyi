@@ -21,6 +21,7 @@ from . import (
     synthetic as synthetic,
     tasks as tasks,
     verdict as verdict,
+    wind as wind,
 )
 from ._errors import InputError as InputError
 from ._shares import map_on_cores as map_on_cores
@@ -157,10 +158,8 @@ from .simulation import (
 from .study import (
     Comparison as Comparison,
     Sensitivity as Sensitivity,
-    WindFit as WindFit,
     choose_hysteresis as choose_hysteresis,
     compare as compare,
-    fit_wind as fit_wind,
     multi_start as multi_start,
     planned as planned,
     sensitivity as sensitivity,
@@ -174,3 +173,4 @@ from .synthetic import (
 )
 from .tasks import FitTask as FitTask
 from .verdict import Reason as Reason, Verdict as Verdict
+from .wind import WindFit as WindFit, fit_wind as fit_wind

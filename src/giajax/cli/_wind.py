@@ -13,7 +13,7 @@ from ._values import velocity
 
 if TYPE_CHECKING:
     from ..models import ArmModel
-    from ..study import WindFit
+    from ..wind import WindFit
 
 EXAMPLES = """\b
 Examples:
@@ -105,7 +105,7 @@ def wind(
     configure()
     from ..kinds import ARM
     from ..report import to_png, wind_figure, wind_json
-    from ..study import USUALLY, fit_wind
+    from ..wind import USUALLY, fit_wind
 
     stated = model_of(model, [run])
     if stated.kind != ARM.name:

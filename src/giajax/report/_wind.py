@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..runs import Channel, Run
-from ..study import WindFit
+from ..wind import WindFit
 from ._style import BLUE, GREY, new_figure, plain
 
 # Spectra of more channels than this are small print.

@@ -29,6 +29,3 @@ from ._refit import (
     refit as refit,
 )
 from ._sensitivity import Sensitivity as Sensitivity, sensitivity as sensitivity
-from ._wind import fit_wind as fit_wind
-from ._wind_numbers import USUALLY as USUALLY
-from ._wind_result import WindFit as WindFit, WindNumber as WindNumber

@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 from scipy.optimize import OptimizeResult
 
+from ._model import WindModel
+from ._numbers import NUMBERS, TURNS, UNITS, Numbers
+from ._response import Turbulence
 from ._whittle import Recorded, whitened
-from ._wind_model import WindModel
-from ._wind_numbers import NUMBERS, TURNS, UNITS, Numbers
-from ._wind_response import Turbulence
-from ._wind_words import OPEN, wind_notes
+from ._words import OPEN, wind_notes
 
 
 @dataclasses.dataclass(frozen=True)

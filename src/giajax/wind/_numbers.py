@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from .._errors import InputError
+from ._response import Turbulence
 from ._resting import Resting
-from ._wind_response import Turbulence
 
 NUMBERS = ("speed", "deviation", "length_scale", "decay", "heading", "climb")
 """What a wind has, in the order of a result."""

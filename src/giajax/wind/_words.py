@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 
-from ._wind_response import Turbulence
+from ._response import Turbulence
 
 # Standard error of a logarithm beyond which nothing is known: a factor of e.
 OPEN = 1.0

@@ -6,11 +6,11 @@ import numpy as np
 
 from .._errors import InputError
 from ..models import ArmModel
+from ._linear import Linear, at_rest
 from ._multitaper import bands
+from ._response import Turbulence, channel_spectra, motion_covariances
 from ._resting import Resting
 from ._whittle import Expected
-from ._wind_linear import Linear, at_rest
-from ._wind_response import Turbulence, channel_spectra, motion_covariances
 
 # How closely the spread of the relative velocities is that of the motion.
 _CLOSE = 1e-7

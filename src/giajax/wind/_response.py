@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from ..synthetic import gust_coherence, gust_spectrum, wind_frame
-from ._wind_linear import Linear
+from ._linear import Linear
 
 
 @dataclasses.dataclass(frozen=True)

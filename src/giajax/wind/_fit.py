@@ -11,13 +11,13 @@ from ..noise import from_differences
 from ..parameters import replace
 from ..runs import Run
 from ..synthetic import DECAY
+from ._model import WindModel
 from ._multitaper import tapered
+from ._numbers import NUMBERS, USUALLY, Numbers, first_guess
+from ._response import Turbulence
 from ._resting import Resting, resting
+from ._result import WindFit, wind_result
 from ._whittle import Expected, Recorded, most_likely
-from ._wind_model import WindModel
-from ._wind_numbers import NUMBERS, USUALLY, Numbers, first_guess
-from ._wind_response import Turbulence
-from ._wind_result import WindFit, wind_result
 
 # A channel that bends by more than this of what it moves is none of a linear response.
 _BENT = 0.25

@@ -12,19 +12,19 @@ import giajax
 from giajax import ArmModel, InputError, Run, fit_wind, gusts, write_run
 from giajax.cli import main
 from giajax.simulation import constant, logged
-from giajax.study._multitaper import TAPERS, bands, tapered
-from giajax.study._resting import resting
-from giajax.study._whittle import (
+from giajax.synthetic import gust_spectrum
+from giajax.wind._model import WindModel
+from giajax.wind._multitaper import TAPERS, bands, tapered
+from giajax.wind._numbers import first_guess
+from giajax.wind._response import joint_responses
+from giajax.wind._resting import resting
+from giajax.wind._whittle import (
     Expected,
     Recorded,
     gradient_and_information,
     log_likelihood,
     slopes,
 )
-from giajax.study._wind_model import WindModel
-from giajax.study._wind_numbers import first_guess
-from giajax.study._wind_response import joint_responses
-from giajax.synthetic import gust_spectrum
 
 MODEL = ArmModel(giajax.takeichi_20m(2))
 MEAN = np.array([0.0, 0.5, 0.2])
