@@ -30,7 +30,7 @@ def pinned(name):
 def lower_bounds():
     """Of what the package needs, and what its tests and its documentation need."""
     extras = PROJECT["optional-dependencies"]
-    several = (extras[name] for name in ("bench", "report", "docs", "test"))
+    several = (extras[name] for name in ("bench", "report", "cluster", "docs", "test"))
     texts = [*PROJECT["dependencies"], *itertools.chain.from_iterable(several)]
     bounds = {}
     for requirement in map(Requirement, texts):

@@ -36,6 +36,7 @@ ROOMS = [
     ("kinds",),
     ("verdict",),
     ("noise",),
+    ("execution",),
     (
         "parameters",
         "quantities",
@@ -43,6 +44,7 @@ ROOMS = [
         "_threads",
         "_cores",
         "_blas",
+        "_process",
         "_program",
         "_kept",
         "_kept_files",

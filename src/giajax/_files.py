@@ -1,6 +1,8 @@
-"""Paths and files that people name: whether they can be used, before they are opened."""
+"""Files: whether those that people name can be used, and how one is written for good."""
 
+import contextlib
 import os
+import secrets
 import stat
 from pathlib import Path
 
@@ -65,3 +67,33 @@ def read_bytes(path: Path, most: int) -> bytes:
             f"{path} has {state.st_size:,} bytes, but may have {most:,} at most: shorten it"
         )
     return path.read_bytes()
+
+
+def write_durably(path: Path, data: bytes) -> None:
+    """Write a file whole or not at all, and have it on the disk before this returns.
+
+    Several processes may write the same one: the last is there, whole.
+
+    Arguments:
+        path: of the file, in a folder that is there; what is there is replaced.
+        data: its content.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    part = path.with_name(f".{secrets.token_hex(16)}.part")
+    try:
+        with part.open("xb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+    # The name is on the disk when its folder is; not every system lets a folder be opened.
+    with contextlib.suppress(OSError):
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)

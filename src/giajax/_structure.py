@@ -36,6 +36,21 @@ def structure(tree: Any) -> str:
     return "".join(_parts(tree, whole=False))
 
 
+def content(tree: Any) -> str:
+    """Describe a tree whole, with the numbers of its arrays (by SHA-256).
+
+    Arguments:
+        tree: as of `structure`.
+
+    Returns:
+        A text that two trees share which are the same, in every process.
+
+    Raises:
+        NoStructureError: a part of it cannot be described.
+    """
+    return "".join(_parts(tree, whole=True))
+
+
 def _parts(value: Any, *, whole: bool) -> Iterator[str]:
     """The text in pieces; of what is a part of the program, with the numbers of the arrays."""
     if isinstance(value, (jax.Array, np.ndarray, np.generic, jax.ShapeDtypeStruct)):

@@ -1,0 +1,95 @@
+"""A task: a call of a function with arguments, known by a key of its content."""
+
+import dataclasses
+import functools
+import hashlib
+import importlib
+import json
+import pickle
+from collections.abc import Callable, Mapping
+from pathlib import PurePath
+from typing import Any
+
+from .._errors import InputError
+from .._version import __version__
+
+
+@dataclasses.dataclass(frozen=True)
+class Task:
+    """One of many calls, which any worker can make.
+
+    Attributes:
+        function: at the top of a module that workers can import: itself, or its name as
+            "module:function". What it returns is written as JSON (`Outcome.value`).
+        arguments: by name: plain data, arrays, modules of Equinox, or whatever can be pickled.
+        seed: of the whole study, for a function that draws random numbers: it is called with
+            `seed=task.own_seed` beside its arguments. None for one that draws none.
+
+    Example:
+        >>> from giajax.execution import Task
+        >>> Task("math:hypot", {}).key == Task("math:hypot", {}).key
+        True
+    """
+
+    function: str | Callable[..., Any]
+    arguments: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    seed: int | None = None
+
+    def __post_init__(self) -> None:
+        name = self.function
+        if not isinstance(name, str):
+            name = f"{name.__module__}:{name.__qualname__}"
+        if "<" in name or name.count(":") != 1:
+            raise InputError(
+                f"the function of a task is {name}, which no other process can find: give one "
+                'at the top of a module, or its name as "module:function"'
+            )
+        object.__setattr__(self, "function", name)
+
+    @functools.cached_property
+    def key(self) -> str:
+        """SHA-256 of function, arguments, seed and version of giajax, in hexadecimal digits.
+
+        Arrays and modules count by their content; what else is no plain data, by its pickle.
+        """
+        content = {
+            "function": self.function,
+            "arguments": self.arguments,
+            "seed": self.seed,
+            "giajax": __version__,
+        }
+        text = json.dumps(content, sort_keys=True, separators=(",", ":"), default=_described)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    @property
+    def own_seed(self) -> int:
+        """Seed of this task, below 2^63: by the study's seed and the key, wherever it runs."""
+        import numpy as np
+
+        words = [int(self.key[at : at + 8], 16) for at in range(0, len(self.key), 8)]
+        state = np.random.SeedSequence([self.seed or 0, *words]).generate_state(1, np.uint64)
+        return int(state[0]) >> 1
+
+    def call(self) -> Any:
+        """What the function returns."""
+        module, _, name = str(self.function).partition(":")
+        function: Any = importlib.import_module(module)
+        for part in name.split("."):
+            function = getattr(function, part)
+        own = {} if self.seed is None else {"seed": self.own_seed}
+        return function(**self.arguments, **own)
+
+
+def _described(value: Any) -> Any:
+    """Of what JSON has no form for: a text that says what it is."""
+    if isinstance(value, PurePath):
+        return str(value)
+    if isinstance(value, Mapping):
+        return dict(value)
+    from .._structure import NoStructureError, content
+
+    try:
+        digits = hashlib.sha256(content(value).encode()).hexdigest()
+    except NoStructureError:
+        digits = hashlib.sha256(pickle.dumps(value, protocol=5)).hexdigest()
+    return f"{type(value).__qualname__} {digits}"

@@ -1,0 +1,135 @@
+"""Tasks in this process: keys, seeds, files, what fails, and going on."""
+
+import dataclasses
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import small_jobs
+from giajax import InputError
+from giajax.execution import Task, prepared, read_outcome, run_tasks
+
+pytestmark = pytest.mark.quick
+
+
+@dataclasses.dataclass(frozen=True)
+class Content:
+    numbers: np.ndarray
+    name: str = "a"
+
+
+def tasks_of(function, numbers, **shared):
+    return [Task(function, {"number": number, **shared}) for number in numbers]
+
+
+def test_a_key_is_of_the_content():
+    """The same for the same, in any order; another for whatever differs."""
+    same = Task("small_jobs:double", {"a": 1, "b": [2.0, None]}, seed=1)
+    assert Task(small_jobs.double, {"b": (2.0, None), "a": 1}, seed=1).key == same.key
+    others = [
+        Task("small_jobs:divides", same.arguments, seed=1),
+        Task("small_jobs:double", {"a": 2, "b": [2.0, None]}, seed=1),
+        Task("small_jobs:double", same.arguments, seed=2),
+        Task("small_jobs:double", same.arguments),
+        Task("small_jobs:double", {"a": Content(np.arange(3.0))}),
+        Task("small_jobs:double", {"a": Content(np.arange(3.0), "b")}),
+        Task("small_jobs:double", {"a": Content(np.array([0.0, 1.0, 2.5]))}),
+        Task("small_jobs:double", {"a": Path("here")}),
+        Task("small_jobs:double", {"a": Path("there")}),
+    ]
+    assert len({task.key for task in [same, *others]}) == 1 + len(others)
+    again = Task("small_jobs:double", {"a": Content(np.arange(3.0))})
+    assert again.key in {task.key for task in others}
+
+
+def test_a_seed_is_of_the_study_and_the_task():
+    """Whatever runs before it or beside it; none where the function draws nothing."""
+    tasks = [
+        Task(small_jobs.draws, {"number": n}, seed=s) for n, s in itertools.product((1, 2), (3, 4))
+    ]
+    forwards, backwards = run_tasks(tasks), run_tasks(tasks[::-1])
+    seeds = [outcome.value[0] for outcome in forwards]
+    assert seeds == [outcome.value[0] for outcome in backwards[::-1]]
+    assert len(set(seeds)) == 4
+    assert all(0 <= seed < 2**63 for seed in seeds)
+    assert run_tasks(tasks_of("small_jobs:double", [4]))[0].value == 8
+
+
+def test_what_cannot_be_found_by_name_is_refused():
+    for function in (lambda: None, "small_jobs", "small_jobs:double:x"):
+        with pytest.raises(InputError, match="which no other process can find"):
+            Task(function)
+
+
+def test_failures_are_outcomes_with_a_sentence():
+    refused, done = run_tasks(tasks_of(small_jobs.refuses, [3, 4]))
+    assert (refused.status, refused.message) == ("failed", "3 is odd: give an even number")
+    assert (done.status, done.value, done.message) == ("done", 4, "")
+    other = run_tasks(tasks_of(small_jobs.divides, [0]))[0]
+    assert other.status == "failed"
+    assert other.message.startswith("ZeroDivisionError (small_jobs.py, line")
+    assert other.message.endswith(": division by zero")
+    missing = run_tasks([Task("small_jobs:nothing")])[0]
+    assert "has no attribute 'nothing'" in missing.message
+
+
+def test_each_task_is_done_once_and_kept(tmp_path):
+    calls, kept = tmp_path / "calls", tmp_path / "kept"
+    calls.mkdir()
+    tasks = tasks_of(small_jobs.notes, [1, 2, 1, 3], folder=calls)
+    heard = []
+    first = run_tasks(tasks[:3], folder=kept, progress=lambda *news: heard.append(news))
+    assert [(done, most) for _, done, most in heard] == [(1, 2), (2, 2)]
+    again = run_tasks(tasks, folder=kept, progress=lambda *news: heard.append(news))
+    assert [(outcome.key, done, most) for outcome, done, most in heard[2:]] == [
+        (tasks[3].key, 3, 3)
+    ]
+    assert again[:3] == first
+    assert again[0] == again[2]
+    assert {path.name for path in kept.iterdir()} == {f"{task.key}.json" for task in tasks}
+    assert {path.read_text() for path in calls.iterdir()} == {"x"}
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [lambda text: text[: len(text) // 2], lambda text: "", lambda text: "[]",
+     lambda text: text.replace('"status": "done"', '"status": "stopped"'),
+     lambda text: text.replace('"giajax_task": 1', '"giajax_task": 2'),
+     lambda text: text.replace('"key": "', '"key": "0')],
+    ids=["half", "empty", "other", "status", "format", "key"],
+)  # fmt: skip
+def test_a_file_that_is_not_whole_counts_as_missing(tmp_path, damage):
+    task = Task(small_jobs.double, {"number": 2})
+    before = run_tasks([task], folder=tmp_path)[0]
+    path = tmp_path / f"{task.key}.json"
+    assert read_outcome(tmp_path, task.key) == before
+    path.write_text(damage(path.read_text()))
+    assert read_outcome(tmp_path, task.key) is None
+    assert run_tasks([task], folder=tmp_path)[0].value == 4
+    assert read_outcome(tmp_path, task.key).value == 4
+
+
+def test_values_are_as_json_gives_them_back(tmp_path):
+    """With files and without: arrays are lists, and what is not finite is None."""
+    task = Task(small_jobs.mixed)
+    assert run_tasks([task])[0].value == {"1": [[0, 1], 0.5], "path": "a", "nan": None}
+    assert run_tasks([task], folder=tmp_path)[0].value == run_tasks([task])[0].value
+    assert read_outcome(tmp_path, task.key).value == run_tasks([task])[0].value
+    odd = run_tasks([Task("builtins:object")])[0]
+    assert odd.message.endswith("a task returned object, which JSON has no form for")
+
+
+def test_ctrl_c_keeps_what_is_done(tmp_path):
+    tasks = tasks_of(small_jobs.interrupts, [1, 2, 3], at=2)
+    outcomes = run_tasks(tasks, folder=tmp_path)
+    assert [outcome.status for outcome in outcomes] == ["done", "stopped", "stopped"]
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_worker_keeps_what_it_prepared():
+    made = []
+    for key in [*range(9), 8, 0, 8]:
+        prepared(("kept", key), lambda key=key: made.append(key))
+    assert made == [*range(9), 0]

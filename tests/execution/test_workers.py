@@ -1,0 +1,78 @@
+"""Tasks by other processes: one pool of two, killed and used again; and a cluster."""
+
+import os
+import signal
+import threading
+import time
+
+import pytest
+
+import small_jobs
+from giajax import InputError
+from giajax.execution import Task, open_executor, run_tasks
+
+
+@pytest.mark.slow
+def test_processes(tmp_path, monkeypatch):
+    """Settings as those of the command line; one that kills its worker fails alone; Ctrl-C."""
+    monkeypatch.delenv("GIAJAX_CORES", raising=False)
+    with open_executor(workers=2) as executor:
+        wide = run_tasks([Task(small_jobs.settings)], executor=executor)[0]
+        assert wide.value["wide"] is True
+        assert wide.value["cores"] == "1"
+        assert wide.value["cache"] == os.environ["JAX_COMPILATION_CACHE_DIR"]
+        assert "GIAJAX_CORES" not in os.environ
+
+        calls, kept = tmp_path / "calls", tmp_path / "kept"
+        calls.mkdir()
+        tasks = [
+            Task(small_jobs.dies_at, {"number": number, "bad": 3, "folder": str(calls)})
+            for number in range(8)
+        ]
+        outcomes = run_tasks(tasks, executor=executor, folder=kept)
+        assert [outcome.status for outcome in outcomes].count("done") == 7
+        assert outcomes[3].status == "failed"
+        assert outcomes[3].message.startswith("its worker ended 3 times while it ran")
+        assert {path.stem for path in kept.iterdir()} == {
+            task.key for number, task in enumerate(tasks) if number != 3
+        }
+        assert {outcome.worker for outcome in outcomes[4:]}.isdisjoint({wide.worker})
+
+        # The signal comes while the workers sleep, who would do so for a minute.
+        timer = threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGINT))
+        tasks = [Task(small_jobs.double, {"number": 1})]
+        tasks += [Task(small_jobs.sleeps, {"seconds": 60 + more}) for more in range(4)]
+        timer.start()
+        began = time.monotonic()
+        outcomes = run_tasks(tasks, executor=executor, folder=kept)
+        assert time.monotonic() - began < 30
+        assert [outcome.status for outcome in outcomes] == ["done"] + 4 * ["stopped"]
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_a_cluster(tmp_path):
+    """An address, as `--scheduler` takes it; the workers are threads of this process."""
+    distributed = pytest.importorskip(
+        "distributed", reason="the extra 'cluster' is not installed: dask is not tried"
+    )
+    quiet = {"dashboard_address": None, "processes": False, "n_workers": 2}
+    with distributed.LocalCluster(threads_per_worker=1, **quiet) as cluster:
+        tasks = [Task(small_jobs.refuses, {"number": number}) for number in range(6)]
+        with open_executor(scheduler=cluster.scheduler_address) as executor:
+            outcomes = run_tasks(tasks, executor=executor, folder=tmp_path)
+    here = run_tasks(tasks)
+    assert [(o.key, o.status, o.value, o.message) for o in outcomes] == [
+        (o.key, o.status, o.value, o.message) for o in here
+    ]
+    assert len(list(tmp_path.iterdir())) == 6
+
+
+@pytest.mark.quick
+def test_what_no_executor_can_be():
+    for options, words in [
+        ({"workers": 0}, "there are 0 workers: give at least 1"),
+        ({"workers": 2, "scheduler": "tcp://a:1"}, "both workers of this machine and a scheduler"),
+    ]:
+        with pytest.raises(InputError, match=words), open_executor(**options):
+            pass

@@ -1,0 +1,68 @@
+"""Functions for tasks: quick, and found by name in every process."""
+
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+
+from giajax import InputError
+
+
+def double(number):
+    return 2 * number
+
+
+def refuses(number):
+    if number % 2:
+        raise InputError(f"{number} is odd: give an even number")
+    return number
+
+
+def divides(number):
+    return 1 / number
+
+
+def draws(seed, number):
+    return [seed, number]
+
+
+def notes(number, folder):
+    """Leave a trace of each call; returns who made it."""
+    with (Path(folder) / f"{number}.calls").open("a") as file:
+        file.write("x")
+    return os.getpid()
+
+
+def dies_at(number, bad, folder):
+    """End the process under the bad one, like a system without memory does; note the others."""
+    if number == bad:
+        os._exit(9)
+    notes(number, folder)
+    return number
+
+
+def settings():
+    """What a worker computes with."""
+    import jax
+
+    return {
+        "wide": bool(jax.config.jax_enable_x64),
+        "cores": os.environ.get("GIAJAX_CORES"),
+        "cache": str(jax.config.jax_compilation_cache_dir),
+    }
+
+
+def mixed():
+    return {1: (np.arange(2), np.float32(0.5)), "path": Path("a"), "nan": float("nan")}
+
+
+def interrupts(number, at):
+    if number == at:
+        raise KeyboardInterrupt
+    return number
+
+
+def sleeps(seconds):
+    time.sleep(seconds)
+    return seconds
