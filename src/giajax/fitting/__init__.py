@@ -11,6 +11,8 @@ from ._integration import IntegrationFit as IntegrationFit
 from ._loss import influence as influence, rho as rho
 from ._noise import NOISE_MODELS as NOISE_MODELS, NoiseModel as NoiseModel
 from ._of_runs import layout_of as layout_of
+from ._optimum import Optimum as Optimum, Point as Point
+from ._optimum_of import optimum as optimum
 from ._predict import (
     errors_of as errors_of,
     predict as predict,
@@ -22,6 +24,7 @@ from ._priors import (
     prior_of as prior_of,
     prior_row as prior_row,
 )
+from ._recorded import Recorded as Recorded
 from ._records import (
     Correlation as Correlation,
     Estimate as Estimate,
@@ -33,6 +36,7 @@ from ._records import (
     Start as Start,
     ToleranceEffect as ToleranceEffect,
 )
+from ._refit import Refit as Refit
 from ._responses import (
     Direction as Direction,
     Response as Response,

@@ -116,10 +116,7 @@ def _at_start(state: FitState) -> FitState:
             "choose others, for an arm softer or less damped joints, or a shorter run"
         )
     moves = responds(state.natural_jacobian().norms(), state.sizes)
-    # As every later evaluation gives the factor, so that a fit that goes on from here is the same.
-    factor = on_device(np.where(np.asarray(moves)[None], np.asarray(state.inner.factor), 0))
-    inner = eqx.tree_at(lambda inner: inner.factor, state.inner, factor)
-    state = dataclasses.replace(state, active=on_device(moves), inner=inner)
+    state = moving(state, moves)
     if np.any(moves):
         if state.setup.suited is None:
             state = resolved(state)
@@ -128,6 +125,19 @@ def _at_start(state: FitState) -> FitState:
     return state.ended(
         "not_converged", "no channel responds to any of the free parameters", "no_response"
     )
+
+
+def moving(state: FitState, moves: np.ndarray) -> FitState:
+    """An evaluated point at which only some parameters may move.
+
+    Arguments:
+        state: evaluated, with all of these moving.
+        moves: which may, shape (parameter,).
+    """
+    # As every later evaluation gives the factor, so that a fit that goes on from here is the same.
+    factor = on_device(np.where(np.asarray(moves)[None], np.asarray(state.inner.factor), 0))
+    inner = eqx.tree_at(lambda inner: inner.factor, state.inner, factor)
+    return dataclasses.replace(state, active=on_device(np.asarray(moves, bool)), inner=inner)
 
 
 def _after(tried: FitState) -> FitState:

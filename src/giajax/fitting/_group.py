@@ -1,20 +1,20 @@
 """Runs as arrays: those with the same channels stacked, so that they share a program."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from .._maths import on_device
 from .._typing import Array, Float
 from ..models import AbstractModel
 from ..parameters import get
 from ..runs import Run
 from ._layout import Layout
 from ._noise import Noise
+from ._recorded import Recorded, recorded_cells
 from ._stack import stacked
 from ._whitening import Whitening
 
@@ -93,19 +93,14 @@ def build_groups(
         members.setdefault(key, []).append(index)
     groups = []
     first = layout.size
+    recorded = [run.observations for run in runs]
     for (channels, _, own), indices in members.items():
-        observed = [np.stack([runs[i].observations[c] for c in channels], -1) for i in indices]
-        weight = [
-            np.where(np.isnan(cells), 0.0, 1 / np.asarray(_deviations(noise, i, channels)))
-            * _root_weights(noise, runs[i], i, channels)
-            for i, cells in zip(indices, observed, strict=True)
-        ]
-        length = max(len(cells) for cells in observed)
+        observed, weight, whitening = recorded_cells(runs, noise, indices, channels, recorded)
         group = Group(
             inputs=stacked([prepared[i] for i in indices]),
-            observed=_padded([np.nan_to_num(cells) for cells in observed], length),
-            weight=_padded(weight, length),
-            whitening=_whitening(runs, noise, indices, channels, length),
+            observed=observed,
+            weight=weight,
+            whitening=whitening,
             channels=channels,
             members=tuple(indices),
             own=own,
@@ -117,40 +112,25 @@ def build_groups(
     return tuple(groups)
 
 
-def _deviations(noise: Noise, index: int, channels: Sequence[str]) -> list[float]:
-    return [noise.values[index][channel].deviation for channel in channels]
+def recorded_otherwise(
+    groups: Sequence[Group], runs: Sequence[Run], noise: Noise, recorded: Recorded
+) -> tuple[Group, ...]:
+    """Groups whose runs recorded something else; what was prepared of the runs stays.
 
-
-def _root_weights(noise: Noise, run: Run, index: int, channels: Sequence[str]) -> np.ndarray:
-    """Roots of the cells' weights, where no whitening has them: in a run without time."""
-    if noise.weights is None or run.times is not None:
-        return np.ones(())
-    return np.sqrt(np.stack([noise.weights[index][name] for name in channels], axis=-1))
-
-
-def _whitening(
-    runs: Sequence[Run], noise: Noise, indices: Sequence[int], channels: Sequence[str], length: int
-) -> Whitening | None:
-    """That of the runs of a group, stacked; None where noise has no memory for sure."""
-    if not noise.memory:
-        return None
-    parts = []
-    for i in indices:
-        times = runs[i].times
-        if times is None:
-            return None
-        measured = {
-            name: np.where(np.isnan(values), 0.0, 1.0)
-            for name, values in runs[i].observations.items()
-        }
-        weights = {
-            name: cells if noise.weights is None else cells * noise.weights[i][name]
-            for name, cells in measured.items()
-        }
-        of_run = {name: noise.values[i][name] for name in channels}
-        parts.append(Whitening.of(of_run, times, weights, length))
-    dtype = jnp.result_type(float)
-    return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves), dtype=dtype), *parts)
+    Arguments:
+        groups: of the runs.
+        runs: what is fitted to.
+        noise: of the channels.
+        recorded: of each run, values by channel, SI; NaN where a cell does not count.
+    """
+    others = []
+    for group in groups:
+        cells = recorded_cells(runs, noise, group.members, group.channels, recorded)
+        observed, weight, whitening = cells
+        others.append(
+            dataclasses.replace(group, observed=observed, weight=weight, whitening=whitening)
+        )
+    return tuple(others)
 
 
 def own_start(groups: Sequence[Group]) -> np.ndarray:
@@ -182,8 +162,3 @@ def own_begun(
             for label, column in zip(group.own_labels(), columns.tolist(), strict=True):
                 own[column - shared] = values.get(label, own[column - shared])
     return own
-
-
-def _padded(arrays: Sequence[np.ndarray], length: int) -> Array:
-    rows = [np.pad(a, ((0, length - len(a)), (0, 0))) for a in arrays]
-    return on_device(np.stack(rows), jnp.result_type(float))

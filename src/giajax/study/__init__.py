@@ -26,6 +26,7 @@ from ._planned import planned as planned
 from ._refit import (
     begun_as_fitted as begun_as_fitted,
     begun_where_it_ended as begun_where_it_ended,
+    optimum_of as optimum_of,
     refit as refit,
 )
 from ._sensitivity import Sensitivity as Sensitivity, sensitivity as sensitivity

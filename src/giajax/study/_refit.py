@@ -9,8 +9,10 @@ import numpy as np
 from ..fitting import (
     MAX_ITERATIONS,
     FitResult,
+    Optimum,
     RunFit,
     between,
+    optimum,
     prepared_with,
     set_up,
     solve,
@@ -61,6 +63,41 @@ def _begun(model: AbstractModel, run: Run, own: Mapping[str, float]) -> Run:
     contents = run.definition.contents()
     contents["initial"] = {**model.initial_section(inputs), "free": True}
     return dataclasses.replace(run, definition=Definition.parse(contents, run.name))
+
+
+def optimum_of(result: FitResult, runs: Sequence[Run]) -> Optimum:
+    """Where a fit ended, to be asked again without compiling anew.
+
+    Arguments:
+        result: of a fit.
+        runs: what it was fitted to, in their order.
+
+    Raises:
+        InputError: the model cannot be evaluated there.
+    """
+    config, model = result.config, result.model
+    values = {path: estimate.value for path, estimate in result.free.items()}
+    setup = set_up(
+        model,
+        runs,
+        free=list(values),
+        start={
+            part.path: _inside(part, float(values[part.path]), config.get("bounds", {}))
+            for path in values
+            for part in elements(model, path)
+        },
+        loss=config.get("loss", "linear"),
+        noise_model=config.get("noise_model", "correlated"),
+        noise_per_run=config.get("noise_per_run", False),
+        **{key: config.get(key, {}) for key in ("priors", "bounds", "ties", "groups")},
+    )
+    own = {
+        record.name: {path: each.value for path, each in record.parameters.items()}
+        for record in result.runs
+    }
+    # As it ended, also on a bound, where no fit may start.
+    there = setup.started_at(values)
+    return optimum(dataclasses.replace(there, own=own), result.runs)
 
 
 def refit(
