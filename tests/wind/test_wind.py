@@ -94,6 +94,7 @@ def found():
     ]
 
 
+@pytest.mark.long
 def test_known_winds_are_found_again(found):
     """Simulated with all of the drag, which is quadratic; pulls are of logarithms."""
     truth = {"speed": SPEED, "deviation": 0.15 * SPEED, "length_scale": 2.0}
