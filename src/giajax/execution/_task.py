@@ -22,6 +22,7 @@ class Task:
         function: at the top of a module that workers can import: itself, or its name as
             "module:function". What it returns is written as JSON (`Outcome.value`).
         arguments: by name: plain data, arrays, modules of Equinox, or whatever can be pickled.
+            What has a text `task_key` counts by that.
         seed: of the whole study, for a function that draws random numbers: it is called with
             `seed=task.own_seed` beside its arguments. None for one that draws none.
 
@@ -86,6 +87,8 @@ def _described(value: Any) -> Any:
         return str(value)
     if isinstance(value, Mapping):
         return dict(value)
+    if isinstance(key := getattr(value, "task_key", None), str):
+        return f"{type(value).__qualname__} {key}"
     from .._structure import NoStructureError, content
 
     try:

@@ -15,6 +15,7 @@ from ._contrast import (
     contrast as contrast,
 )
 from ._ends import misfit as misfit
+from ._fitted import Fitted as Fitted
 from ._multi_start import (
     SAME_END as SAME_END,
     SEED as SEED,

@@ -1,0 +1,87 @@
+"""A fit and what it was fitted to, as an argument of tasks that other processes do."""
+
+import dataclasses
+import functools
+import hashlib
+import json
+from collections.abc import Sequence
+from typing import Any, Self
+
+from .._errors import InputError
+from .._structure import content
+from ..execution import prepared
+from ..fitting import FitResult, Optimum, Seconds
+from ..runs import Run
+from ._refit import optimum_of
+
+
+@dataclasses.dataclass(frozen=True)
+class Fitted:
+    """A result with its runs, which any process can take up.
+
+        task = Task("giajax.study._profile_task:profiled", {"fitted": Fitted.of(result, runs)})
+
+    The function of the task asks it for its `optimum`, which a process evaluates once, however many
+    tasks it does: its programs are loaded or compiled for the first of them.
+
+    Attributes:
+        result: without predictions.
+        runs: that it was fitted to, in their order.
+    """
+
+    result: FitResult
+    runs: tuple[Run, ...]
+
+    @classmethod
+    def of(cls, result: FitResult, runs: Run | Sequence[Run]) -> Self:
+        """A result and its runs.
+
+        Arguments:
+            result: of `fit` or `load_result`.
+            runs: what it was fitted to, in their order.
+
+        Raises:
+            InputError: these are not its runs.
+        """
+        runs = (runs,) if isinstance(runs, Run) else tuple(runs)
+        if [run.sha256 for run in runs] != [record.sha256 for record in result.runs]:
+            raise InputError(
+                "the runs are not those of the result: give the same ones in their order"
+            )
+        bare = dataclasses.replace(
+            result, predictions=(), held_predictions=(), seconds=Seconds(0.0, 0.0)
+        )
+        return cls(bare, runs)
+
+    @functools.cached_property
+    def task_key(self) -> str:
+        """SHA-256 of what decides the optimum: the same for a result and its `result.json`.
+
+        Times, places of files, versions, and what was asked of a result afterwards do not count.
+        """
+        stored = json.loads(self.result.to_json())
+        kept: dict[str, Any] = {
+            key: stored[key] for key in ("model", "config", "parameters", "integration")
+        }
+        kept["runs"] = [{**record, "path": None} for record in stored["runs"]]
+        text = json.dumps(kept, sort_keys=True)
+        return hashlib.sha256((text + content(list(map(_told, self.runs)))).encode()).hexdigest()
+
+    def optimum(self) -> Optimum:
+        """Where the fit ended, kept in this process for the tasks to come.
+
+        Raises:
+            InputError: the model cannot be evaluated there.
+        """
+        return prepared(
+            ("optimum", self.task_key), lambda: optimum_of(self.result, list(self.runs))
+        )
+
+
+def _told(run: Run) -> tuple[Any, ...]:
+    """What a fit knows of a run, wherever its file lies."""
+    arrays = {
+        name: list(values) if values.dtype == object else values
+        for name, values in run.values.items()
+    }
+    return run.name, run.model, run.times, arrays, run.channels, run.observed

@@ -1,0 +1,56 @@
+"""A fit as an argument of tasks: known by its content, in any process, wherever its files lie."""
+
+import dataclasses
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from giajax import InputError, load_result, read_run
+from giajax.execution import Task
+from giajax.fitting import Seconds
+from giajax.study import Fitted
+
+pytestmark = pytest.mark.quick
+
+EARLIER = Path(__file__).parents[1] / "earlier"
+
+
+@pytest.fixture(scope="module", params=["arm", "hysteresis"])
+def fitted(request):
+    folder = EARLIER / request.param
+    return Fitted.of(load_result(folder), read_run(folder / "run.csv"))
+
+
+def key_of(fitted):
+    return Task("math:hypot", {"fitted": fitted}).key
+
+
+def test_it_is_known_by_its_content(fitted, tmp_path):
+    """The same read again, elsewhere, timed otherwise and pickled; another for what matters."""
+    (run,), result = fitted.runs, fitted.result
+    (tmp_path / "result.json").write_text(result.to_json())
+    elsewhere = dataclasses.replace(run, path=tmp_path / "run.csv")
+    late = dataclasses.replace(load_result(tmp_path), seconds=Seconds(1.0, 2.0), history=())
+    assert key_of(Fitted.of(late, elsewhere)) == key_of(fitted)
+    copied = pickle.loads(pickle.dumps(fitted))
+    assert key_of(copied) == key_of(fitted)
+    assert copied.result.to_json() == result.to_json()
+
+    name = next(iter(run.observations))
+    values = {**run.values, name: np.nextafter(run.values[name], np.inf)}
+    path, estimate = next(iter(result.free.items()))
+    parameters = {**result.parameters, path: dataclasses.replace(estimate, value=0.5)}
+    others = [
+        Fitted.of(result, dataclasses.replace(run, values=values)),
+        Fitted.of(dataclasses.replace(result, parameters=parameters), run),
+        Fitted.of(dataclasses.replace(result, config={**result.config, "loss": "soft_l1"}), run),
+    ]
+    assert len({key_of(fitted), *map(key_of, others)}) == 4
+
+
+def test_other_runs_are_refused(fitted):
+    (run,) = fitted.runs
+    with pytest.raises(InputError, match="the runs are not those of the result"):
+        Fitted.of(fitted.result, dataclasses.replace(run, sha256="0"))
