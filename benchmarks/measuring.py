@@ -8,6 +8,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from rich.console import Console
+from rich.table import Table
+
 RESULTS = Path(__file__).resolve().parent / "results"
 
 
@@ -73,6 +76,39 @@ def in_turns(
 def spread(times: Mapping[str, float], unit: float) -> str:
     """Least and median time as a cell of a table."""
     return f"{times['min'] * unit:.3g} / {times['median'] * unit:.3g}"
+
+
+def report(
+    description: str | None,
+    name: str,
+    measure: Callable[[bool], dict[str, Any]],
+    table: Callable[[dict[str, Any]], Table],
+) -> None:
+    """The whole of a benchmark: measure in 64-bit, show a table and write the figures.
+
+    Arguments:
+        description: of the benchmark; its first line is shown.
+        name: of its file among `RESULTS`, where no other is asked for.
+        measure: the figures; quickly, if so told.
+        table: of the figures.
+    """
+    import jax
+
+    arguments = command_line(description, RESULTS / f"{name}.json")
+    jax.config.update("jax_enable_x64", True)
+    found = measure(arguments.quick)
+    console = Console()
+    console.print(table(found))
+    store(found, arguments.out)
+    console.print(f"written to {arguments.out}")
+
+
+def columns(title: str, *headings: str) -> Table:
+    """An empty table whose cells, apart from those below an empty heading, are figures."""
+    table = Table(title=title)
+    for heading in headings:
+        table.add_column(heading, justify="right" if heading else "left")
+    return table
 
 
 def store(found: dict[str, Any], path: Path) -> None:

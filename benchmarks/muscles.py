@@ -12,10 +12,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
-from benchmarks.measuring import RESULTS, command_line, in_turns, spread, store
+from benchmarks.measuring import columns, in_turns, report, spread
 from giajax.arm import Arm, takeichi_20m
 from giajax.simulation import Pressures, Trajectory, joint_ramps, logged, simulate
 
@@ -66,24 +65,23 @@ def measure(quick: bool) -> dict[str, Any]:
     return {"links": links, "seconds": seconds, "runs": found, "steps": steps}
 
 
-def show(found: dict[str, Any], console: Console) -> None:
-    table = Table(title=f"{found['seconds']:g} s of {found['links']} links")
-    for heading in ("", "ms: min / median", "over springs", "steps", "rejected"):
-        table.add_column(heading, justify="right" if heading else "left")
+def table(found: dict[str, Any]) -> Table:
+    rows = columns(
+        f"{found['seconds']:g} s of {found['links']} links",
+        "",
+        "ms: min / median",
+        "over springs",
+        "steps",
+        "rejected",
+    )
     for name, taken in found["runs"].items():
         counts = map(str, found["steps"][name])
-        table.add_row(name, spread(taken, 1e3), f"{taken['ratio']:.2f}", *counts)
-    console.print(table)
+        rows.add_row(name, spread(taken, 1e3), f"{taken['ratio']:.2f}", *counts)
+    return rows
 
 
 def main() -> None:
-    arguments = command_line(__doc__, RESULTS / "muscles.json")
-    jax.config.update("jax_enable_x64", True)
-    found = measure(arguments.quick)
-    console = Console()
-    show(found, console)
-    store(found, arguments.out)
-    console.print(f"written to {arguments.out}")
+    report(__doc__, "muscles", measure, table)
 
 
 if __name__ == "__main__":

@@ -13,10 +13,9 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from rich.console import Console
 from rich.table import Table
 
-from benchmarks.measuring import RESULTS, command_line, in_turns, spread, store
+from benchmarks.measuring import columns, in_turns, report, spread
 from giajax.arm import Arm, PointMasses, acceleration, takeichi_20m, takeichi_20m_full
 from peers.arms import random_states
 
@@ -99,29 +98,23 @@ def measure(quick: bool) -> dict[str, Any]:
     }
 
 
-def show(found: dict[str, Any], console: Console) -> None:
-    table = Table(title=f"One evaluation of {found['links']} links")
-    for heading in ("", "us: min / median", "over plain", "allowed"):
-        table.add_column(heading, justify="right" if heading else "left")
+def table(found: dict[str, Any]) -> Table:
+    rows = columns(
+        f"One evaluation of {found['links']} links", "", "us: min / median", "over plain", "allowed"
+    )
     for name, each in found["options"].items():
         allowed = each["allowed"]
-        table.add_row(
+        rows.add_row(
             name,
             spread(each, 1e6),
             f"{each['ratio']:.2f}",
             "" if allowed is None else f"{allowed:g}",
         )
-    console.print(table)
+    return rows
 
 
 def main() -> None:
-    arguments = command_line(__doc__, RESULTS / "options.json")
-    jax.config.update("jax_enable_x64", True)
-    found = measure(arguments.quick)
-    console = Console()
-    show(found, console)
-    store(found, arguments.out)
-    console.print(f"written to {arguments.out}")
+    report(__doc__, "options", measure, table)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from threadpoolctl import ThreadpoolController
 
 from giajax import InputError, fit, map_on_cores
 from giajax._blas import one_blas_thread
-from giajax._cores import cores, enable_x64
+from giajax._cores import _quota, cores, enable_x64
 from giajax._shares import Batch, dealt, on_all_cores
 from giajax._threads import side_by_side
 from giajax.fitting import set_up
@@ -34,6 +34,25 @@ def test_no_run_is_left_over_where_a_fit_deals_them_out(count):
     assert 1 <= length <= 4
     assert count % length == 0
     assert length == 1 or count // length >= 8
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize(
+    ("files", "count"),
+    [
+        ({"cpu.max": "150000 100000\n"}, 2),
+        ({"cpu.max": "5000 100000\n"}, 1),
+        ({"cpu.max": "max 100000\n"}, None),
+        ({"cpu/cpu.cfs_quota_us": "300000\n", "cpu/cpu.cfs_period_us": "100000\n"}, 3),
+        ({"cpu/cpu.cfs_quota_us": "-1\n", "cpu/cpu.cfs_period_us": "100000\n"}, None),
+        ({}, None),
+    ],
+)
+def test_a_container_has_the_cores_that_it_may_use(tmp_path, files, count):
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+    assert _quota(tmp_path) == count
 
 
 @pytest.mark.parametrize("most", [1, 2, 3, 8])

@@ -4,9 +4,12 @@ Without JAX until it is asked: the command line has the variable's name in its h
 """
 
 import contextvars
+import functools
 import importlib
+import math
 import os
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
 from ._errors import InputError
@@ -22,7 +25,7 @@ _part: contextvars.ContextVar[int | None] = contextvars.ContextVar("giajax_cores
 
 
 def cores() -> int:
-    """On how many cores to compute: those that this process may use, or fewer if so told.
+    """On how many cores to compute: those that this process may use, or as many as so told.
 
     Raises:
         InputError: the environment variable is no positive number.
@@ -37,10 +40,30 @@ def cores() -> int:
     if not told:
         # Not every system lets a process ask.
         allowed = getattr(os, "sched_getaffinity", None)
-        return len(allowed(0)) if allowed else os.cpu_count() or 1
+        there = len(allowed(0)) if allowed else os.cpu_count() or 1
+        return min(there, _quota() or there)
     if not told.isdecimal() or int(told) == 0:
         raise InputError(f"{CORES_VARIABLE} is {told!r}: give the number of cores, or leave it out")
     return int(told)
+
+
+@functools.cache
+def _quota(root: Path = Path("/sys/fs/cgroup")) -> int | None:
+    """Cores whose time a container may use (cgroups, version 2 or 1); None where that is no less.
+
+    A container sees all cores of its machine, and is stopped for the rest of each period when its
+    time is used up: more threads than that make a step slower.
+    """
+    try:
+        try:
+            quota, period = (root / "cpu.max").read_text().split()
+        except FileNotFoundError:
+            quota, period = (
+                (root / "cpu" / f"cpu.cfs_{name}_us").read_text() for name in ("quota", "period")
+            )
+        return max(1, math.ceil(int(quota) / int(period))) if int(quota) > 0 else None
+    except (OSError, ValueError):  # No container, or "max"
+        return None
 
 
 def carried(function: Callable[Parameters, Result], among: int) -> Callable[Parameters, Result]:

@@ -5,6 +5,8 @@ from typing import Annotated, Any
 
 import typer
 
+from ._options import Renamed
+
 EXAMPLES = """\b
 Examples:
   giajax check run.csv
@@ -14,10 +16,7 @@ Examples:
 
 def check(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="The run, a .csv or .parquet file.")],
-    rename: Annotated[
-        list[str] | None,
-        typer.Option(metavar="OLD=NEW", help="Read column OLD of the file as NEW. Repeatable."),
-    ] = None,
+    rename: Renamed = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
 ) -> None:
     """Say what a run holds.

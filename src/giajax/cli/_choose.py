@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from ._options import Renamed
+
 EXAMPLES = """\b
 Examples:
   giajax choose --data loops.csv
@@ -34,10 +36,7 @@ def choose(
     only: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="Compare only these. Repeatable.")
     ] = None,
-    rename: Annotated[
-        list[str] | None,
-        typer.Option(metavar="OLD=NEW", help="Read column OLD of the runs as NEW. Repeatable."),
-    ] = None,
+    rename: Renamed = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="No progress.")] = False,
 ) -> None:

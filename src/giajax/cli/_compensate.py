@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from ._options import Renamed
+
 EXAMPLES = """\b
 Examples:
   giajax fit --data loop.csv --out loop
@@ -37,10 +39,7 @@ def compensate(
             "[default: a third of the range]",
         ),
     ] = None,
-    rename: Annotated[
-        list[str] | None,
-        typer.Option(metavar="OLD=NEW", help="Read column OLD of the runs as NEW. Repeatable."),
-    ] = None,
+    rename: Renamed = None,
     digits: Annotated[
         int, typer.Option(metavar="N", min=3, max=17, help="Significant digits that are written.")
     ] = 9,

@@ -13,6 +13,7 @@ from .._cores import CORES_VARIABLE
 from ._fit_run import finished, run_fit
 from ._fit_task import named_task
 from ._fit_values import bounds as limits, groups, priors, ties
+from ._options import Renamed
 from ._values import plain_settings
 
 EXAMPLES = """\b
@@ -154,10 +155,7 @@ def fit(
             help="Estimate the noise in each run by itself, or (default) in all together.",
         ),
     ] = None,
-    rename: Annotated[
-        list[str] | None,
-        typer.Option(metavar="OLD=NEW", help="Read column OLD of the runs as NEW. Repeatable."),
-    ] = None,
+    rename: Renamed = None,
     solver: Annotated[
         str | None,
         typer.Option(metavar="NAME", help="Integration method (springs5), such as tsit5."),

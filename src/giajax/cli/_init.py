@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from ._options import Renamed
+
 EXAMPLES = """\b
 Example:
   giajax init run.csv       writes run.toml; then edit it, and: giajax check run.csv"""
@@ -12,10 +14,7 @@ Example:
 
 def init(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="The run, a .csv or .parquet file.")],
-    rename: Annotated[
-        list[str] | None,
-        typer.Option(metavar="OLD=NEW", help="Read column OLD of the file as NEW. Repeatable."),
-    ] = None,
+    rename: Renamed = None,
     force: Annotated[bool, typer.Option("--force", help="Write over a sidecar.")] = False,
 ) -> None:
     """Write a sidecar to fill in.

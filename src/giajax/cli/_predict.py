@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ._model import definition_of, model_of
+from ._options import Renamed
 
 if TYPE_CHECKING:
     from ..runs import Run
@@ -44,10 +45,7 @@ def predict(
         list[str] | None,
         typer.Option(metavar="NAME", help="Only this channel, without its unit. Repeatable."),
     ] = None,
-    rename: Annotated[
-        list[str] | None,
-        typer.Option(metavar="OLD=NEW", help="Read column OLD of the runs as NEW. Repeatable."),
-    ] = None,
+    rename: Renamed = None,
     refit_initial: Annotated[
         bool,
         typer.Option("--refit-initial", help="Fit the initial state of each run first."),

@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from ._options import Renamed
+
 EXAMPLES = """\b
 Examples:
   giajax report giajax-out/run
@@ -23,10 +25,7 @@ def report(
         list[Path] | None,
         typer.Option(metavar="RUN.csv", help="A fitted run, if it has moved. Repeatable."),
     ] = None,
-    rename: Annotated[
-        list[str] | None,
-        typer.Option(metavar="OLD=NEW", help="Read column OLD of the runs as NEW. Repeatable."),
-    ] = None,
+    rename: Renamed = None,
     out: Annotated[
         Path | None,
         typer.Option(metavar="FILE.html", help="The page (report.html beside the result)."),

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ._options import Renamed
 from ._values import plain_settings
 
 if TYPE_CHECKING:
@@ -54,10 +55,7 @@ def suspects(
         list[Path] | None,
         typer.Option(metavar="RUN.csv", help="A run to judge the ladder by. Repeatable."),
     ] = None,
-    rename: Annotated[
-        list[str] | None,
-        typer.Option(metavar="OLD=NEW", help="Read column OLD of the runs as NEW. Repeatable."),
-    ] = None,
+    rename: Renamed = None,
     most: Annotated[
         int, typer.Option(metavar="N", min=1, help="Rows of the table and steps of the ladder.")
     ] = 8,

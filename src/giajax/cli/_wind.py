@@ -9,6 +9,7 @@ import typer
 from .._errors import InputError
 from ._gusts import gust_numbers
 from ._model import definition_of, model_of
+from ._options import Renamed
 from ._values import velocity
 
 if TYPE_CHECKING:
@@ -68,10 +69,7 @@ def wind(
         list[str] | None,
         typer.Option(metavar="NAME", help="Only this channel, without its unit. Repeatable."),
     ] = None,
-    rename: Annotated[
-        list[str] | None,
-        typer.Option(metavar="OLD=NEW", help="Read column OLD of the run as NEW. Repeatable."),
-    ] = None,
+    rename: Renamed = None,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write wind.json and wind.png there.")
     ] = None,

@@ -24,10 +24,9 @@ def noise_lines(result: FitResult) -> list[str]:
     factors = [factor for factor in result.noise.widening.values() if factor is not None]
     sentence = f"correlated over {span} s in {len(names)} of {_count(result)} channels"
     if factors:
-        sentence += (
-            f"; the standard errors are {min(factors):.2g} to {max(factors):.2g} times those of "
-            "white noise of the same size"
-        )
+        low, high = f"{min(factors):.2g}", f"{max(factors):.2g}"
+        span = low if low == high else f"{low} to {high}"
+        sentence += f"; the standard errors are {span} times those of white noise of the same size"
     return [sentence]
 
 
