@@ -13,6 +13,7 @@ import typer
 
 import giajax
 from giajax.cli import _app
+from giajax.sweeping import Plan
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -26,7 +27,7 @@ def python(name):
     return re.findall(r"```python\n(.*?)```", PAGES[name].read_text(encoding="utf-8"), re.DOTALL)
 
 
-COMPILE_NOTHING = {"assumed.md", "own_recording.md", "parameters.md"}
+COMPILE_NOTHING = {"assumed.md", "own_recording.md", "parameters.md", "sweep.md"}
 SHOWN = [
     pytest.param(name, marks=() if name in COMPILE_NOTHING else pytest.mark.slow)
     for name in PAGES
@@ -56,7 +57,10 @@ def test_the_files_that_pages_show_are_legal():
     shown = list(toml())
     assert len(shown) > 6
     for name, block in shown:
-        giajax.Definition.parse(tomllib.loads(block), name)
+        if name == "sweep.md":
+            assert Plan.parse(tomllib.loads(block), ROOT / "fits", name).tasks()
+        else:
+            giajax.Definition.parse(tomllib.loads(block), name)
 
 
 def modules():

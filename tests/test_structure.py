@@ -24,6 +24,7 @@ ROOMS = [
     ("paper",),
     ("experiments",),
     ("report",),
+    ("sweeping",),
     ("tasks",),
     ("diagnosis",),
     ("study", "wind"),

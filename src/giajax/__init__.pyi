@@ -4,6 +4,7 @@ from . import (
     arm as arm,
     control as control,
     diagnosis as diagnosis,
+    execution as execution,
     experiments as experiments,
     fitting as fitting,
     hysteresis as hysteresis,
@@ -18,6 +19,7 @@ from . import (
     runs as runs,
     simulation as simulation,
     study as study,
+    sweeping as sweeping,
     synthetic as synthetic,
     tasks as tasks,
     verdict as verdict,
@@ -164,6 +166,7 @@ from .study import (
     planned as planned,
     sensitivity as sensitivity,
 )
+from .sweeping import sweep as sweep
 from .synthetic import (
     RecordingErrors as RecordingErrors,
     gusts as gusts,

@@ -28,6 +28,7 @@ from . import (
     _sensitivity,
     _simulate,
     _suspects,
+    _sweep,
     _synth,
     _wind,
 )
@@ -51,6 +52,8 @@ Examples:
                             whether two fits agree to within their errors
   giajax suspects giajax-out/run
                             what of it the model leaves out
+  giajax sweep plan.toml --workers 4
+                            many fits: other values, runs or options each time
   giajax predict --model giajax-out/run --data other.csv
                             how well the fit predicts another run
   giajax choose --data loops.csv
@@ -84,6 +87,7 @@ _COMMANDS: tuple[tuple[Callable[..., None], str], ...] = (
     (_sensitivity.sensitivity, _sensitivity.EXAMPLES),
     (_simulate.simulate, _simulate.EXAMPLES),
     (_suspects.suspects, _suspects.EXAMPLES),
+    (_sweep.sweep, _sweep.EXAMPLES),
     (_synth.synth, _synth.EXAMPLES),
     (_wind.wind, _wind.EXAMPLES),
     (_examples.examples, _examples.EXAMPLES),

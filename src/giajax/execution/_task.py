@@ -25,6 +25,8 @@ class Task:
             What has a text `task_key` counts by that.
         seed: of the whole study, for a function that draws random numbers: it is called with
             `seed=task.own_seed` beside its arguments. None for one that draws none.
+        aside: further arguments, which do not count for the key: where a file lies that an argument
+            has the checksum of.
 
     Example:
         >>> from giajax.execution import Task
@@ -35,6 +37,7 @@ class Task:
     function: str | Callable[..., Any]
     arguments: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     seed: int | None = None
+    aside: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
         name = self.function
@@ -78,7 +81,7 @@ class Task:
         for part in name.split("."):
             function = getattr(function, part)
         own = {} if self.seed is None else {"seed": self.own_seed}
-        return function(**self.arguments, **own)
+        return function(**self.arguments, **self.aside, **own)
 
 
 def _described(value: Any) -> Any:

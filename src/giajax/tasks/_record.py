@@ -25,7 +25,7 @@ def record_of(task: "FitTask") -> dict[str, Any]:
     Raises:
         InputError: a file cannot be read.
     """
-    inputs = _checksums((*task.data, *task.validation), task.source)
+    inputs = checksums_of((*task.data, *task.validation), task.source)
     return {**plain_of(task), "inputs": inputs}
 
 
@@ -42,8 +42,16 @@ def plain_of(task: "FitTask") -> dict[str, Any]:
     }
 
 
-def _checksums(files: Sequence[Path], source: Path | None) -> dict[str, str | None]:
-    """SHA-256 of the files that a fit reads, by path; None for a sidecar that is not there."""
+def checksums_of(files: Sequence[Path], source: Path | None = None) -> dict[str, str | None]:
+    """SHA-256 of the files that a fit reads, by path; None for a sidecar that is not there.
+
+    Arguments:
+        files: runs; the sidecar of each comes after it.
+        source: the fit definition, if it is to be read.
+
+    Raises:
+        InputError: one cannot be read.
+    """
     paths: dict[Path, bool] = {} if source is None else {source: True}
     for path in files:
         paths |= {path: True, sidecar_path(path): False}

@@ -1,0 +1,94 @@
+"""A sweep: its table, what fails, going on, and that fits share what is compiled."""
+
+import json
+
+import polars as pl
+import pytest
+
+import giajax
+import small_loops
+from giajax import InputError
+from giajax.cli import main
+from giajax.sweeping import Plan
+
+PLAN = """
+fit = "loops_fit.toml"
+[grid]
+loss = ["linear"]
+fix.offset = [0.1, 0.2]
+start."weights[0]" = [0.3, 0.8]
+free = [["elastic", "weights[0]"], ["elastic", "nothing"]]
+"""
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory):
+    """The folder of a plan, and the table of it by the command line."""
+    folder = tmp_path_factory.mktemp("sweep")
+    small_loops.write_task(folder)
+    (folder / "plan.toml").write_text(PLAN)
+    words = ["sweep", str(folder / "plan.toml"), "--out", str(folder / "out")]
+    assert main([*words, "--quiet"]) == 1
+    return folder, words
+
+
+def test_the_table_has_a_row_for_each_fit(swept):
+    folder, _ = swept
+    table = pl.read_parquet(folder / "out" / "sweep.parquet")
+    assert table.schema == {
+        "key": pl.String, "status": pl.String, "message": pl.String,
+        "loss": pl.String, "fix.offset": pl.Float64,
+        "start.weights[0]": pl.Float64, "free": pl.String,
+        "value.elastic": pl.Float64, "error.elastic": pl.Float64,
+        "value.weights[0]": pl.Float64, "error.weights[0]": pl.Float64,
+        "cost": pl.Float64, "reduced_chi_square": pl.Float64, "verdict": pl.String,
+        "iterations": pl.Int64, "seconds": pl.Float64, "worker": pl.String,
+    }  # fmt: skip
+    assert table["fix.offset"].to_list() == [0.1] * 4 + [0.2] * 4
+    assert table["status"].to_list() == ["converged", "failed"] * 4
+    good, bad = table[::2], table[1::2]
+    assert all("nothing" in message for message in bad["message"])
+    assert bad["value.elastic"].null_count() == 4
+    # From both starts the same; the truth is 0.8 with the offset of 0.1 alone.
+    assert good["value.weights[0]"][0] == pytest.approx(good["value.weights[0]"][1], rel=1e-4)
+    assert abs(good["value.weights[0]"][0] - 0.8) < 3 * good["error.weights[0]"][0]
+    assert good["verdict"].to_list() == ["adequate"] * 2 + ["inadequate"] * 2
+    assert {json.loads(text)[1] for text in bad["free"]} == {"nothing"}
+
+
+def test_a_sweep_goes_on_and_compiles_nothing(swept, compiled, capsys):
+    """One more value of what is held: fits of one structure share their programs."""
+    folder, words = swept
+    path = folder / "out" / "sweep.parquet"
+    before, files = pl.read_parquet(path), len(list((folder / "out" / "fits").iterdir()))
+    assert main([*words, "--dry-run"]) == 0
+    assert "8 of them done already" in capsys.readouterr().out
+    (folder / "plan.toml").write_text(PLAN.replace("[0.1, 0.2]", "[0.1, 0.2, 0.15]"))
+    programs = compiled()
+    assert main(words) == 1
+    assert compiled() == programs
+    printed = capsys.readouterr()
+    assert "8 of 12 fits are there already" in printed.err
+    assert "12 fits: 6 converged, 6 failed" in printed.out
+    after = pl.read_parquet(path)
+    assert after[:8].equals(before)
+    assert len(list((folder / "out" / "fits").iterdir())) == files + 4
+
+
+def test_the_table_of_another_plan_is_kept(swept):
+    folder, _ = swept
+    other = Plan.parse({"fit": "loops_fit.toml", "grid": {"fix": {"offset": [0.1]}}}, folder)
+    with pytest.raises(InputError, match="is the table of another plan"):
+        giajax.sweep(other, out=folder / "out")
+    small = {"data": [str(folder / "missing.csv")]}
+    with pytest.raises(InputError, match=r"missing\.csv does not exist"):
+        giajax.sweep(small, out=folder / "other")
+
+
+def test_a_file_that_changes_meanwhile_fails_its_fits(swept, tmp_path):
+    small_loops.write_task(tmp_path)
+    plan = Plan.parse({"fit": "loops_fit.toml"}, tmp_path)
+    (task,) = plan.tasks()
+    small_loops.write_loops(tmp_path / "loops.csv", (0, 1, -0.5), seed=1)
+    with pytest.raises(InputError, match="has changed since the sweep began"):
+        task.call()
