@@ -8,6 +8,7 @@ random numbers, and ask whether its figures could be those of the same program. 
 module with a `Study`, and a line in `STUDIES`.
 """
 
+from ._bootstrap import BOOTSTRAP
 from ._coverage import COVERAGE
 from ._kills import KILLS
 from ._ladder import LADDER
@@ -23,4 +24,4 @@ from ._record import (
 from ._study import Study as Study
 from ._suspects import SUSPECTS
 
-STUDIES = {study.name: study for study in (COVERAGE, NOISE, KILLS, SUSPECTS, LADDER)}
+STUDIES = {study.name: study for study in (COVERAGE, NOISE, KILLS, SUSPECTS, LADDER, BOOTSTRAP)}

@@ -145,3 +145,15 @@ def test_what_disagrees_is_said(change, sentence):
     new = figures(10, **{**one, "deviation_of_pulls": 0.9, **change})
     sentences = STUDIES["coverage"].disagreements(stored, new)
     assert sentences == ([] if sentence is None else [f"case, k: {sentence}"])
+
+
+@pytest.mark.quick
+def test_a_fit_spreads_as_far_as_its_standard_errors_say():
+    """Within 10 %, which is 2.8 Monte Carlo errors of 400 repetitions."""
+    size, figures = figures_of("bootstrap")
+    assert figures["came_back"] == figures["repetitions"] == size
+    assert "air.drag_coefficient" in figures["parameters"]
+    for path, one in figures["parameters"].items():
+        assert abs(one["spread"] - 1) < 0.1, path
+        assert abs(one["bias"]) < 0.2, path
+        assert 0.92 < one["coverage"] < 0.98, path

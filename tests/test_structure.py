@@ -27,6 +27,7 @@ ROOMS = [
     ("sweeping",),
     ("tasks",),
     ("diagnosis",),
+    ("repetitions",),
     ("study", "wind"),
     ("fitting",),
     ("control",),

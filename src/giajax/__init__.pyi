@@ -15,6 +15,7 @@ from . import (
     paper as paper,
     parameters as parameters,
     quantities as quantities,
+    repetitions as repetitions,
     report as report,
     runs as runs,
     simulation as simulation,
@@ -130,6 +131,7 @@ from .models import (
 )
 from .parameters import declared as declared, get as get, replace as replace
 from .quantities import Prior as Prior
+from .repetitions import Bootstrap as Bootstrap, bootstrap as bootstrap
 from .report import (
     draw_scene as draw_scene,
     parameter_table as parameter_table,

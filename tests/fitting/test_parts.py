@@ -14,8 +14,8 @@ from giajax.fitting._loss import (
     LOSSES,
     check_loss,
     curvature_ratio,
-    influence,
     rho as counts_as,
+    scores,
     transform,
 )
 from giajax.fitting._uncertainty import uncertainty
@@ -83,14 +83,14 @@ def test_a_loss_is_the_square_of_its_transformation(loss):
     np.testing.assert_allclose(t**2, rho(loss, r), atol=1e-14)
     np.testing.assert_allclose(counts_as(loss, r), rho(loss, r), atol=1e-14)
     np.testing.assert_array_equal(np.sign(t), np.sign(r))
-    psi, curvature, slope = influence(loss, r)
+    psi, curvature, slope = scores(loss, r)
     numeric = jax.vmap(jax.grad(lambda x: transform(loss, x)))(jnp.asarray(r))
     np.testing.assert_allclose(slope, numeric, atol=1e-12)
     # psi = rho' / 2, and its derivative, by differences away from the corners of huber.
     smooth = np.abs(np.abs(r) - 1) > 0.01
     h = 1e-5
     np.testing.assert_allclose(psi, (rho(loss, r + h) - rho(loss, r - h)) / (4 * h), atol=1e-5)
-    ahead, behind = influence(loss, r + h)[0], influence(loss, r - h)[0]
+    ahead, behind = scores(loss, r + h)[0], scores(loss, r - h)[0]
     np.testing.assert_allclose(curvature[smooth], ((ahead - behind) / (2 * h))[smooth], atol=1e-6)
 
 
@@ -101,7 +101,7 @@ def test_far_off_a_step_is_that_of_reweighted_least_squares_and_at_the_end_that_
     few[np.abs(few) > 0.9] *= 0.2
     few[::20] = [-8.0, 5.0, 12.0]
     for r, far in ((few, 0.05), (many, 1.0)):
-        psi, curvature, slope = influence(loss, r)
+        psi, curvature, slope = scores(loss, r)
         t = transform(loss, jnp.asarray(r))
         ratio = np.asarray(curvature_ratio(loss, t, jnp.ones(60)))
         expected = far * psi / r + (1 - far) * curvature
@@ -186,13 +186,13 @@ def test_standard_errors_are_the_spread_of_repeated_fits(loss):
         beta = np.zeros(2)
         for _ in range(40):
             r = design @ beta - y
-            psi, _, _ = influence(loss, r)
+            psi, _, _ = scores(loss, r)
             weight = np.where(r == 0, 1.0, psi / np.where(r == 0, 1.0, r))
             beta = np.linalg.lstsq(
                 design * np.sqrt(weight)[:, None], y * np.sqrt(weight), rcond=None
             )[0]
         r = design @ beta - y
-        _, _, slope = influence(loss, r)
+        _, _, slope = scores(loss, r)
         found = spread(r, design * slope[:, None], loss=loss, measured=np.ones(80, bool))
         estimates.append(beta)
         claimed.append(np.sqrt(np.diag(found.covariance)))

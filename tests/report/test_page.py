@@ -8,10 +8,13 @@ import pytest
 
 from giajax._errors import InputError
 from giajax.fitting import Correlation, Finding, SystematicError
+from giajax.repetitions import Bootstrap
+from giajax.repetitions._summary import repeated
 from giajax.report import report_page
 from giajax.report.page import _report
 from giajax.report.page._autocorrelation import autocorrelation
 from giajax.report.page._opening import opening
+from giajax.report.page._repetitions import repeated_part
 from giajax.report.page._thin import thinned
 from giajax.runs import Run
 from page_reader import Page, loaded_from_elsewhere
@@ -164,3 +167,28 @@ def test_autocorrelation_of_noise_with_gaps():
         walk[i] = 0.8 * walk[i - 1] + draw.normal()
     assert autocorrelation(walk)[0][:2] == pytest.approx([0.8, 0.64], abs=0.05)
     assert len(autocorrelation(np.zeros(100))[0]) == 0
+
+
+def test_repetitions_are_on_the_page_of_their_fit_alone(result, run, tmp_path):
+    path = "air.drag_coefficient"
+    estimate = result.parameters[path]
+    values = estimate.value + estimate.standard_error * np.linspace(-2, 2, 21)
+    one = repeated(estimate.value, estimate.standard_error, "", values, [1.0] * 21)
+    fitted = {path: estimate.value for path, estimate in result.free.items()}
+    found = Bootstrap(
+        method="parametric", seed=0, size=22, asked=22, whole=False, came_back=21,
+        reasons={"wall": 1}, failures=(), at_bounds={}, parameters={path: one},
+        block_lengths={}, noise_factor=1.0, notes=("a note",), fitted=fitted,
+    )  # fmt: skip
+    source = tmp_path / "result.json"
+    source.write_text(result.to_json())
+    (tmp_path / "bootstrap.json").write_text(found.to_json())
+    parsed = Page(report_page(result, [run], source=source))
+    assert parsed.headings == [*SECTIONS[:7], "repetitions", *SECTIONS[7:]]
+    assert "21 of 22 fits came back (95.5 %); the others were ended by: wall 1" in parsed.text
+    assert any(row[0] == path and "100.0 % (83.9 .. 100.0)" in row for row in parsed.rows if row)
+    assert json.loads(parsed.data("repeated-0"))["doc"]["roots"]
+    # Of another fit in the same folder, nothing.
+    other = dataclasses.replace(found, fitted={**fitted, path: 7.0})
+    (tmp_path / "bootstrap.json").write_text(other.to_json())
+    assert repeated_part(result, source) is None

@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from . import (
+    _bootstrap,
     _cache,
     _check,
     _choose,
@@ -52,6 +53,8 @@ Examples:
                             whether two fits agree to within their errors
   giajax suspects giajax-out/run
                             what of it the model leaves out
+  giajax bootstrap giajax-out/run
+                            whether its errors are right: the fit repeated
   giajax sweep plan.toml --workers 4
                             many fits: other values, runs or options each time
   giajax predict --model giajax-out/run --data other.csv
@@ -74,6 +77,7 @@ link06_z_m, ...) and, beside it, an optional sidecar of the same name ending .to
 _COMMANDS: tuple[tuple[Callable[..., None], str], ...] = (
     (_check.check, _check.EXAMPLES),
     (_fit.fit, _fit.EXAMPLES),
+    (_bootstrap.bootstrap, _bootstrap.EXAMPLES),
     (_choose.choose, _choose.EXAMPLES),
     (_compare.compare, _compare.EXAMPLES),
     (_compensate.compensate, _compensate.EXAMPLES),

@@ -223,6 +223,12 @@ def fit(
     figures: Annotated[
         bool, typer.Option("--figures/--no-figures", help="Draw pictures of the result.")
     ] = True,
+    self_test: Annotated[
+        bool,
+        typer.Option(
+            "--self-test", help="Repeat the fit with noise drawn anew: are its errors right?"
+        ),
+    ] = False,
     report: Annotated[
         bool, typer.Option("--report", help="Write report.html, a page for a browser, too.")
     ] = False,
@@ -285,6 +291,7 @@ def fit(
             quiet=quiet,
             figures=figures,
             report=report,
+            self_test=self_test,
             strict=strict,
             suspects=suspects,
         )

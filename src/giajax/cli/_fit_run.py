@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from .._signals import stopped_status
+from ._bootstrap import self_test as repeated_fit
 from ._fit_output import show_diagnosis, show_files, show_result, write_or_print
 from ._progress import Progress, stop_if_asked
 from ._time_left import TimeLeft
@@ -59,6 +60,7 @@ def run_fit(
     quiet: bool,
     figures: bool,
     report: bool,
+    self_test: bool,
     strict: bool,
     suspects: bool,
 ) -> int:
@@ -68,7 +70,8 @@ def run_fit(
         task: what to fit to what.
         again: the result whose numbers are to come again.
         resume: go on with the journal in the task's folder.
-        force, as_json, quiet, figures, report, strict, suspects: the options of these names.
+        force, as_json, quiet, figures, report, self_test, strict, suspects: the options of these
+            names.
 
     Returns:
         The exit status.
@@ -137,6 +140,8 @@ def run_fit(
     # What a person waits for is there; drawing takes a second or two.
     if figures:
         files += write_figures(result, ready.runs, task.out, held_out=ready.held_out_runs)
+    if self_test:
+        files += repeated_fit(result, ready.runs, task.out, shown=not (as_json or quiet))
     if report:
         page = report_page(
             asked, ready.runs, held_out=ready.held_out_runs, source=task.out / "result.json"

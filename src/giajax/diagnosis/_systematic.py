@@ -10,7 +10,7 @@ from ..fitting import (
     FitResult,
     Response,
     SystematicError,
-    influence,
+    scores,
 )
 from ..noise import ChannelNoise, whitened
 from ..runs import Channel, Run
@@ -181,7 +181,7 @@ def _whitened(
         noise = _noise_of(run.channels[name], record.channels[name])
         rest = (response.predicted - response.observed)[measured, index] / noise.deviation
         # The second derivative of the loss: a residual beyond its corner does not pull.
-        weights = np.maximum(influence(loss, rest)[1], _LEAST_WEIGHT)
+        weights = np.maximum(scores(loss, rest)[1], _LEAST_WEIGHT)
         times = None if run.times is None else run.times[measured]
         parts.append(whitened(noise, times, columns[measured, index], weights))
     return np.concatenate(parts)

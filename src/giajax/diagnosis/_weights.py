@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..fitting import FitResult, Response, influence
+from ..fitting import FitResult, Response, scores
 from ..noise import by_second_differences
 from ..runs import Run
 from ._ended import Moved
@@ -52,7 +52,7 @@ def robust_weights(result: FitResult, runs: Sequence[Run], at: Sequence[Response
     for response, noise in zip(at, fitted_noise(result, runs), strict=True):
         sigma = np.asarray([noise[name] for name in response.channels])
         rest = np.nan_to_num((response.predicted - response.observed) / sigma)
-        psi, _, _ = influence(loss, rest)
+        psi, _, _ = scores(loss, rest)
         weights.append(np.sqrt(np.where(rest == 0, 1.0, psi / np.where(rest == 0, 1.0, rest))))
     return weights
 

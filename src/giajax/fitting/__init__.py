@@ -8,7 +8,7 @@ from ._findings import Finding as Finding
 from ._fit import MAX_ITERATIONS as MAX_ITERATIONS, fit as fit, solve as solve
 from ._hold_out import not_judged as not_judged, with_held_out as with_held_out
 from ._integration import IntegrationFit as IntegrationFit
-from ._loss import influence as influence, rho as rho
+from ._loss import rho as rho, scores as scores
 from ._noise import NOISE_MODELS as NOISE_MODELS, NoiseModel as NoiseModel
 from ._of_runs import layout_of as layout_of
 from ._optimum import Optimum as Optimum, Point as Point
@@ -54,6 +54,7 @@ from ._run_records import (
 )
 from ._snapshot import FitJournal as FitJournal
 from ._solver import Marquardt as Marquardt
+from ._statistics import Statistics as Statistics
 from ._suspect import (
     Suspect as Suspect,
     SuspectKind as SuspectKind,

@@ -29,7 +29,7 @@ def mean_square_of_influence(loss: str) -> float:
         return 1.0
     r, step = np.linspace(-12.0, 12.0, 24_001, retstep=True)
     density = np.exp(-(r**2) / 2) / np.sqrt(2 * np.pi)
-    return float(np.sum(influence(loss, r)[0] ** 2 * density) * step)
+    return float(np.sum(scores(loss, r)[0] ** 2 * density) * step)
 
 
 def transform(loss: str, r: Float[Array, "*n"]) -> Float[Array, "*n"]:
@@ -65,7 +65,7 @@ def rho(loss: str, r: np.ndarray) -> np.ndarray:
     return np.where(np.abs(r) <= 1, r**2, 2 * np.maximum(np.abs(r), 1) - 1)
 
 
-def influence(loss: str, r: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def scores(loss: str, r: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """psi = rho'/2, its derivative, and t', each at the residuals: what a covariance needs.
 
     Arguments:

@@ -5,7 +5,7 @@ from collections import Counter
 import numpy as np
 
 from ..noise import Cells
-from ._loss import influence
+from ._loss import scores
 from ._state import FitState
 
 
@@ -37,7 +37,7 @@ def residual_cells(state: FitState, *, together: bool = False) -> dict[tuple[int
             difference = predicted - np.asarray(group.observed)[row]
             if group.whitening is not None:
                 block = group.whitening.of_run(row).undone(block)
-            slope = influence(state.problem.loss, (difference * weight).ravel())[2]
+            slope = scores(state.problem.loss, (difference * weight).ravel())[2]
             with np.errstate(divide="ignore", invalid="ignore"):
                 block = (block / (slope * weight.ravel())[:, None]).reshape(*weight.shape, -1)
             where = {int(column): position for position, column in enumerate(columns)}

@@ -6,7 +6,7 @@ import numpy as np
 
 from ._identifiability import COLLINEAR
 from ._jacobian import BlockJacobian
-from ._loss import influence, mean_square_of_influence
+from ._loss import mean_square_of_influence, scores
 
 # Fraction of residuals within the corner of a robust loss below which its covariance is noise.
 _FEW = 0.1
@@ -64,7 +64,7 @@ def uncertainty(
     # How far a prior is off says nothing of the noise.
     freedom = max(count - (size - known), 1)
     reduced = float(np.sum(residual[measured & data] ** 2) / freedom)
-    psi, curvature, slope = influence(loss, residual)
+    psi, curvature, slope = scores(loss, residual)
 
     def root_of_gram(weights: np.ndarray | float) -> np.ndarray:
         # Unmeasured cells have zero rows; their slope is that of a residual of zero.
@@ -101,7 +101,7 @@ def reduced_chi_square(
         measured: which of them stand for a measured cell.
         parameters: number of fitted ones, less what priors know of them.
     """
-    psi = influence(loss, residual[measured])[0]
+    psi = scores(loss, residual[measured])[0]
     freedom = max(int(np.sum(measured)) - parameters, 1)
     return float(np.sum(psi**2) / freedom / mean_square_of_influence(loss))
 

@@ -6,6 +6,7 @@ from ._differences import (
     by_second_differences as by_second_differences,
     from_differences as from_differences,
 )
+from ._draw import drawn as drawn
 from ._estimate import estimate as estimate
 from ._intervals import Spread as Spread, small_sample as small_sample
 from ._model import ChannelNoise as ChannelNoise, Stated as Stated

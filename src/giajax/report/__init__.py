@@ -1,6 +1,12 @@
 """What a person sees of fits and models: tables, pictures and files."""
 
 from .._text import format_estimate as format_estimate
+from ._bootstrap import (
+    BOOTSTRAP as BOOTSTRAP,
+    bootstrap_figure as bootstrap_figure,
+    bootstrap_summary as bootstrap_summary,
+    bootstrap_table as bootstrap_table,
+)
 from ._contrast import contrast_json as contrast_json, contrast_tables as contrast_tables
 from ._correlation import correlation_figure as correlation_figure
 from ._csv import to_csv as to_csv

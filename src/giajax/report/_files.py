@@ -182,6 +182,8 @@ def _remove_stale_pictures(folder: Path) -> None:
         "held_out_*.png",
         "residuals.png",
         "correlation.png",
+        "bootstrap.png",
+        "influence.png",
         PAGE,
     ):
         for path in folder.glob(pattern):

@@ -1,0 +1,83 @@
+"""Repetitions: whether a fit of the paper's arm spreads as far as its standard errors say.
+
+`fits/base_step.toml` is fitted, and the fit repeated by `giajax.bootstrap` with noise of its noise
+model. A spread is the standard deviation of the repetitions over the standard error of the fit; it
+has a Monte Carlo error of 1 / sqrt(2 (size - 1)).
+"""
+
+from ._record import ROOT
+from ._study import Figures, Study
+
+FIT = ROOT / "fits" / "base_step.toml"
+# Of a disagreement by chance, in Monte Carlo errors.
+FAR = 4.0
+
+
+def run(size: int, seed: int) -> Figures:
+    """Figures of `size` repetitions of one fit."""
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    import giajax
+
+    ready = giajax.FitTask.load(FIT).prepare()
+    result = ready.run()
+    found = giajax.bootstrap(result, ready.runs, size=max(size, 2), seed=seed)
+    return {
+        "repetitions": found.size,
+        "came_back": found.came_back,
+        "parameters": {
+            path: {
+                "spread": round(one.ratio or 0.0, 4),
+                "spread_error": round(one.ratio_error or 0.0, 4),
+                "bias": round(one.bias or 0.0, 4),
+                "bias_error": round(one.bias_error or 0.0, 4),
+                "coverage": None if one.coverage is None else round(one.coverage, 4),
+            }
+            for path, one in found.parameters.items()
+        },
+    }
+
+
+def disagreements(stored: Figures, new: Figures) -> list[str]:
+    """Spreads and biases that differ by more than chance lets them."""
+    sentences = []
+    if list(stored["parameters"]) != list(new["parameters"]):
+        return ["the parameters are others than those that are stored: run the study again"]
+    for path, before in stored["parameters"].items():
+        after = new["parameters"][path]
+        for key in ("spread", "bias"):
+            allowed = FAR * (before[f"{key}_error"] + after[f"{key}_error"])
+            if abs(before[key] - after[key]) > allowed:
+                sentences.append(f"{path}: the {key} is {after[key]}, and {before[key]} is stored")
+    return sentences
+
+
+def table(figures: Figures) -> list[str]:
+    """A row for each parameter."""
+    rows = [
+        "| parameter | spread over standard error | bias in standard errors | coverage |",
+        "| --- | --- | --- | --- |",
+    ]
+    for path, one in figures["parameters"].items():
+        rows.append(
+            f"| `{path}` | {one['spread']:.3f} +- {one['spread_error']:.3f} | "
+            f"{one['bias']:+.3f} +- {one['bias_error']:.3f} | {100 * one['coverage']:.1f} % |"
+        )
+    rows += ["", f"{figures['came_back']} of {figures['repetitions']} fits came back."]
+    return rows
+
+
+BOOTSTRAP = Study(
+    name="bootstrap",
+    meaning=(
+        "The fit of the paper's base step, repeated with noise drawn anew (`giajax bootstrap`): "
+        "how far the repetitions spread and are off, in standard errors of the fit, and how often "
+        "the 95 % interval of a repetition holds the value that made its data."
+    ),
+    size=400,
+    seed=1,
+    run=run,
+    disagreements=disagreements,
+    table=table,
+)

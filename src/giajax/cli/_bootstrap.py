@@ -1,0 +1,157 @@
+"""`giajax bootstrap`: a fit repeated with data that might have been recorded instead."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ._many import ManyProgress, Scheduler, Workers
+from ._options import Renamed
+
+if TYPE_CHECKING:
+    from ..fitting import FitResult
+    from ..repetitions import Bootstrap
+    from ..runs import Run
+
+# Repetitions of a self-test: the spread within 7 %, in about a minute for a fit of some seconds.
+_SELF_TEST = 96
+
+EXAMPLES = """\b
+Examples:
+  giajax bootstrap giajax-out/run
+  giajax bootstrap giajax-out/run --size 400 --workers 2
+  giajax bootstrap giajax-out/run --block --out blocks.json
+  giajax bootstrap giajax-out/run --whole --size 100 --folder repetitions
+
+\b
+RESULT is the folder of a fit, or its result.json. The runs are read again from
+where they were. Writes bootstrap.json and bootstrap.png beside the result, where
+giajax report finds them. Ctrl-C keeps what was done; with --folder, the same
+command goes on."""
+
+
+def bootstrap(
+    result: Annotated[Path, typer.Argument(metavar="RESULT", help="A fit; see below.")],
+    size: Annotated[int, typer.Option(metavar="N", min=2, help="Repetitions.")] = 200,
+    block: Annotated[
+        bool, typer.Option("--block", help="With blocks of the residuals, not noise of a model.")
+    ] = False,
+    whole: Annotated[
+        bool, typer.Option("--whole", help="Fit each as the data were, noise and all.")
+    ] = False,
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Of all random numbers.")] = 0,
+    data: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="RUN.csv", help="A fitted run, if it has moved. Repeatable."),
+    ] = None,
+    rename: Renamed = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    folder: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Keep each task there; what is there is not done again."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.json", help="Where it goes (bootstrap.json beside RESULT)."),
+    ] = None,
+    figures: Annotated[
+        bool, typer.Option("--figures/--no-figures", help="Draw the repetitions.")
+    ] = True,
+    force: Annotated[bool, typer.Option("--force", help="Write over files.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
+) -> None:
+    """Repeat a fit with noise drawn anew: are its errors right, and does it come back?
+
+    Bias, spread and intervals of the repetitions, and how often the 95 % interval holds the truth.
+    """
+    from ..runs import check_output_files, parse_rename, write_files
+    from ..tasks import fitted_runs, stored_result
+
+    home, _ = stored_result(result)
+    path = home / "bootstrap.json" if out is None else out
+    picture = path.with_suffix(".png")
+    check_output_files([path, *([picture] if figures else [])], force=force)
+    renamed = parse_rename(rename or [])
+
+    from ._jax import configure
+
+    configure()
+    from ..execution import open_executor
+    from ..fitting import load_result
+    from ..repetitions import bootstrap as repeat
+    from ..report import bootstrap_figure, to_png
+
+    fitted = load_result(result)
+    runs = fitted_runs(fitted, data or [], rename=renamed)
+    with open_executor(workers, scheduler) as executor:
+        found = repeat(
+            fitted,
+            runs,
+            size=size,
+            method="block" if block else "parametric",
+            whole=whole,
+            seed=seed,
+            executor=executor,
+            folder=folder,
+            progress=None if quiet else ManyProgress("parts"),
+        )
+    files = {path: found.to_json().encode()}
+    if figures:
+        files[picture] = to_png(bootstrap_figure(found))
+    write_files(files, force=force)
+    if as_json:
+        typer.echo(found.to_json(), nl=False)
+    elif not quiet:
+        show_bootstrap(found)
+        typer.echo(f"\nwrote {', '.join(map(str, files))}")
+
+
+def show_bootstrap(found: "Bootstrap") -> None:
+    """Print the table and the sentences of a bootstrap."""
+    from ..report import bootstrap_summary, bootstrap_table
+    from ._output import print_table
+
+    print_table(*bootstrap_table(found))
+    print()
+    print("\n".join(bootstrap_summary(found)))
+
+
+def self_test(
+    result: "FitResult", runs: "Sequence[Run]", folder: Path, *, shown: bool
+) -> list[Path]:
+    """Repeat a fit that has just ended, write it beside the result and show it.
+
+    Arguments:
+        result, runs: the fit.
+        folder: of its files.
+        shown: whether a person reads.
+
+    Returns:
+        The files; none where nothing could be repeated, which a sentence says.
+    """
+    from .._errors import InputError
+    from ..repetitions import bootstrap as repeat
+    from ..report import bootstrap_figure, to_png
+    from ..runs import write_files
+
+    if shown:
+        typer.echo("\nself-test: the fit repeated with noise drawn anew", err=True)
+    try:
+        found = repeat(
+            result, runs, size=_SELF_TEST, progress=ManyProgress("parts") if shown else None
+        )
+    except InputError as error:
+        typer.echo(f"giajax: no self-test: {error}", err=True)
+        return []
+    files = {
+        folder / "bootstrap.json": found.to_json().encode(),
+        folder / "bootstrap.png": to_png(bootstrap_figure(found)),
+    }
+    write_files(files, force=True)
+    if shown:
+        print()
+        show_bootstrap(found)
+    return list(files)

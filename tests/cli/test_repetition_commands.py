@@ -1,0 +1,53 @@
+"""`giajax bootstrap`: a stored fit is repeated, by its files."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from giajax.cli import main
+from giajax.repetitions import Bootstrap
+
+EARLIER = Path(__file__).resolve().parents[1] / "earlier" / "hysteresis"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A stored fit of one free loop, which compiles in a moment."""
+    folder = tmp_path_factory.mktemp("repeated") / "fit"
+    shutil.copytree(EARLIER, folder)
+    return folder
+
+
+def bootstrap(folder, *options):
+    return main(["bootstrap", str(folder), "--data", str(folder / "run.csv"), *options])
+
+
+def test_a_fit_is_repeated_and_the_files_lie_beside_it(folder, capsys):
+    kept = folder / "parts"
+    assert bootstrap(folder, "--size", "3", "--folder", str(kept)) == 0
+    printed = capsys.readouterr()
+    assert "1 of 1 parts done" in printed.err
+    assert "3 repetitions, seed 0" in printed.out
+    found = Bootstrap.of_json((folder / "bootstrap.json").read_bytes())
+    assert (found.size, found.asked) == (3, 3)
+    for path in found.parameters:
+        assert path in printed.out
+    assert (folder / "bootstrap.png").read_bytes()[:4] == b"\x89PNG"
+    # Nothing is written over; and what was done is there for another file.
+    assert bootstrap(folder, "--size", "3") == 2
+    assert "exists and is not written over" in capsys.readouterr().err
+    again = folder / "again.json"
+    options = ["--folder", str(kept), "--out", str(again), "--no-figures", "--json"]
+    assert bootstrap(folder, "--size", "3", *options) == 0
+    assert json.loads(capsys.readouterr().out) == json.loads(again.read_text())
+    assert Bootstrap.of_json(again.read_bytes()) == found
+
+
+@pytest.mark.quick
+def test_what_is_no_fit_or_no_size_is_told_in_a_sentence(tmp_path, capsys):
+    assert main(["bootstrap", str(tmp_path)]) == 2
+    assert "does not exist: give the folder of a finished fit" in capsys.readouterr().err
+    assert main(["bootstrap", str(tmp_path), "--size", "1"]) == 2
+    assert "--size" in capsys.readouterr().err
