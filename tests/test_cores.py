@@ -1,6 +1,8 @@
 """Work on all cores: as on one, in the same order, with the numbers that one core gives."""
 
 import os
+import subprocess
+import sys
 import threading
 
 import jax
@@ -237,3 +239,37 @@ def test_a_sample_of_runs_has_their_rows_and_zeros_for_the_others():
     assert not np.any(np.asarray(piece)[~evaluated])
     alone = residuals(state.coordinate, state.problem, sample=True)
     np.testing.assert_allclose(alone, some.ravel(), rtol=1e-12, atol=1e-12)
+
+
+ON_TWO_DEVICES = """
+import jax, jax.numpy as jnp, numpy as np
+jax.config.update("jax_enable_x64", True)
+from giajax import _shares, map_on_cores
+from giajax._devices import over_devices
+
+used = []
+_shares.over_devices = lambda *words: used.append(words) or over_devices(*words)
+
+def steps(item, factor, name):
+    # Each item as many steps as it says, which those of other devices do not wait for.
+    counted = jax.lax.while_loop(lambda n: n < item["n"], lambda n: n + 1, 0)
+    return {name: factor * item["x"], "n": counted}
+
+items = {"x": np.arange(10.0).reshape(5, 2), "n": np.arange(5)}
+lying = over_devices(steps, items, (jnp.float64(3), "y"), None)
+assert lying["y"].shape == (6, 2)
+assert {shard.data.shape for shard in lying["y"].addressable_shards} == {(3, 2)}
+assert len(lying["y"].sharding.device_set) == len(jax.devices()) == 2
+for batch_size in (None, 2):
+    found = map_on_cores(steps, items, jnp.float64(3), "y", batch_size=batch_size)
+    np.testing.assert_array_equal(found["y"], 3 * items["x"])
+    np.testing.assert_array_equal(found["n"], items["n"])
+assert len(used) == 2
+"""
+
+
+def test_a_batch_is_shared_out_over_devices():
+    """Two of them, which a process must ask for before it begins."""
+    flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=2"
+    environment = {**os.environ, "XLA_FLAGS": flags}
+    subprocess.run([sys.executable, "-c", ON_TWO_DEVICES], env=environment, check=True)

@@ -45,6 +45,7 @@ ROOMS = [
         "_shares",
         "_threads",
         "_cores",
+        "_devices",
         "_blas",
         "_process",
         "_program",

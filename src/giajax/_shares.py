@@ -15,6 +15,7 @@ import numpy as np
 
 from ._blas import one_blas_thread
 from ._cores import carried, cores
+from ._devices import over_devices
 from ._errors import InputError
 from ._program import program
 from ._typing import Float
@@ -67,11 +68,12 @@ def on_all_cores(batches: Sequence[Batch], most: int | None = None) -> list[Any]
 def map_on_cores(
     function: Callable[..., Any], items: Any, *shared: Any, batch_size: int | None = None
 ) -> Any:
-    """`jax.lax.map` on all cores of the machine.
+    """`jax.lax.map` on all cores of the machine, or on all devices where JAX has several.
 
-    Each core takes a share of the items, one after the other. It is for arms, commands or states
-    that differ in numbers only: there is one program for all of them. It is called with numbers,
-    and cannot be a part of what JAX traces or differentiates; the function may differentiate.
+    Each core or device takes a share of the items, one after the other. It is for arms, commands
+    or states that differ in numbers only: there is one program for all of them. It is called with
+    numbers, and cannot be a part of what JAX traces or differentiates; the function may
+    differentiate.
 
     Arguments:
         function: of one item and `shared`; at the top of a module, because a function that is made
@@ -98,6 +100,9 @@ def map_on_cores(
             "the items have no leading axis in common, or none is there: give arrays whose first "
             "axis is that of the items"
         )
+    if len(jax.local_devices()) > 1:
+        several = over_devices(function, items, shared, batch_size)
+        return jax.tree.map(lambda leaf: np.asarray(leaf)[:count], several)
     # Some shares for each core: one that others keep busy takes fewer.
     least, together = -(-count // (4 * cores())), batch_size or 1
     length = max(1, -(-least // together) * together)
