@@ -23,5 +23,8 @@ from ._record import (
 )
 from ._study import Study as Study
 from ._suspects import SUSPECTS
+from ._sweep import SWEEP
 
-STUDIES = {study.name: study for study in (COVERAGE, NOISE, KILLS, SUSPECTS, LADDER, BOOTSTRAP)}
+STUDIES = {
+    study.name: study for study in (COVERAGE, NOISE, KILLS, SUSPECTS, LADDER, BOOTSTRAP, SWEEP)
+}
