@@ -10,6 +10,7 @@ module with a `Study`, and a line in `STUDIES`.
 
 from ._bootstrap import BOOTSTRAP
 from ._coverage import COVERAGE
+from ._influence import INFLUENCE
 from ._kills import KILLS
 from ._ladder import LADDER
 from ._noise import NOISE
@@ -25,6 +26,5 @@ from ._study import Study as Study
 from ._suspects import SUSPECTS
 from ._sweep import SWEEP
 
-STUDIES = {
-    study.name: study for study in (COVERAGE, NOISE, KILLS, SUSPECTS, LADDER, BOOTSTRAP, SWEEP)
-}
+_ALL = (COVERAGE, NOISE, KILLS, SUSPECTS, LADDER, BOOTSTRAP, INFLUENCE, SWEEP)
+STUDIES = {study.name: study for study in _ALL}

@@ -151,9 +151,20 @@ def test_what_disagrees_is_said(change, sentence):
 def test_a_fit_spreads_as_far_as_its_standard_errors_say():
     """Within 10 %, which is 2.8 Monte Carlo errors of 400 repetitions."""
     size, figures = figures_of("bootstrap")
-    assert figures["came_back"] == figures["repetitions"] == size
+    assert figures["repetitions"] == size
+    assert figures["came_back"] >= 0.99 * size
     assert "air.drag_coefficient" in figures["parameters"]
     for path, one in figures["parameters"].items():
         assert abs(one["spread"] - 1) < 0.1, path
         assert abs(one["bias"]) < 0.2, path
         assert 0.92 < one["coverage"] < 0.98, path
+
+
+@pytest.mark.quick
+def test_a_step_tells_what_a_part_of_the_data_does():
+    """As a fit without it: the shifts of all parameters have the same order."""
+    _, figures = figures_of("influence")
+    assert len(figures) == 3
+    for case, one in figures.items():
+        assert one["converged"] == one["parts"], case
+        assert one["rank_correlation"] > 0.95, case

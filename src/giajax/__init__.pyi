@@ -131,7 +131,12 @@ from .models import (
 )
 from .parameters import declared as declared, get as get, replace as replace
 from .quantities import Prior as Prior
-from .repetitions import Bootstrap as Bootstrap, bootstrap as bootstrap
+from .repetitions import (
+    Bootstrap as Bootstrap,
+    Influence as Influence,
+    bootstrap as bootstrap,
+    influence as influence,
+)
 from .report import (
     draw_scene as draw_scene,
     parameter_table as parameter_table,

@@ -1,4 +1,4 @@
-"""`giajax bootstrap`: a stored fit is repeated, by its files."""
+"""`giajax bootstrap` and `giajax influence`: a stored fit is repeated, by its files."""
 
 import json
 import shutil
@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from giajax.cli import main
-from giajax.repetitions import Bootstrap
+from giajax.repetitions import Bootstrap, Influence
 
 EARLIER = Path(__file__).resolve().parents[1] / "earlier" / "hysteresis"
 
@@ -45,9 +45,24 @@ def test_a_fit_is_repeated_and_the_files_lie_beside_it(folder, capsys):
     assert Bootstrap.of_json(again.read_bytes()) == found
 
 
+def test_what_spans_do_is_told_and_drawn(folder, capsys):
+    words = ["influence", str(folder), "--data", str(folder / "run.csv"), "--spans", "3"]
+    assert main([*words, "--most", "2"]) == 0
+    printed = capsys.readouterr().out
+    assert "and 1 more, which move less" in printed
+    found = Influence.of_json((folder / "influence.json").read_bytes())
+    assert [part.kind for part in found.parts] == ["span"] * 3
+    assert found.parts[0].name in printed
+    assert (folder / "influence.png").read_bytes()[:4] == b"\x89PNG"
+    assert main(words) == 2
+    assert "exists and is not written over" in capsys.readouterr().err
+
+
 @pytest.mark.quick
 def test_what_is_no_fit_or_no_size_is_told_in_a_sentence(tmp_path, capsys):
     assert main(["bootstrap", str(tmp_path)]) == 2
     assert "does not exist: give the folder of a finished fit" in capsys.readouterr().err
     assert main(["bootstrap", str(tmp_path), "--size", "1"]) == 2
     assert "--size" in capsys.readouterr().err
+    assert main(["influence", str(tmp_path)]) == 2
+    assert "does not exist: give the folder of a finished fit" in capsys.readouterr().err

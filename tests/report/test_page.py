@@ -8,13 +8,13 @@ import pytest
 
 from giajax._errors import InputError
 from giajax.fitting import Correlation, Finding, SystematicError
-from giajax.repetitions import Bootstrap
+from giajax.repetitions import Bootstrap, Influence, LeftOut
 from giajax.repetitions._summary import repeated
 from giajax.report import report_page
 from giajax.report.page import _report
 from giajax.report.page._autocorrelation import autocorrelation
 from giajax.report.page._opening import opening
-from giajax.report.page._repetitions import repeated_part
+from giajax.report.page._repetitions import influence_part, repeated_part
 from giajax.report.page._thin import thinned
 from giajax.runs import Run
 from page_reader import Page, loaded_from_elsewhere
@@ -183,8 +183,13 @@ def test_repetitions_are_on_the_page_of_their_fit_alone(result, run, tmp_path):
     source = tmp_path / "result.json"
     source.write_text(result.to_json())
     (tmp_path / "bootstrap.json").write_text(found.to_json())
+    shifts = {path: 0.5}
+    part = LeftOut("marker", "link04", 72, {path: None}, {path: None}, shifts, {path: 1.25})
+    asked = Influence({path: 0.1}, (part,), ("another note",), fitted)
+    (tmp_path / "influence.json").write_text(asked.to_json())
     parsed = Page(report_page(result, [run], source=source))
-    assert parsed.headings == [*SECTIONS[:7], "repetitions", *SECTIONS[7:]]
+    assert parsed.headings == [*SECTIONS[:7], "repetitions", "influence", *SECTIONS[7:]]
+    assert ["link04", "marker", "72", "fit", "-", "+0.50 (1.25)"] in parsed.rows
     assert "21 of 22 fits came back (95.5 %); the others were ended by: wall 1" in parsed.text
     assert any(row[0] == path and "100.0 % (83.9 .. 100.0)" in row for row in parsed.rows if row)
     assert json.loads(parsed.data("repeated-0"))["doc"]["roots"]
@@ -192,3 +197,4 @@ def test_repetitions_are_on_the_page_of_their_fit_alone(result, run, tmp_path):
     other = dataclasses.replace(found, fitted={**fitted, path: 7.0})
     (tmp_path / "bootstrap.json").write_text(other.to_json())
     assert repeated_part(result, source) is None
+    assert influence_part(dataclasses.replace(result, parameters={}), source) is None

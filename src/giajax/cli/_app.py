@@ -20,6 +20,7 @@ from . import (
     _examples,
     _fit,
     _hysteresis,
+    _influence,
     _init,
     _joint,
     _paper,
@@ -55,6 +56,8 @@ Examples:
                             what of it the model leaves out
   giajax bootstrap giajax-out/run
                             whether its errors are right: the fit repeated
+  giajax influence giajax-out/run
+                            what each marker and run does to its numbers
   giajax sweep plan.toml --workers 4
                             many fits: other values, runs or options each time
   giajax predict --model giajax-out/run --data other.csv
@@ -82,6 +85,7 @@ _COMMANDS: tuple[tuple[Callable[..., None], str], ...] = (
     (_compare.compare, _compare.EXAMPLES),
     (_compensate.compensate, _compensate.EXAMPLES),
     (_hysteresis.hysteresis, _hysteresis.EXAMPLES),
+    (_influence.influence, _influence.EXAMPLES),
     (_init.init, _init.EXAMPLES),
     (_joint.joint, _joint.EXAMPLES),
     (_paper.paper, _paper.EXAMPLES),

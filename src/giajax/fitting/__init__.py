@@ -4,6 +4,7 @@ from ._beginning import Beginning as Beginning, between as between
 from ._budget import Budget as Budget
 from ._conclude import versions as versions
 from ._configuration import Setup as Setup, set_up as set_up
+from ._equations import CellEquations as CellEquations, Equations as Equations
 from ._findings import Finding as Finding
 from ._fit import MAX_ITERATIONS as MAX_ITERATIONS, fit as fit, solve as solve
 from ._hold_out import not_judged as not_judged, with_held_out as with_held_out

@@ -52,12 +52,12 @@ def noise_statistics(state: FitState, alive: np.ndarray, spread: Uncertainty) ->
     by_key, stated = noise.by_key(), noise.stated_by_key()
     slope = state.problem.bijector.slope(np.asarray(state.coordinate))
     dense = [
-        _dense(_weighted(state, at, each), alive, slope)
+        dense_cells(weighted_cells(state, at, each), alive, slope)
         for at, each in residual_cells(state, together=True).items()
     ]
     # Outliers have no part in what is known of the noise.
     inliers = [each.where(each.weights > OUTLIER) for each in dense]
-    prior, off = _prior_rows(state, alive)
+    prior, off = prior_rows(state, alive)
     known = np.column_stack([prior, off])
     problem = Restricted.of(inliers, by_key, known.T @ known)
     small = small_sample(problem, inliers, covariance, stated)
@@ -77,7 +77,7 @@ def noise_statistics(state: FitState, alive: np.ndarray, spread: Uncertainty) ->
     return NoiseStatistics(larger, small.freedom, sandwich, widening)
 
 
-def _prior_rows(
+def prior_rows(
     state: FitState, alive: np.ndarray
 ) -> tuple[Float[np.ndarray, "prior parameter"], Float[np.ndarray, " prior"]]:
     """The rows that are those of priors, by the parameters that respond, and their residuals."""
@@ -88,7 +88,7 @@ def _prior_rows(
     return rows[:, alive], np.asarray(state.inner.residual)[len(state.inner.residual) - count :]
 
 
-def _weighted(state: FitState, at: tuple[int, str], cells: Cells) -> Cells:
+def weighted_cells(state: FitState, at: tuple[int, str], cells: Cells) -> Cells:
     """Cells with the weights that robust statistics left them."""
     if state.noise.weights is None:
         return cells
@@ -97,7 +97,7 @@ def _weighted(state: FitState, at: tuple[int, str], cells: Cells) -> Cells:
     return dataclasses.replace(cells, weights=state.noise.weights[run][name][measured])
 
 
-def _dense(cells: Cells, alive: np.ndarray, slope: np.ndarray) -> Cells:
+def dense_cells(cells: Cells, alive: np.ndarray, slope: np.ndarray) -> Cells:
     """With the columns of the parameters that respond, by the parameters themselves."""
     columns = cells.shared[:, alive] / np.maximum(slope[alive], 1e-300)
     return dataclasses.replace(cells, shared=columns)

@@ -12,6 +12,12 @@ from ._correlation import correlation_figure as correlation_figure
 from ._csv import to_csv as to_csv
 from ._files import write_figures as write_figures, write_result as write_result
 from ._folder import check_folder as check_folder
+from ._influence import (
+    INFLUENCE as INFLUENCE,
+    influence_figure as influence_figure,
+    influence_summary as influence_summary,
+    influence_table as influence_table,
+)
 from ._joint_angle import angle_figure as angle_figure, angle_table as angle_table
 from ._joint_correction import (
     correction_figure as correction_figure,

@@ -12,8 +12,9 @@ from ..._errors import InputError
 from ..._files import read_bytes
 from ..._limits import RESULT_BYTES
 from ...fitting import FitResult
-from ...repetitions import Bootstrap, Repeated
+from ...repetitions import Bootstrap, Influence, Repeated
 from .._bootstrap import BOOTSTRAP, bootstrap_summary, bootstrap_table
+from .._influence import INFLUENCE, influence_summary, influence_table
 from .._style import BLUE, LIGHT, VERMILLION
 from ._figures import new_plot
 from ._tables import Table
@@ -55,6 +56,25 @@ def repeated_part(result: FitResult, source: Path | None) -> RepeatedPart | None
     drawn = [(path, one) for path, one in found.parameters.items() if len(one.values) > 1]
     plots = [(path, _histogram(one)) for path, one in drawn[:_MOST]]
     return RepeatedPart(Table(*bootstrap_table(found)), bootstrap_summary(found), plots)
+
+
+def influence_part(result: FitResult, source: Path | None) -> tuple[Table, list[str]] | None:
+    """The table and the sentences on the influence of the data; None as of `repeated_part`.
+
+    Arguments:
+        result: that the page is about.
+        source: its `result.json`.
+    """
+    text = _beside(source, INFLUENCE)
+    if text is None:
+        return None
+    try:
+        found = Influence.of_json(text)
+    except InputError:
+        return None
+    if not is_of(found.fitted, result):
+        return None
+    return Table(*influence_table(found), 2), influence_summary(found)
 
 
 def is_of(fitted: dict[str, float], result: FitResult) -> bool:

@@ -24,7 +24,7 @@ from ._figures import curve_item
 from ._opening import opening
 from ._plots import Panel, panel, worst_panels
 from ._render import rendered, some_of
-from ._repetitions import repeated_part
+from ._repetitions import influence_part, repeated_part
 from ._tables import (
     Table,
     file_rows,
@@ -109,6 +109,7 @@ def report_page(
         paths=result.correlation.parameters,
         correlations=correlation_cells(result),
         repeated=repeated_part(result, source),
+        influence=influence_part(result, source),
         noise=noise_table(result),
         held_out=held_out_table(result),
         validation=validation_table(result),

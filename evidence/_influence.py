@@ -1,0 +1,100 @@
+"""Influence: one step from the optimum against a fit without the run or marker.
+
+Shipped fits are asked what each of their markers or runs does to each parameter, by a step to first
+order and by a fit. The rank correlation (Spearman) is that of all shifts, in standard errors, over
+parts and parameters.
+"""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from ._record import ROOT
+from ._study import Figures, Study
+
+# Name of the case: the fit, and what is left out of it.
+CASES = {
+    "base_step, its markers": ("base_step", "marker"),
+    "pitch_yaw, its markers": ("pitch_yaw", "marker"),
+    "two_runs, its runs": ("two_runs", "run"),
+}
+
+
+def run(size: int, seed: int, names: Iterable[str] = tuple(CASES)) -> Figures:
+    """Figures of each case, which have nothing random."""
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    return {name: _compared(*CASES[name]) for name in names}
+
+
+def part(size: int, seed: int) -> Figures:
+    """The quickest case."""
+    return run(size, seed, ("base_step, its markers",))
+
+
+def _compared(fit: str, kind: str) -> Figures:
+    from scipy.stats import spearmanr
+
+    import giajax
+
+    ready = giajax.FitTask.load(ROOT / "fits" / f"{fit}.toml").prepare()
+    result = ready.run()
+    parts = giajax.influence(result, ready.runs, exact=True, spans=1).of_kind(kind)
+    pairs = np.asarray(
+        [
+            (step, part.exact[path])
+            for part in parts
+            if part.exact is not None
+            for path, step in part.steps.items()
+            if step is not None and part.exact[path] is not None
+        ]
+    )
+    steps, exact = pairs.T
+    return {
+        "parts": len(parts),
+        "parameters": len(parts[0].steps),
+        "converged": sum(not part.reason for part in parts),
+        "rank_correlation": round(float(spearmanr(steps, exact).statistic), 4),
+        "largest_shift": round(float(np.max(np.abs(exact))), 3),
+        "largest_difference": round(float(np.max(np.abs(steps - exact))), 3),
+    }
+
+
+def disagreements(stored: Figures, new: Figures) -> list[str]:
+    """Rank correlations that are lower than those that are stored."""
+    return [
+        f"{name}: the rank correlation is {one['rank_correlation']}, and "
+        f"{stored[name]['rank_correlation']} is stored"
+        for name, one in new.items()
+        if one["rank_correlation"] < stored[name]["rank_correlation"] - 0.01
+    ]
+
+
+def table(figures: Figures) -> list[str]:
+    """A row for each case."""
+    rows = [
+        "| fit, and what is left out | fits | rank correlation | largest shift | step less fit |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    rows += [
+        f"| {name} | {one['converged']} of {one['parts']} | {one['rank_correlation']:.3f} | "
+        f"{one['largest_shift']:.2f} | at most {one['largest_difference']:.2f} |"
+        for name, one in figures.items()
+    ]
+    return [*rows, "", "Shifts of all parameters, in standard errors."]
+
+
+INFLUENCE = Study(
+    name="influence",
+    meaning=(
+        "What each marker or run of a shipped fit does to each parameter: by one step from the "
+        "optimum (`giajax influence`), against a fit without it."
+    ),
+    size=1,
+    seed=0,
+    run=run,
+    disagreements=disagreements,
+    table=table,
+    part=part,
+)

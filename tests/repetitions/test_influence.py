@@ -1,0 +1,124 @@
+"""Of a linear model one step is a fit: leaving out is known in closed form."""
+
+import numpy as np
+import pytest
+from line import FREE, SIGMA, Line, columns, recorded
+
+import giajax
+from giajax import Influence, InputError
+from giajax.fitting import CellEquations
+from giajax.noise import whitened
+from giajax.repetitions import _influence
+from giajax.repetitions._parts import parts_of
+from giajax.study import optimum_of
+
+DRIFTING = {"position_m": SIGMA, "position_correlated_m": 0.015, "position_correlation_s": 0.4}
+
+
+@pytest.fixture(scope="module")
+def drifting():
+    """Two runs whose noise has a memory."""
+    return [recorded(1, gap=slice(5, 12), noise=DRIFTING), recorded(2, noise=DRIFTING)]
+
+
+@pytest.fixture(scope="module")
+def fitted(drifting):
+    return giajax.fit(Line(), drifting, free=FREE, check=False)
+
+
+@pytest.fixture(scope="module")
+def found(fitted, drifting):
+    return giajax.influence(fitted, drifting, exact=True, spans=4)
+
+
+def generalised(fitted, runs, part=None):
+    """Generalised least squares of the cells that are left, by whitening them alone."""
+    rows, rest = [], []
+    for index, run in enumerate(runs):
+        noise = optimum_of(fitted, runs).state.noise.values[index]
+        for name, values in run.observations.items():
+            kept = ~np.isnan(values)
+            gone = None if part is None else part.of(index, name, len(values))
+            kept &= True if gone is None else ~gone
+            if not kept.any():
+                continue
+            table = np.column_stack([columns(run.times)[name], values])[kept]
+            white = whitened(noise[name], run.times[kept], table)
+            rows.append(white[:, :-1])
+            rest.append(white[:, -1])
+    x, y = np.concatenate(rows), np.concatenate(rest)
+    return np.linalg.lstsq(x, y, rcond=None)[0], np.linalg.inv(x.T @ x)
+
+
+def test_a_step_is_generalised_least_squares_of_the_rest(fitted, drifting, found):
+    """Whatever is left out, noise with a memory is made white anew; the error follows, too."""
+    errors = np.asarray([found.parameters[path] for path in FREE])
+    whole, covariance = generalised(fitted, drifting)
+    parts = {(part.kind, part.name): part for part in parts_of(drifting, 4)}
+    assert len(parts) == len(found.parts) == 2 + 2 + 2 * 4
+    for row in found.parts:
+        if row.name == "tip_z":  # Without it the height is not determined.
+            assert row.steps["height"] is row.exact["height"] is None
+            assert row.largest == np.inf
+            continue
+        rest, of_rest = generalised(fitted, drifting, parts[row.kind, row.name])
+        steps = np.asarray(list(row.steps.values()))
+        np.testing.assert_allclose(steps, (rest - whole) / errors, atol=1e-6)
+        wider = np.sqrt(np.diag(of_rest) / np.diag(covariance))
+        np.testing.assert_allclose(list(row.widening.values()), wider, rtol=1e-6)
+
+
+def test_a_fit_without_the_part_says_the_same(found):
+    """To within what a fit leaves of the way to its optimum."""
+    for row in found.parts:
+        assert row.reason == ""
+        for path in FREE:
+            if row.steps[path] is not None:
+                assert abs(row.exact[path] - row.steps[path]) < 0.03
+    largest = [row.largest for row in found.parts]
+    assert largest == sorted(largest, reverse=True)
+
+
+def test_what_contradicts_the_others_is_told(runs, monkeypatch):
+    """A span that is off by five deviations moves what it should not."""
+    values = {**runs[1].values, "tip_z": runs[1].values["tip_z"].copy()}
+    values["tip_z"][20:30] += 5 * SIGMA
+    off = giajax.Run.from_arrays(runs[1].times, values, definition=runs[1].definition)
+    result = giajax.fit(Line(), [runs[0], off], free=FREE, noise_model="white", check=False)
+    asked = []
+    monkeypatch.setattr(_influence, "run_tasks", lambda tasks, **_: asked.extend(tasks) or [])
+    found = giajax.influence(result, [runs[0], off], spans=4)
+    assert len(asked) == 1  # The runs alone, which are two, are left out by fits.
+    worst = max(found.parts, key=lambda part: part.surprise or 0.0)
+    assert worst.name == "run, 1.5 to 2.25 s"
+    assert worst.surprise > 3
+
+
+def test_it_is_json_and_goes_on(fitted, drifting, found, tmp_path):
+    assert Influence.of_json(found.to_json()) == found
+    with pytest.raises(InputError, match=r"no influence\.json of this version"):
+        Influence.of_json("[]")
+    done = []
+    options = {"spans": 1, "folder": tmp_path}
+    few = giajax.influence(fitted, drifting, **options, progress=lambda *_: done.append(1))
+    assert {part.kind for part in few.parts if part.exact is not None} == {"run"}
+    assert giajax.influence(fitted, drifting, **options, progress=lambda *_: done.append(1)) == few
+    assert len(done) == 1
+
+
+def test_a_robust_loss_has_its_own_curvature():
+    """Cells beyond the corner of Huber's loss have no curvature, and a bounded pull."""
+    run = recorded(3)
+    run.values["tip_z"].setflags(write=True)
+    run.values["tip_z"][7] += 1.0
+    result = giajax.fit(Line(), run, free=FREE, loss="huber", noise_model="white", check=False)
+    equations = CellEquations.of(optimum_of(result, [run]))
+    cell = np.arange(40) == 7
+    said = equations.said(0, "tip_z", cell)
+    np.testing.assert_allclose(said.matrix, 0)
+    np.testing.assert_allclose(said.gradient, -columns(run.times)["tip_z"][7] / SIGMA, rtol=1e-6)
+
+
+def test_what_cannot_be_asked_is_refused(fitted, drifting):
+    with pytest.raises(InputError, match="there are 0 spans: give a number from 1"):
+        giajax.influence(fitted, drifting, spans=0)
