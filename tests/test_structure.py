@@ -28,7 +28,7 @@ ROOMS = [
     ("tasks",),
     ("diagnosis",),
     ("repetitions",),
-    ("study", "wind"),
+    ("study", "wind", "design"),
     ("fitting",),
     ("control",),
     ("synthetic",),

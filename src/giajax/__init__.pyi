@@ -3,6 +3,7 @@
 from . import (
     arm as arm,
     control as control,
+    design as design,
     diagnosis as diagnosis,
     execution as execution,
     experiments as experiments,
@@ -64,6 +65,11 @@ from .control import (
     Compensator as Compensator,
     compensator_for_loop as compensator_for_loop,
     compensator_for_model as compensator_for_model,
+)
+from .design import (
+    Design as Design,
+    Limits as Limits,
+    design_experiment as design_experiment,
 )
 from .diagnosis import (
     Suspects as Suspects,

@@ -17,6 +17,7 @@ from . import (
     _choose,
     _compare,
     _compensate,
+    _design,
     _examples,
     _fit,
     _hysteresis,
@@ -66,6 +67,8 @@ Examples:
                             which hysteresis model describes a joint
   giajax compensate --model fit --target target.csv --out command.csv
                             commands that undo the hysteresis
+  giajax design giajax-out/run --for air.drag_coefficient --out next
+                            the next experiment: what to command and to film
   giajax wind --data resting.csv --wind 0,0.2,0
                             the gusts that a resting arm undulates in
   giajax hysteresis --out DIR
@@ -84,6 +87,7 @@ _COMMANDS: tuple[tuple[Callable[..., None], str], ...] = (
     (_choose.choose, _choose.EXAMPLES),
     (_compare.compare, _compare.EXAMPLES),
     (_compensate.compensate, _compensate.EXAMPLES),
+    (_design.design, _design.EXAMPLES),
     (_hysteresis.hysteresis, _hysteresis.EXAMPLES),
     (_influence.influence, _influence.EXAMPLES),
     (_init.init, _init.EXAMPLES),

@@ -10,6 +10,12 @@ from ._bootstrap import (
 from ._contrast import contrast_json as contrast_json, contrast_tables as contrast_tables
 from ._correlation import correlation_figure as correlation_figure
 from ._csv import to_csv as to_csv
+from ._design import (
+    DESIGN_HEADINGS as DESIGN_HEADINGS,
+    design_figure as design_figure,
+    design_json as design_json,
+    design_rows as design_rows,
+)
 from ._files import write_figures as write_figures, write_result as write_result
 from ._folder import check_folder as check_folder
 from ._influence import (

@@ -30,4 +30,9 @@ from ._refit import (
     optimum_of as optimum_of,
     refit as refit,
 )
-from ._sensitivity import Sensitivity as Sensitivity, sensitivity as sensitivity
+from ._sensitivity import (
+    Sensitivity as Sensitivity,
+    body_of as body_of,
+    expected_errors as expected_errors,
+    sensitivity as sensitivity,
+)

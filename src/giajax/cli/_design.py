@@ -1,0 +1,289 @@
+"""`giajax design`: the command and the markers of the next experiment.
+
+Longer than 200 lines because it declares each option with its help.
+"""
+
+import dataclasses
+import math
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from .._errors import InputError
+from .._signals import is_stopped, stopped_status
+from ._channel_names import channel_names
+from ._drive import definition_from_options, model_and_truth
+from ._model import is_result
+from ._values import deviations, noise_section
+
+if TYPE_CHECKING:
+    from ..design import Design, Evaluation
+    from ..fitting import FitResult
+    from ..models import ArmModel
+
+EXAMPLES = """\b
+Examples:
+  giajax design giajax-out/run --for air.drag_coefficient --out next
+  giajax design --for air.drag_coefficient --joints 1,3 --angle 30 --angle-rate 30
+                --duration 25 --markers 3 --out next
+  giajax design fits/base_step.toml --for air.drag_coefficient
+                --for joints.pitch_stiffness --criterion D --channels link06_z,link20_z
+                --out next
+  giajax simulate --command next/command.csv --out rehearsal.csv
+
+\b
+SOURCE is the folder of a fit or its result.json, a fit definition, or a TOML file whose
+[arm] states an arm; without it the preset. Writes command.csv, which an operator can
+run, with its sidecar, design.json and design.png."""
+
+_FILES = ("command.csv", "command.toml", "design.json", "design.png")
+# Of a file, beside the arm.
+_KEPT = ("initial", "wind", "noise")
+
+_DIGITS = 12
+
+
+def design(
+    wanted: Annotated[
+        list[str], typer.Option("--for", metavar="PATH", help="A parameter to find. Repeatable.")
+    ],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the files.")],
+    source: Annotated[
+        Path | None, typer.Argument(metavar="[SOURCE]", help="The arm, or a fit of it; see below.")
+    ] = None,
+    links: Annotated[int | None, typer.Option(metavar="N", help="Number of links.")] = None,
+    pairs: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="PATH=VALUE", help="A parameter's value. Repeatable."),
+    ] = None,
+    free: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PATH", help="What a fit will have free, too. Repeatable. [as the source's]"
+        ),
+    ] = None,
+    criterion: Annotated[
+        str | None,
+        typer.Option(
+            metavar="c|A|D", help="Error of one, of all by the trace, or the determinant. [c, or A]"
+        ),
+    ] = None,
+    joints: Annotated[str, typer.Option(metavar="N,N", help="Joints that may be commanded.")] = "1",
+    angle: Annotated[float, typer.Option(metavar="DEG", help="Largest angle of a joint.")] = 30.0,
+    angle_rate: Annotated[
+        float, typer.Option(metavar="DEG/S", help="Largest rate of a joint.")
+    ] = 30.0,
+    duration: Annotated[float, typer.Option(metavar="S", help="Length of the run, s.")] = 25.0,
+    rate: Annotated[float, typer.Option(metavar="HZ", help="Samples per second.")] = 10.0,
+    channels: Annotated[
+        list[str] | None,
+        typer.Option(metavar="CHANNELS", help="What may be recorded: link06, tip, link20_z. [all]"),
+    ] = None,
+    markers: Annotated[
+        int | None, typer.Option(metavar="N", help="How many links may be filmed. [all of them]")
+    ] = None,
+    noise: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KEY=VALUE",
+            help="Standard deviation, by a key of [noise]. Repeatable. "
+            "[the fit's, or position_m=0.01 and angle_deg=0.5]",
+        ),
+    ] = None,
+    uncertainty: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SHARE",
+            help="How uncertain what is free is, over its value. [the fit's, or 0.2]",
+        ),
+    ] = None,
+    draws: Annotated[
+        int, typer.Option(metavar="N", min=1, help="Values of what is uncertain to be robust over.")
+    ] = 4,
+    worst: Annotated[
+        bool, typer.Option("--worst", help="Lower the error of the worst draw, not the mean.")
+    ] = False,
+    knots: Annotated[
+        int | None, typer.Option(metavar="N", help="Turns of each joint. [15, or 30 for all]")
+    ] = None,
+    starts: Annotated[
+        int, typer.Option(metavar="N", min=1, help="Commands that are compared first.")
+    ] = 6,
+    follow: Annotated[
+        int, typer.Option(metavar="N", min=1, help="How many of them are followed.")
+    ] = 2,
+    iterations: Annotated[
+        int, typer.Option(metavar="N", min=1, help="Steps of the optimiser, from each.")
+    ] = 25,
+    solver: Annotated[
+        str, typer.Option(metavar="NAME", help="Integration method, such as tsit5, springs5.")
+    ] = "springs5",
+    tolerance: Annotated[
+        float, typer.Option(metavar="TOL", help="Tolerance of the integration.")
+    ] = 1e-6,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="No progress.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Write over files.")] = False,
+) -> None:
+    """Find the command of the next experiment, and what to film of it.
+
+    Within limits of angle, rate and time it most lowers the standard error of chosen parameters,
+    whatever they are within their present uncertainty. Ctrl-C keeps the best so far.
+    """
+    from ..runs import check_output_folder, make_folder, write_files, write_run
+
+    if not 0 < tolerance <= 0.1:
+        raise InputError(f"--tolerance is {tolerance:g}: give a positive number of at most 0.1")
+    section = noise_section(noise, "--noise")
+    if not all(value > 0 for value in section.values()):
+        raise InputError("--noise is 0, but no recording is exact: give a positive number")
+    moving = _numbers(joints)
+    check_output_folder(out, _FILES, force=force)
+    if source is not None and is_result(source):
+        from ..tasks import stored_result
+
+        # What is no result is told before JAX is imported, which takes seconds.
+        stored_result(source)
+
+    from ._jax import configure
+
+    configure()
+    from ..design import Limits, design_experiment, joint_count
+    from ..report import design_figure, design_json, to_png
+
+    limits = Limits(moving, math.radians(angle), math.radians(angle_rate), duration, rate)
+    given, settings = _source(source, links, pairs or [], solver, tolerance)
+    names = channel_names(channels or ["all"], joint_count(given))
+    found = design_experiment(
+        given,
+        wanted,
+        limits,
+        criterion=criterion or ("c" if len(wanted) == 1 else "A"),
+        free=free or settings["free"],
+        channels=names,
+        markers=markers,
+        noise=deviations(section, "--noise", names),
+        priors=settings["priors"],
+        uncertainty=uncertainty,
+        over="worst" if worst else "mean",
+        draw_count=draws,
+        knots=knots,
+        starts=starts,
+        follow=follow,
+        iterations=iterations,
+        definition=settings["definition"],
+        progress=_quietly if quiet else _Progress(),
+    )
+    text = design_json(found)
+    run = found.designed.run
+    picture = to_png(design_figure(found, f"{', '.join(found.wanted)}: the next experiment"))
+    make_folder(out)
+    write_run(
+        out / "command.csv",
+        run.times,
+        run.commands,
+        definition=run.definition,
+        digits=_DIGITS,
+        force=force,
+    )
+    contents = {out / "design.json": f"{text}\n".encode(), out / "design.png": picture}
+    write_files(contents, force=force)
+    if as_json:
+        typer.echo(text)
+    else:
+        _show(found)
+        typer.echo(f"\nwrote {shlex.quote(str(out))}: {', '.join(_FILES)}")
+    if found.status == "interrupted":
+        typer.echo("giajax: stopped: this is the best command so far", err=True)
+        raise typer.Exit(stopped_status())
+
+
+def _source(
+    source: Path | None, links: int | None, pairs: list[str], solver: str, tolerance: float
+) -> tuple["ArmModel | FitResult", dict[str, Any]]:
+    """The arm or the fit, and what a file says of what is free, of priors and of the start."""
+    nothing: dict[str, Any] = {"free": None, "priors": None, "definition": None}
+    if source is not None and is_result(source):
+        from ..fitting import load_result
+
+        if links is not None or pairs:
+            raise InputError("a fit brings its own arm: leave out --links and --set")
+        fitted = load_result(source)
+        model = fitted.model.with_integration(solver=solver, tolerance=tolerance)
+        return dataclasses.replace(fitted, model=model), nothing
+    from ..runs import read_sidecar
+
+    definition = definition_from_options(source, links, None)
+    fit = definition.fit
+    if source is not None and fit.data:
+        # What a fit definition does not say of the arm, the sidecar of its first run does.
+        definition = read_sidecar(source.parent / fit.data[0]).merged_with(definition)
+    started = [f"{path}={_typed(value)}" for path, value in (fit.start or {}).items()]
+    changed = {path.partition("=")[0] for path in pairs}
+    kept = [pair for pair in started if pair.partition("=")[0] not in changed]
+    model, _ = model_and_truth(definition, [*kept, *pairs], solver, tolerance)
+    stated = definition.contents()
+    stated = definition.contents()
+    return model, {
+        "free": fit.free,
+        "priors": {path: entry.prior() for path, entry in fit.priors.items()},
+        "definition": {key: stated[key] for key in _KEPT if key in stated},
+    }
+
+
+def _typed(value: Any) -> str:
+    numbers = value if isinstance(value, list) else [value]
+    return ",".join(f"{number:.17g}" for number in numbers)
+
+
+def _numbers(joints: str) -> tuple[int, ...]:
+    words = [word.strip() for word in joints.split(",")]
+    if not all(word.isascii() and word.isdigit() and len(word) < 9 for word in words):
+        raise InputError(f"--joints {joints!r} must be numbers, such as 1,3: correct it")
+    return tuple(int(word) for word in words)
+
+
+def _quietly(evaluation: "Evaluation") -> None:
+    if is_stopped():
+        raise KeyboardInterrupt
+
+
+class _Progress:
+    """A line an evaluation on standard error, with the error over that of the first command."""
+
+    def __init__(self) -> None:
+        typer.echo("compiling ...", err=True)
+        self._first = math.nan
+
+    def __call__(self, evaluation: "Evaluation") -> None:
+        if evaluation.number == 1:
+            self._first = evaluation.value
+            typer.echo("   n  start    error   best, over that of the base step", err=True)
+        start = evaluation.start or "-"
+        shares = [math.exp(v - self._first) for v in (evaluation.value, evaluation.best)]
+        typer.echo(
+            f"{evaluation.number:4d}  {start:>5}  {shares[0]:7.3f}  {shares[1]:5.3f}", err=True
+        )
+        _quietly(evaluation)
+
+
+def _show(found: "Design") -> None:
+    from ..report import DESIGN_HEADINGS, design_rows
+    from ._output import print_table
+
+    typer.echo("standard errors to expect:")
+    print_table(DESIGN_HEADINGS, design_rows(found))
+    limits = found.limits
+    numbers = ", ".join(str(joint) for joint in limits.joints)
+    typer.echo(
+        f"\njoints {numbers} within {math.degrees(limits.angle):g} deg and "
+        f"{math.degrees(limits.rate):g} deg/s for {limits.duration:g} s; "
+        f"film {', '.join(found.designed.markers)}"
+    )
+    low, high = found.spread
+    typer.echo(
+        f"criterion {found.criterion}: {found.ratio:.3f} times the error of the base step; over "
+        f"{found.draws} draws of what is uncertain {low:.2f} to {high:.2f} times that foreseen"
+    )

@@ -1,0 +1,152 @@
+"""The next experiment of a short arm: one compiled program for all of it."""
+
+import json
+
+import numpy as np
+import pytest
+
+import giajax
+from giajax import ArmModel, InputError, Limits, design_experiment, read_run
+from giajax.cli import main
+from giajax.design._command import CommandSeries
+from giajax.design._criterion import Criterion
+from giajax.design._information import informed
+from giajax.design._objective import RobustError
+from giajax.design._question import question_of
+from giajax.design._uncertainty import draws
+from giajax.study import expected_errors
+
+DRAG, STIFFNESS = "air.drag_coefficient", "joints.pitch_stiffness"
+# What notebooks/05_next_experiment.ipynb and docs/design.md have, too: one program is compiled.
+SMALL = ["--links", "2", "--duration", "4", "--knots", "4", "--free", STIFFNESS]
+QUICK = ["--solver", "heun", "--tolerance", "1e-4"]
+
+
+def arm():
+    return ArmModel(giajax.takeichi_20m(2), tolerance=1e-4, solver="heun")
+
+
+def asked(source=None, **changes):
+    options = dict.fromkeys(
+        ("free", "channels", "noise", "priors", "uncertainty", "definition"), None
+    )
+    options |= {"free": [STIFFNESS], **changes}
+    return question_of(source or arm(), [DRAG], Limits(duration=4.0), **options)
+
+
+def test_the_command_its_files_and_what_they_promise(tmp_path, capsys):
+    """The files are read back; the information is compared with differences of predictions."""
+    out = tmp_path / "next"
+    search = ["--starts", "4", "--follow", "1", "--iterations", "5", "--markers", "1"]
+    words = ["design", "--for", DRAG, *SMALL, *QUICK, *search, "--draws", "2", "--out", str(out)]
+    assert main(words) == 0
+    said = capsys.readouterr().out
+    assert "times the error of the base step" in said
+    assert (out / "design.png").read_bytes().startswith(b"\x89PNG")
+    stored = json.loads((out / "design.json").read_text())
+    assert stored["ratio"] < 0.8
+    assert stored["design"]["markers"] == ["link02"]
+    assert stored["draws"]["count"] == 2
+    assert stored["draws"]["smallest"] < stored["draws"]["largest"]
+    # An operator's file: the same motion as that of the corners, within the limits.
+    run = read_run(out / "command.csv")
+    rows = run.commands["joint01_command"]
+    corners = stored["design"]["corners"]
+    np.testing.assert_allclose(
+        np.degrees(rows),
+        np.interp(run.times, corners["time_s"], corners["angle_deg"]["joint01_command"]),
+        atol=1e-9,
+    )
+    assert np.all(np.abs(np.degrees(rows)) <= 30)
+    assert np.all(np.abs(np.degrees(np.diff(rows))) <= 30 * np.diff(run.times) + 1e-12)
+    command = arm().prepare(run).command
+    np.testing.assert_allclose(
+        [command(t)[0] for t in (0.55, 2.05, 3.95)],
+        np.interp((0.55, 2.05, 3.95), run.times, rows),
+        atol=1e-9,
+    )
+    # Nothing is written over.
+    assert main(words) == 2
+    capsys.readouterr()
+
+    question = asked()
+    series = CommandSeries.of(question.limits, 4)
+    numbers = np.asarray([0.6, -0.3, 0.5, -0.4])
+    at = informed(question.experiment, series.at(numbers), question.values[None])
+    columns = []
+    for index, value in enumerate(question.values):
+        step = 1e-4 * value * np.eye(2)[index]
+        ahead, behind = (
+            informed(question.experiment, series.at(numbers), (question.values + s * step)[None])
+            for s in (1, -1)
+        )
+        columns.append((ahead.predicted - behind.predicted)[0] / 2e-4 / 0.01)
+    jacobian = np.stack(columns, axis=-1).reshape(-1, 2)
+    whole = at.values[0].sum(axis=0)
+    np.testing.assert_allclose(whole, jacobian.T @ jacobian, rtol=1e-3)
+
+    uncertain = draws(question.parameters, question.values, question.deviations, np.eye(2), 2)
+    error = RobustError(
+        question.experiment, series, uncertain, question.known, Criterion("c", (1.2, 0.0)), 2
+    )
+    error.choose(numbers)
+    value, slope = error(numbers)
+    first = expected_errors(whole)[0] * question.values[0]
+    assert np.exp(error.each(numbers)[0]) == pytest.approx(first, rel=1e-5)
+    for place in (0, 2):
+        way = 1e-3 * np.eye(4)[place]
+        difference = (error(numbers + way)[0] - error(numbers - way)[0]) / 2e-3
+        assert slope[place] == pytest.approx(difference, rel=0.02)
+    assert value == pytest.approx(np.mean(error.each(numbers)))
+
+
+def test_draws_are_of_what_is_uncertain():
+    question = asked(uncertainty={DRAG: 0.3})
+    found = draws(question.parameters, question.values, question.deviations, np.eye(2), 9)
+    np.testing.assert_array_equal(found[0], question.values)
+    assert np.all(found[:, 1] == question.values[1])
+    assert np.all(found > 0)
+    assert 0.15 < np.std(np.log(found[:, 0])) < 0.45
+
+
+def test_priors_are_information():
+    prior = giajax.Prior(1.2, deviation=0.06)
+    known = asked(priors={DRAG: prior}).known
+    np.testing.assert_allclose(known, np.diag([(1.2 / 0.06) ** 2, 0.0]))
+
+
+def test_a_free_first_state_is_a_nuisance():
+    question = asked(definition={"initial": {"free": True}})
+    assert question.experiment.own == (("initial.angle", 2), ("initial.rate", 2))
+    assert question.known.shape == (6, 6)
+    assert question.weights("c") == (1.2, 0, 0, 0, 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--for", "air.drag"], "did you mean 'air.drag_coefficient'?"),
+        (["--for", DRAG, "--joints", "3"], "the arm has joints 1 to 2"),
+        (["--for", DRAG, "--joints", "1;2"], "must be numbers"),
+        (["--for", DRAG, "--angle", "0"], "the largest angle is 0"),
+        (["--for", DRAG, "--markers", "9"], "9 markers are to be filmed out of 2"),
+        (["--for", DRAG, "--knots", "1"], "a number from 2 to"),
+        (["--for", DRAG, "--criterion", "E"], "no criterion 'E'"),
+        (["--for", DRAG, "--for", STIFFNESS, "--criterion", "c"], "criterion c is of one number"),
+        (["--for", DRAG, "--noise", "position_m=0"], "positive"),
+        (["--for", DRAG, "--uncertainty", "-1"], "the uncertainty of"),
+        (["none.toml", "--for", DRAG], "none.toml"),
+    ],
+)
+def test_one_sentence(tmp_path, capsys, options, words):
+    typed = ["design", *options, "--links", "2", "--out", str(tmp_path / "o"), "--quiet"]
+    assert main(typed) == 2
+    said = capsys.readouterr().err
+    assert words in said
+    assert said.count("\n") == 1
+
+
+def test_another_model_is_one_sentence():
+    joint = giajax.build_model("joint", {"joint": {}}, {})
+    with pytest.raises(InputError, match="give that of an arm"):
+        design_experiment(joint, [DRAG])
