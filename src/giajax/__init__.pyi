@@ -172,11 +172,15 @@ from .simulation import (
 )
 from .study import (
     Comparison as Comparison,
+    Profile as Profile,
+    Profiles as Profiles,
     Sensitivity as Sensitivity,
     choose_hysteresis as choose_hysteresis,
     compare as compare,
+    load_profiles as load_profiles,
     multi_start as multi_start,
     planned as planned,
+    profile as profile,
     sensitivity as sensitivity,
 )
 from .sweeping import sweep as sweep

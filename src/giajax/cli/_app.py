@@ -27,6 +27,7 @@ from . import (
     _paper,
     _parameters,
     _predict,
+    _profile,
     _report,
     _sensitivity,
     _simulate,
@@ -61,6 +62,8 @@ Examples:
                             what each marker and run does to its numbers
   giajax sweep plan.toml --workers 4
                             many fits: other values, runs or options each time
+  giajax profile giajax-out/run
+                            how far each parameter can go, bounds and all
   giajax predict --model giajax-out/run --data other.csv
                             how well the fit predicts another run
   giajax choose --data loops.csv
@@ -95,6 +98,7 @@ _COMMANDS: tuple[tuple[Callable[..., None], str], ...] = (
     (_paper.paper, _paper.EXAMPLES),
     (_parameters.parameters, _parameters.EXAMPLES),
     (_predict.predict, _predict.EXAMPLES),
+    (_profile.profile, _profile.EXAMPLES),
     (_report.report, _report.EXAMPLES),
     (_sensitivity.sensitivity, _sensitivity.EXAMPLES),
     (_simulate.simulate, _simulate.EXAMPLES),

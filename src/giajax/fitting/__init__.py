@@ -9,6 +9,7 @@ from ._findings import Finding as Finding
 from ._fit import MAX_ITERATIONS as MAX_ITERATIONS, fit as fit, solve as solve
 from ._hold_out import not_judged as not_judged, with_held_out as with_held_out
 from ._integration import IntegrationFit as IntegrationFit
+from ._jacobian import BlockJacobian as BlockJacobian
 from ._loss import rho as rho, scores as scores
 from ._noise import NOISE_MODELS as NOISE_MODELS, NoiseModel as NoiseModel
 from ._of_runs import layout_of as layout_of

@@ -7,12 +7,14 @@ that leave every residual unchanged; then any generalised inverse of J^T J gives
 """
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .._errors import InputError
+from .._maths import on_device
 from .._typing import Array
 from ..models import AbstractModel
 from ..parameters import Declaration, find, get
@@ -44,14 +46,9 @@ def derived_estimates(problem: Problem, statistics: Statistics) -> dict[str, Est
     followers = _followers(model, problem.ties)
     if not units and not followers:
         return {}
-
-    def quantities(values: Array) -> dict[str, Array]:
-        model = problem.with_values(problem.means(values))
-        tied = {path: get(model, part) for path, (part, _) in followers.items()}
-        return {**tied, **{name: d.value for name, d in model.derived().items()}}
-
+    of_values = derived_quantities(problem, statistics.values)
     values = jnp.asarray(statistics.values[:count], dtype=jnp.result_type(float))
-    at, slopes = quantities(values), jax.jacfwd(quantities)(values)
+    at, slopes = of_values(values), jax.jacfwd(of_values)(values)
     norms, loose = _loose(statistics.root)
     alive = statistics.alive[statistics.alive < count]
     estimates = {}
@@ -80,6 +77,54 @@ def derived_estimates(problem: Problem, statistics: Statistics) -> dict[str, Est
             remark=said,
         )
     return estimates
+
+
+def derived_quantities(problem: Problem, values: np.ndarray) -> Callable[[Array], dict[str, Array]]:
+    """What follows from the parameters, by name as of `derived_estimates`, as a function of them.
+
+    Arguments:
+        problem: what was minimised.
+        values: of all free parameters where the fit ended: tied elements that are equal there are
+            one.
+
+    Returns:
+        A function of the first `problem.shared` values, which JAX differentiates.
+    """
+    model = problem.with_values(problem.means(values[: problem.shared]))
+    followers = _followers(model, problem.ties)
+
+    def quantities(values: Array) -> dict[str, Array]:
+        model = problem.with_values(problem.means(values))
+        tied = {path: get(model, part) for path, (part, _) in followers.items()}
+        return {**tied, **{name: d.value for name, d in model.derived().items()}}
+
+    return quantities
+
+
+def derived_quantity(
+    problem: Problem, values: np.ndarray, name: str
+) -> Callable[[np.ndarray], tuple[float, np.ndarray]]:
+    """One of them as a function of all free parameters: its value and its gradient.
+
+    Arguments:
+        problem, values: as of `derived_quantities`.
+        name: of the quantity.
+
+    Raises:
+        InputError: there is none of this name.
+    """
+    shared, of_values = problem.shared, derived_quantities(problem, values)
+    if name not in jax.eval_shape(of_values, jnp.asarray(values[:shared])):
+        raise InputError(f"'{name}' does not follow from what was free in this fit")
+    compiled = jax.jit(jax.value_and_grad(lambda shared: of_values(shared)[name]))
+
+    def quantity(values: np.ndarray) -> tuple[float, np.ndarray]:
+        value, slope = compiled(on_device(values[:shared], jnp.result_type(float)))
+        gradient = np.zeros(len(values))
+        gradient[:shared] = slope
+        return float(value), gradient
+
+    return quantity
 
 
 def with_tied(

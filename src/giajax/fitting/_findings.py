@@ -195,8 +195,7 @@ def _bent(statistics: Statistics, curvatures: Mapping[int, Curvature]) -> Iterat
                 f"the standard error of {name} does not say how far it may go, because within it "
                 f"the second derivatives change the cost by {bent.left_out:+.0%}, and one side "
                 f"against the other by {bent.skew:+.0%}",
-                "fit with the parameter held at several values and look at the cost, or record "
-                "more",
+                "see how far it may go by giajax profile, or record more",
             )
 
 

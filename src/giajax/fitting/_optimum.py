@@ -7,13 +7,14 @@ starts are numbers of them, so that nothing is compiled anew.
 
 import dataclasses
 import functools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from .._errors import InputError
 from .._maths import on_device
 from ..models import AbstractModel
+from ._derived import derived_quantity
 from ._group import recorded_otherwise
 from ._jacobian import BlockJacobian
 from ._labels import labels
@@ -102,6 +103,20 @@ class Optimum:
         """The model at some values, shape (parameter,); of several of a path, their mean."""
         problem = self.state.problem
         return problem.with_values(problem.means(np.asarray(values)[: problem.shared]))
+
+    def derived(self, name: str) -> Callable[[np.ndarray], tuple[float, np.ndarray]]:
+        """A derived quantity, or a tied parameter, of the result.
+
+        Arguments:
+            name: as in `FitResult.derived`.
+
+        Returns:
+            Its value and its gradient as a function of the values of all free parameters.
+
+        Raises:
+            InputError: there is none of this name.
+        """
+        return derived_quantity(self.state.problem, self.values, name)
 
     def at(self, values: np.ndarray) -> Point:
         """Cost, residual and Jacobian at some values within the bounds, shape (parameter,)."""

@@ -45,6 +45,8 @@ class Statistics:
         prior_shares: how much of what is known of a parameter is its prior's: the variance of the
             estimate, were the noise as stated, over that of the prior.
         sources: what each recording is worth, by parameter; see `_sources`.
+        bread: inverse of the second derivative of the cost, columns of `alive`: what the cost says
+            of the parameters, where `covariance` is what the residuals say.
     """
 
     labels: tuple[str, ...]
@@ -65,6 +67,7 @@ class Statistics:
     prior_freedom: float
     prior_shares: dict[int, float] = dataclasses.field(default_factory=dict)
     sources: dict[int, dict[str, float | None]] = dataclasses.field(default_factory=dict)
+    bread: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
 
 
 def statistics(state: FitState) -> Statistics:
@@ -121,6 +124,7 @@ def statistics(state: FitState) -> Statistics:
         prior_freedom=known,
         prior_shares=shares,
         sources=sources(state, jacobian, alive),
+        bread=spread.bread,
     )
 
 

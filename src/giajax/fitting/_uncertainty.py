@@ -19,11 +19,13 @@ class Uncertainty(NamedTuple):
         covariance: shape (parameter, parameter).
         scale: factor on the covariance, 1 unless the residuals exceed the stated noise.
         as_stated: the covariance were the noise as it is stated, of the same shape.
+        bread: inverse of the second derivative of the cost, as Gauss and Newton have it, likewise.
     """
 
     covariance: np.ndarray
     scale: float
     as_stated: np.ndarray
+    bread: np.ndarray
 
 
 def uncertainty(
@@ -77,14 +79,14 @@ def uncertainty(
         scale = max(1.0, reduced) if scaled else 1.0
         bread = inverse_gram(plain)
         if not priors or scale == 1:
-            return Uncertainty(bread * scale, scale, bread)
+            return Uncertainty(bread * scale, scale, bread, bread)
         root = root_of_gram(np.sqrt(scale))
-        return Uncertainty(bread @ (root.T @ root) @ bread, scale, bread)
+        return Uncertainty(bread @ (root.T @ root) @ bread, scale, bread, bread)
     # A residual beyond the corner of the loss has no curvature; the mean keeps A positive.
     bread = inverse_gram(root_of_gram(np.sqrt(mean_curvature)))
     root = root_of_gram(psi * np.sqrt(count / freedom))
     covariance = bread @ (root.T @ root) @ bread
-    return Uncertainty(covariance, 1.0, covariance)
+    return Uncertainty(covariance, 1.0, covariance, bread)
 
 
 def reduced_chi_square(

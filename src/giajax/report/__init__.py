@@ -41,6 +41,11 @@ from ._pages import (
     compare_page as compare_page,
     report_page as report_page,
 )
+from ._profiles import (
+    PROFILE_HEADINGS as PROFILE_HEADINGS,
+    profile_figure as profile_figure,
+    profile_rows as profile_rows,
+)
 from ._reached import Reached as Reached, check_figures as check_figures, reached as reached
 from ._recorded import recorded_figure as recorded_figure
 from ._residuals import residuals_figure as residuals_figure

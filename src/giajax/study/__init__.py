@@ -15,7 +15,7 @@ from ._contrast import (
     contrast as contrast,
 )
 from ._ends import misfit as misfit
-from ._fitted import Fitted as Fitted
+from ._fitted import Fitted as Fitted, fit_key as fit_key
 from ._multi_start import (
     SAME_END as SAME_END,
     SEED as SEED,
@@ -24,6 +24,14 @@ from ._multi_start import (
     solve_from_starts as solve_from_starts,
 )
 from ._planned import planned as planned
+from ._profile import profile as profile, profiles_beside as profiles_beside
+from ._profile_records import (
+    PROFILES as PROFILES,
+    Profile as Profile,
+    ProfilePoint as ProfilePoint,
+    Profiles as Profiles,
+    load_profiles as load_profiles,
+)
 from ._refit import (
     begun_as_fitted as begun_as_fitted,
     begun_where_it_ended as begun_where_it_ended,

@@ -59,13 +59,8 @@ class Fitted:
 
         Times, places of files, versions, and what was asked of a result afterwards do not count.
         """
-        stored = json.loads(self.result.to_json())
-        kept: dict[str, Any] = {
-            key: stored[key] for key in ("model", "config", "parameters", "integration")
-        }
-        kept["runs"] = [{**record, "path": None} for record in stored["runs"]]
-        text = json.dumps(kept, sort_keys=True)
-        return hashlib.sha256((text + content(list(map(_told, self.runs)))).encode()).hexdigest()
+        told = content(list(map(_told, self.runs)))
+        return hashlib.sha256((fit_key(self.result) + told).encode()).hexdigest()
 
     def optimum(self) -> Optimum:
         """Where the fit ended, kept in this process for the tasks to come.
@@ -76,6 +71,19 @@ class Fitted:
         return prepared(
             ("optimum", self.task_key), lambda: optimum_of(self.result, list(self.runs))
         )
+
+
+def fit_key(result: FitResult) -> str:
+    """SHA-256 of what of a result decides its optimum; the runs count by their checksums.
+
+    It says whether a file beside `result.json` is of this fit.
+    """
+    stored = json.loads(result.to_json())
+    kept: dict[str, Any] = {
+        key: stored[key] for key in ("model", "config", "parameters", "integration")
+    }
+    kept["runs"] = [{**record, "path": None} for record in stored["runs"]]
+    return hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()
 
 
 def _told(run: Run) -> tuple[Any, ...]:

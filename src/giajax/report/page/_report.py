@@ -12,7 +12,7 @@ import numpy as np
 from ..._errors import InputError
 from ...fitting import FitResult
 from ...runs import Run
-from ...study import begun_where_it_ended
+from ...study import begun_where_it_ended, profiles_beside
 from ...tasks import repeatable
 from .._files import worth_drawing
 from .._suspects import SUSPECT_HEADINGS, first_suspects, systematic_table
@@ -23,6 +23,7 @@ from ._correlations import correlation_cells
 from ._figures import curve_item
 from ._opening import opening
 from ._plots import Panel, panel, worst_panels
+from ._profiles import profile_part
 from ._render import rendered, some_of
 from ._repetitions import influence_part, repeated_part
 from ._tables import (
@@ -88,6 +89,7 @@ def report_page(
     bands = can_have_bands(result)
     parts = _run_parts(result, runs, predictions, held_out, bands=bands)
     parameters = parameter_rows(result)
+    profiles = None if source is None else profiles_beside(result, source.parent)
     suspects = Table(list(SUSPECT_HEADINGS), first_suspects(result, _MOST_SUSPECTS), 1)
     return rendered(
         "report.html",
@@ -99,6 +101,7 @@ def report_page(
         places={row.path: index for index, row in enumerate(parameters, 1)},
         has_systematic=any(error.stated for error in result.systematic),
         has_sources=any(one.sources for one in result.free.values()),
+        profiles=None if profiles is None else profile_part(profiles, result),
         suspects=suspects,
         systematic=Table(*systematic_table(result), 1) if result.systematic else None,
         parts=parts,
