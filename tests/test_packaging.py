@@ -18,6 +18,7 @@ from giajax.fitting import load_result
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 VERSION = PROJECT["version"]
+EXTRAS = ("bench", "report", "cluster", "posterior", "docs", "test")
 
 
 def pinned(name):
@@ -30,7 +31,7 @@ def pinned(name):
 def lower_bounds():
     """Of what the package needs, and what its tests and its documentation need."""
     extras = PROJECT["optional-dependencies"]
-    several = (extras[name] for name in ("bench", "report", "cluster", "docs", "test"))
+    several = (extras[name] for name in EXTRAS)
     texts = [*PROJECT["dependencies"], *itertools.chain.from_iterable(several)]
     bounds = {}
     for requirement in map(Requirement, texts):

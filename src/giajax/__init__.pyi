@@ -172,6 +172,7 @@ from .simulation import (
 )
 from .study import (
     Comparison as Comparison,
+    Posterior as Posterior,
     Profile as Profile,
     Profiles as Profiles,
     Sensitivity as Sensitivity,
@@ -180,6 +181,7 @@ from .study import (
     load_profiles as load_profiles,
     multi_start as multi_start,
     planned as planned,
+    posterior as posterior,
     profile as profile,
     sensitivity as sensitivity,
 )

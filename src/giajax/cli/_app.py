@@ -26,6 +26,7 @@ from . import (
     _joint,
     _paper,
     _parameters,
+    _posterior,
     _predict,
     _profile,
     _report,
@@ -64,6 +65,8 @@ Examples:
                             many fits: other values, runs or options each time
   giajax profile giajax-out/run
                             how far each parameter can go, bounds and all
+  giajax posterior giajax-out/run
+                            what is known of its parameters, by sampling
   giajax predict --model giajax-out/run --data other.csv
                             how well the fit predicts another run
   giajax choose --data loops.csv
@@ -97,6 +100,7 @@ _COMMANDS: tuple[tuple[Callable[..., None], str], ...] = (
     (_joint.joint, _joint.EXAMPLES),
     (_paper.paper, _paper.EXAMPLES),
     (_parameters.parameters, _parameters.EXAMPLES),
+    (_posterior.posterior, _posterior.EXAMPLES),
     (_predict.predict, _predict.EXAMPLES),
     (_profile.profile, _profile.EXAMPLES),
     (_report.report, _report.EXAMPLES),

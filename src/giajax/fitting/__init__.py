@@ -4,6 +4,11 @@ from ._beginning import Beginning as Beginning, between as between
 from ._budget import Budget as Budget
 from ._conclude import versions as versions
 from ._configuration import Setup as Setup, set_up as set_up
+from ._density import (
+    Density as Density,
+    density_of as density_of,
+    energy_at as energy_at,
+)
 from ._equations import CellEquations as CellEquations, Equations as Equations
 from ._findings import Finding as Finding
 from ._fit import MAX_ITERATIONS as MAX_ITERATIONS, fit as fit, solve as solve

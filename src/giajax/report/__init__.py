@@ -41,6 +41,14 @@ from ._pages import (
     compare_page as compare_page,
     report_page as report_page,
 )
+from ._posterior import (
+    POSTERIOR as POSTERIOR,
+    POSTERIOR_FILES as POSTERIOR_FILES,
+    POSTERIOR_HEADINGS as POSTERIOR_HEADINGS,
+    posterior_files as posterior_files,
+    posterior_rows as posterior_rows,
+)
+from ._posterior_figures import bands_figure as bands_figure, corner_figure as corner_figure
 from ._profiles import (
     PROFILE_HEADINGS as PROFILE_HEADINGS,
     profile_figure as profile_figure,

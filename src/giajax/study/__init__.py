@@ -16,6 +16,7 @@ from ._contrast import (
 )
 from ._ends import misfit as misfit
 from ._fitted import Fitted as Fitted, fit_key as fit_key
+from ._marginal import Marginal as Marginal
 from ._multi_start import (
     SAME_END as SAME_END,
     SEED as SEED,
@@ -24,6 +25,12 @@ from ._multi_start import (
     solve_from_starts as solve_from_starts,
 )
 from ._planned import planned as planned
+from ._posterior import check_posterior as check_posterior, posterior as posterior
+from ._posterior_records import (
+    Band as Band,
+    Posterior as Posterior,
+    PosteriorSummary as PosteriorSummary,
+)
 from ._profile import profile as profile, profiles_beside as profiles_beside
 from ._profile_records import (
     PROFILES as PROFILES,

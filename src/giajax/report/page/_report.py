@@ -23,6 +23,7 @@ from ._correlations import correlation_cells
 from ._figures import curve_item
 from ._opening import opening
 from ._plots import Panel, panel, worst_panels
+from ._posterior import posterior_part
 from ._profiles import profile_part
 from ._render import rendered, some_of
 from ._repetitions import influence_part, repeated_part
@@ -118,6 +119,7 @@ def report_page(
         validation=validation_table(result),
         starts=starts_table(result),
         own=own_table(result),
+        posterior=posterior_part(result, source),
         summary=summary_rows(result),
         files=file_rows(result),
         config=json.dumps(json.loads(result.to_json())["config"], indent=2),

@@ -1,0 +1,193 @@
+"""What is known of the free parameters of a fit beyond its optimum: draws from their posterior."""
+
+import importlib.util
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .._errors import InputError
+from ..execution import Outcome, Task, run_tasks
+from ..fitting import Density, FitResult, Optimum, density_of, energy_at
+from ..runs import Run
+from ._fitted import Fitted
+from ._marginal import marginal
+from ._posterior_bands import bands
+from ._posterior_chain import Begun, chain, heard_by
+from ._posterior_doubts import doubts
+from ._posterior_records import Band, Posterior, PosteriorSummary
+
+# Chains that begin farther apart than the posterior is wide show whether they find together.
+_APART = 1.5
+_ATTEMPTS = 12
+
+
+def posterior(
+    result: FitResult,
+    runs: Run | Sequence[Run],
+    *,
+    chains: int = 4,
+    draws: int = 1000,
+    warmup: int = 500,
+    seed: int = 0,
+    executor: Executor | None = None,
+    folder: str | Path | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Posterior:
+    """Draw from the posterior of the free parameters of a fit, by the No-U-Turn sampler.
+
+    Its density is exp(-cost) with the noise held as it was fitted, and flat in the parameters
+    themselves within their bounds where they have no prior. The cost of the measured values is
+    divided by one number, so that where the density is normal its deviations are the reported
+    standard errors; a robust loss is taken for a density up to a constant. What no channel responds
+    to stays where the fit left it.
+
+    Arguments:
+        result: of a fit.
+        runs: what it was fitted to, in their order.
+        chains: how many, each a task of its own.
+        draws: of each chain that are kept.
+        warmup: transitions before them, which adapt the sampler.
+        seed: of the random numbers.
+        executor: of `giajax.execution`; by default this process, one chain after the other.
+        folder: of a file for each chain, so that the same call goes on where it was stopped.
+        progress: called with the transitions that are done, and how many there will be.
+
+    Returns:
+        Draws, their summary, and bands of every channel. After Ctrl-C of the chains that were done.
+
+    Raises:
+        InputError: these are not its runs; NumPyro is not installed; nothing limits a parameter;
+            a number that cannot be; every chain failed.
+        KeyboardInterrupt: no chain was done when Ctrl-C came.
+
+    Example:
+        >>> result = giajax.load_result("giajax-out/run")  # doctest: +SKIP
+        >>> print(giajax.posterior(result, [run]).summary.parameters)  # doctest: +SKIP
+    """
+    check_posterior(chains=chains, draws=draws, warmup=warmup)
+    fitted = Fitted.of(result, runs)
+    optimum = fitted.optimum()
+    density = density_of(optimum)
+    if not density.places:
+        raise InputError(
+            "no channel responds to what is free in this fit, so nothing can be drawn: free more"
+        )
+    begun = [_begun(density, fitted, number, seed) for number in range(chains)]
+    tasks = [
+        Task(chain, {"begun": one, "number": at, "draws": draws, "warmup": warmup}, seed=seed)
+        for at, one in enumerate(begun)
+    ]
+    told = _Told(progress, chains, draws + warmup)
+    with heard_by(told.moved):
+        outcomes = run_tasks(tasks, executor=executor, folder=folder, progress=told.done)
+    found = [outcome.value for outcome in outcomes if outcome.status == "done"]
+    failed = [outcome.message for outcome in outcomes if outcome.status == "failed"]
+    if not found:
+        if failed:
+            raise InputError(f"no chain was drawn: {failed[0]}")
+        raise KeyboardInterrupt
+    whole = np.stack([np.asarray(one["values"], dtype=float) for one in found])
+    each = bands(result, fitted.runs, optimum, whole.reshape(-1, whole.shape[-1]))
+    samples = whole[..., np.asarray(density.places)]
+    parts: dict[str, Any] = {
+        name: np.stack([np.asarray(one[name]) for one in found])
+        for name in ("energy", "diverging", "steps", "acceptance")
+    }
+    summary = _summary(
+        result,
+        optimum,
+        samples,
+        places=density.places,
+        asked=chains,
+        warmup=warmup,
+        seed=seed,
+        divergences=int(np.sum(parts["diverging"])),
+        scale=float(density.scale),
+        within=_within(fitted.runs, each),
+        failed=failed,
+    )
+    return Posterior(summary=summary, samples=samples, bands=each, **parts)
+
+
+def check_posterior(*, chains: int = 1, draws: int = 8, warmup: int = 0) -> None:
+    """Refuse what cannot be drawn, before anything is computed.
+
+    Raises:
+        InputError: NumPyro is not installed, or a number that cannot be.
+    """
+    if importlib.util.find_spec("numpyro") is None:
+        raise InputError(
+            'a posterior needs NumPyro, which is not installed: pip install "giajax[posterior]"'
+        )
+    for what, number, least in (("chains", chains, 1), ("draws", draws, 8), ("warmup", warmup, 0)):
+        if number < least:
+            raise InputError(f"{what} is {number}, but must be at least {least}")
+
+
+class _Told:
+    """Adds up what chains of this process and of others say that they have done."""
+
+    def __init__(self, progress: Callable[[int, int], None] | None, chains: int, each: int) -> None:
+        self._progress, self._each, self._total = progress, each, chains * each
+        self._finished = self._begun = 0
+
+    def moved(self, transitions: int) -> None:
+        self._begun += transitions
+        self._say(self._finished * self._each + self._begun)
+
+    def done(self, outcome: Outcome, done: int, total: int) -> None:
+        self._finished, self._begun = done, 0
+        self._say(done * self._each)
+
+    def _say(self, transitions: int) -> None:
+        if self._progress is not None:
+            self._progress(transitions, self._total)
+
+
+def _begun(density: Density, fitted: Fitted, number: int, seed: int) -> Begun:
+    """The start of a chain, at which the model can be evaluated if it can be anywhere near."""
+    optimum = fitted.optimum()
+    z = np.random.default_rng([seed, number]).normal(size=len(density.places)) * _APART
+    for _ in range(_ATTEMPTS):
+        energy, gradient = energy_at(density, optimum, z)
+        if np.isfinite(energy):
+            break
+        z = z / 2
+    return Begun(density, z, energy, gradient, fitted.task_key)
+
+
+def _summary(
+    result: FitResult,
+    optimum: Optimum,
+    samples: np.ndarray,
+    *,
+    places: Sequence[int],
+    failed: Sequence[str],
+    **facts: Any,
+) -> PosteriorSummary:
+    marginals = {
+        optimum.labels[place]: marginal(result, optimum, place, samples[..., column])
+        for column, place in enumerate(places)
+    }
+    sentences = doubts(marginals, facts["divergences"], samples, failed, facts["asked"])
+    return PosteriorSummary(
+        parameters=marginals,
+        chains=samples.shape[0],
+        draws=samples.shape[1],
+        cost=result.cost,
+        held=tuple(label for label in optimum.labels if label not in marginals),
+        warnings=tuple(sentences),
+        **facts,
+    )
+
+
+def _within(
+    runs: Sequence[Run], each: Sequence[Mapping[str, Band]]
+) -> dict[str, dict[str, float | None]]:
+    return {
+        run.name: {name: band.within for name, band in by_channel.items()}
+        for run, by_channel in zip(runs, each, strict=True)
+    }

@@ -1,0 +1,69 @@
+"""`giajax posterior`, as users run it, and what a page then shows of it."""
+
+import dataclasses
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from giajax import load_result
+from giajax.cli import main
+from giajax.report.page._posterior import posterior_part
+from page_reader import Page
+
+DATA = Path(__file__).resolve().parents[2] / "data" / "synthetic"
+FEW = ["--draws", "60", "--warmup", "60", "--quiet"]
+
+
+@pytest.fixture(scope="module")
+def fit(tmp_path_factory):
+    """The folder of a fit of a muscle, with two short chains."""
+    folder = tmp_path_factory.mktemp("posterior")
+    for name in ("muscle.csv", "muscle.toml"):
+        shutil.copy(DATA / name, folder / name)
+    out = folder / "fit"
+    run = ["fit", "--data", str(folder / "muscle.csv"), "--out", str(out)]
+    assert main([*run, "--no-figures", "--quiet"]) == 0
+    assert main(["posterior", str(out), "--chains", "2", *FEW]) == 0
+    return out
+
+
+def test_it_writes_what_it_found_beside_the_result(fit, capsys):
+    known = json.loads((fit / "posterior.json").read_text())
+    result = json.loads((fit / "result.json").read_text())
+    free = {path for path, one in result["parameters"].items() if one["free"]}
+    # A muscle at rest says nothing of how its friction begins.
+    assert known["held"] == ["friction.presliding"]
+    assert known["parameters"].keys() == free - {"friction.presliding"}
+    assert (known["chains"], known["draws"], known["cost"]) == (2, 60, result["cost"])
+    for path in known["parameters"]:
+        one, linear = known["parameters"][path], result["parameters"][path]["interval"]
+        assert one["linear"] == pytest.approx(linear)
+        assert linear[0] < one["mean"] < linear[1]
+    assert any("take more draws" in sentence for sentence in known["warnings"])
+    for name in ("posterior.png", "posterior_bands.png", "posterior_bands.csv"):
+        assert (fit / name).stat().st_size > 1000
+    assert main(["posterior", str(fit), "--chains", "2", *FEW]) == 2
+    assert "posterior.json exists" in capsys.readouterr().err
+
+
+def test_more_chains_keep_those_that_are_there_and_a_page_shows_them(fit, tmp_path, capsys):
+    shutil.copytree(fit, tmp_path / "fit")
+    folder = tmp_path / "fit"
+    before = {path.name: path.read_bytes() for path in (folder / "posterior_chains").iterdir()}
+    assert main(["posterior", str(folder), "--chains", "3", "--force", *FEW]) == 0
+    assert "3 chains of 60 draws" in capsys.readouterr().out
+    after = {path.name: path.read_bytes() for path in (folder / "posterior_chains").iterdir()}
+    assert len(after) == 3
+    assert before.items() <= after.items()
+
+    assert main(["report", str(folder), "--quiet"]) == 0
+    page = Page((folder / "report.html").read_bytes())
+    assert "posterior" in page.headings
+    assert "3 chains of 60 draws" in page.text
+    # That of another fit is not shown.
+    result = load_result(folder)
+    other = dataclasses.replace(result, cost=1.01 * result.cost)
+    assert posterior_part(result, folder / "result.json") is not None
+    assert posterior_part(other, folder / "result.json") is None

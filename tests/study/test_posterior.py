@@ -1,0 +1,232 @@
+"""Draws from a posterior: against closed forms, another sampler, and differences."""
+
+import importlib.util
+import sys
+from types import SimpleNamespace
+
+import equinox as eqx
+import numpy as np
+import pytest
+
+import giajax
+from giajax import InputError, Prior
+from giajax.fitting import density_of
+from giajax.fitting._density_scale import check_proper
+from giajax.report import posterior_files
+from giajax.report._posterior import draws_file
+from giajax.study import optimum_of, posterior
+from giajax.study._arviz import as_arviz
+from giajax.study._mixing import mixing
+from giajax.study._posterior import check_posterior
+from toy_model import TRUTH, Decay, run
+
+# Near the optimum of 0.699, which a density that knew no bound would hardly see.
+BOUNDS = {"decay": (0.7005, 9.0)}
+NOISE = 0.01
+
+
+def flat(found):
+    return found.samples.reshape(-1, found.samples.shape[-1])
+
+
+@pytest.fixture(scope="module")
+def line():
+    """What is free counts linearly: its posterior is normal."""
+    recorded = run(seed=4)
+    free = ["amplitude", "offset"]
+    start = {"decay": TRUTH["decay"]}
+    return giajax.fit(Decay(), recorded, free=free, fix=start, noise_model="white"), recorded
+
+
+@pytest.fixture(scope="module")
+def drawn(line):
+    return posterior(*line, chains=3, draws=700, warmup=100)
+
+
+@pytest.fixture(scope="module")
+def bent():
+    """A bound cuts the posterior, and a prior shares in it."""
+    recorded = run(seed=0)
+    priors = {"amplitude": Prior(2.01, deviation=0.004)}
+    settings = {"bounds": BOUNDS, "priors": priors, "noise_model": "white"}
+    free = ["amplitude", "decay"]
+    start = {"decay": 0.9}
+    fix = {"offset": TRUTH["offset"]}
+    return giajax.fit(Decay(), recorded, free=free, start=start, fix=fix, **settings), recorded
+
+
+def test_of_a_linear_model_it_is_the_normal_distribution_of_least_squares(line, drawn):
+    recorded = line[1]
+    columns = np.stack([np.exp(-0.7 * recorded.times), np.ones(len(recorded.times))], 1)
+    heights = recorded.observations["tip_z"]
+    best, squares, *_ = np.linalg.lstsq(columns, heights, rcond=None)
+    # As the standard errors: those of the noise, unless the residuals exceed it.
+    scale = max(1.0, squares[0] / NOISE**2 / (len(heights) - 2))
+    covariance = np.linalg.inv(columns.T @ columns) * NOISE**2 * scale
+    errors = np.sqrt(np.diag(covariance))
+    draws = flat(drawn)
+    known = [one.ess_bulk for one in drawn.summary.parameters.values()]
+    assert min(known) > 1000
+    assert drawn.summary.warnings == ()
+    off = (draws.mean(axis=0) - best) / errors
+    assert np.all(np.abs(off) < 4 / np.sqrt(min(known)))
+    np.testing.assert_allclose(np.cov(draws.T), covariance, rtol=0.12)
+    for one in drawn.summary.parameters.values():
+        np.testing.assert_allclose(one.interval, one.linear, atol=0.15 * one.deviation)
+
+
+def test_each_channel_has_a_band_that_holds_what_was_recorded(line, drawn):
+    _, recorded = line
+    (by_channel,) = drawn.bands
+    band = by_channel["tip_z"]
+    spread = np.exp(-0.7 * recorded.times)[None] * flat(drawn)[:, :1] + flat(drawn)[:, 1:]
+    np.testing.assert_allclose(band.high - band.low, 3.92 * spread.std(axis=0), rtol=0.25)
+    low, high = band.with_noise()
+    np.testing.assert_allclose(high - low, 3.92 * NOISE, rtol=0.1)
+    assert 0.85 < band.within <= 1
+
+
+def test_the_gradient_is_that_of_differences(bent):
+    """Of the noise, the prior and the map of the bound together."""
+    density = density_of(optimum_of(bent[0], [bent[1]]))
+    at = eqx.filter_jit(density.at)
+    z = np.array([0.4, -1.3])
+    _, gradient = at(z)
+    for index, step in enumerate(1e-5 * np.eye(2)):
+        difference = (at(z + step)[0] - at(z - step)[0]) / 2e-5
+        np.testing.assert_allclose(gradient[index], difference, rtol=1e-6)
+
+
+def test_another_sampler_finds_the_same_posterior_at_a_bound(bent):
+    """The affine-invariant ensemble of emcee, of a density that is written here anew."""
+    import emcee
+
+    result, recorded = bent
+    found = posterior(result, recorded, chains=2, draws=1400, warmup=160)
+    times, heights = recorded.times, recorded.observations["tip_z"]
+    scale = found.summary.scale
+
+    def log_density(values):
+        amplitude, decay = values
+        if not 0.7005 < decay < 9:
+            return -np.inf
+        off = (amplitude * np.exp(-decay * times) + 0.3 - heights) / NOISE
+        return -np.sum(off**2) / 2 / scale - ((amplitude - 2.01) / 0.004) ** 2 / 2
+
+    rng = np.random.default_rng(1)
+    begun = np.column_stack([rng.normal(2.0, 0.003, 12), rng.uniform(0.7006, 0.704, 12)])
+    sampler = emcee.EnsembleSampler(12, 2, log_density)
+    sampler.random_state = np.random.RandomState(1).get_state()
+    sampler.run_mcmc(begun, 4500)
+    other = sampler.get_chain(discard=500, flat=True)
+    quantiles = (5, 25, 50, 75, 95)
+    ours, theirs = (np.percentile(each, quantiles, axis=0) for each in (flat(found), other))
+    np.testing.assert_allclose((ours - theirs) / other.std(axis=0), 0, atol=0.16)
+    # What the linear interval does not know: the density is one-sided.
+    decay = found.summary.parameters["decay"]
+    assert decay.interval[0] > 0.7005
+    assert (decay.interval[1] - decay.mean) > 1.4 * (decay.mean - decay.interval[0])
+
+
+def test_after_a_stop_it_goes_on(line, drawn, tmp_path):
+    done = []
+
+    def stop(transitions, total):
+        done.append(transitions)
+        if transitions > 900:
+            raise KeyboardInterrupt
+
+    settings = {"chains": 3, "draws": 700, "warmup": 100, "folder": tmp_path}
+    first = posterior(*line, **settings, progress=stop)
+    assert first.samples.shape == (1, 700, 2)
+    assert "2 of 3 chains were not drawn" in first.summary.warnings[0]
+    assert len(list(tmp_path.iterdir())) == 1
+    again = posterior(*line, **settings, progress=lambda *each: done.append(each))
+    assert len(list(tmp_path.iterdir())) == 3
+    # The file of the first chain is used, and all are those of a run that nobody stopped.
+    assert done[-1] == (2400, 2400)
+    assert sum(isinstance(each, tuple) for each in done) < 100
+    np.testing.assert_array_equal(again.samples, drawn.samples)
+    with pytest.raises(KeyboardInterrupt):
+        posterior(*line, chains=1, draws=700, warmup=100, seed=1, progress=stop_at_once)
+
+
+def stop_at_once(transitions, total):
+    raise KeyboardInterrupt
+
+
+def test_arviz_reads_the_draws_back(line, drawn, tmp_path):
+    arviz = pytest.importorskip("arviz")
+    files = posterior_files(drawn, line[0], [line[1]])
+    (tmp_path / "draws.nc").write_bytes(files["posterior.nc"])
+    back = arviz.from_netcdf(str(tmp_path / "draws.nc"))
+    np.testing.assert_array_equal(back["posterior"]["offset"].values, drawn.samples[..., 1])
+    assert back["sample_stats"]["diverging"].values.shape == (3, 700)
+    assert files["posterior_bands.csv"].decode().count("\n") == 61
+
+
+def test_the_next_arviz_takes_the_draws_too(drawn):
+    """`arviz_base` is what ArviZ 1 makes its data with."""
+    base = pytest.importorskip("arviz_base")
+    tree = as_arviz({"offset": drawn.draws_of("offset")}, {"lp": -drawn.energy}, base)
+    assert type(tree).__name__ == "DataTree"
+    np.testing.assert_array_equal(tree["posterior"]["offset"].values, drawn.samples[..., 1])
+
+
+def test_without_arviz_the_draws_are_numpys(drawn, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "arviz", None)
+    with pytest.raises(InputError, match=r"ArviZ is not installed.*giajax\[posterior\]"):
+        drawn.to_arviz()
+    name, content = draws_file(drawn)
+    (tmp_path / name).write_bytes(content)
+    back = np.load(tmp_path / "posterior.npz")
+    assert list(back["parameters"]) == ["amplitude", "offset"]
+    np.testing.assert_array_equal(back["samples"], drawn.samples)
+
+
+@pytest.mark.quick
+def test_without_numpyro_one_sentence_says_what_to_do(monkeypatch):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(InputError, match=r'needs NumPyro.*pip install "giajax\[posterior\]"'):
+        check_posterior()
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize("rho", [0.0, 0.8, -0.4])
+def test_effective_draws_of_an_autoregression_are_as_many_as_they_are(rho):
+    """(1 - rho) / (1 + rho) of all draws; R-hat sees a chain that is elsewhere."""
+    rng = np.random.default_rng(7)
+    draws = np.zeros((4, 5000))
+    for at in range(1, 5000):
+        draws[:, at] = rho * draws[:, at - 1] + rng.normal(size=4)
+    known = mixing(draws)
+    assert known.ess_bulk == pytest.approx(20_000 * (1 - rho) / (1 + rho), rel=0.1)
+    assert known.r_hat < 1.005
+    draws[0] += draws.std()
+    assert mixing(draws).r_hat > 1.05
+    assert mixing(draws).ess_bulk < 50
+
+
+@pytest.mark.quick
+def test_mixing_is_as_arviz_has_it():
+    arviz = pytest.importorskip("arviz")
+    if not arviz.__version__.startswith("0."):
+        pytest.skip("ArviZ 1 takes no plain arrays")
+    draws = np.random.default_rng(0).standard_t(3, size=(4, 400)).cumsum(axis=1) * 0.02
+    draws += np.random.default_rng(1).normal(size=(4, 400))
+    known = mixing(draws)
+    assert known.r_hat == pytest.approx(float(arviz.rhat(draws)), rel=1e-6)
+    assert known.ess_bulk == pytest.approx(float(arviz.ess(draws)), rel=0.03)
+    assert known.ess_tail == pytest.approx(float(arviz.ess(draws, method="tail")), rel=0.03)
+
+
+@pytest.mark.quick
+def test_what_nothing_limits_has_no_posterior():
+    """A start is free from below; a share is not, and is limited by its bounds."""
+    known = SimpleNamespace(
+        labels=("mass", "start", "share"), standard_errors={0: 0.1}, alive=np.arange(3)
+    )
+    lower, upper = np.array([0.0, 0.0, 0.0]), np.array([np.inf, np.inf, 1.0])
+    with pytest.raises(InputError, match="neither data nor two bounds limit start: hold it"):
+        check_proper(known, lower, upper)
+    check_proper(known, lower, np.array([np.inf, 5.0, 1.0]))
