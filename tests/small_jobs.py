@@ -1,6 +1,7 @@
 """Functions for tasks: quick, and found by name in every process."""
 
 import os
+import signal
 import time
 from pathlib import Path
 
@@ -50,6 +51,7 @@ def settings():
         "wide": bool(jax.config.jax_enable_x64),
         "cores": os.environ.get("GIAJAX_CORES"),
         "cache": str(jax.config.jax_compilation_cache_dir),
+        "minds_ctrl_c": signal.getsignal(signal.SIGINT) is not signal.SIG_IGN,
     }
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import small_jobs
 from giajax import InputError
-from giajax.execution import Task, prepared, read_outcome, run_tasks
+from giajax.execution import InProcess, Task, prepared, read_outcome, run_tasks
 
 pytestmark = pytest.mark.quick
 
@@ -119,6 +119,19 @@ def test_values_are_as_json_gives_them_back(tmp_path):
     assert read_outcome(tmp_path, task.key).value == run_tasks([task])[0].value
     odd = run_tasks([Task("builtins:object")])[0]
     assert odd.message.endswith("a task returned object, which JSON has no form for")
+
+
+class Elsewhere(InProcess):
+    """A worker that does not see the folder."""
+
+    def submit(self, function, task, folder, *words):
+        return super().submit(function, task, None, *words)
+
+
+def test_what_a_worker_cannot_write_is_written_here(tmp_path):
+    (task,) = tasks_of(small_jobs.double, [3])
+    outcomes = run_tasks([task], executor=Elsewhere(), folder=tmp_path / "new")
+    assert read_outcome(tmp_path / "new", task.key) == outcomes[0]
 
 
 def test_ctrl_c_keeps_what_is_done(tmp_path):

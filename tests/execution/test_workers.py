@@ -20,6 +20,7 @@ def test_processes(tmp_path, monkeypatch):
         wide = run_tasks([Task(small_jobs.settings)], executor=executor)[0]
         assert wide.value["wide"] is True
         assert wide.value["cores"] == "1"
+        assert not wide.value["minds_ctrl_c"]
         assert wide.value["cache"] == os.environ["JAX_COMPILATION_CACHE_DIR"]
         assert "GIAJAX_CORES" not in os.environ
 
