@@ -1,10 +1,8 @@
 """Many tasks on many workers: each by a key of its content, with a file of its own, resumable.
 
-    tasks = [Task("giajax.study:refit", {"path": path}, seed=0) for path in paths]
-    with open_executor(workers=2) as executor:
-        outcomes = run_tasks(tasks, executor=executor, folder="refits")
-
-It knows nothing of fits. What a function prepares for several tasks it has kept by `prepared`.
+A `Task` is a call of a function; `run_tasks` does many of them by the executor of `open_executor`,
+or any other, and keeps what is done in a folder. What a function prepares for several tasks it has
+kept by `prepared`. Nothing here knows of fits.
 """
 
 from ._executors import (
