@@ -85,6 +85,7 @@ def test_a_run_that_has_moved_or_changed(folder, tmp_path, capsys):
     [
         (["none"], "does not exist"),
         (["{fit}", "--held-out", "x.csv"], "add --ladder"),
+        (["{fit}", "--tries", "3"], "add --ladder"),
         (["{fit}", "--each", "muscle.diameter"], "has no elements to be asked for"),
         (["{fit}", "--uncertainty", "muscle.diameter"], "must be PATH=VALUE"),
         (["{fit}", "--uncertainty", "muscle.diameter=0"], "is not positive: give"),

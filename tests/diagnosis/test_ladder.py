@@ -7,10 +7,10 @@ import pytest
 from curves import curve, recorded
 from test_suspects import FREE, fitted
 
-from giajax import fit, ladder, suspects
+from giajax import InputError, fit, ladder, suspects
 from giajax.diagnosis import Rung
 from giajax.diagnosis._axes import all_axes, name_of, turned_back
-from giajax.diagnosis._ladder import _spare
+from giajax.diagnosis._ladder import _best_step, _spare
 from giajax.noise import by_second_differences
 from giajax.runs import parted
 from giajax.study import refit
@@ -107,6 +107,24 @@ def test_a_refit_begins_where_the_fit_ended():
                 start={"amplitude": 1.5, "decay": 0.9, "rub": 0.1}, check=False)  # fmt: skip
     assert freed.parameters["rub"].value == pytest.approx(whole.parameters["rub"].value, rel=1e-3)
     assert freed.status == "converged"
+
+
+def test_of_several_that_are_tried_the_lowest_bic_is_taken():
+    """What a test promises is not what a fit keeps: here the order of the tests is a wrong one."""
+    recording = recorded(late=0.05, seed=2)
+    result = fitted(recording)
+    found = suspects(result, recording)
+    promising = [found.of("weights"), found.of("shift[1]"), found.of("late")]
+    taken = {
+        tries: _best_step(result, [recording], [], promising, tries)[0].suspect.path
+        for tries in (1, 2)
+    }
+    # All weights in proportion are no parameter of a fit, and no try.
+    assert taken == {1: "shift[1]", 2: "late"}
+    steps = ladder(result, recording, tries=2)
+    assert [rung.suspect.path for rung in steps.rungs[1:]] == ["late"]
+    with pytest.raises(InputError, match="0 suspects cannot be tried"):
+        ladder(result, recording, tries=0)
 
 
 @pytest.mark.quick

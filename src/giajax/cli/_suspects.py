@@ -18,6 +18,7 @@ EXAMPLES = """\b
 Examples:
   giajax suspects giajax-out/run
   giajax suspects giajax-out/run --ladder
+  giajax suspects giajax-out/run --ladder --tries 3
   giajax suspects giajax-out/run --ladder --held-out other.csv
   giajax suspects giajax-out/run --systematic --uncertainty links.mass=0.002
   giajax suspects giajax-out/run --json
@@ -25,7 +26,8 @@ Examples:
 \b
 RESULT is the folder of a fit, or its result.json. The runs are read again from
 where they were. The most promising suspect comes first: what lowers chi-square most.
---ladder fits it, asks again, and so on, as long as BIC falls."""
+--ladder fits it, asks again, and so on, as long as BIC falls; with --tries it fits
+the first few at each step, and takes the one whose fit has the lowest BIC."""
 
 
 def suspects(
@@ -59,6 +61,10 @@ def suspects(
     most: Annotated[
         int, typer.Option(metavar="N", min=1, help="Rows of the table and steps of the ladder.")
     ] = 8,
+    tries: Annotated[
+        int,
+        typer.Option(metavar="N", min=1, help="Suspects that each step of the ladder fits."),
+    ] = 1,
     out: Annotated[
         Path | None,
         typer.Option(metavar="FILE.json", help="Write the result with its suspects there."),
@@ -79,6 +85,8 @@ def suspects(
         check_output_files([out], force=force)
     if held_out and not ladder:
         raise typer.BadParameter("--held-out judges the fits of a ladder: add --ladder")
+    if tries > 1 and not ladder:
+        raise typer.BadParameter("--tries is how many fits a step of a ladder makes: add --ladder")
     renamed = parse_rename(rename or [])
 
     from ..tasks import fitted_runs, held_out_runs, stored_result
@@ -105,7 +113,7 @@ def suspects(
     if ladder:
         others += held_out_runs(fitted, data or [], rename=renamed)
         said = None if quiet else _say
-        steps = climb(fitted, runs, held_out=others, most=most, progress=said)
+        steps = climb(fitted, runs, held_out=others, most=most, tries=tries, progress=said)
         if not (as_json or quiet):
             _show_ladder(steps)
     if out is not None:

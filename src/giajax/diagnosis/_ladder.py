@@ -31,6 +31,7 @@ def ladder(
     *,
     held_out: Sequence[Run] = (),
     most: int = MOST,
+    tries: int = 1,
     progress: Callable[[Rung], None] | None = None,
 ) -> Ladder:
     """Fit the most promising suspect, ask again, and so on.
@@ -40,6 +41,10 @@ def ladder(
     back to the value that it was held at is held again. It ends where no suspect is significant,
     or where what is tried makes BIC larger. A suspect that is one number for many elements
     (the mass of all links) is no single parameter of a fit, and is passed over.
+
+    What a test promises is the first step of a fit. With `tries` above 1 so many of the first
+    suspects are fitted at each step, each by itself, and the one whose fit has the lowest BIC is
+    taken; the step takes so many times as long.
 
     All fits are compared by one likelihood: that of the loss of the fit, with white noise that is
     the same for both. It is what the runs state, or else what second differences of the residuals
@@ -51,14 +56,17 @@ def ladder(
         runs: the runs that were fitted, in their order.
         held_out: further runs, or what was held out of the fitted ones; no rung is fitted to it.
         most: how many steps.
+        tries: how many suspects are fitted at each step.
         progress: called with each rung as soon as it is there.
 
     Returns:
         The rungs, side by side.
 
     Raises:
-        InputError: as `giajax.suspects`.
+        InputError: as `giajax.suspects`, or `tries` is below 1.
     """
+    if tries < 1:
+        raise InputError(f"{tries} suspects cannot be tried at each step: give 1 or more")
     several, apart = matching_runs(result, runs), list(held_out)
     fits: list[Measured] = []
     asked: list[Suspects | None] = []
@@ -73,24 +81,15 @@ def ladder(
     ending = f"{most} steps were allowed"
     for _ in range(most):
         asked[-1] = found = suspects(fits[-1].result, several)
-        step: tuple[FitResult, list[Run], list[Run]] | None = None
-        tried: Measured | None = None
-        for suspect in found.significant:
-            if not _is_one(fits[-1].result.model, suspect):
-                continue
-            try:
-                step = _with(fits[-1].result, several, apart, suspect)
-                tried = Measured.of(*step, suspect)
-                break
-            except InputError:  # It cannot be evaluated so; the next one may be.
-                continue
-        if step is None or tried is None:
+        step = _best_step(fits[-1].result, several, apart, found.significant, tries)
+        if step is None:
             ending = "no suspect that could be freed is significant"
             break
+        tried, fitted_to, held = step
         if not _is_better(tried, fits[-1], tried.noise):
-            ending = f"{suspect.path} was tried, and makes BIC larger"
+            ending = f"{tried.rung(tried.noise).change} was tried, and makes BIC larger"
             break
-        _, several, apart = step
+        several, apart = fitted_to, held
         climb(tried)
         for spare in _spare(fits):
             assert spare.value is not None
@@ -107,6 +106,34 @@ def ladder(
         for fit, found in zip(fits, asked, strict=True)
     ]
     return Ladder(tuple(rungs), ending)
+
+
+def _best_step(
+    result: FitResult,
+    runs: Sequence[Run],
+    apart: Sequence[Run],
+    promising: Sequence[Suspect],
+    tries: int,
+) -> tuple[Measured, list[Run], list[Run]] | None:
+    """Of the first so many suspects that can be fitted, the fit of the lowest BIC.
+
+    It comes with the runs and those held out as it sees them; None where none can be fitted.
+    """
+    fits: list[tuple[Measured, list[Run], list[Run]]] = []
+    for suspect in promising:
+        if len(fits) == tries:
+            break
+        if not _is_one(result.model, suspect):
+            continue
+        try:
+            step = _with(result, runs, apart, suspect)
+            fits.append((Measured.of(*step, suspect), step[1], step[2]))
+        except InputError:  # It cannot be evaluated so; the next one may be.
+            continue
+    if not fits:
+        return None
+    noise = max((fit for fit, _, _ in fits), key=lambda fit: fit.moved.size).noise
+    return min(fits, key=lambda one: one[0].rung(noise).bic)
 
 
 def _is_better(one: Measured, other: Measured, noise: Noise) -> bool:
