@@ -15,6 +15,7 @@ from ._kills import KILLS
 from ._ladder import LADDER
 from ._noise import NOISE
 from ._page import PAGE as PAGE, page as page
+from ._profile import PROFILE
 from ._record import (
     FOLDER as FOLDER,
     ROOT as ROOT,
@@ -26,5 +27,5 @@ from ._study import Study as Study
 from ._suspects import SUSPECTS
 from ._sweep import SWEEP
 
-_ALL = (COVERAGE, NOISE, KILLS, SUSPECTS, LADDER, BOOTSTRAP, INFLUENCE, SWEEP)
+_ALL = (COVERAGE, NOISE, KILLS, SUSPECTS, LADDER, BOOTSTRAP, INFLUENCE, PROFILE, SWEEP)
 STUDIES = {study.name: study for study in _ALL}

@@ -3,6 +3,7 @@
 import math
 
 import pytest
+from scipy.stats import binomtest
 
 from evidence import FOLDER, PAGE, STUDIES, page, read
 from evidence._coverage import p_value
@@ -101,6 +102,21 @@ def test_the_ladder_leads_to_what_acts_on_a_link_for_its_mass():
     # With the masses free, too, neither has an error.
     assert "only_combinations" in figures["scale"]["findings"]
     assert {"links.mass[0]", drag, stiffness} <= set(figures["scale"]["without_error"])
+
+
+@pytest.mark.quick
+def test_profiles_agree_with_errors_where_these_are_right_and_hold_the_truth_where_not():
+    """Within 10 % on a fit that is determined well; at a bound and in a valley that bends."""
+    _, figures = figures_of("profile")
+    for path, (low, high) in figures.pop("base_step").items():
+        assert max(abs(low), abs(high)) < 0.1, path
+    for case, each in figures.items():
+        for path, one in each.items():
+            chance = binomtest(one["by_profile"], one["fits"], 0.95, "less").pvalue
+            assert chance > 0.01, f"{case}, {path}"
+    # What lies beyond the bound is not counted, and in the valley the error is too small.
+    assert figures["a bound"]["slope"]["width"] < 0.8
+    assert figures["a bent valley"]["amplitude"]["width"] > 1.1
 
 
 def is_within(one):

@@ -1,0 +1,187 @@
+"""Profiles against standard errors: the same where a fit is determined well, and right where not.
+
+A recording of an arm that determines its parameters well: how far the two intervals differ. Then
+two models in closed form, whose recordings differ in their noise alone: how often each of the two
+95 % intervals holds the truth, and how wide it is. One has a parameter whose truth is its bound, so
+that half of the estimates are on it; the other a valley that bends, because a slow decay is
+recorded for hardly more than its time.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ._record import ROOT
+from ._study import Figures, Study
+
+# Of a disagreement by chance, for each of a dozen comparisons.
+PROBABILITY = 1e-4
+
+BASE_STEP = ROOT / "fits" / "base_step.toml"
+DETERMINED = ("joints.pitch_stiffness", "joints.damping", "air.drag_coefficient")
+
+BEND = {"offset": 0.3, "slope": 0.2, "bend": 0.0}
+DECAY = {"amplitude": 2.0, "rate": 0.5, "offset": 0.3}
+
+
+def run(size: int, seed: int) -> Figures:
+    """Figures of the recording, and of `size` fits of either model."""
+    return {"base_step": _agreement(), **closed_forms(size, seed)}
+
+
+def closed_forms(size: int, seed: int) -> Figures:
+    """Figures of `size` fits of either model, without the arm."""
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    from ._profile_models import Bend, Decay
+
+    return {
+        "a bound": _coverage(Bend(), BEND, ("slope", "bend"), 4.0, 0.05, [seed, 0], size),
+        "a bent valley": _coverage(
+            Decay(), DECAY, ("amplitude", "offset"), 2.4, 0.15, [seed, 1], size
+        ),
+    }
+
+
+def _agreement() -> Figures:
+    """By how much the ends of the two intervals of the arm differ, in half widths."""
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    import giajax
+
+    task = giajax.FitTask.load(BASE_STEP)
+    result = task.run()
+    profiles = giajax.profile(result, task.prepare().runs, DETERMINED)
+    figures = {}
+    for path in DETERMINED:
+        found = profiles[path]
+        assert found.linear is not None
+        half = (found.linear[1] - found.linear[0]) / 2
+        off = [
+            (by_profile - by_error) / half
+            for by_profile, by_error in zip(found.interval, found.linear, strict=True)
+            if by_profile is not None
+        ]
+        figures[path] = [round(float(each), 4) for each in off]
+    return figures
+
+
+def _coverage(
+    model: Any,
+    truth: Mapping[str, float],
+    asked: Sequence[str],
+    seconds: float,
+    noise: float,
+    entropy: list[int],
+    size: int,
+) -> Figures:
+    """How often either interval of each parameter holds the truth, and their widths."""
+    import giajax
+
+    times = np.linspace(0.0, seconds, 40)
+    exact = np.asarray(model.height(times, **truth))
+    within = {path: [0, 0] for path in asked}
+    widths: dict[str, list[tuple[float, float]]] = {path: [] for path in asked}
+    missing = dict.fromkeys(asked, 0)
+    fits = 0
+    for number in range(size):
+        rng = np.random.default_rng([*entropy, number])
+        recorded = giajax.Run.from_arrays(
+            times,
+            {"tip_z": exact + noise * rng.normal(size=len(times))},
+            noise={"position": noise},
+            definition={"free_motion": True},
+        )
+        result = giajax.fit(model, recorded, noise_model="white", check=False)
+        if result.status != "converged":
+            continue
+        fits += 1
+        for path, found in giajax.profile(result, recorded, asked).profiles.items():
+            true = truth[path]
+            if found.linear is not None:
+                within[path][0] += found.linear[0] <= true <= found.linear[1]
+            low, high = found.interval
+            missing[path] += low is None or high is None
+            # An end that the data do not give leaves nothing out.
+            low, high = (-np.inf if low is None else low), (np.inf if high is None else high)
+            within[path][1] += low <= true <= high
+            if found.linear is not None and np.isfinite(high - low):
+                widths[path].append((found.linear[1] - found.linear[0], high - low))
+    return {
+        path: {
+            "truth": truth[path],
+            "fits": fits,
+            "by_error": within[path][0],
+            "by_profile": within[path][1],
+            "without_an_end": missing[path],
+            "width": round(float(np.median([b / a for a, b in widths[path]])), 3),
+        }
+        for path in asked
+    }
+
+
+def disagreements(stored: Figures, new: Figures) -> list[str]:
+    """Shares that cannot have one probability, and an arm whose intervals have moved."""
+    from scipy.stats import fisher_exact
+
+    sentences = []
+    for case, before in stored.items():
+        if case not in new:
+            continue
+        for path, old in before.items():
+            now, where = new[case][path], f"{case}, {path}"
+            if case == "base_step":
+                if not np.allclose(old, now, atol=0.01):
+                    sentences.append(f"{where}: the ends differ by {now}, and did by {old}")
+                continue
+            for key in ("by_error", "by_profile"):
+                table = [[each[key], each["fits"] - each[key]] for each in (old, now)]
+                if fisher_exact(table).pvalue < PROBABILITY:
+                    sentences.append(
+                        f"{where}: {now[key]} of {now['fits']} {key.replace('_', ' ')}, and "
+                        f"{old[key]} of {old['fits']} were within"
+                    )
+    return sentences
+
+
+def table(figures: Figures) -> list[str]:
+    """A row for each parameter."""
+    rows = [
+        "| fitted | parameter | truth within, by the error | truth within, by profile "
+        "| median width of the profile's, over the other |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for case, each in figures.items():
+        if case == "base_step":
+            continue
+        for path, one in each.items():
+            shares = [f"{100 * one[key] / one['fits']:.1f} %" for key in ("by_error", "by_profile")]
+            rows.append(f"| {case} | `{path}` | {' | '.join(shares)} | {one['width']:.2f} |")
+    rows += [
+        "",
+        "| the demonstration run | lower ends differ by | upper ends differ by |",
+        "| --- | --- | --- |",
+    ]
+    for path, (low, high) in figures["base_step"].items():
+        rows.append(f"| `{path}` | {100 * low:.1f} % | {100 * high:.1f} % |")
+    return rows
+
+
+PROFILE = Study(
+    name="profile",
+    meaning=(
+        "Intervals by the standard error and by profile. Of two models in closed form, one with "
+        "a parameter whose truth is its bound and one with a valley that bends: how often either "
+        "95 % interval holds the truth. Of the demonstration run, which determines its "
+        "parameters well: how far their ends differ, in half widths."
+    ),
+    size=200,
+    seed=1,
+    run=run,
+    disagreements=disagreements,
+    table=table,
+    part=closed_forms,
+)

@@ -1,0 +1,88 @@
+"""Two models in closed form for the study of profiles."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Self
+
+import jax.numpy as jnp
+
+from giajax._typing import Array, Scalar
+from giajax.models import AbstractDirectModel, Channels, Derived
+from giajax.parameters import parameter
+from giajax.runs import Run
+
+
+class _Curve(AbstractDirectModel):
+    """tip_z as a function of time, without anything else that a model may say of itself."""
+
+    @classmethod
+    def for_runs(cls, runs: Sequence[Run]) -> Self:
+        return cls()
+
+    @classmethod
+    def from_definition(cls, definition: Mapping[str, Any]) -> Self:
+        return cls()
+
+    def definition(self) -> dict[str, Any]:
+        return {}
+
+    def scene(self, run: Run) -> None:
+        return None
+
+    def refined(self, factor: float) -> Self:
+        return self
+
+    def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
+        return self
+
+    def derived(self) -> dict[str, Derived]:
+        return {}
+
+    def failure(self, inputs: Array) -> str:
+        return "it is not finite: choose other values"
+
+    def conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
+        return []
+
+    def prepare(self, run: Run) -> Array:
+        return jnp.asarray(run.times)
+
+    def predict(self, inputs: Array, channels: tuple[str, ...]) -> tuple[Channels, Array]:
+        values = {name: getattr(self, name) for name in self.names}
+        height = self.height(inputs, **values)
+        return dict.fromkeys(channels, height), jnp.all(jnp.isfinite(height))
+
+    names: ClassVar[tuple[str, ...]]
+
+    @staticmethod
+    def height(times: Any, **values: Any) -> Any:
+        raise NotImplementedError
+
+
+class Bend(_Curve):
+    """A parabola that does not bend downwards; linear in its parameters."""
+
+    kind: ClassVar[str] = "bend"
+    names: ClassVar[tuple[str, ...]] = ("offset", "slope", "bend")
+
+    offset: Scalar = parameter(0.1, unit="m", doc="height", frozen=False)
+    slope: Scalar = parameter(0.1, unit="m/s", doc="rate", frozen=False)
+    bend: Scalar = parameter(0.1, unit="m/s^2", lower=0, doc="bend", frozen=False)
+
+    @staticmethod
+    def height(times: Any, **values: Any) -> Any:
+        return values["offset"] + values["slope"] * times + values["bend"] * times**2
+
+
+class Decay(_Curve):
+    """An exponential and where it goes, which a short record hardly tells apart."""
+
+    kind: ClassVar[str] = "decay"
+    names: ClassVar[tuple[str, ...]] = ("amplitude", "rate", "offset")
+
+    amplitude: Scalar = parameter(1.0, unit="m", lower=0, doc="height at the start", frozen=False)
+    rate: Scalar = parameter(1.0, unit="1/s", lower=0, upper=9, doc="rate", frozen=False)
+    offset: Scalar = parameter(0.1, unit="m", doc="height at the end", frozen=False)
+
+    @staticmethod
+    def height(times: Any, **values: Any) -> Any:
+        return values["amplitude"] * jnp.exp(-values["rate"] * times) + values["offset"]
