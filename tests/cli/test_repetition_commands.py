@@ -1,12 +1,14 @@
 """`giajax bootstrap` and `giajax influence`: a stored fit is repeated, by its files."""
 
+import dataclasses
 import json
 import shutil
 from pathlib import Path
 
 import pytest
 
-from giajax.cli import main
+from giajax import load_result, read_run
+from giajax.cli import _bootstrap, main
 from giajax.repetitions import Bootstrap, Influence
 
 EARLIER = Path(__file__).resolve().parents[1] / "earlier" / "hysteresis"
@@ -56,6 +58,21 @@ def test_what_spans_do_is_told_and_drawn(folder, capsys):
     assert (folder / "influence.png").read_bytes()[:4] == b"\x89PNG"
     assert main(words) == 2
     assert "exists and is not written over" in capsys.readouterr().err
+
+
+def test_a_self_test_is_written_beside_the_result_or_says_why_not(
+    folder, tmp_path, capsys, monkeypatch
+):
+    """What `giajax fit --self-test` does when the fit has ended."""
+    monkeypatch.setattr(_bootstrap, "_SELF_TEST", 3)
+    result, run = load_result(folder), read_run(folder / "run.csv")
+    files = _bootstrap.self_test(result, [run], tmp_path, shown=True)
+    assert files == [tmp_path / "bootstrap.json", tmp_path / "bootstrap.png"]
+    assert Bootstrap.of_json(files[0].read_bytes()).size == 3
+    assert "3 of 3 fits came back (100 %)" in capsys.readouterr().out
+    stopped = dataclasses.replace(result, status="not_converged")
+    assert _bootstrap.self_test(stopped, [run], tmp_path, shown=False) == []
+    assert "no self-test: the fit did not converge" in capsys.readouterr().err
 
 
 @pytest.mark.quick
