@@ -15,6 +15,7 @@ from ._kills import KILLS
 from ._ladder import LADDER
 from ._noise import NOISE
 from ._page import PAGE as PAGE, page as page
+from ._posterior import POSTERIOR
 from ._profile import PROFILE
 from ._record import (
     FOLDER as FOLDER,
@@ -27,5 +28,5 @@ from ._study import Study as Study
 from ._suspects import SUSPECTS
 from ._sweep import SWEEP
 
-_ALL = (COVERAGE, NOISE, KILLS, SUSPECTS, LADDER, BOOTSTRAP, INFLUENCE, PROFILE, SWEEP)
+_ALL = (COVERAGE, NOISE, KILLS, SUSPECTS, LADDER, BOOTSTRAP, INFLUENCE, PROFILE, SWEEP, POSTERIOR)
 STUDIES = {study.name: study for study in _ALL}

@@ -1,0 +1,234 @@
+"""Posterior: whether draws are what they are said to be, where a linear interval is and is not.
+
+Where a fit is well determined, intervals of `giajax.posterior` are compared with those of the
+Jacobian: growth that is recorded to its end, and loops of a play operator, which are linear in its
+weights, so that these are its closed form. Where it is not, truths are drawn from the prior,
+recorded and fitted: the rank of a truth among independent draws is then uniform (simulation-based
+calibration, Talts et al. 2018, arXiv:1804.06788), and a 95 % interval holds 95 % of them. Growth is
+seen for a short time alone, so that a valley is bent, or its rate is known between two bounds that
+are as near as the data tell.
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ._study import Figures, Study
+
+# Draws among which a truth has a rank, and how many ranks are counted together.
+DRAWS, EVERY, BINS = 126, 2, 8
+# Of a disagreement by chance, for each of the comparisons.
+PROBABILITY = 1e-4
+
+
+class Case(NamedTuple):
+    """What truths are drawn from, and how they are recorded.
+
+    Attributes:
+        duration: of a recording, s.
+        noise: its standard deviation, m.
+        amplitude: mean and deviation of its prior.
+        rate: the bounds of the rate, between which it is anywhere.
+    """
+
+    duration: float
+    noise: float
+    amplitude: tuple[float, float]
+    rate: tuple[float, float]
+
+
+CASES = {
+    "a bent valley": Case(0.8, 0.04, (2.0, 0.5), (0.4, 3.0)),
+    "two near bounds": Case(3.0, 0.15, (2.0, 0.05), (0.95, 1.05)),
+}
+
+
+def run(size: int, seed: int) -> Figures:
+    """Figures of two posteriors of many draws, and of `size` of few draws of each case."""
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    return {
+        "agreement": {"growth": _growth(seed), "play operator": _loops(seed)},
+        "calibration": {
+            name: _calibrated(case, size, [seed, index])
+            for index, (name, case) in enumerate(CASES.items())
+        },
+    }
+
+
+def _recorded(values: tuple[float, float], duration: float, noise: float, entropy: Any) -> Any:
+    import giajax
+
+    times = np.linspace(0.0, duration, 200)
+    clean = -values[0] * np.expm1(-values[1] * times)
+    rng = np.random.default_rng(entropy)
+    return giajax.Run.from_arrays(
+        times,
+        {"tip_z": clean + noise * rng.normal(size=len(times))},
+        noise={"position": noise},
+        definition={"free_motion": True},
+    )
+
+
+def _growth(seed: int) -> Figures:
+    import giajax
+
+    from ._growth import Growth
+
+    recorded = _recorded((2.0, 1.0), 4.0, 0.01, [seed, 1])
+    settings: dict[str, Any] = {"start": {"rate": 0.7}, "noise_model": "white", "check": False}
+    result = giajax.fit(Growth(), recorded, free=["amplitude", "rate"], **settings)
+    return _compared(giajax.posterior(result, recorded, draws=1800, warmup=300, seed=seed))
+
+
+def _loops(seed: int) -> Figures:
+    import giajax
+
+    from ._experiments import play_operator
+
+    experiment = play_operator()
+    recorded = experiment.recorded(
+        experiment.stating("all", 0.0), 0.0, np.random.default_rng([seed, 2])
+    )
+    settings: dict[str, Any] = {"start": experiment.start, "noise_model": "white", "check": False}
+    result = giajax.fit(experiment.model, recorded, free=list(experiment.truth), **settings)
+    return _compared(giajax.posterior(result, recorded, draws=1800, warmup=300, seed=seed))
+
+
+def _compared(found: Any) -> Figures:
+    """Of each parameter, the interval over the linear one, and how far its middle is from there."""
+    parameters = {}
+    for label, one in found.summary.parameters.items():
+        width = one.linear[1] - one.linear[0]
+        parameters[label] = {
+            "width": round((one.interval[1] - one.interval[0]) / width, 4),
+            "shift": round((one.mean - one.fitted) / width, 4),
+            "r_hat": round(one.r_hat, 4),
+            "ess_bulk": round(one.ess_bulk),
+            "ess_tail": round(one.ess_tail),
+        }
+    return {"divergences": found.summary.divergences, "parameters": parameters}
+
+
+def _calibrated(case: Case, size: int, entropy: list[int]) -> Figures:
+    import giajax
+
+    from ._growth import Growth
+
+    paths = ("amplitude", "rate")
+    counts = {path: [0] * BINS for path in paths}
+    within = {path: {"posterior": 0, "linear": 0} for path in paths}
+    divergences = 0
+    prior = giajax.Prior(case.amplitude[0], deviation=case.amplitude[1])
+    for number in range(size):
+        rng = np.random.default_rng([*entropy, number])
+        truth = rng.normal(*case.amplitude), rng.uniform(*case.rate)
+        recorded = _recorded(truth, case.duration, case.noise, [*entropy, number, 1])
+        result = giajax.fit(
+            Growth(),
+            recorded,
+            free=list(paths),
+            start={"amplitude": case.amplitude[0], "rate": float(np.mean(case.rate))},
+            priors={"amplitude": prior},
+            bounds={"rate": case.rate},
+            noise_model="white",
+            check=False,
+        )
+        seed = int(rng.integers(2**31))
+        found = giajax.posterior(result, recorded, chains=1, draws=DRAWS, warmup=80, seed=seed)
+        divergences += found.summary.divergences
+        for path, true in zip(paths, truth, strict=True):
+            draws = found.draws_of(path)[0]
+            rank = int(np.sum(draws[::EVERY] < true))
+            counts[path][rank * BINS // (DRAWS // EVERY + 1)] += 1
+            one = found.summary.parameters[path]
+            for name, ends in (("posterior", one.interval), ("linear", one.linear)):
+                within[path][name] += bool(ends is not None and ends[0] <= true <= ends[1])
+    return {
+        "repetitions": size,
+        "divergences": divergences,
+        "parameters": {path: {"ranks": counts[path], **within[path]} for path in paths},
+    }
+
+
+def p_value(ranks: list[int]) -> float:
+    """The chance of ranks as uneven as these, were they uniform."""
+    from scipy.stats import chisquare
+
+    return float(chisquare(ranks).pvalue)
+
+
+def disagreements(stored: Figures, new: Figures) -> list[str]:
+    """What would happen by chance less often than `PROBABILITY`, or is more than 10 % off."""
+    from scipy.stats import chi2_contingency, fisher_exact
+
+    sentences = []
+    for name, each in new["agreement"].items():
+        for path, one in each["parameters"].items():
+            before = stored["agreement"][name]["parameters"][path]
+            if abs(one["width"] - before["width"]) > 0.1:
+                sentences.append(
+                    f"{name}, {path}: the interval is {one['width']} of the linear one, "
+                    f"and was {before['width']}"
+                )
+    for name, each in new["calibration"].items():
+        n, m = stored["calibration"][name]["repetitions"], each["repetitions"]
+        for path, one in each["parameters"].items():
+            before = stored["calibration"][name]["parameters"][path]
+            both = np.array([one["ranks"], before["ranks"]])
+            table = both[:, both.sum(axis=0) > 0]
+            if chi2_contingency(table).pvalue < PROBABILITY:
+                sentences.append(f"{name}, {path}: the ranks are {one['ranks']}, not as before")
+            a, b = one["posterior"], before["posterior"]
+            if fisher_exact([[a, m - a], [b, n - b]]).pvalue < PROBABILITY:
+                sentences.append(f"{name}, {path}: {a} of {m} intervals hold the truth")
+    return sentences
+
+
+def table(figures: Figures) -> list[str]:
+    """Two tables: agreement, and calibration."""
+    rows = [
+        "| well determined | parameter | 95 % interval over the linear one | shift of the mean, of "
+        "that interval | R-hat | ESS bulk | ESS tail |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for name, each in figures["agreement"].items():
+        for path, one in each["parameters"].items():
+            rows.append(
+                f"| {name} | `{path}` | {one['width']:.3f} | {one['shift']:+.3f} | "
+                f"{one['r_hat']:.3f} | {one['ess_bulk']} | {one['ess_tail']} |"
+            )
+    rows += [
+        "",
+        "| not linear | parameter | posterior holds the truth | linear interval does | ranks of "
+        "the truth in eighths | chance of ranks so uneven |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    for name, each in figures["calibration"].items():
+        for path, one in each["parameters"].items():
+            rows.append(_row(name, path, one, each["repetitions"]))
+    return rows
+
+
+def _row(name: str, path: str, one: Mapping[str, Any], count: int) -> str:
+    shares = (f"{100 * one[key] / count:.1f} %" for key in ("posterior", "linear"))
+    ranks = ", ".join(map(str, one["ranks"]))
+    return f"| {name} | `{path}` | {' | '.join(shares)} | {ranks} | {p_value(one['ranks']):.2f} |"
+
+
+POSTERIOR = Study(
+    name="posterior",
+    meaning=(
+        "Draws of `giajax posterior` against the linear interval of the fit, where that is right; "
+        "and where it is not, truths from the prior, recorded and fitted: the posterior is to hold "
+        "95 % of them, and their ranks among independent draws are to be uniform (simulation-based "
+        "calibration, [Talts et al. 2018](https://arxiv.org/abs/1804.06788))."
+    ),
+    size=60,
+    seed=3,
+    run=run,
+    disagreements=disagreements,
+    table=table,
+)
