@@ -10,6 +10,7 @@ module with a `Study`, and a line in `STUDIES`.
 
 from ._bootstrap import BOOTSTRAP
 from ._coverage import COVERAGE
+from ._design import DESIGN
 from ._influence import INFLUENCE
 from ._kills import KILLS
 from ._ladder import LADDER
@@ -28,5 +29,17 @@ from ._study import Study as Study
 from ._suspects import SUSPECTS
 from ._sweep import SWEEP
 
-_ALL = (COVERAGE, NOISE, KILLS, SUSPECTS, LADDER, BOOTSTRAP, INFLUENCE, PROFILE, SWEEP, POSTERIOR)
+_ALL = (
+    COVERAGE,
+    NOISE,
+    KILLS,
+    SUSPECTS,
+    LADDER,
+    BOOTSTRAP,
+    INFLUENCE,
+    PROFILE,
+    SWEEP,
+    POSTERIOR,
+    DESIGN,
+)
 STUDIES = {study.name: study for study in _ALL}
