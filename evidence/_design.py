@@ -45,7 +45,7 @@ def run(size: int, seed: int) -> Figures:
 
     jax.config.update("jax_enable_x64", True)
     arm = giajax.takeichi_20m(20)
-    model = giajax.ArmModel(giajax.replace(arm, TRUTH), tolerance=TOLERANCE)
+    model = _model(giajax.replace(arm, TRUTH))
     found = giajax.design_experiment(
         model,
         [DRAG],
@@ -89,7 +89,7 @@ def _fits(plan: Any, size: int, entropy: list[int], *, unknown: bool) -> Figures
 
     more = MEMORY if unknown else {}
     arm = giajax.takeichi_20m(20, parameters=more)
-    fitted = giajax.ArmModel(arm, tolerance=TOLERANCE)
+    fitted = _model(arm)
     true = giajax.replace(fitted, TRUTH)
     start = {**START, **({"joints.memory.strength": 0.04} if unknown else {})}
     values, errors, converged = [], [], 0
@@ -118,6 +118,12 @@ def _fits(plan: Any, size: int, entropy: list[int], *, unknown: bool) -> Figures
         "spread": float(np.std(values, ddof=1)),
         "stated": float(np.nanmean(errors)),
     }
+
+
+def _model(arm: Any) -> Any:
+    import giajax
+
+    return giajax.ArmModel(arm).with_integration(solver=None, tolerance=TOLERANCE)
 
 
 def _in_gusts(model: Any, plan: Any, seed: int) -> dict[str, np.ndarray]:
