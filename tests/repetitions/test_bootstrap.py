@@ -5,7 +5,7 @@ import itertools
 
 import numpy as np
 import pytest
-from line import FREE, SIGMA, columns
+from line import FREE, SIGMA, Line, columns
 
 import giajax
 from giajax import Bootstrap, InputError
@@ -48,6 +48,22 @@ def test_the_spread_is_that_of_the_linear_model(found, runs):
         values = np.asarray(one.values)
         assert one.percentile == pytest.approx(np.quantile(values, [0.025, 0.975]))
         assert one.basic == pytest.approx(2 * one.value - np.quantile(values, [0.975, 0.025]))
+
+
+def test_what_is_known_before_is_drawn_anew(result, runs):
+    """A prior that says as much as the data, three deviations off: it is one more measurement."""
+    path = FREE[0]
+    estimate = result.parameters[path]
+    error = estimate.standard_error
+    prior = giajax.Prior(estimate.value + 3 * error, deviation=error)
+    known = giajax.fit(
+        Line(), runs, free=FREE, priors={path: prior}, noise_model="white", check=False
+    )
+    one = giajax.bootstrap(known, runs, size=SIZE).parameters[path]
+    assert abs(one.ratio - 1) < 3.5 / np.sqrt(2 * (SIZE - 1))
+    assert abs(one.bias) < 3.5 * one.bias_error
+    with pytest.raises(InputError, match="a fit with priors cannot be repeated whole"):
+        giajax.bootstrap(known, runs, whole=True)
 
 
 def test_a_repetition_is_the_least_squares_of_its_data(result, runs, found):

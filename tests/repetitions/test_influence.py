@@ -1,5 +1,7 @@
 """Of a linear model one step is a fit: leaving out is known in closed form."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from line import FREE, SIGMA, Line, columns, recorded
@@ -10,6 +12,7 @@ from giajax.fitting import CellEquations
 from giajax.noise import whitened
 from giajax.repetitions import _influence
 from giajax.repetitions._parts import parts_of
+from giajax.report import influence_table
 from giajax.study import optimum_of
 
 DRIFTING = {"position_m": SIGMA, "position_correlated_m": 0.015, "position_correlation_s": 0.4}
@@ -117,6 +120,35 @@ def test_a_robust_loss_has_its_own_curvature():
     said = equations.said(0, "tip_z", cell)
     np.testing.assert_allclose(said.matrix, 0)
     np.testing.assert_allclose(said.gradient, -columns(run.times)["tip_z"][7] / SIGMA, rtol=1e-6)
+
+
+def test_what_is_weighted_against_outliers_is_left_out_like_the_rest(drifting):
+    """With a memory, outliers have weights of cells, of which those that are left count."""
+    values = {**drifting[0].values, "tip_z": drifting[0].values["tip_z"].copy()}
+    values["tip_z"][[15, 30]] += 20 * SIGMA
+    rough = dataclasses.replace(drifting[0], values=values)
+    result = giajax.fit(Line(), [rough, drifting[1]], free=FREE, loss="huber", check=False)
+    assert optimum_of(result, [rough, drifting[1]]).state.noise.weights is not None
+    found = giajax.influence(result, [rough, drifting[1]], spans=1)
+    assert [part.reason for part in found.parts] == [""] * len(found.parts)
+    for row in found.of_kind("run"):
+        for path in FREE:
+            assert abs(row.exact[path] - row.steps[path]) < 0.03
+
+
+def test_what_a_run_has_for_itself_goes_with_it(drifting):
+    """Its own height is not lost without it: nobody asks."""
+    runs = [dataclasses.replace(run, name=name) for run, name in zip(drifting, "ab", strict=True)]
+    result = giajax.fit(Line(), runs, free=FREE, per_run=["height"], check=False)
+    found = giajax.influence(result, runs, spans=1)
+    others = {"a": "height of 'b'", "b": "height of 'a'"}
+    for row in found.of_kind("run"):
+        assert [label for label in row.steps if "height" in label] == [others[row.name]]
+        assert np.isfinite(row.largest)
+        assert row.steps.keys() == row.exact.keys()
+    headings, rows = influence_table(found)
+    assert headings[5:] == [path for path in FREE if path != "height"]
+    assert len(rows) == len(found.parts)
 
 
 def test_what_cannot_be_asked_is_refused(fitted, drifting):

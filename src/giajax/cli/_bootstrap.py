@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .._errors import InputError
+from .._signals import is_stopped, stopped_status
 from ._many import ManyProgress, Scheduler, Workers
 from ._options import Renamed
 
@@ -27,8 +29,8 @@ Examples:
 \b
 RESULT is the folder of a fit, or its result.json. The runs are read again from
 where they were. Writes bootstrap.json and bootstrap.png beside the result, where
-giajax report finds them. Ctrl-C keeps what was done; with --folder, the same
-command goes on."""
+giajax report finds them. Ctrl-C keeps what was done; with --folder DIR the same
+command and --force go on from there."""
 
 
 def bootstrap(
@@ -73,6 +75,8 @@ def bootstrap(
     home, _ = stored_result(result)
     path = home / "bootstrap.json" if out is None else out
     picture = path.with_suffix(".png")
+    if picture == path:
+        raise InputError(f"--out {path} is the name of a picture: give that of a .json file")
     check_output_files([path, *([picture] if figures else [])], force=force)
     renamed = parse_rename(rename or [])
 
@@ -107,6 +111,10 @@ def bootstrap(
     elif not quiet:
         show_bootstrap(found)
         typer.echo(f"\nwrote {', '.join(map(str, files))}")
+    if is_stopped():
+        how = "with --force" if folder is not None else "with --folder DIR, and --force,"
+        typer.echo(f"giajax: stopped: the same command {how} goes on another time", err=True)
+        raise typer.Exit(stopped_status())
 
 
 def show_bootstrap(found: "Bootstrap") -> None:
@@ -132,7 +140,6 @@ def self_test(
     Returns:
         The files; none where nothing could be repeated, which a sentence says.
     """
-    from .._errors import InputError
     from ..repetitions import bootstrap as repeat
     from ..report import bootstrap_figure, to_png
     from ..runs import write_files

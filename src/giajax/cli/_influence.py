@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from .._errors import InputError
+from .._signals import is_stopped, stopped_status
 from ._many import ManyProgress, Scheduler, Workers
 from ._options import Renamed
 
@@ -59,6 +61,8 @@ def influence(
     home, _ = stored_result(result)
     path = home / "influence.json" if out is None else out
     picture = path.with_suffix(".png")
+    if picture == path:
+        raise InputError(f"--out {path} is the name of a picture: give that of a .json file")
     check_output_files([path, *([picture] if figures else [])], force=force)
     renamed = parse_rename(rename or [])
 
@@ -96,3 +100,7 @@ def influence(
         print()
         print("\n".join(influence_summary(found)))
         typer.echo(f"\nwrote {', '.join(map(str, files))}")
+    if is_stopped():
+        how = "with --force" if folder is not None else "with --folder DIR, and --force,"
+        typer.echo(f"giajax: stopped: the same command {how} goes on another time", err=True)
+        raise typer.Exit(stopped_status())

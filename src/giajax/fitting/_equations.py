@@ -33,9 +33,6 @@ class Equations:
     def __add__(self, other: "Equations") -> "Equations":
         return Equations(self.matrix + other.matrix, self.gradient + other.gradient)
 
-    def __sub__(self, other: "Equations") -> "Equations":
-        return Equations(self.matrix - other.matrix, self.gradient - other.gradient)
-
     def step(self) -> tuple[np.ndarray, np.ndarray]:
         """The step, and the roots of the diagonal of A^-1; NaN of what is not determined."""
         sizes = np.sqrt(np.maximum(np.diag(self.matrix), 0.0))

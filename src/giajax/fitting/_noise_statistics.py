@@ -93,8 +93,12 @@ def weighted_cells(state: FitState, at: tuple[int, str], cells: Cells) -> Cells:
     if state.noise.weights is None:
         return cells
     run, name = at
-    measured = ~np.isnan(state.setup.runs[run].observations[name])
-    return dataclasses.replace(cells, weights=state.noise.weights[run][name][measured])
+    weights = state.noise.weights[run][name]
+    # As in `residual_cells`: a problem may leave out what its runs recorded.
+    group = next(group for group in state.problem.groups if run in group.members)
+    row, column = group.members.index(run), group.channels.index(name)
+    counts = np.asarray(group.weight)[row, : len(weights), column] > 0
+    return dataclasses.replace(cells, weights=weights[counts])
 
 
 def dense_cells(cells: Cells, alive: np.ndarray, slope: np.ndarray) -> Cells:

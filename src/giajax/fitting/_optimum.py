@@ -13,6 +13,7 @@ import numpy as np
 
 from .._errors import InputError
 from .._maths import on_device
+from .._typing import Float
 from ..models import AbstractModel
 from ._derived import derived_quantity
 from ._group import recorded_otherwise
@@ -139,6 +140,7 @@ class Optimum:
         held: Mapping[str, float] | None = None,
         start: np.ndarray | None = None,
         recorded: Recorded | None = None,
+        centres: Float[np.ndarray, " prior"] | None = None,
         max_iterations: int = MOST_STEPS,
     ) -> Refit:
         """Fit again, with the noise as it is.
@@ -148,6 +150,8 @@ class Optimum:
             start: of all free parameters, SI, shape (parameter,); by default the optimum.
             recorded: of each run, values by channel, SI, in place of those that it has; NaN where
                 a cell does not count.
+            centres: of the priors, in place of those that they have, in the order of
+                `state.problem.priors`; of a logarithmic one the logarithm.
             max_iterations: trial steps.
 
         Returns:
@@ -169,6 +173,10 @@ class Optimum:
         if recorded is not None:
             groups = recorded_otherwise(problem.groups, state.setup.runs, state.noise, recorded)
             problem = dataclasses.replace(problem, groups=groups)
+        if centres is not None:
+            known = on_device(centres, problem.priors.centre.dtype)
+            priors = dataclasses.replace(problem.priors, centre=known)
+            problem = dataclasses.replace(problem, priors=priors)
         begun = dataclasses.replace(
             state,
             problem=problem,

@@ -45,6 +45,8 @@ def bootstrap(
     - **block**: with blocks of the residuals in place of that noise. They have the memory and the
       sizes that the residuals really have; the intervals of the result are not judged.
 
+    What priors know is drawn anew, too, as one more measurement.
+
     Each repetition begins where the fit ended, and so cannot tell whether others start to end
     elsewhere (`giajax.multi_start` does). Its noise is held as fitted, weights of outliers too,
     unless it is fitted whole, which takes about ten times as long.
@@ -65,7 +67,7 @@ def bootstrap(
 
     Raises:
         InputError: other runs than those of the result, which has not converged; a size or method
-            that is none; or not two repetitions that could be done.
+            that is none; a whole fit with priors; or not two repetitions that could be done.
 
     Example:
         >>> found = giajax.bootstrap(result, runs, size=400)  # doctest: +SKIP
@@ -82,6 +84,11 @@ def bootstrap(
     if result.status != "converged":
         raise InputError(
             "the fit did not converge, and there is no optimum to repeat: fit it to its end first"
+        )
+    if whole and result.config.get("priors"):
+        raise InputError(
+            "a fit with priors cannot be repeated whole, because what they know is not drawn anew "
+            "there: leave whole (--whole) out"
         )
     optimum = fitted.optimum()
     common = {"fitted": fitted, "method": method, "whole": whole, "seed": seed}
@@ -156,7 +163,10 @@ def _notes(result: FitResult, method: Method, *, whole: bool) -> tuple[str, ...]
     if method == "parametric":
         notes.append("the data are those of the fitted model and noise, which are taken for right")
         if result.config.get("loss", "linear") != "linear":
-            notes.append("noise is normal: the outliers for which the loss is robust are not made")
+            notes.append(
+                "noise is normal, and larger where a cell counts for little: such outliers as the "
+                "loss is robust against are made in no other cells"
+            )
     else:
         notes.append(
             "the mean of each channel's residuals is left out, and residuals between runs are not "

@@ -114,21 +114,25 @@ def _steps(optimum: Optimum, parts: Sequence[Part]) -> list[LeftOut]:
     offset, errors = whole.step()
     steps = []
     for part in parts:
-        rest, cells = whole, 0
+        # What is left is summed: of a difference, rounding would be left of what is lost.
+        left, cells = [], 0
         for key, each in said.items():
             rows = equations.rows[key]
             gone = part.of(*key, len(rows))
             if gone is None:
+                left.append(each)
                 continue
             cells += int(np.sum(gone & rows))
-            rest = rest - each
             if not np.all(gone):
-                rest = rest + equations.said(*key, ~gone)
-        step, wider = rest.step()
+                left.append(equations.said(*key, ~gone))
+        step, wider = equations.whole(left).step()
+        own = _own(optimum, part)
         shifts: dict[str, float | None] = {}
         widening: dict[str, float | None] = {}
         for place in known.determined:
             label, error = known.labels[place], known.standard_errors[place]
+            if place in own:
+                continue
             if place not in equations.positions:  # At its bound, where it is held.
                 shifts[label], widening[label] = 0.0, 1.0
                 continue
@@ -142,19 +146,30 @@ def _steps(optimum: Optimum, parts: Sequence[Part]) -> list[LeftOut]:
 
 def _with_fit(step: LeftOut, optimum: Optimum, row: Mapping[str, Any]) -> LeftOut:
     """With what a fit without the part says."""
-    known = optimum.statistics
-    values = row["values"] if row["converged"] else {}
-    errors = row["errors"] if row["converged"] else {}
+    if not row["converged"]:
+        return dataclasses.replace(step, reason=row["reason"])
+    known, values, errors = optimum.statistics, row["values"], row["errors"]
     shifts: dict[str, float | None] = {}
     widening: dict[str, float | None] = {}
-    for place in known.determined:
-        label, error = known.labels[place], known.standard_errors[place]
+    for label in step.steps:
+        place = known.labels.index(label)
+        error = known.standard_errors[place]
         shifts[label] = widening[label] = None
         if values.get(label) is not None:
             shifts[label] = (values[label] - float(known.values[place])) / error
             widening[label] = errors[label] / error
-    reason = "" if row["converged"] else row["reason"]
-    return dataclasses.replace(step, exact=shifts, exact_widening=widening, reason=reason)
+    return dataclasses.replace(step, exact=shifts, exact_widening=widening)
+
+
+def _own(optimum: Optimum, part: Part) -> set[int]:
+    """Positions of the parameters that only the runs respond to which are left out whole."""
+    if part.kind != "run":
+        return set()
+    mine, others = set[int](), set[int]()
+    for group in optimum.state.problem.groups:
+        for member, columns in zip(group.members, group.columns().tolist(), strict=True):
+            (mine if member in part.runs else others).update(columns)
+    return mine - others
 
 
 def _number(value: float) -> float | None:

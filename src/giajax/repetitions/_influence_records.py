@@ -18,10 +18,10 @@ class LeftOut:
         name: of the part.
         cells: how many it has.
         steps: shift of each parameter to first order, in its standard errors; None of what the
-            rest does not determine.
+            rest does not determine. What a run that is left out has for itself is not there.
         widening: standard error without the part over that with it, likewise.
-        exact: shift by a fit; None where none was asked for. A parameter that the rest does not
-            determine is None, and so are all of a fit that did not converge.
+        exact: shift by a fit; None where none was asked for, or where it did not converge. A
+            parameter that the rest does not determine is None.
         exact_widening: likewise; where the noise is scaled by the residuals, with their scale.
         reason: what ended a fit that did not converge (`FitResult.reason`).
     """

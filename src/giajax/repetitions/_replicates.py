@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from scipy.special import stdtrit
 
+from .._typing import Float
 from ..fitting import FitResult, Optimum, Recorded, Statistics
 from ..noise import drawn
 from ..parameters import get
@@ -46,7 +47,10 @@ def replicates(
             recorded = [source.again(random) for source in sources]
         else:
             recorded = noisy(optimum, random)
-        rows.append((_whole if whole else _held)(fitted, recorded))
+        if whole:
+            rows.append(_whole(fitted, recorded))
+        else:
+            rows.append(_held(fitted, recorded, known_again(optimum, random)))
     return rows
 
 
@@ -83,6 +87,28 @@ def noisy(optimum: Optimum, random: np.random.Generator) -> Recorded:
     return recorded
 
 
+def known_again(
+    optimum: Optimum, random: np.random.Generator
+) -> Float[np.ndarray, " prior"] | None:
+    """Centres that the priors might have had: each is a measurement, and is made again.
+
+    Were they the same in each repetition, all would be drawn to where the first fit was drawn to.
+
+    Arguments:
+        optimum: where the fit ended.
+        random: draws them.
+
+    Returns:
+        As `Optimum.refit` takes them; None where there is no prior.
+    """
+    priors = optimum.state.problem.priors
+    if not len(priors):
+        return None
+    values = optimum.values[list(priors.columns)]
+    middle = np.where(priors.logarithmic, np.log(np.where(priors.logarithmic, values, 1)), values)
+    return np.asarray(random.normal(middle, np.asarray(priors.spread)))
+
+
 def block_lengths(optimum: Optimum) -> dict[str, int]:
     """Samples of a block of residuals, by run."""
     runs = optimum.state.setup.runs
@@ -100,10 +126,10 @@ def _sources(optimum: Optimum) -> list[Residuals]:
     return [Residuals.of(run, at, noise, inflation) for run, at, noise in several]
 
 
-def _held(fitted: Fitted, recorded: Recorded) -> dict[str, Any]:
+def _held(fitted: Fitted, recorded: Recorded, centres: np.ndarray | None) -> dict[str, Any]:
     """A fit with the noise as it is."""
     optimum = fitted.optimum()
-    again = optimum.refit(recorded=recorded)
+    again = optimum.refit(recorded=recorded, centres=centres)
     if not again.state.evaluated:
         return _row(False, again.reason)
     return _row(again.converged, again.reason) | _found(fitted.result, optimum, again.statistics)

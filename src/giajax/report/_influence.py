@@ -25,12 +25,13 @@ def influence_table(found: Influence, most: int | None = None) -> tuple[list[str
         found: the influence.
         most: rows; all by default.
     """
-    headings = ["left out", "kind", "cells", "by", "over expected", *found.parameters]
+    paths = _columns(found)
+    headings = ["left out", "kind", "cells", "by", "over expected", *paths]
     rows = []
     for part in found.parts[:most]:
         by = "fit" if part.exact is not None else "step"
         surprise = "-" if part.surprise is None else f"{part.surprise:.1f}"
-        shown = [_cell(part, path) for path in found.parameters]
+        shown = [_cell(part, path) for path in paths]
         rows.append([part.name, part.kind, str(part.cells), by, surprise, *shown])
     return headings, rows
 
@@ -43,7 +44,7 @@ def influence_summary(found: Influence) -> list[str]:
     ]
     lost = [part for part in found.parts if None in part.steps.values()]
     for path in found.parameters:
-        names = [part.name for part in lost if part.steps[path] is None]
+        names = [part.name for part in lost if part.steps.get(path, 0.0) is None]
         if names:
             sentences.append(f"{path} is not determined without {', '.join(names)}")
     sentences += [
@@ -64,14 +65,13 @@ def influence_figure(found: Influence, title: str = "") -> Figure:
     Returns:
         The picture.
     """
-    parts, paths = found.parts[:_MOST], list(found.parameters)[:_MOST_COLUMNS]
+    parts, paths = found.parts[:_MOST], _columns(found)[:_MOST_COLUMNS]
     title = title or "Shift of each parameter without a part of the data, in standard errors"
     figure = new_figure(3.2 + 1.2 * max(len(paths), 2), 1.8 + 0.26 * len(parts), title)
     axes = figure.add_subplot()
     shifts = np.asarray(
-        [[np.nan if part.shifts[path] is None else part.shifts[path] for path in paths]
-         for part in parts], dtype=float
-    ).reshape(len(parts), len(paths))  # fmt: skip
+        [[part.shifts.get(path, 0.0) for path in paths] for part in parts], dtype=float
+    ).reshape(len(parts), len(paths))
     known = np.abs(shifts[np.isfinite(shifts)])
     reach = max(float(np.max(known, initial=0.0)), 1e-3)
     image = axes.imshow(shifts, cmap="RdBu_r", vmin=-reach, vmax=reach, aspect="auto")
@@ -95,7 +95,15 @@ def influence_figure(found: Influence, title: str = "") -> Figure:
     return figure
 
 
+def _columns(found: Influence) -> list[str]:
+    """The parameters that runs share, if there are any: those of single runs fill no table."""
+    shared = [label for label in found.parameters if " of '" not in label]
+    return shared or list(found.parameters)
+
+
 def _cell(part: LeftOut, path: str) -> str:
+    if path not in part.shifts:  # Its own, and gone with it.
+        return ""
     shift = part.shifts[path]
     wider = (part.widening if part.exact_widening is None else part.exact_widening)[path]
     if shift is None:
