@@ -119,6 +119,23 @@ def test_profiles_agree_with_errors_where_these_are_right_and_hold_the_truth_whe
     assert figures["a bent valley"]["amplitude"]["width"] > 1.1
 
 
+@pytest.mark.quick
+def test_a_posterior_is_the_linear_interval_where_that_is_right_and_holds_the_truth_elsewhere():
+    size, figures = figures_of("posterior")
+    for each in figures["agreement"].values():
+        assert each["divergences"] == 0
+        for path, one in each["parameters"].items():
+            assert abs(one["width"] - 1) < 0.1, path
+            assert abs(one["shift"]) < 0.05, path
+            assert min(one["ess_bulk"], one["ess_tail"]) >= 4000, path
+            assert one["r_hat"] < 1.01, path
+    for name, case in figures["calibration"].items():
+        assert case["repetitions"] == size
+        for path, one in case["parameters"].items():
+            assert chisquare(one["ranks"]).pvalue > 0.001, f"{name}, {path}"
+            assert binomtest(one["posterior"], size, 0.95).pvalue > 0.001, f"{name}, {path}"
+
+
 def is_within(one):
     return abs(one["value"] - one["truth"]) < 3 * one["error"]
 
