@@ -104,8 +104,6 @@ class PosteriorSummary:
 class Posterior:
     """Draws from what is known of the free parameters of a fit; made by `giajax.posterior`.
 
-    It prints as its summary.
-
     Attributes:
         summary: of each parameter, and of how the chains have mixed.
         samples: SI, shape (chain, draw, parameter), in the order of `summary.parameters`.
