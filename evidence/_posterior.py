@@ -203,19 +203,22 @@ def table(figures: Figures) -> list[str]:
     rows += [
         "",
         "| not linear | parameter | posterior holds the truth | linear interval does | ranks of "
-        "the truth in eighths | chance of ranks so uneven |",
-        "| --- | --- | --- | --- | --- | --- |",
+        "the truth in eighths | chance of ranks so uneven | draws that diverged |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for name, each in figures["calibration"].items():
         for path, one in each["parameters"].items():
-            rows.append(_row(name, path, one, each["repetitions"]))
+            rows.append(_row(name, path, one, each))
     return rows
 
 
-def _row(name: str, path: str, one: Mapping[str, Any], count: int) -> str:
+def _row(name: str, path: str, one: Mapping[str, Any], case: Mapping[str, Any]) -> str:
+    count = case["repetitions"]
+    diverged = f"{case['divergences']} of {count * DRAWS}"
     shares = (f"{100 * one[key] / count:.1f} %" for key in ("posterior", "linear"))
     ranks = ", ".join(map(str, one["ranks"]))
-    return f"| {name} | `{path}` | {' | '.join(shares)} | {ranks} | {p_value(one['ranks']):.2f} |"
+    cells = (name, f"`{path}`", *shares, ranks, f"{p_value(one['ranks']):.2f}", diverged)
+    return f"| {' | '.join(cells)} |"
 
 
 POSTERIOR = Study(

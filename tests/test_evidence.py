@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from scipy.stats import binomtest
+from scipy.stats import binomtest, chisquare
 
 from evidence import FOLDER, PAGE, STUDIES, page, read
 from evidence._coverage import p_value
