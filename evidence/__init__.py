@@ -27,7 +27,7 @@ from ._record import (
 )
 from ._study import Study as Study
 from ._suspects import SUSPECTS
-from ._sweep import SWEEP
+from ._sweep import SWEEP, SWEEP_SPEED
 
 _ALL = (
     COVERAGE,
@@ -39,6 +39,7 @@ _ALL = (
     INFLUENCE,
     PROFILE,
     SWEEP,
+    SWEEP_SPEED,
     POSTERIOR,
     DESIGN,
 )

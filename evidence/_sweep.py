@@ -244,15 +244,34 @@ def table(figures: Figures) -> list[str]:
                 f"| {name} | {each['fits']} | {each['kills']} times | {each['workers_killed']} | "
                 f"{each['lost']} | {each['done_twice']} | {same} |"
             )
-    speed = figures["speed"]
-    return [
-        *rows,
-        "",
+    words = _in_words(figures["speed"])
+    return [*rows, "", f"{words} That includes whatever else the machine computed meanwhile."]
+
+
+def run_speed(size: int, seed: int) -> Figures:
+    """How much faster two workers do `size` fits than one."""
+    with tempfile.TemporaryDirectory() as folder:
+        _write_plan(Path(folder), size, seed)
+        return _speed(Path(folder), size)
+
+
+def speed_disagreements(stored: Figures, new: Figures) -> list[str]:
+    """None: how fast a machine is depends on what else it does."""
+    return []
+
+
+def speed_table(figures: Figures) -> list[str]:
+    """A sentence."""
+    return [_in_words(figures)]
+
+
+def _in_words(speed: Figures) -> str:
+    return (
         f"Two workers take {speed['seconds_by_two']:.1f} s for {speed['fits']} fits, and one takes "
         f"{speed['seconds_by_one']:.1f} s: {speed['times_faster']:.2f} times faster (median of "
         f"{speed['rounds']} pairs, one after the other; {speed['least']:.2f} to "
-        f"{speed['most']:.2f}).",
-    ]
+        f"{speed['most']:.2f})."
+    )
 
 
 SWEEP = Study(
@@ -267,4 +286,17 @@ SWEEP = Study(
     run=run,
     disagreements=disagreements,
     table=table,
+)
+
+SWEEP_SPEED = Study(
+    name="sweep_speed",
+    meaning=(
+        "How much faster two spawned workers do the fits of a sweep than one, on a machine of two "
+        "cores that does nothing else."
+    ),
+    size=60,
+    seed=1,
+    run=run_speed,
+    disagreements=speed_disagreements,
+    table=speed_table,
 )

@@ -201,3 +201,20 @@ def test_a_step_tells_what_a_part_of_the_data_does():
     for case, one in figures.items():
         assert one["converged"] == one["parts"], case
         assert one["rank_correlation"] > 0.95, case
+
+
+@pytest.mark.quick
+def test_whoever_is_killed_no_fit_of_a_sweep_is_lost_or_done_twice():
+    size, figures = figures_of("sweep")
+    for by in ("two processes", "a cluster of two"):
+        one = figures[by]
+        assert one["rows"] == one["fits"] == size, by
+        assert (one["kills"], one["workers_killed"]) == (3, 1), by
+        assert (one["lost"], one["done_twice"], one["failed"]) == (0, 0, 0), by
+        assert one["identical_to_serial"], by
+
+
+@pytest.mark.quick
+def test_two_workers_are_faster_than_one():
+    _, figures = figures_of("sweep_speed")
+    assert figures["times_faster"] >= 1.7
