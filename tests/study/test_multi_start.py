@@ -6,9 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from giajax import Run, load_result
+from giajax import Prior, Run, load_result
+from giajax.fitting import Start, set_up
 from giajax.report import summary
-from giajax.study import _multi_start, misfit, multi_start
+from giajax.report.page._tables import optima_table
+from giajax.study import _multi_start, _valleys, lost_starts, misfit, multi_start, valleys
+from giajax.study._starts import start_values
 from toy_model import TRUTH, Decay, height, run
 
 
@@ -47,6 +50,15 @@ def test_a_start_that_fails_is_passed_over():
     failed = [start for start in result.starts if start.status == "failed"]
     assert failed
     assert result.status == "converged"
+    (best,) = valleys(result)
+    assert best.reached == 6 - len(failed)
+    assert best.values["decay"] == pytest.approx(result.parameters["decay"].value)
+    (why,) = lost_starts(result)
+    assert "the model cannot be evaluated at the start values" in why
+    assert f"{len(failed)} did not converge: {why}" in summary(result)
+    assert [row[:2] for row in optima_table(result).rows] == [
+        ["optimum 1", str(best.reached)], [why, str(len(failed))],
+    ]  # fmt: skip
 
 
 def test_ends_are_compared_by_likelihood_when_the_noise_is_estimated():
@@ -58,6 +70,46 @@ def test_ends_are_compared_by_likelihood_when_the_noise_is_estimated():
     assert channel.noise == pytest.approx(0.01, rel=0.3)
     assert channel.innovation <= channel.noise
     assert misfit(result) == pytest.approx(result.cost + 60 * np.log(channel.innovation))
+
+
+@pytest.mark.quick
+def test_starts_fill_priors_and_bounds_and_more_have_the_same_first_ones():
+    setup = set_up(
+        Decay(),
+        run(),
+        priors={"offset": Prior(0.5, deviation=0.1), "amplitude": Prior(2.0, factor=1.5)},
+        bounds={"decay": (1.0, 3.0)},
+        start={"decay": 2.0},
+    )
+    few, many = (start_values(setup, 0.3, 4, count) for count in (6, 65))
+    assert many[:6] == few
+    assert few[0]["decay"] == 2.0
+    decays, offsets, amplitudes = (
+        np.array([each[path] for each in many[1:]]) for path in ("decay", "offset", "amplitude")
+    )
+    np.testing.assert_allclose(np.quantile(decays, [0.25, 0.5, 0.75]), [1.5, 2, 2.5], atol=0.05)
+    np.testing.assert_allclose([offsets.mean(), offsets.std()], [0.5, 0.1], atol=0.01)
+    logarithms = np.log(amplitudes)
+    expected = [np.log(2.0), np.log(1.5)]
+    np.testing.assert_allclose([logarithms.mean(), logarithms.std()], expected, atol=0.03)
+
+
+def test_ends_that_are_as_good_and_elsewhere_are_two_optima():
+    """And one that is near, but worse, is a third."""
+    finished = load_result(FINISHED)
+    best, count = misfit(finished), sum(c.n for r in finished.runs for c in r.channels.values())
+    values = {path: estimate.value for path, estimate in finished.free.items()}
+    path = next(p for p, one in finished.free.items() if one.standard_error is not None)
+    far = {**values, path: values[path] + 5 * finished.free[path].standard_error}
+    worse = best + 2 * _valleys.SAME_END * count
+    ends = [(best, values), (worse, values), (best, far), (best, values)]
+    starts = [Start({}, "converged", *end) for end in ends]
+    starts.append(Start({}, "not_converged", best, values, "it crawls"))
+    found = valleys(dataclasses.replace(finished, starts=tuple(starts)))
+    assert sorted((v.reached, v.values[path] == values[path], v.worse > 0) for v in found) == [
+        (1, False, False), (1, True, True), (2, True, False),
+    ]  # fmt: skip
+    assert lost_starts(dataclasses.replace(finished, starts=tuple(starts))) == {"it crawls": 1}
 
 
 # Any finished fit will do where none is run.

@@ -183,7 +183,7 @@ class Start:
         misfit: minus the logarithm of the likelihood, up to a constant; None where nothing was
             evaluated.
         parameters: where it ended, by path; likewise.
-        message: why it failed; None where it did not.
+        message: why it failed or did not converge; None where it did.
     """
 
     start: dict[str, float]

@@ -17,7 +17,7 @@ from ..fitting import (
     in_column_units,
     units_note,
 )
-from ..study import SAME_END, misfit
+from ..study import SAME_END, lost_starts, misfit, valleys
 from ._held_out import held_out_lines
 from ._sources import source_lines
 from ._trust import noise_lines, verdict_lines
@@ -100,7 +100,7 @@ def _labelled(label: str, texts: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def _starts(result: FitResult) -> list[str]:
-    """How many starts ended where the result is."""
+    """How many starts ended where the result is, which other optima there are, and what failed."""
     if not result.starts:
         return []
     best = misfit(result)
@@ -112,7 +112,14 @@ def _starts(result: FitResult) -> list[str]:
     if others:
         text += f"; the others are worse by {others[0]:.2g} to {others[-1]:.2g} in log-likelihood "
         text += "per value"
-    return [text]
+    lines = [text]
+    for valley in valleys(result)[1:_MANY]:
+        where = ", ".join(f"{path} {value:.4g}" for path, value in valley.values.items())
+        who = "1 start" if valley.reached == 1 else f"{valley.reached} starts"
+        lines.append(f"another optimum, by {who}, worse by {valley.worse:.3g}: {where}")
+    return lines + [
+        f"{count} did not converge: {why}" for why, count in lost_starts(result).items()
+    ]
 
 
 def _over_runs(runs: Sequence[RunFit | PredictionErrors | HeldOut], what: str) -> list[str]:

@@ -18,7 +18,6 @@ from ._ends import misfit as misfit
 from ._fitted import Fitted as Fitted, fit_key as fit_key
 from ._marginal import Marginal as Marginal
 from ._multi_start import (
-    SAME_END as SAME_END,
     SEED as SEED,
     SPREAD as SPREAD,
     multi_start as multi_start,
@@ -50,4 +49,10 @@ from ._sensitivity import (
     body_of as body_of,
     expected_errors as expected_errors,
     sensitivity as sensitivity,
+)
+from ._valleys import (
+    SAME_END as SAME_END,
+    Valley as Valley,
+    lost_starts as lost_starts,
+    valleys as valleys,
 )

@@ -8,7 +8,6 @@ import functools
 import threading
 from collections.abc import Callable, Mapping, Sequence
 
-import numpy as np
 import numpy.typing as npt
 
 from .._cores import cores
@@ -32,9 +31,6 @@ from ..quantities import Prior
 from ..runs import Run
 from ._ends import end_values, interrupted, misfit
 from ._starts import inside_bounds, start_values
-
-# An end whose misfit is this much above the best one, per measured value, is another valley.
-SAME_END = 1e-3
 
 STARTS, SPREAD, SEED = 8, 0.3, 0
 
@@ -69,10 +65,12 @@ def multi_start(
 ) -> FitResult:
     """Fit from several starts, and return the best end.
 
-    The first start is the one that a fit has; the others change every free parameter by a factor
-    between 1 / (1 + spread) and 1 + spread, or where a parameter has no sign by up to `spread`
-    times its size. Ends are compared by the misfit, which is the logarithm of the likelihood: a
-    cost alone means nothing where each fit estimates its own noise.
+    The first start is the one that a fit has; the others fill the room around it evenly (a Sobol
+    sequence). A parameter with a prior begins where that says; one with two bounds of this fit
+    between them; any other is changed by a factor between 1 / (1 + spread) and 1 + spread, or
+    where it has no sign by up to `spread` times its size. Ends are compared by
+    the misfit, which is the logarithm of the likelihood: a cost alone means nothing where each fit
+    estimates its own noise.
 
     Arguments:
         model, runs, free, start, fix, loss, noise_model, noise_per_run, solver, tolerance: as of
@@ -152,8 +150,7 @@ def solve_from_starts(
         InputError: the first start cannot be evaluated.
     """
     setup = setup.at_start()
-    random = np.random.default_rng(seed)
-    values = [start_values(setup, spread, random if n > 1 else None) for n in range(1, starts + 1)]
+    values = start_values(setup, spread, seed, starts)
     # A wrong number of cores is told before the first start, not after it.
     count = cores()
     spent = threading.Event()
@@ -184,7 +181,8 @@ def solve_from_starts(
         if result.reason == "budget":
             # What is left of it is too little for a step of any start.
             spent.set()
-        return Start(start, result.status, misfit(result), end_values(result)), result
+        message = None if result.status == "converged" else result.message
+        return Start(start, result.status, misfit(result), end_values(result), message), result
 
     ended = _one_by_one_then_side_by_side(one, starts, count)
     ends = [start for start, _ in ended]

@@ -3,36 +3,65 @@
 from collections.abc import Mapping
 
 import numpy as np
+from scipy.special import ndtri
 
-from ..fitting import Setup, between
+from ..fitting import Setup, between, prior_of
+from ..parameters import Parameter
 
 
-def start_values(
-    setup: Setup, spread: float, random: np.random.Generator | None
-) -> dict[str, float]:
-    """Start values by path: those of the setup, or near them.
+def start_values(setup: Setup, spread: float, seed: int, count: int) -> list[dict[str, float]]:
+    """Start values by path: those of the setup, and others that fill the room around them.
+
+    The others are a scrambled Sobol sequence, of which more starts have the same first ones. Of a
+    parameter with a prior they are its quantiles, between two bounds of the fit they are evenly
+    spread, and otherwise they are near those of the setup.
 
     Arguments:
         setup: what to fit to what.
-        spread: relative distance from the values of the setup.
-        random: chooses the values; None for those of the setup.
+        spread: relative distance from the values of the setup, where nothing else is stated.
+        seed: of the sequence.
+        count: how many starts.
 
     Returns:
-        A value for each free parameter, between its bounds.
+        For each start a value for each free parameter, between its bounds.
     """
-    values = {}
-    for parameter in setup.parameters:
-        declaration, value = parameter.declaration, float(parameter.value(setup.model))
-        lower, upper = declaration.lower, declaration.upper
-        if random is not None:
-            if lower >= 0:
-                value *= (1 + spread) ** random.uniform(-1, 1)
-            else:
-                size = abs(value) or abs(declaration.default) or 1.0
-                value += random.uniform(-1, 1) * spread * size
-            value = between(value, lower, upper)
-        values[parameter.path] = value
-    return values
+    first = {each.path: float(each.value(setup.model)) for each in setup.parameters}
+    if count < 2 or not first:
+        return [dict(first) for _ in range(count)]
+    # Takes a second to import, and one start needs none of it.
+    from scipy.stats import qmc
+
+    sobol = qmc.Sobol(len(first), scramble=True, seed=seed)
+    shares = sobol.random_base2(int(np.ceil(np.log2(count))))[: count - 1]
+    others = [
+        {
+            each.path: _value(setup, each, spread, float(share))
+            for each, share in zip(setup.parameters, row, strict=True)
+        }
+        for row in shares
+    ]
+    return [first, *others]
+
+
+def _value(setup: Setup, parameter: Parameter, spread: float, share: float) -> float:
+    """The value of a parameter that is above a share of all of its start values."""
+    declaration, value = parameter.declaration, float(parameter.value(setup.model))
+    lower, upper = declaration.lower, declaration.upper
+    path = parameter.path
+    prior = prior_of(setup.priors, path)
+    stated = setup.config.get("bounds", {})
+    if prior is not None:
+        # The sequence may begin at 0, where a quantile is infinite.
+        quantile = prior.centre + prior.spread * float(ndtri(np.clip(share, 1e-3, 1 - 1e-3)))
+        value = float(np.exp(quantile)) if prior.logarithmic else quantile
+    elif (path in stated or path.partition("[")[0] in stated) and np.isfinite(upper - lower):
+        value = lower + share * (upper - lower)
+    elif lower >= 0:
+        value *= (1 + spread) ** (2 * share - 1)
+    else:
+        size = abs(value) or abs(declaration.default) or 1.0
+        value += (2 * share - 1) * spread * size
+    return between(value, lower, upper)
 
 
 def inside_bounds(setup: Setup, values: Mapping[str, float]) -> dict[str, float]:

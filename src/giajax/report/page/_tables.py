@@ -9,6 +9,7 @@ import numpy as np
 from ..._text import format_bounds, format_estimate
 from ...diagnosis import together
 from ...fitting import Estimate, FitResult, column_factors, in_column_units
+from ...study import lost_starts, valleys
 
 
 class Table(NamedTuple):
@@ -134,6 +135,22 @@ def starts_table(result: FitResult) -> Table:
     units = {path: one.unit for path, one in in_column_units(result.free, result.model).items()}
     headings = [f"{path} ({units[path]})" if units[path] else path for path in paths]
     return Table(["ended", "misfit", *headings], rows, 1)
+
+
+def optima_table(result: FitResult) -> Table:
+    """The optima that the starts reached, in the columns' units; what failed is below them."""
+    factors = column_factors(result.model)
+    paths = {path: factors.get(path.partition("[")[0], 1.0) for path in result.free}
+    rows = [
+        [f"optimum {place}", str(valley.reached), f"{valley.worse:.3g}"]
+        + [_number(valley.values[path] * factor) for path, factor in paths.items()]
+        for place, valley in enumerate(valleys(result), 1)
+    ]
+    nothing = ["-"] * (1 + len(paths))
+    rows += [[why, str(count), *nothing] for why, count in lost_starts(result).items()]
+    units = {path: one.unit for path, one in in_column_units(result.free, result.model).items()}
+    headings = [f"{path} ({units[path]})" if units[path] else path for path in paths]
+    return Table(["ended at", "starts", "worse by (log-likelihood)", *headings], rows, 1)
 
 
 def own_table(result: FitResult) -> Table:
