@@ -6,7 +6,6 @@ from typing import Self
 
 import numpy as np
 
-from .._errors import InputError
 from ..fitting import (
     Direction,
     FitResult,
@@ -24,20 +23,6 @@ from ..parameters import declared, get, replace
 from ..runs import Run
 
 Array = np.ndarray
-
-
-def matching_runs(result: FitResult, runs: Run | Sequence[Run]) -> list[Run]:
-    """The runs of a result, checked to be those.
-
-    Raises:
-        InputError: they are others, or in another order.
-    """
-    several = [runs] if isinstance(runs, Run) else list(runs)
-    if [run.sha256 for run in several] != [record.sha256 for record in result.runs] or [
-        list(run.observations) for run in several
-    ] != [list(record.channels) for record in result.runs]:
-        raise InputError("the runs are not those of the result: give the same ones in their order")
-    return several
 
 
 def varied_values(result: FitResult) -> list[dict[str, float]]:

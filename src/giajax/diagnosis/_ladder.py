@@ -6,13 +6,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from .._errors import InputError
-from ..fitting import FitResult, Suspect
+from ..fitting import FitResult, Suspect, matching_runs
 from ..models import AbstractModel
 from ..parameters import declared, elements, left_out, switched_on
 from ..runs import Run
 from ..study import refit
 from ._axes import all_axes, name_of, turned_back
-from ._ended import matching_runs
 from ._measured import Measured, Noise
 from ._records import Suspects
 from ._rung import Ladder, Rung
@@ -67,7 +66,7 @@ def ladder(
     """
     if tries < 1:
         raise InputError(f"{tries} suspects cannot be tried at each step: give 1 or more")
-    several, apart = matching_runs(result, runs), list(held_out)
+    several, apart = matching_runs(result.runs, runs), list(held_out)
     fits: list[Measured] = []
     asked: list[Suspects | None] = []
 

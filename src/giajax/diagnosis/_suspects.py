@@ -6,13 +6,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from .._errors import InputError
-from ..fitting import FitResult, Response, Suspect
+from ..fitting import FitResult, Response, Suspect, matching_runs
 from ..models import AbstractModel
 from ..parameters import declared
 from ..runs import Run
 from ._axes_test import axes_row
 from ._candidates import Inquiry, inquiry
-from ._ended import Moved, matching_runs, responses_of
+from ._ended import Moved, responses_of
 from ._projection import projected
 from ._records import Suspects
 from ._rows import impossible_row, parameter_rows, switch_row
@@ -57,7 +57,7 @@ def suspects(result: FitResult, runs: Run | Sequence[Run], *, each: Sequence[str
         >>> giajax.suspects(result, runs).promising[0].path  # doctest: +SKIP
         'camera.delay'
     """
-    runs = matching_runs(result, runs)
+    runs = matching_runs(result.runs, runs)
     asked = inquiry(result.model, list(result.free), each, result.config.get("ties"))
     return tested(result, runs, asked, linearised(result, runs, asked))
 

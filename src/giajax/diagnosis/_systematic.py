@@ -10,13 +10,14 @@ from ..fitting import (
     FitResult,
     Response,
     SystematicError,
+    matching_runs,
     scores,
 )
 from ..noise import ChannelNoise, whitened
 from ..runs import Channel, Run
 from ._candidates import inquiry
 from ._doubts import Doubt, is_doubtful, one_percent, stated_doubts
-from ._ended import Moved, matching_runs, responses_of
+from ._ended import Moved, responses_of
 
 _RANK = 1e-9
 # Of a cell that a robust loss leaves out: a weight of 0 would be no measurement.
@@ -53,7 +54,7 @@ def systematic_errors(
         InputError: other runs, an unknown path, one that was fitted, or an uncertainty that is
             not positive.
     """
-    several = matching_runs(result, runs)
+    several = matching_runs(result.runs, runs)
     if uncertainty is None:
         uncertainty = result.config.get("uncertainty") or {}
     asked = inquiry(result.model, list(result.free), ties=result.config.get("ties"))

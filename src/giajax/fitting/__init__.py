@@ -17,7 +17,7 @@ from ._integration import IntegrationFit as IntegrationFit
 from ._jacobian import BlockJacobian as BlockJacobian
 from ._loss import rho as rho, scores as scores
 from ._noise import NOISE_MODELS as NOISE_MODELS, NoiseModel as NoiseModel
-from ._of_runs import layout_of as layout_of
+from ._of_runs import layout_of as layout_of, matching_runs as matching_runs
 from ._optimum import Optimum as Optimum, Point as Point
 from ._optimum_of import optimum as optimum
 from ._predict import (

@@ -3,6 +3,9 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
+from .._errors import InputError
 from ..models import AbstractModel
 from ..parameters import declared, replace
 from ..runs import Run
@@ -43,6 +46,32 @@ def rows_of_runs(runs: Sequence[RunFit], free: Mapping[str, Estimate]) -> dict[s
         )
         for (path, own), names in sharing.items()
     }
+
+
+def matching_runs(records: Sequence[RunFit], runs: Run | Sequence[Run]) -> list[Run]:
+    """The runs of a result, checked to be those.
+
+    Of runs that were made in memory, and of windows of one file, there is no checksum that tells
+    them apart: channels, numbers of measured cells and names have to be the same.
+
+    Arguments:
+        records: of the fitted runs.
+        runs: what is said to be them, in their order.
+
+    Raises:
+        InputError: they are others, or in another order.
+    """
+    several = [runs] if isinstance(runs, Run) else list(runs)
+    seen = [record.sha256 for record in records]
+    same = [run.sha256 for run in several] == seen and all(
+        {name: int(np.sum(~np.isnan(cells))) for name, cells in run.observations.items()}
+        == {name: channel.n for name, channel in record.channels.items()}
+        and (seen.count(record.sha256) == 1 or run.name == record.name)
+        for run, record in zip(several, records, strict=True)
+    )
+    if not same:
+        raise InputError("the runs are not those of the result: give the same ones in their order")
+    return several
 
 
 def layout_of(

@@ -70,5 +70,5 @@ def descended(state: FitState, most: int) -> Refit:
         state = trial(state)
         reason, _ = stopped_by(state) or ("", "")
         if reason:
-            return Refit(state, reason == "rough" and nearly(state), reason)
+            return Refit(state, reason in ("rough", "crawl") and nearly(state), reason)
     return Refit(state, True, "optimum")

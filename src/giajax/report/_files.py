@@ -5,8 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .._errors import InputError
-from ..fitting import FitResult, RunFit
+from ..fitting import FitResult, RunFit, matching_runs
 from ..runs import Run, check_output_folder, make_folder, observing, write_files
 from ..study import begun_where_it_ended
 from ._correlation import correlation_figure
@@ -99,9 +98,7 @@ def _parts(
     result: FitResult, runs: Run | Sequence[Run]
 ) -> tuple[list[Run], list[str], Sequence[Mapping[str, np.ndarray]]]:
     """The runs of a result, their names as files, and what it predicts for each."""
-    runs = [runs] if isinstance(runs, Run) else list(runs)
-    if [run.sha256 for run in runs] != [record.sha256 for record in result.runs]:
-        raise InputError("the runs are not those of the result: give the same ones in their order")
+    runs = matching_runs(result.runs, runs)
     # A result that was loaded has no predictions with it.
     begun = runs if result.predictions else begun_where_it_ended(result, runs)
     predictions = result.predictions or [result.predict(run) for run in begun]

@@ -7,10 +7,9 @@ import json
 from collections.abc import Sequence
 from typing import Any, Self
 
-from .._errors import InputError
 from .._structure import content
 from ..execution import prepared
-from ..fitting import FitResult, Optimum, Seconds
+from ..fitting import FitResult, Optimum, Seconds, matching_runs
 from ..runs import Run
 from ._refit import optimum_of
 
@@ -43,15 +42,11 @@ class Fitted:
         Raises:
             InputError: these are not its runs.
         """
-        runs = (runs,) if isinstance(runs, Run) else tuple(runs)
-        if [run.sha256 for run in runs] != [record.sha256 for record in result.runs]:
-            raise InputError(
-                "the runs are not those of the result: give the same ones in their order"
-            )
+        several = tuple(matching_runs(result.runs, runs))
         bare = dataclasses.replace(
             result, predictions=(), held_predictions=(), seconds=Seconds(0.0, 0.0)
         )
-        return cls(bare, runs)
+        return cls(bare, several)
 
     @functools.cached_property
     def task_key(self) -> str:

@@ -68,10 +68,12 @@ class Profiled:
             return constrained(optimum, self.quantity, value, start)
         ended = optimum.refit(held={self.name: value}, start=start)
         known = ended.state.evaluated
+        # What is held has a column, too: it says where the others go when it is moved.
+        everything = dataclasses.replace(ended.state, active=optimum.state.active)
         return Followed(
             values=ended.values,
             cost=ended.cost if known else np.inf,
-            jacobian=ended.state.natural_jacobian() if known else None,
+            jacobian=everything.natural_jacobian() if known else None,
             reason=ended.reason,
             converged=ended.converged,
         )

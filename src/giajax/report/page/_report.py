@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..._errors import InputError
-from ...fitting import FitResult
+from ...fitting import FitResult, matching_runs
 from ...runs import Run
 from ...study import begun_where_it_ended, profiles_beside
 from ...tasks import repeatable
@@ -83,8 +83,7 @@ def report_page(
     Raises:
         InputError: other runs than those of the result.
     """
-    if [run.sha256 for run in runs] != [record.sha256 for record in result.runs]:
-        raise InputError("the runs are not those of the result: give the same ones in their order")
+    runs = matching_runs(result.runs, runs)
     # What is predicted here, the bands and the arm with it, begins where the fitted values do.
     runs = begun_where_it_ended(result, runs)
     predictions = result.predictions or [result.predict(run) for run in runs]
