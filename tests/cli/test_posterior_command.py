@@ -9,7 +9,9 @@ import pytest
 
 from giajax import load_result
 from giajax.cli import main
+from giajax.cli._posterior import _is_unfinished
 from giajax.report.page._posterior import posterior_part
+from giajax.study import PosteriorSummary
 from page_reader import Page
 
 DATA = Path(__file__).resolve().parents[2] / "data" / "synthetic"
@@ -51,12 +53,16 @@ def test_it_writes_what_it_found_beside_the_result(fit, capsys):
 def test_more_chains_keep_those_that_are_there_and_a_page_shows_them(fit, tmp_path, capsys):
     shutil.copytree(fit, tmp_path / "fit")
     folder = tmp_path / "fit"
+    (folder / "posterior.npz").write_bytes(b"of an earlier call, without ArviZ")
+    (folder / "posterior.nc").write_bytes(b"of an earlier call, with ArviZ")
     before = {path.name: path.read_bytes() for path in (folder / "posterior_chains").iterdir()}
     assert main(["posterior", str(folder), "--chains", "3", "--force", *FEW]) == 0
     assert "3 chains of 60 draws" in capsys.readouterr().out
     after = {path.name: path.read_bytes() for path in (folder / "posterior_chains").iterdir()}
     assert len(after) == 3
     assert before.items() <= after.items()
+    (draws,) = (path for path in folder.glob("posterior.n*"))
+    assert not draws.read_bytes().startswith(b"of an earlier call")
 
     assert main(["report", str(folder), "--quiet"]) == 0
     page = Page((folder / "report.html").read_bytes())
@@ -67,3 +73,16 @@ def test_more_chains_keep_those_that_are_there_and_a_page_shows_them(fit, tmp_pa
     other = dataclasses.replace(result, cost=1.01 * result.cost)
     assert posterior_part(result, folder / "result.json") is not None
     assert posterior_part(other, folder / "result.json") is None
+
+
+def test_only_what_is_unfinished_of_this_fit_is_written_over(fit, tmp_path):
+    result = load_result(fit)
+    known = PosteriorSummary.from_json((fit / "posterior.json").read_text())
+    path = tmp_path / "posterior.json"
+    for asked, cost, unfinished in (
+        (2, result.cost, False),
+        (3, result.cost, True),
+        (3, 1.01 * result.cost, False),
+    ):
+        path.write_text(dataclasses.replace(known, asked=asked, cost=cost).to_json())
+        assert _is_unfinished(path, result) is unfinished

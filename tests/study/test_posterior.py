@@ -1,5 +1,6 @@
 """Draws from a posterior: against closed forms, another sampler, and differences."""
 
+import dataclasses
 import importlib.util
 import sys
 from types import SimpleNamespace
@@ -10,14 +11,17 @@ import pytest
 
 import giajax
 from giajax import InputError, Prior
-from giajax.fitting import density_of
+from giajax.fitting import density_of, energy_at
 from giajax.fitting._density_scale import check_proper
 from giajax.report import posterior_files
 from giajax.report._posterior import draws_file
 from giajax.study import optimum_of, posterior
 from giajax.study._arviz import as_arviz
+from giajax.study._fitted import Fitted
 from giajax.study._mixing import mixing
-from giajax.study._posterior import check_posterior
+from giajax.study._posterior import _within, check_posterior
+from giajax.study._posterior_bands import bands
+from giajax.study._posterior_doubts import doubts
 from toy_model import TRUTH, Decay, run
 
 # Near the optimum of 0.699, which a density that knew no bound would hardly see.
@@ -45,11 +49,11 @@ def drawn(line):
 
 @pytest.fixture(scope="module")
 def bent():
-    """A bound cuts the posterior, and a prior shares in it."""
+    """A bound cuts the posterior, and a prior shares in it; no data say anything of `idle`."""
     recorded = run(seed=0)
-    priors = {"amplitude": Prior(2.01, deviation=0.004)}
+    priors = {"amplitude": Prior(2.01, deviation=0.004), "idle": Prior(3.0, factor=2)}
     settings = {"bounds": BOUNDS, "priors": priors, "noise_model": "white"}
-    free = ["amplitude", "decay"]
+    free = ["amplitude", "decay", "idle"]
     start = {"decay": 0.9}
     fix = {"offset": TRUTH["offset"]}
     return giajax.fit(Decay(), recorded, free=free, start=start, fix=fix, **settings), recorded
@@ -86,25 +90,70 @@ def test_each_channel_has_a_band_that_holds_what_was_recorded(line, drawn):
     assert 0.85 < band.within <= 1
 
 
+def test_a_band_has_the_noise_that_residuals_show(line):
+    """Of residuals that exceed what is stated, as the standard errors have it."""
+    result, recorded = line
+    optimum = optimum_of(result, [recorded])
+    wide = SimpleNamespace(at=optimum.at, statistics=SimpleNamespace(scale=9.0))
+    (by_channel,) = bands(result, [recorded], wide, optimum.values[None])
+    band = by_channel["tip_z"]
+    low, high = band.with_noise()
+    np.testing.assert_allclose(high - low, 2 * 1.96 * 3 * NOISE, rtol=1e-3)
+    assert band.within == 1
+
+
+def test_runs_of_one_name_are_told_apart_or_refused(line, drawn, monkeypatch):
+    same = SimpleNamespace(labels=("tip of 'run'", "tip of 'run'"))
+    monkeypatch.setattr(Fitted, "optimum", lambda fitted: same)
+    with pytest.raises(InputError, match=r"two runs have one name, and tip of 'run' .* rename one"):
+        posterior(*line)
+    each = [{"tip_z": dataclasses.replace(drawn.bands[0]["tip_z"], within=one)} for one in (0.9, 1)]
+    known = _within([line[1], line[1]], each)
+    assert known == {"run4": {"tip_z": 0.9}, "run4_2": {"tip_z": 1}}
+
+
+def test_chains_that_never_moved_are_the_worst(drawn):
+    known = dict(drawn.summary.parameters)
+    known["offset"] = dataclasses.replace(known["offset"], r_hat=None, ess_bulk=None, ess_tail=None)
+    (sentence,) = doubts(known, 0, drawn.samples, [], 3)
+    assert sentence.startswith("the chains are stuck: the draws of offset in a chain are all equal")
+
+
 def test_the_gradient_is_that_of_differences(bent):
-    """Of the noise, the prior and the map of the bound together."""
-    density = density_of(optimum_of(bent[0], [bent[1]]))
+    """Of the noise, the priors and the map of the bound together; the fit's programs agree."""
+    optimum = optimum_of(bent[0], [bent[1]])
+    density = density_of(optimum)
     at = eqx.filter_jit(density.at)
-    z = np.array([0.4, -1.3])
-    _, gradient = at(z)
-    for index, step in enumerate(1e-5 * np.eye(2)):
+    z = np.array([0.4, -1.3, 0.7])
+    energy, gradient = at(z)
+    again = energy_at(density, optimum, z)
+    np.testing.assert_allclose(again[0], energy, rtol=1e-9)
+    np.testing.assert_allclose(again[1], gradient, rtol=1e-9)
+    for index, step in enumerate(1e-5 * np.eye(3)):
         difference = (at(z + step)[0] - at(z - step)[0]) / 2e-5
         np.testing.assert_allclose(gradient[index], difference, rtol=1e-6)
 
 
-def test_another_sampler_finds_the_same_posterior_at_a_bound(bent):
+@pytest.fixture(scope="module")
+def cut(bent):
+    return posterior(*bent, chains=2, draws=1400, warmup=160)
+
+
+def test_where_data_say_nothing_it_is_the_prior(cut):
+    """That of a factor is log-normal, with its median at its value."""
+    known = cut.summary.parameters["idle"]
+    assert min(known.ess_bulk, known.ess_tail) > 600
+    ends = np.percentile(cut.draws_of("idle"), (16, 50, 84))
+    np.testing.assert_allclose(np.log2(ends / 3), [-1, 0, 1], atol=0.2)
+
+
+def test_another_sampler_finds_the_same_posterior_at_a_bound(bent, cut):
     """The affine-invariant ensemble of emcee, of a density that is written here anew."""
     import emcee
 
-    result, recorded = bent
-    found = posterior(result, recorded, chains=2, draws=1400, warmup=160)
+    _, recorded = bent
     times, heights = recorded.times, recorded.observations["tip_z"]
-    scale = found.summary.scale
+    scale = cut.summary.scale
 
     def log_density(values):
         amplitude, decay = values
@@ -120,10 +169,10 @@ def test_another_sampler_finds_the_same_posterior_at_a_bound(bent):
     sampler.run_mcmc(begun, 4500)
     other = sampler.get_chain(discard=500, flat=True)
     quantiles = (5, 25, 50, 75, 95)
-    ours, theirs = (np.percentile(each, quantiles, axis=0) for each in (flat(found), other))
+    ours, theirs = (np.percentile(each, quantiles, axis=0) for each in (flat(cut)[:, :2], other))
     np.testing.assert_allclose((ours - theirs) / other.std(axis=0), 0, atol=0.16)
     # What the linear interval does not know: the density is one-sided.
-    decay = found.summary.parameters["decay"]
+    decay = cut.summary.parameters["decay"]
     assert decay.interval[0] > 0.7005
     assert (decay.interval[1] - decay.mean) > 1.4 * (decay.mean - decay.interval[0])
 

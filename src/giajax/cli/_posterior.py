@@ -72,9 +72,9 @@ def posterior(
     from ..study import check_posterior, posterior as draw
 
     check_posterior(chains=chains, draws=draws, warmup=warmup)
-    unfinished = _is_unfinished(folder / POSTERIOR)
-    check_output_folder(folder, POSTERIOR_FILES, force=force or unfinished)
     fitted = load_result(result)
+    unfinished = _is_unfinished(folder / POSTERIOR, fitted)
+    check_output_folder(folder, POSTERIOR_FILES, force=force or unfinished)
     runs = fitted_runs(fitted, data or [], rename=renamed)
     make_folder(folder)
     with open_executor(workers, scheduler) as executor:
@@ -91,6 +91,9 @@ def posterior(
         )
     files = posterior_files(found, fitted, runs)
     write_files({folder / name: data for name, data in files.items()}, force=True)
+    # Draws in the other format are those of an earlier call.
+    for name in set(POSTERIOR_FILES) - files.keys():
+        (folder / name).unlink(missing_ok=True)
     if as_json:
         typer.echo(found.summary.to_json(), nl=False)
     else:
@@ -100,8 +103,8 @@ def posterior(
         raise Ended(stopped_status())
 
 
-def _is_unfinished(path: Path) -> bool:
-    """Whether a file is the posterior of an earlier call that was stopped."""
+def _is_unfinished(path: Path, result: "FitResult") -> bool:
+    """Whether a file is the posterior of this fit, of an earlier call that was stopped."""
     from .._errors import InputError
     from ..study import PosteriorSummary
 
@@ -109,7 +112,7 @@ def _is_unfinished(path: Path) -> bool:
         known = PosteriorSummary.from_json(path.read_text("utf-8"))
     except (OSError, UnicodeError, InputError):
         return False
-    return known.chains < known.asked
+    return known.is_of(result) and known.chains < known.asked
 
 
 def _show(summary: "PosteriorSummary", result: "FitResult") -> None:

@@ -27,6 +27,8 @@ Row = Float[Array, " drawn"]
 class Density(eqx.Module):
     """A density over free parameters, flat in the parameters themselves where there is no prior.
 
+    A prior of a factor is log-normal, with its median where it is stated.
+
     The coordinate of a sampler, in which the density is about that of a standard normal variable,
     is mapped by the covariance at the optimum to one without bounds (`Unbounded`), and that to the
     parameters.
@@ -85,7 +87,11 @@ class Density(eqx.Module):
         _, slope, change, _ = self.bounds.forward(self.centre + self.spread @ z)
         energy = (cost - prior_cost) / self.scale + prior_cost - jnp.sum(slope)
         gradient = (by_values - by_priors) / self.scale + by_priors
-        gradient = gradient[np.asarray(self.places)]
+        # A normal density of the logarithm of p is one of p by its derivative, 1 / p.
+        priors, values = self.problem.priors, self.values(z)
+        columns = np.asarray(priors.columns, dtype=int)[np.asarray(priors.logarithmic, dtype=bool)]
+        energy = energy + jnp.sum(jnp.log(values[columns]))
+        gradient = gradient.at[columns].add(1 / values[columns])[np.asarray(self.places)]
         return energy, self.spread.T @ (gradient * jnp.exp(slope) - change)
 
     def potential(self) -> Callable[[Row], Scalar]:
@@ -103,8 +109,8 @@ def density_of(optimum: Optimum) -> Density:
     """The density around an optimum, with the noise as it was fitted.
 
     Minus its logarithm is the cost in units of the noise, divided by what makes standard errors of
-    the curvature (`cost_scale`), and that of the priors. A robust loss counts as a density up to a
-    constant.
+    the curvature (`cost_scale`), and that of the priors; where a prior is of the logarithm of a
+    parameter, that logarithm too. A robust loss counts as a density up to a constant.
 
     Raises:
         InputError: nothing bounds a parameter that the data do not determine.

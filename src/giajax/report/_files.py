@@ -6,10 +6,16 @@ from pathlib import Path
 import numpy as np
 
 from ..fitting import FitResult, RunFit, matching_runs
-from ..runs import Run, check_output_folder, make_folder, observing, write_files
+from ..runs import (
+    Run,
+    check_output_folder,
+    make_folder,
+    observing,
+    unique_names,
+    write_files,
+)
 from ..study import begun_where_it_ended
 from ._correlation import correlation_figure
-from ._names import unique_names
 from ._prediction import prediction_files
 from ._recorded import recorded_figure
 from ._residuals import residuals_figure

@@ -9,11 +9,10 @@ import numpy as np
 
 from .._errors import InputError
 from ..fitting import FitResult, column_factors, in_column_units
-from ..runs import Run
+from ..runs import Run, unique_names
 from ..study import Band, Marginal, Posterior, PosteriorSummary
 from ._abscissa import sample_times
 from ._csv import to_csv
-from ._names import unique_names
 from ._posterior_figures import bands_figure, corner_figure
 from ._style import to_png
 

@@ -10,6 +10,7 @@ from ._describe import describe as describe
 from ._duration import seconds_of as seconds_of
 from ._fit_sections import Figure as Figure, Fit as Fit
 from ._hold_out import Parted as Parted, hold_out as hold_out, parted as parted
+from ._names import unique_names as unique_names
 from ._noise import deviation_of as deviation_of
 from ._output import (
     check_output_files as check_output_files,

@@ -11,7 +11,7 @@ import numpy as np
 from .._errors import InputError
 from ..execution import Outcome, Task, run_tasks
 from ..fitting import Density, FitResult, Optimum, density_of, energy_at
-from ..runs import Run
+from ..runs import Run, unique_names
 from ._fitted import Fitted
 from ._marginal import marginal
 from ._posterior_bands import bands
@@ -60,7 +60,7 @@ def posterior(
 
     Raises:
         InputError: these are not its runs; NumPyro is not installed; nothing limits a parameter;
-            a number that cannot be; every chain failed.
+            a number that cannot be; parameters of two runs of one name; every chain failed.
         KeyboardInterrupt: no chain was done when Ctrl-C came.
 
     Example:
@@ -70,6 +70,12 @@ def posterior(
     check_posterior(chains=chains, draws=draws, warmup=warmup)
     fitted = Fitted.of(result, runs)
     optimum = fitted.optimum()
+    doubled = [label for label in optimum.labels if optimum.labels.count(label) > 1]
+    if doubled:
+        raise InputError(
+            f"two runs have one name, and {doubled[0]} in each, so that nothing can be said of one "
+            "of them: rename one"
+        )
     density = density_of(optimum)
     if not density.places:
         raise InputError(
@@ -188,6 +194,6 @@ def _within(
     runs: Sequence[Run], each: Sequence[Mapping[str, Band]]
 ) -> dict[str, dict[str, float | None]]:
     return {
-        run.name: {name: band.within for name, band in by_channel.items()}
-        for run, by_channel in zip(runs, each, strict=True)
+        run: {name: band.within for name, band in by_channel.items()}
+        for run, by_channel in zip(unique_names(runs), each, strict=True)
     }

@@ -1,5 +1,6 @@
 """Where channels are predicted to be: the predictions of some draws."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -20,7 +21,8 @@ def bands(
     """Where each channel of each run is predicted to be.
 
     Arguments:
-        result: of the fit, whose noise counts.
+        result: of the fit, whose noise counts; widened as its standard errors are, where the
+            residuals exceed it.
         runs: what it was fitted to.
         optimum: predicts, by the programs of the fit.
         draws: of all parameters, shape (draw, parameter); some `DRAWS` of them are predicted.
@@ -30,13 +32,14 @@ def bands(
     """
     chosen = np.unique(np.linspace(0, len(draws) - 1, DRAWS).round().astype(int))
     points = (optimum.at(draws[index]) for index in chosen)
+    widened = math.sqrt(optimum.statistics.scale)
     predicted = [point.predictions for point in points if np.isfinite(point.cost)]
     return tuple(
         {
             name: _band(
                 np.stack([each[at][name] for each in predicted]),
                 run.observations[name],
-                float(run.channels[name].to_si(record.channels[name].noise)),
+                widened * float(run.channels[name].to_si(record.channels[name].noise)),
             )
             for name in run.observations
         }

@@ -31,6 +31,13 @@ def doubts(
     if chains < asked:
         why = f" ({failed[0]})" if failed else ""
         sentences.append(f"{asked - chains} of {asked} chains were not drawn{why}: run it again")
+    stuck = [label for label, one in marginals.items() if one.r_hat is None]
+    if stuck:
+        sentences.append(
+            f"the chains are stuck: the draws of {' and '.join(stuck)} in a chain are all equal; "
+            "take a longer warm-up, and if that does not help give priors or bounds that keep away "
+            "from where the model fails"
+        )
     hats = {label: one.r_hat for label, one in marginals.items() if one.r_hat is not None}
     worst = max(hats, key=lambda label: hats[label], default=None)
     if worst is not None and hats[worst] > MOST_R_HAT:

@@ -9,6 +9,7 @@ import numpy as np
 
 from .._errors import InputError
 from .._typing import Float
+from ..fitting import FitResult
 from ._arviz import as_arviz
 from ._marginal import Marginal
 
@@ -25,7 +26,8 @@ class Band:
     Attributes:
         median: of the predictions of draws.
         low, high: 2.5 and 97.5 % of them: what the parameters leave open.
-        noise: standard deviation of a recorded cell.
+        noise: standard deviation of a recorded cell, as the fit left it: more than is stated where
+            residuals exceed that.
         within: share of the recorded cells that are where noise and parameters together put 95 %;
             None where nothing was recorded.
     """
@@ -56,7 +58,8 @@ class PosteriorSummary:
         scale: what the cost of the measured values was divided by.
         cost: of the fit that it is of.
         held: labels of what was free and is not drawn, because no channel responds to it.
-        within: by run and channel, the share of the recorded cells within their 95 % band.
+        within: by run, each by another name, and channel, the share of the recorded cells within
+            their 95 % band.
         warnings: sentences on what is wrong with the draws; empty where nothing is.
     """
 
@@ -72,6 +75,10 @@ class PosteriorSummary:
     held: tuple[str, ...]
     within: dict[str, dict[str, float | None]]
     warnings: tuple[str, ...]
+
+    def is_of(self, result: FitResult) -> bool:
+        """Whether it is of this fit, and not of another one that was in its place."""
+        return self.cost == result.cost
 
     def to_json(self) -> str:
         """As JSON; what is not finite is null."""

@@ -51,7 +51,7 @@ def posterior_part(result: FitResult, source: Path | None) -> PosteriorPart | No
         summary = PosteriorSummary.from_json(text)
     except (OSError, UnicodeError, InputError):
         return None
-    if summary.cost != result.cost:
+    if not summary.is_of(result):
         return None
     shares = [
         (share, f"{channel} of {run}")

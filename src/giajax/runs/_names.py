@@ -3,7 +3,7 @@
 import re
 from collections.abc import Sequence
 
-from ..runs import Run
+from ._run import Run
 
 # 50 characters of four bytes leave room for what is around them in a name.
 _LONGEST = 50
