@@ -60,7 +60,7 @@ def run(size: int, seed: int) -> Figures:
     )
     experiments = {"base step": found.base_step, "design": found.designed}
     return {
-        "ratio": round(found.ratio, 4),
+        "ratio": round(found.ratio or math.nan, 4),
         "over_draws": [round(share, 3) for share in found.spread],
         "evaluations": len(found.evaluations),
         "corners": {

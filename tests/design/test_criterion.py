@@ -89,6 +89,22 @@ def test_what_nothing_responds_to_weighs_nothing():
     assert covariance_of(found)[3, 3] == pytest.approx(1e4)
 
 
+def test_what_the_data_do_not_tell_is_not_determined():
+    """They tell the sum of two and nothing else of them, and a third to 1000 times its scale."""
+    jacobian = np.asarray([[10.0, 10.0, 0.0], [0.0, 0.0, 1e-3]])
+    found = jacobian.T @ jacobian
+    assert Criterion("c", (2.0, 2.0, 0.0)).is_determined(found)
+    for kind, weights in [
+        ("c", (1.0, 0.0, 0.0)),
+        ("c", (1.0, -1.0, 0.0)),
+        ("c", (0.0, 0.0, 1.0)),
+        ("A", (1.0, 1.0, 0.0)),
+        ("D", (1.0, 0.0, 1.0)),
+    ]:
+        assert not Criterion(kind, weights).is_determined(found)
+        assert Criterion(kind, weights).is_determined(found + np.eye(3))
+
+
 def test_what_makes_no_criterion_is_one_sentence():
     with pytest.raises(InputError, match="no criterion 'E': use one of: c, A, D"):
         Criterion("E", (1.0,))
@@ -179,6 +195,10 @@ def test_a_search_that_is_stopped_has_the_best_so_far():
     whole = Search(Bowl(), series)
     whole.follow(starts_of(series, 4), 1, 50)
     assert not whole.interrupted
+    assert not whole.limited
+    short = Search(Bowl(), series)
+    short.follow(starts_of(series, 4), 1, 1)
+    assert short.limited
     np.testing.assert_allclose(whole.best, wanted, atol=0.02)
 
     def at_once(evaluation):

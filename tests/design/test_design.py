@@ -1,6 +1,8 @@
 """The next experiment of a short arm: one compiled program for all of it."""
 
+import dataclasses
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,14 +10,20 @@ import pytest
 import giajax
 from giajax import ArmModel, InputError, Limits, design_experiment, read_run
 from giajax.cli import main
-from giajax.design._command import CommandSeries
+from giajax.cli._design_source import source_of
+from giajax.design import Design, Expected
+from giajax.design._command import CommandSeries, base_step
 from giajax.design._criterion import Criterion
-from giajax.design._information import informed
+from giajax.design._information import Informed, informed
 from giajax.design._objective import RobustError
 from giajax.design._question import question_of
 from giajax.design._uncertainty import draws
+from giajax.parameters import get
+from giajax.report import design_json
 from giajax.study import expected_errors
 
+EARLIER = Path(__file__).parents[1] / "earlier" / "arm"
+C = Criterion("c", (1.2, 0.0))
 DRAG, STIFFNESS = "air.drag_coefficient", "joints.pitch_stiffness"
 # What notebooks/05_next_experiment.ipynb and docs/design.md have, too: one program is compiled.
 SMALL = ["--links", "2", "--duration", "4", "--knots", "4", "--free", STIFFNESS]
@@ -28,10 +36,11 @@ def arm():
 
 def asked(source=None, **changes):
     options = dict.fromkeys(
-        ("free", "channels", "noise", "priors", "uncertainty", "definition"), None
+        ("free", "channels", "noise", "priors", "ties", "uncertainty", "definition"), None
     )
-    options |= {"free": [STIFFNESS], **changes}
-    return question_of(source or arm(), [DRAG], Limits(duration=4.0), **options)
+    options |= {"wanted": [DRAG], "free": [STIFFNESS], **changes}
+    wanted = options.pop("wanted")
+    return question_of(source or arm(), wanted, Limits(duration=4.0), **options)
 
 
 def test_the_command_its_files_and_what_they_promise(tmp_path, capsys):
@@ -86,9 +95,7 @@ def test_the_command_its_files_and_what_they_promise(tmp_path, capsys):
     np.testing.assert_allclose(whole, jacobian.T @ jacobian, rtol=1e-3)
 
     uncertain = draws(question.parameters, question.values, question.deviations, np.eye(2), 2)
-    error = RobustError(
-        question.experiment, series, uncertain, question.known, Criterion("c", (1.2, 0.0)), 2
-    )
+    error = RobustError(question.experiment, series, uncertain, question.known, C, 2)
     error.choose(numbers)
     value, slope = error(numbers)
     first = expected_errors(whole)[0] * question.values[0]
@@ -109,10 +116,121 @@ def test_draws_are_of_what_is_uncertain():
     assert 0.15 < np.std(np.log(found[:, 0])) < 0.45
 
 
+def test_what_is_known_badly_is_drawn_within_a_factor_of_four():
+    question = asked(uncertainty={DRAG: 3.0, STIFFNESS: 0.1})
+    found = draws(question.parameters, question.values, question.deviations, np.eye(2), 33)
+    shares = found / question.values
+    assert 3 < np.max(shares[:, 0]) <= 4
+    assert 0.25 <= np.min(shares[:, 0]) < 0.4
+    assert np.max(shares[:, 1]) < 1.3
+
+
+def test_draws_that_cannot_be_simulated_are_left_out():
+    """But for the present values, without which there is no answer."""
+    question = asked()
+    series = CommandSeries.of(question.limits, 4)
+    uncertain = draws(question.parameters, question.values, question.deviations, np.eye(2), 4)
+    error = RobustError(question.experiment, series, uncertain, question.known, C, 2)
+    numbers = series.base_step()
+    nothing = np.zeros((4, 1, 1, 1))
+    successful = np.asarray([False, True, False, True])
+    told = Informed(nothing, nothing[:, None], np.zeros((4, 1, 1)), successful)
+    error._seen = numbers.tobytes(), told
+    error.leave_out_failing(numbers)
+    np.testing.assert_array_equal(error.draws, uncertain[[0, 1, 3]])
+
+
+def test_what_a_fit_does_not_tell_is_not_known():
+    """Neither what it held, nor what it has no error of."""
+    result = giajax.load_result(EARLIER / "result.json")
+    estimate = dataclasses.replace(result.parameters[DRAG], standard_error=None)
+    loose = dataclasses.replace(result, parameters={**result.parameters, DRAG: estimate})
+    for source, error in ((result, result.parameters[DRAG].standard_error), (loose, None)):
+        found = asked(source, wanted=[STIFFNESS], free=None)
+        values = dict(zip(found.experiment.paths, found.values, strict=True))
+        assert found.deviations[STIFFNESS] == pytest.approx(0.2 * values[STIFFNESS])
+        assert found.deviations[DRAG] == pytest.approx(error or 0.2 * values[DRAG])
+
+
+def test_a_result_and_its_definition_ask_the_same(tmp_path):
+    """Of what is free and held, what follows from others, the start and the wind."""
+    stored = json.loads((EARLIER / "result.json").read_text())
+    ties = {"joints.yaw_stiffness": f"2 * {STIFFNESS}"}
+    stored["config"]["ties"] = ties
+    (tmp_path / "result.json").write_text(json.dumps(stored))
+    text = (EARLIER / "run_fit.toml").read_text()
+    tied = '[fit.ties]\n"joints.yaw_stiffness" = "2 * joints.pitch_stiffness"\n\n[figures'
+    (tmp_path / "run_fit.toml").write_text(text.replace("[figures", tied))
+    for name in ("run.csv", "run.toml"):
+        (tmp_path / name).write_bytes((EARLIER / name).read_bytes())
+    found = []
+    for name in ("result.json", "run_fit.toml"):
+        source, settings = source_of(tmp_path / name, None, [], [], "tsit5", 1e-6)
+        found.append(asked(source, **settings, wanted=[DRAG, STIFFNESS]))
+    one, other = found
+    assert [tie.path for tie in one.ties] == [tie.path for tie in other.ties] == list(ties)
+    assert one.experiment.paths == other.experiment.paths
+    assert one.experiment.own == other.experiment.own
+    assert one.definition["wind"] == other.definition["wind"]
+    for path in ("joints.damping", "air.added_mass_coefficient", "camera.origin[0]"):
+        assert get(one.model, path) == get(other.model, path), path
+    # What is free by default is not, where the definition holds it.
+    (tmp_path / "run_fit.toml").write_text(
+        text.replace('free = ["air.drag_coefficient", "camera.origin[2]"]', "")
+    )
+    _, settings = source_of(tmp_path / "run_fit.toml", None, [], [], "tsit5", 1e-6)
+    assert DRAG in settings["free"]
+    assert "joints.damping" not in settings["free"]
+
+
 def test_priors_are_information():
+    """Of the first state of the run, too."""
     prior = giajax.Prior(1.2, deviation=0.06)
     known = asked(priors={DRAG: prior}).known
     np.testing.assert_allclose(known, np.diag([(1.2 / 0.06) ** 2, 0.0]))
+    rate = {"initial.rate": giajax.Prior(0.0, deviation=0.1)}
+    known = asked(definition={"initial": {"free": True}}, priors=rate).known
+    np.testing.assert_allclose(known, np.diag([0.0, 0.0, 0.0, 0.0, 100.0, 100.0]))
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"priors": {"air.drag": {"value": 1.0, "deviation": 0.1}}}, "did you mean"),
+        ({"priors": {"joints.damping": {"value": 1.0, "deviation": 0.1}}}, "and is not free"),
+        ({"ties": {DRAG: f"0.4 * {STIFFNESS}"}}, f"'{DRAG}' is tied to others: ask for"),
+    ],
+)
+def test_what_a_question_cannot_be(options, words):
+    with pytest.raises(InputError, match=words):
+        asked(**options)
+
+
+def test_weights_may_be_one():
+    question = asked(wanted={DRAG: 1.0, STIFFNESS: 1.0})
+    assert question.weights("c") == tuple(question.values)
+    with pytest.raises(InputError, match="criterion c is of one number"):
+        asked(wanted=[DRAG, STIFFNESS]).weights("c")
+
+
+def test_what_is_not_determined_has_no_ratio():
+    question = asked()
+    drive = base_step(question.limits, 4).drive()
+    run = question.run_of(drive, "run")
+    plan = {"run": run, "drive": drive, "markers": ("link02",), "channels": ("link02_z",)}
+    told = {"times": run.times, "predicted": {"link02_z": np.zeros(len(run.times))}}
+    known = Expected(**plan, **told, errors={DRAG: 0.1}, criterion=0.1)
+    unknown = Expected(**plan, **told, errors={DRAG: np.inf}, criterion=None)
+    common = {"limits": question.limits, "criterion": "c", "wanted": (DRAG,), "noise": {}}
+    common |= {"parameters": {DRAG: (1.2, "")}, "before": {}, "spread": (0.5, 2.0), "draws": 2}
+    common |= {"status": "converged", "evaluations": (), "seconds": 0.0}
+    half = Design(**common, designed=known, base_step=unknown)
+    assert half.ratio is None
+    assert f"the base step cannot tell {DRAG}" in repr(half)
+    stored = json.loads(design_json(Design(**common, designed=unknown, base_step=unknown)))
+    assert stored["ratio"] is stored["design"]["criterion"] is stored["draws"]["largest"] is None
+    whole = Design(**common, designed=known, base_step=dataclasses.replace(known, criterion=0.2))
+    assert whole.summary() == "0.500 times the error of the base step"
 
 
 def test_a_free_first_state_is_a_nuisance():

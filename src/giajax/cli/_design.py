@@ -3,25 +3,22 @@
 Longer than 200 lines because it declares each option with its help.
 """
 
-import dataclasses
 import math
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from .._errors import InputError
 from .._signals import is_stopped, stopped_status
 from ._channel_names import channel_names
-from ._drive import definition_from_options, model_and_truth
+from ._design_source import source_of
 from ._model import is_result
 from ._values import deviations, noise_section
 
 if TYPE_CHECKING:
     from ..design import Design, Evaluation
-    from ..fitting import FitResult
-    from ..models import ArmModel
 
 EXAMPLES = """\b
 Examples:
@@ -39,9 +36,6 @@ SOURCE is the folder of a fit or its result.json, a fit definition, or a TOML fi
 run, with its sidecar, design.json and design.png."""
 
 _FILES = ("command.csv", "command.toml", "design.json", "design.png")
-# Of a file, beside the arm.
-_KEPT = ("initial", "wind", "noise")
-
 _DIGITS = 12
 
 
@@ -154,7 +148,7 @@ def design(
     from ..report import design_figure, design_json, to_png
 
     limits = Limits(moving, math.radians(angle), math.radians(angle_rate), duration, rate)
-    given, settings = _source(source, links, pairs or [], solver, tolerance)
+    given, settings = source_of(source, links, pairs or [], free or [], solver, tolerance)
     names = channel_names(channels or ["all"], joint_count(given))
     found = design_experiment(
         given,
@@ -166,6 +160,7 @@ def design(
         markers=markers,
         noise=deviations(section, "--noise", names),
         priors=settings["priors"],
+        ties=settings["ties"],
         uncertainty=uncertainty,
         over="worst" if worst else "mean",
         draw_count=draws,
@@ -198,44 +193,6 @@ def design(
     if found.status == "interrupted":
         typer.echo("giajax: stopped: this is the best command so far", err=True)
         raise typer.Exit(stopped_status())
-
-
-def _source(
-    source: Path | None, links: int | None, pairs: list[str], solver: str, tolerance: float
-) -> tuple["ArmModel | FitResult", dict[str, Any]]:
-    """The arm or the fit, and what a file says of what is free, of priors and of the start."""
-    nothing: dict[str, Any] = {"free": None, "priors": None, "definition": None}
-    if source is not None and is_result(source):
-        from ..fitting import load_result
-
-        if links is not None or pairs:
-            raise InputError("a fit brings its own arm: leave out --links and --set")
-        fitted = load_result(source)
-        model = fitted.model.with_integration(solver=solver, tolerance=tolerance)
-        return dataclasses.replace(fitted, model=model), nothing
-    from ..runs import read_sidecar
-
-    definition = definition_from_options(source, links, None)
-    fit = definition.fit
-    if source is not None and fit.data:
-        # What a fit definition does not say of the arm, the sidecar of its first run does.
-        definition = read_sidecar(source.parent / fit.data[0]).merged_with(definition)
-    started = [f"{path}={_typed(value)}" for path, value in (fit.start or {}).items()]
-    changed = {path.partition("=")[0] for path in pairs}
-    kept = [pair for pair in started if pair.partition("=")[0] not in changed]
-    model, _ = model_and_truth(definition, [*kept, *pairs], solver, tolerance)
-    stated = definition.contents()
-    stated = definition.contents()
-    return model, {
-        "free": fit.free,
-        "priors": {path: entry.prior() for path, entry in fit.priors.items()},
-        "definition": {key: stated[key] for key in _KEPT if key in stated},
-    }
-
-
-def _typed(value: Any) -> str:
-    numbers = value if isinstance(value, list) else [value]
-    return ",".join(f"{number:.17g}" for number in numbers)
 
 
 def _numbers(joints: str) -> tuple[int, ...]:
@@ -282,8 +239,14 @@ def _show(found: "Design") -> None:
         f"{math.degrees(limits.rate):g} deg/s for {limits.duration:g} s; "
         f"film {', '.join(found.designed.markers)}"
     )
-    low, high = found.spread
-    typer.echo(
-        f"criterion {found.criterion}: {found.ratio:.3f} times the error of the base step; over "
-        f"{found.draws} draws of what is uncertain {low:.2f} to {high:.2f} times that foreseen"
-    )
+    typer.echo(f"criterion {found.criterion}: {found.summary()}")
+    if found.designed.criterion is None:
+        typer.echo("record more, have less free, or state priors")
+    else:
+        low, high = found.spread
+        typer.echo(
+            f"over {found.draws} draws of what is uncertain {low:.2f} to {high:.2f} times the "
+            "error foreseen"
+        )
+    if found.status == "iteration limit":
+        typer.echo("stopped at the iteration limit: --iterations gives the search more steps")

@@ -17,6 +17,7 @@ import numpy as np
 
 from .._errors import InputError
 from .._typing import Float
+from ..study import expected_errors
 
 Kind = Literal["c", "A", "D"]
 _KINDS: tuple[str, ...] = get_args(Kind)
@@ -68,6 +69,18 @@ class Criterion:
         each = 0.5 / len(some)
         slope[np.ix_(some, some)] = each * np.linalg.inv(part)
         return each * float(np.linalg.slogdet(part)[1]), slope
+
+    def is_determined(self, information: Matrix) -> bool:
+        """Whether the data tell all that it is of, and not only what is known without them."""
+        some, weights = np.flatnonzero(self.weights), np.asarray(self.weights)
+        if self.kind == "c":
+            # The combination takes the place of the parameter that has most of it.
+            most = int(np.argmax(np.abs(weights)))
+            turn = np.eye(len(weights))
+            turn[most] = weights / weights[most]
+            back = np.linalg.inv(turn)
+            some, information = np.asarray([most]), back.T @ information @ back
+        return bool(np.all(expected_errors(information)[some] < _LOOSE))
 
     def of_information(self, information: Matrix) -> tuple[float, Matrix]:
         """The same of the information, whose inverse the covariance is."""

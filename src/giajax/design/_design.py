@@ -22,7 +22,8 @@ class Expected:
         markers: bodies that are filmed (`link06`).
         errors: standard errors by path, in the unit of the parameter; infinite where the
             experiment does not determine one.
-        criterion: error that the criterion is about; that of one parameter in its unit.
+        criterion: error that the criterion is about; that of one parameter in its unit. None where
+            the experiment does not determine it, to a hundred times the value at least.
         times: of the samples, s, shape (sample,).
         predicted: all candidates by name as the model foresees them, SI, each (sample,).
         channels: those of the markers.
@@ -32,7 +33,7 @@ class Expected:
     drive: Drive
     markers: tuple[str, ...]
     errors: dict[str, float]
-    criterion: float
+    criterion: float | None
     times: Float[np.ndarray, " sample"]
     predicted: dict[str, Float[np.ndarray, " sample"]]
     channels: tuple[str, ...]
@@ -53,8 +54,9 @@ class Design:
         before: standard errors by path of the result that the design began from; may be empty.
         spread: smallest and largest criterion of the design over draws of what is uncertain, over
             that of the present values.
-        draws: how many.
-        status: "converged", or "interrupted" with the best so far.
+        draws: how many, without those with which the base step cannot be simulated.
+        status: "converged", "iteration limit" where the search for the best one ended there, or
+            "interrupted" with the best so far.
         evaluations: of the search.
         seconds: that it took.
     """
@@ -69,17 +71,24 @@ class Design:
     before: dict[str, float]
     spread: tuple[float, float]
     draws: int
-    status: Literal["converged", "interrupted"]
+    status: Literal["converged", "iteration limit", "interrupted"]
     evaluations: tuple[Evaluation, ...]
     seconds: float
 
     @property
-    def ratio(self) -> float:
-        """Error of the design over that of the base step, by the criterion."""
+    def ratio(self) -> float | None:
+        """Error of the design over that of the base step, by the criterion; None without one."""
+        if self.designed.criterion is None or self.base_step.criterion is None:
+            return None
         return self.designed.criterion / self.base_step.criterion
 
+    def summary(self) -> str:
+        """What the design comes to, in a clause."""
+        if self.ratio is not None:
+            return f"{self.ratio:.3f} times the error of the base step"
+        both = {"the design": self.designed, "the base step": self.base_step}
+        without = [name for name, one in both.items() if one.criterion is None]
+        return f"{' and '.join(without)} cannot tell {', '.join(self.wanted)}"
+
     def __repr__(self) -> str:
-        return (
-            f"<Design: {self.criterion}-optimal for {', '.join(self.wanted)}, "
-            f"{self.ratio:.2f} times the error of the base step>"
-        )
+        return f"<Design: {self.criterion}-optimal for {', '.join(self.wanted)}, {self.summary()}>"

@@ -44,7 +44,11 @@ def expected(
         drive=command.drive(),
         markers=tuple(asked.bodies[body] for body in some),
         errors=dict(zip(experiment.paths, map(float, errors), strict=True)),
-        criterion=float(np.exp(objective.criterion.of_information(whole)[0])),
+        criterion=(
+            float(np.exp(objective.criterion.of_information(whole)[0]))
+            if objective.criterion.is_determined(whole)
+            else None
+        ),
         times=np.asarray(experiment.inputs.times),
         predicted=dict(zip(experiment.channels, found.predicted[0].T, strict=True)),
         channels=tuple(channel for channel, body in channels if body in some),

@@ -36,6 +36,7 @@ def design_experiment(
     markers: int | None = None,
     noise: Mapping[str, float] | None = None,
     priors: Mapping[str, Any] | None = None,
+    ties: Mapping[str, str] | None = None,
     uncertainty: float | Mapping[str, float] | None = None,
     over: str = "mean",
     draw_count: int = 4,
@@ -61,8 +62,9 @@ def design_experiment(
         markers: how many bodies (`link06`) may be filmed; all candidates by default.
         noise: standard deviation by quantity (`position`, `angle`) or channel, SI.
         priors: what is known of parameters before (`giajax.Prior`), by path.
+        ties: parameters that follow from others (expressions), by path, as of `fit`.
         uncertainty: standard deviation over the present value: of all that is free, or by path;
-            0.2 unless the source is a fit.
+            that of a fit, and 0.2 of what it does not tell.
         over: "mean" of the logarithm of the error over draws of what is uncertain, or "worst".
         draw_count: how many draws, the present values among them.
         knots: of the command of each joint after its start.
@@ -97,6 +99,7 @@ def design_experiment(
         channels=channels,
         noise=noise,
         priors=priors,
+        ties=ties,
         uncertainty=uncertainty,
         definition=definition,
     )
@@ -111,11 +114,13 @@ def design_experiment(
         len(asked.bodies) if markers is None else markers,
         over,
     )
+    objective.leave_out_failing(series.base_step())
     search = Search(objective, series, progress)
     search.follow(starts_of(series, starts), follow, iterations)
     if search.best is None:
         raise InputError(
-            "no command that was tried can be simulated: begin with other values of the parameters"
+            "no command that was tried can be simulated with every draw of what is uncertain: give "
+            "a smaller uncertainty (--uncertainty), or other values of the parameters"
         )
     objective.markers = search.markers
     spread = np.exp(objective.each(search.best) - objective.each(search.best)[0])
@@ -135,7 +140,9 @@ def design_experiment(
         before=asked.before,
         spread=(float(spread.min()), float(spread.max())),
         draws=len(objective.draws),
-        status="interrupted" if search.interrupted else "converged",
+        status="interrupted"
+        if search.interrupted
+        else ("iteration limit" if search.limited else "converged"),
         evaluations=tuple(search.evaluations),
         seconds=time.perf_counter() - began,
     )

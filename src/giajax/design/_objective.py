@@ -65,6 +65,13 @@ class RobustError:
             return values[worst], slopes[worst]
         return float(np.mean(values)), np.mean(slopes, axis=0)
 
+    def leave_out_failing(self, numbers: Numbers) -> None:
+        """Leave out the draws with which a command cannot be simulated; the first one stays."""
+        successful = np.asarray(self._informed(numbers).successful).astype(bool).ravel()
+        if not np.all(successful[1:]):
+            self.draws = self.draws[[True, *successful[1:]]]
+            self._seen = None
+
     def choose(self, numbers: Numbers) -> None:
         """Change to the bodies that tell most of a command."""
         found = self._informed(numbers)

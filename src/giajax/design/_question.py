@@ -19,6 +19,7 @@ from ..fitting import (
     prior_of,
     prior_row,
     resolved_ties,
+    tied,
 )
 from ..kinds import ARM
 from ..models import AbstractModel, ArmModel
@@ -30,14 +31,11 @@ from ..synthetic import Drive, sampled
 from ._command import base_step
 from ._information import Experiment
 from ._limits import Limits
-from ._uncertainty import known_before
+from ._uncertainty import known_before, uncertain
 
 # Of positions (m) and of angles (rad, rad/s), where nobody states it: as `giajax sensitivity`.
 _NOISE = 0.01
 _NOISE_ANGLE = math.radians(0.5)
-
-# Standard deviation over the value of what is free, where no fit and no caller says it.
-_UNCERTAIN = 0.2
 
 # A tolerance at which derivatives are right to a percent, and quick.
 _TOLERANCE = 1e-6
@@ -53,6 +51,7 @@ class Question:
         parameters: what is free in a fit, with the bounds that each declares.
         values: present ones, SI, shape (parameter,).
         wanted: the weight of each parameter of interest, by path, in 1 over its unit.
+        weighted: whether the caller gave these weights.
         deviations: what each is uncertain by, SI, by path.
         correlation: of that, shape (parameter, parameter).
         known: information that priors are, in scales, with what is free in the run alone.
@@ -69,6 +68,7 @@ class Question:
     parameters: tuple[Parameter, ...]
     values: Float[np.ndarray, " parameter"]
     wanted: dict[str, float]
+    weighted: bool
     deviations: dict[str, float]
     correlation: Float[np.ndarray, "parameter parameter"]
     known: Float[np.ndarray, "parameter parameter"]
@@ -85,7 +85,7 @@ class Question:
         Raises:
             InputError: several parameters without weights for "c".
         """
-        if criterion == "c" and len(self.wanted) > 1 and set(self.wanted.values()) == {1.0}:
+        if criterion == "c" and len(self.wanted) > 1 and not self.weighted:
             raise InputError(
                 f"criterion c is of one number, and {len(self.wanted)} are wanted: give one "
                 "parameter, the weight of each, or the criterion A or D"
@@ -110,6 +110,7 @@ def question_of(
     channels: Sequence[str] | None,
     noise: Mapping[str, float] | None,
     priors: Mapping[str, Prior] | None,
+    ties: Mapping[str, str] | None,
     uncertainty: float | Mapping[str, float] | None,
     definition: Mapping[str, Any] | None,
 ) -> Question:
@@ -122,19 +123,27 @@ def question_of(
     model = _arm_of(source)
     if model.tolerance is None:
         model = model.with_integration(solver=None, tolerance=_TOLERANCE)
+    weighted = isinstance(wanted, Mapping)
     weights = dict(wanted) if isinstance(wanted, Mapping) else dict.fromkeys(wanted, 1.0)
     if not weights:
         raise InputError("no parameter is to be found: give the path of at least one")
     model = switched_on(model, [path.partition("[")[0] for path in weights])
+    asked = free or ()
     if free is None:
         free = default_free(model) if result is None else tuple(result.free)
     named = list(dict.fromkeys([*weights, *free]))
-    model = switched_on(model, named)
+    settings = {} if result is None else result.config
+    texts = settings.get("ties", {}) if ties is None else ties
+    model = switched_on(model, [*named, *texts])
     limits.check_joints(model.arm.count)
+    order = resolved_ties(model, texts)
+    model = tied(model, order)
     parts = {part.path: part for path in named for part in elements(model, path)}
     interest = {p.path: weight for path, weight in weights.items() for p in elements(model, path)}
-    settings = {} if result is None else result.config
-    ties = resolved_ties(model, settings.get("ties", {}))
+    for path in (path for tie in order for path in tie.elements):
+        if path in interest or path in asked:
+            raise InputError(f"'{path}' is tied to others: ask for what it follows from")
+        parts.pop(path, None)
     before = checked_priors(settings.get("priors", {}) if priors is None else priors)
     values = np.asarray([float(part.value(model)) for part in parts.values()])
     scales = np.where(values != 0, np.abs(values), 1.0)
@@ -146,11 +155,13 @@ def question_of(
             raise InputError(f"'{name}' is commanded, not recorded: give another channel")
     inputs = model.prepare(run)
     own = tuple((path, get(inputs, path).size) for path in model.free_inputs(run))
+    beside = [(f"{path}[{at}]", value) for path, _ in own for at, value in _numbered(inputs, path)]
+    if priors is not None:
+        _check_free(model, before, [*parts, *(path for path, _ in beside)])
+    counted = [*zip(parts, values, scales, strict=True), *((*one, 1.0) for one in beside)]
     rows = [
-        0.0 if prior is None else prior_row(prior, value)[1] * scale
-        for prior, value, scale in zip(
-            [prior_of(before, path) for path in parts], values, scales, strict=True
-        )
+        0.0 if (prior := prior_of(before, path)) is None else prior_row(prior, value)[1] * scale
+        for path, value, scale in counted
     ]
     errors, correlation = (
         ({}, np.eye(len(parts))) if result is None else known_before(result, list(parts))
@@ -163,9 +174,10 @@ def question_of(
         parameters=tuple(parts.values()),
         values=values,
         wanted=interest,
-        deviations=_uncertain(uncertainty, errors, result, dict(zip(parts, values, strict=True))),
+        weighted=weighted,
+        deviations=uncertain(uncertainty, errors, result, dict(zip(parts, values, strict=True))),
         correlation=correlation if uncertainty is None else np.eye(len(parts)),
-        known=np.diag(np.square([*rows, *[0.0] * sum(size for _, size in own)])),
+        known=np.diag(np.square(rows)),
         experiment=Experiment(
             model=model,
             inputs=inputs,
@@ -173,14 +185,14 @@ def question_of(
             paths=tuple(parts),
             scales=scales,
             own=own,
-            ties=ties,
+            ties=order,
             channels=names,
             noise=np.asarray(list(deviations.values())),
             bodies=tuple(bodies.index(body_of(name)) for name in names),
         ),
         bodies=bodies,
         noise=deviations,
-        ties=ties,
+        ties=order,
         before=errors,
         definition=stated,
     )
@@ -200,6 +212,22 @@ def _arm_of(source: AbstractModel | FitResult) -> ArmModel:
     if given.kind != ARM.name:
         raise InputError(f"the model is that of a {given.kind}: give that of an arm")
     return cast("ArmModel", given)
+
+
+def _numbered(inputs: Any, path: str) -> list[tuple[int, float]]:
+    """Position and present value of each number of what is free in the run alone."""
+    return list(enumerate(np.ravel(get(inputs, path)).tolist()))
+
+
+def _check_free(model: ArmModel, priors: Mapping[str, Prior], free: Sequence[str]) -> None:
+    """Refuse priors of what is not free, or is no parameter."""
+    known = {*free, *(path.partition("[")[0] for path in free)}
+    for path in priors:
+        if path not in known:
+            elements(model, path)
+            raise InputError(
+                f"'{path}' has a prior and is not free: free it, or leave the prior out"
+            )
 
 
 def _positions(count: int) -> list[str]:
@@ -249,25 +277,3 @@ def _noise(run: Run, channels: Sequence[str], result: FitResult | None) -> dict[
             deviation = _NOISE if quantity == "length" else _NOISE_ANGLE
         found[name] = deviation
     return found
-
-
-def _uncertain(
-    stated: float | Mapping[str, float] | None,
-    errors: Mapping[str, float],
-    result: FitResult | None,
-    values: Mapping[str, float],
-) -> dict[str, float]:
-    """Standard deviations by path, SI: what the caller says, else a fit, else a fifth."""
-    if stated is None and result is not None:
-        return dict(errors)
-    if isinstance(stated, Mapping):
-        for path in stated:
-            if path not in values:
-                raise InputError(f"'{path}' is uncertain and not free: free it, or leave it out")
-        relative = dict(stated)
-    else:
-        relative = dict.fromkeys(values, _UNCERTAIN if stated is None else stated)
-    for path, size in relative.items():
-        if not 0 <= size < math.inf:
-            raise InputError(f"the uncertainty of '{path}' is {size:g}: give 0 or a positive one")
-    return {path: size * abs(values[path]) for path, size in relative.items()}

@@ -20,6 +20,9 @@ _WORSE = 3.0
 # How often markers are chosen again for what was found with others.
 _CHOICES = 3
 
+# What SLSQP returns at the iteration limit.
+_LIMIT = 9
+
 _SEED = 1
 
 # Change of the logarithm of the error below which a search has ended.
@@ -67,6 +70,7 @@ class Search:
         value: of it.
         evaluations: all of them.
         interrupted: whether it was stopped.
+        limited: whether the descent to the best one ended at the iteration limit.
     """
 
     objective: Objective
@@ -77,6 +81,7 @@ class Search:
     value: float = np.inf
     evaluations: list[Evaluation] = dataclasses.field(default_factory=list)
     interrupted: bool = False
+    limited: bool = False
     _start: int = 0
 
     def follow(self, starts: Sequence[Numbers], most: int, iterations: int) -> None:
@@ -117,7 +122,8 @@ class Search:
             if self.objective.markers == chosen:
                 return
             chosen = self.objective.markers
-            numbers = minimize(
+            before = self.value
+            end = minimize(
                 self._safe,
                 numbers,
                 jac=True,
@@ -125,7 +131,10 @@ class Search:
                 bounds=[(-1.0, 1.0)] * len(numbers),
                 constraints=[self.series.constraint()],
                 options={"maxiter": iterations, "ftol": _TOLERANCE},
-            ).x
+            )
+            numbers = end.x
+            if self.value < before:
+                self.limited = end.status == _LIMIT
 
     def _safe(self, numbers: Numbers) -> tuple[float, np.ndarray]:
         value, slope = self._evaluate(numbers)

@@ -49,6 +49,7 @@ def design_json(found: Design) -> str:
         found: the design.
     """
     limits = found.limits
+    smallest, largest = (None, None) if found.designed.criterion is None else found.spread
     facts: dict[str, Any] = {
         "schema_version": 1,
         "criterion": found.criterion,
@@ -68,7 +69,7 @@ def design_json(found: Design) -> str:
         "design": _expected_json(found.designed),
         "base_step": _expected_json(found.base_step),
         "ratio": found.ratio,
-        "draws": {"count": found.draws, "smallest": found.spread[0], "largest": found.spread[1]},
+        "draws": {"count": found.draws, "smallest": smallest, "largest": largest},
         "status": found.status,
         "evaluations": len(found.evaluations),
         "seconds": found.seconds,
