@@ -218,3 +218,21 @@ def test_whoever_is_killed_no_fit_of_a_sweep_is_lost_or_done_twice():
 def test_two_workers_are_faster_than_one():
     _, figures = figures_of("sweep_speed")
     assert figures["times_faster"] >= 1.7
+
+
+@pytest.mark.quick
+def test_a_design_halves_the_error_of_an_arm_as_foreseen_and_of_no_other():
+    """To expect and in fits, of which the spread is as expected; the page says where it is not."""
+    size, figures = figures_of("design")
+    assert figures["ratio"] <= 0.5
+    step, designed = (figures["experiments"][name] for name in ("base step", "design"))
+    for each in (step, designed):
+        foreseen = each["as_foreseen"]
+        assert foreseen["fits"] == size
+        assert foreseen["converged"] >= 0.95 * size
+        # Three Monte Carlo errors of a standard deviation, and of a mean.
+        assert abs(foreseen["spread"] / each["expected"] - 1) < 3 / math.sqrt(2 * size)
+        assert abs(foreseen["mean"] - 1.12) < 3 * foreseen["spread"] / math.sqrt(size)
+        assert each["unknown"]["spread"] > 2 * each["unknown"]["stated"]
+    assert designed["as_foreseen"]["spread"] <= 0.5 * step["as_foreseen"]["spread"]
+    assert designed["unknown"]["spread"] > step["unknown"]["spread"]
