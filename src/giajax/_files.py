@@ -69,6 +69,22 @@ def read_bytes(path: Path, most: int) -> bytes:
     return path.read_bytes()
 
 
+def keep(path: Path, data: bytes) -> None:
+    """Write a file of a study that goes on, durably, into a folder that is made if it is missing.
+
+    Raises:
+        InputError: it cannot be written; what has been kept before is as it was.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_durably(path, data)
+    except OSError as error:
+        raise InputError(
+            f"{path} cannot be written ({error.strerror}): free some space or let it be written, "
+            "and give the same command"
+        ) from None
+
+
 def write_durably(path: Path, data: bytes) -> None:
     """Write a file whole or not at all, and have it on the disk before this returns.
 

@@ -1,8 +1,11 @@
 """Tasks in this process: keys, seeds, files, what fails, and going on."""
 
 import dataclasses
+import errno
 import itertools
+from concurrent.futures import BrokenExecutor, Future
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -132,6 +135,85 @@ def test_what_a_worker_cannot_write_is_written_here(tmp_path):
     (task,) = tasks_of(small_jobs.double, [3])
     outcomes = run_tasks([task], executor=Elsewhere(), folder=tmp_path / "new")
     assert read_outcome(tmp_path / "new", task.key) == outcomes[0]
+
+
+def test_what_failed_is_begun_again(tmp_path):
+    """By the next call: what it wanted may be there then."""
+    task, kept = Task("os:listdir", {"path": str(tmp_path / "later")}), tmp_path / "kept"
+    assert run_tasks([task], folder=kept)[0].message.startswith("FileNotFoundError")
+    (tmp_path / "later").mkdir()
+    assert run_tasks([task], folder=kept)[0].value == []
+
+
+def test_a_full_disk_ends_the_study(tmp_path, monkeypatch):
+    """At the first file that cannot be written, and not with tasks that failed."""
+
+    def full(path, data):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("giajax._files.write_durably", full)
+    kept, heard = tmp_path / "kept", []
+    with pytest.raises(InputError, match=r"cannot be written \(No space left on device\): free"):
+        run_tasks(
+            tasks_of(small_jobs.notes, [1, 2], folder=tmp_path),
+            folder=kept,
+            progress=lambda *news: heard.append(news),
+        )
+    assert not heard
+    assert [path.name for path in tmp_path.glob("*.calls")] == ["1.calls"]
+
+
+class Breaks(InProcess):
+    """A pool that somebody else has made, and that breaks after its first task."""
+
+    def submit(self, function, *words):
+        if hasattr(self, "used"):
+            raise BrokenExecutor("a child process ended")
+        self.used = True
+        return super().submit(function, *words)
+
+
+def test_a_broken_pool_leaves_its_tasks_undone(tmp_path):
+    tasks = tasks_of(small_jobs.double, [1, 2, 3])
+    with pytest.raises(InputError, match=r"takes no tasks \(a child process ended\): begin a new"):
+        run_tasks(tasks, executor=Breaks(), folder=tmp_path)
+    assert [path.stem for path in tmp_path.iterdir()] == [tasks[0].key]
+    assert [outcome.value for outcome in run_tasks(tasks, folder=tmp_path)] == [2, 4, 6]
+
+
+class Gone(InProcess):
+    """As that of a cluster whose scheduler has ended: what it was given never ends."""
+
+    _client = SimpleNamespace(status="running", scheduler=SimpleNamespace(address="tcp://a:1"))
+
+    def submit(self, *words):
+        self._client.status = "closed"
+        return Future()
+
+
+def test_a_scheduler_that_is_gone_is_told(monkeypatch):
+    monkeypatch.setattr("giajax.execution._run._BETWEEN_S", 0.01)
+    with pytest.raises(InputError, match="the scheduler at tcp://a:1 is gone: start it again"):
+        run_tasks(tasks_of(small_jobs.double, [1]), executor=Gone())
+
+
+class Kills(InProcess):
+    """As a cluster of distributed, which has tried already."""
+
+    tried = 0
+
+    def submit(self, *words):
+        self.tried += 1
+        future = Future()
+        future.set_exception(type("KilledWorker", (Exception,), {})("on 4 different workers"))
+        return future
+
+
+def test_what_a_cluster_gave_up_is_not_begun_again():
+    executor = Kills()
+    (outcome,) = run_tasks(tasks_of(small_jobs.double, [1]), executor=executor)
+    assert (outcome.status, executor.tried) == ("failed", 1)
+    assert outcome.message == "KilledWorker: on 4 different workers"
 
 
 def test_ctrl_c_keeps_what_is_done(tmp_path):

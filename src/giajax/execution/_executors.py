@@ -10,7 +10,7 @@ from .._errors import InputError
 from .._process import is_own_process
 from ._worker import begin_process, worker_environment
 
-# Of a scheduler that does not answer, s.
+# With a scheduler that does not answer.
 _PATIENCE = "10s"
 
 
@@ -107,6 +107,20 @@ def open_executor(workers: int | None = None, scheduler: str | None = None) -> I
     else:
         with Processes(workers) as executor:
             yield executor
+
+
+def check_scheduler(executor: Executor) -> None:
+    """Refuse to wait for a cluster of dask.distributed that is gone: its futures never end.
+
+    Raises:
+        InputError: the client has given up.
+    """
+    client = getattr(executor, "_client", None)
+    if client is not None and getattr(client, "status", "") in ("closing", "closed"):
+        raise InputError(
+            f"the scheduler at {client.scheduler.address} is gone: start it again, and give the "
+            "same command"
+        )
 
 
 @contextlib.contextmanager

@@ -1,4 +1,4 @@
-"""What came of a task, and the file that keeps it: one for each, written by who did the task."""
+"""What came of a task, and the file that keeps it: one for each that is done, by who did it."""
 
 import dataclasses
 import json
@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path, PurePath
 from typing import Any, Literal
 
-from .._files import read_bytes, write_durably
+from .._files import keep, read_bytes
 from .._limits import RESULT_BYTES
 
 _FORMAT = 1
@@ -40,16 +40,17 @@ def write_outcome(folder: Path, outcome: Outcome) -> None:
     """Write `KEY.json` into a folder, made where it is missing; it is whole or not there.
 
     Raises:
-        OSError: it cannot be written.
+        InputError: it cannot be written.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     record = {"giajax_task": _FORMAT, **dataclasses.asdict(outcome)}
     text = json.dumps(record, allow_nan=False)
-    write_durably(outcome_path(folder, outcome.key), text.encode() + b"\n")
+    keep(outcome_path(folder, outcome.key), text.encode() + b"\n")
 
 
 def read_outcome(folder: str | Path, key: str) -> Outcome | None:
-    """What is kept of a task; None where it has no file, or one that is not whole or another's.
+    """What is kept of a task that is done.
+
+    None where it has no file, or one that is not whole or another's.
 
     Arguments:
         folder: of the files.
@@ -62,7 +63,7 @@ def read_outcome(folder: str | Path, key: str) -> Outcome | None:
         outcome = Outcome(**record)
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         return None
-    return outcome if outcome.key == key and outcome.status in ("done", "failed") else None
+    return outcome if outcome.key == key and outcome.status == "done" else None
 
 
 def outcome_path(folder: Path, key: str) -> Path:

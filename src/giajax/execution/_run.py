@@ -1,4 +1,4 @@
-"""The tasks of a study, from the first to the last: none is lost, and none is done twice."""
+"""The tasks of a study, from the first to the last: none is lost, and none is there twice."""
 
 from collections import deque
 from collections.abc import Callable, Iterable
@@ -13,19 +13,23 @@ from concurrent.futures import (
 from pathlib import Path
 from typing import Any
 
+from .._errors import InputError
 from .._files import check_path
 from .._process import is_own_process
 from .._text import abridged
-from ._executors import InProcess, Processes
+from ._executors import InProcess, Processes, check_scheduler
 from ._outcome import Outcome, outcome_path, read_outcome, write_outcome
 from ._task import Task
 from ._worker import identity, perform
 
 ATTEMPTS = 3
-"""So often is a task begun whose worker ends under it."""
+"""So often is a task begun whose worker ends under it, but for those of a cluster."""
 
 # Tasks that wait at the workers of an executor that somebody else has made.
 _AHEAD = 256
+
+# Between two looks at whether the scheduler of a cluster is there, s.
+_BETWEEN_S = 2.0
 
 
 def run_tasks(
@@ -41,8 +45,9 @@ def run_tasks(
     has a file is not done again: after a crash or Ctrl-C the same call goes on. Workers of other
     machines must see the folder, and have this version of giajax.
 
-    Whatever a task raises makes it a failed one, with a sentence. If its worker ends under it, it
-    is begun again, alone and `ATTEMPTS` times at most; then it is a failed one without a file.
+    Whatever a task raises makes it a failed one, with a sentence and without a file: the next call
+    begins it again. If its worker ends under it, it is begun again, alone and `ATTEMPTS` times at
+    most; how often a cluster has tried it is the cluster's own choice.
 
     Arguments:
         tasks: in any order; those of the same key are done once.
@@ -57,7 +62,8 @@ def run_tasks(
         `open_executor` began, those that were not done are "stopped".
 
     Raises:
-        InputError: a folder that cannot be.
+        InputError: a folder that cannot be or be written, an executor that takes no tasks, or a
+            cluster whose scheduler is gone. The same call goes on.
 
     Example:
         >>> from giajax.execution import Task, run_tasks
@@ -74,6 +80,9 @@ def run_tasks(
         study.run()
     except KeyboardInterrupt:
         study.stop()
+    except InputError:
+        study.stop()
+        raise
     known = study.known
     return [known.get(task.key) or Outcome(task.key, "stopped") for task in tasks]
 
@@ -113,24 +122,29 @@ class _Study:
                 self._begin(self.waiting.popleft())
             if self.doubtful and not self.running:
                 self._begin(self.doubtful.popleft())
-            for future in wait(self.running, return_when=FIRST_COMPLETED).done:
+            done = wait(self.running, _BETWEEN_S, FIRST_COMPLETED).done
+            check_scheduler(self.executor)
+            for future in done:
                 self._end(self.running.pop(future), future)
 
     def _begin(self, key: str) -> None:
         words = (self.tasks[key], self.folder, identity(), is_own_process())
         self.attempts[key] = self.attempts.get(key, 0) + 1
         try:
-            future = self.executor.submit(perform, *words)
-        except BrokenExecutor as error:  # of a pool that nobody can begin again
-            future = Future()
-            future.set_exception(error)
-        self.running[future] = key
+            self.running[self.executor.submit(perform, *words)] = key
+        except RuntimeError as error:  # of a pool that nobody can begin again
+            why = " ".join(str(error).split()) or type(error).__name__
+            raise InputError(
+                f"the executor takes no tasks ({why}): begin a new one, and make the same call"
+            ) from None
 
     def _end(self, key: str, future: Future[Any]) -> None:
         try:
             outcome = future.result()
+        except InputError:  # Its file cannot be written, nor will those of the others be.
+            raise
         except Exception as error:
-            if _worker_ended(error):
+            if isinstance(error, BrokenExecutor | CancelledError):
                 if self.attempts[key] < ATTEMPTS:
                     self.doubtful.append(key)
                     return
@@ -143,8 +157,9 @@ class _Study:
             outcome = Outcome(key, "failed", message=message)
         else:
             # Of a worker that does not see the folder, or sees it later.
-            if self.folder is not None and not outcome_path(self.folder, key).exists():
-                write_outcome(self.folder, outcome)
+            folder = self.folder if outcome.status == "done" else None
+            if folder is not None and not outcome_path(folder, key).exists():
+                write_outcome(folder, outcome)
         self.known[key] = outcome
         if self.progress is not None:
             self.progress(outcome, len(self.known), len(self.tasks))
@@ -158,9 +173,3 @@ class _Study:
         for future, key in self.running.items():
             if future.done() and not future.cancelled() and future.exception() is None:
                 self.known[key] = future.result()
-
-
-def _worker_ended(error: BaseException) -> bool:
-    """Whether a task was lost with its worker; the last is what distributed calls it."""
-    ended = isinstance(error, BrokenExecutor | CancelledError)
-    return ended or type(error).__name__ == "KilledWorker"

@@ -57,7 +57,7 @@ def identity() -> str:
 
 
 def perform(task: Task, folder: Path | None, home: str, own: bool) -> Outcome:
-    """Do a task and write its file.
+    """Do a task, and write its file if it is done.
 
     Arguments:
         task: what to do.
@@ -69,7 +69,7 @@ def perform(task: Task, folder: Path | None, home: str, own: bool) -> Outcome:
         What came of it. Whatever the function raises is an outcome, too.
 
     Raises:
-        OSError: the file cannot be written.
+        InputError: the file cannot be written.
         KeyboardInterrupt: it was stopped.
     """
     if home != identity():
@@ -95,7 +95,8 @@ def perform(task: Task, folder: Path | None, home: str, own: bool) -> Outcome:
         seconds=time.perf_counter() - began,
         worker=identity(),
     )
-    if folder is not None:
+    # What fails may do so by the machine, or by what is put right: the next command tries again.
+    if folder is not None and not message:
         write_outcome(folder, outcome)
     return outcome
 
