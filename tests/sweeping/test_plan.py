@@ -78,6 +78,22 @@ def test_a_list_and_a_sample_with_a_grid(folder):
     assert made.fit(made.cases[1]).data == (folder / "loops.csv", folder / "other.csv")
 
 
+def test_ranges_of_whole_numbers_are_whole(folder):
+    """Where each is: some keys take no other."""
+    made = plan(
+        folder,
+        """
+        [grid]
+        max_iterations = { from = 10, to = 2, count = 3 }
+        fix.offset = { from = 0, to = 1, count = 3 }
+        """,
+    )
+    numbers = [case["max_iterations"] for case in made.cases[::3]]
+    assert numbers == [10, 6, 2]
+    assert {type(number) for number in numbers} == {int}
+    assert [case["fix.offset"] for case in made.cases[:3]] == [0.0, 0.5, 1.0]
+
+
 @pytest.mark.parametrize("method", ["sobol", "random"])
 def test_a_sample_has_the_distributions_that_are_asked_for(folder, method):
     made = plan(
@@ -117,11 +133,19 @@ def test_a_sample_has_the_distributions_that_are_asked_for(folder, method):
         ("list = []", "list must be a list of tables"),
         ("[grid]\nlos = [1]", r"\[grid\]: unknown key 'los'"),
         ("[grid]\nout = ['a']", r"\[grid\]: unknown key 'out'"),
+        ("[grid]\nuncertainty.offset = [0.1]", "uncertainty does nothing in a sweep"),
         ("[grid]\nfix = [1]", "fix must be a table of parameter paths"),
         ("[grid]\nloss = 'huber'", "loss = 'huber' must be a list of values, or a range"),
         ("[grid]\nloss = []", "must be a list of values, or a range"),
         ("[grid.fix]\noffset = { from = 1, to = 2 }", "must be a list of values, or a range"),
         ("[grid.fix]\noffset = { from = 1, to = 2, count = 0 }", "from a number to a number"),
+        ("[grid.fix]\noffset = { from = -1.7e308, to = 1.7e308, count = 3 }", "goes too far"),
+        ("[grid.fix]\noffset = { normal = [1, 2] }", "must be a list of values, or a range"),
+        (
+            "[[list]]\nfix.offset = { from = 1, to = 2, count = 2 }",
+            "must be one value: put a range",
+        ),
+        ("[[list]]\nfix.offset = { uniform = [1, 2] }", "must be one value: put a range"),
         ("[grid.fix]\noffset = {from = -1, to = 2, count = 2, log = true}", "is logarithmic"),
         ("[grid]\nloss = ['linear', 'hubert']", "fit 2: fit.loss = 'hubert' must be"),
         ("[grid.fix]\noffset = ['a']", "fit 1: fit.fix.offset = 'a' must be a finite number"),

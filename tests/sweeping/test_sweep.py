@@ -2,6 +2,7 @@
 
 import json
 
+import jax
 import polars as pl
 import pytest
 
@@ -43,6 +44,7 @@ def test_the_table_has_a_row_for_each_fit(swept):
         "value.weights[0]": pl.Float64, "error.weights[0]": pl.Float64,
         "cost": pl.Float64, "reduced_chi_square": pl.Float64, "verdict": pl.String,
         "iterations": pl.Int64, "seconds": pl.Float64, "worker": pl.String,
+        "validation.output of other": pl.Float64,
     }  # fmt: skip
     assert table["fix.offset"].to_list() == [0.1] * 4 + [0.2] * 4
     assert table["status"].to_list() == ["converged", "failed"] * 4
@@ -53,6 +55,8 @@ def test_the_table_has_a_row_for_each_fit(swept):
     assert good["value.weights[0]"][0] == pytest.approx(good["value.weights[0]"][1], rel=1e-4)
     assert abs(good["value.weights[0]"][0] - 0.8) < 3 * good["error.weights[0]"][0]
     assert good["verdict"].to_list() == ["adequate"] * 2 + ["inadequate"] * 2
+    # What the runs were made with leaves the noise of 0.005 alone.
+    assert good["validation.output of other"].to_list()[:2] == pytest.approx([0.005] * 2, rel=0.3)
     assert {json.loads(text)[1] for text in bad["free"]} == {"nothing"}
 
 
@@ -62,17 +66,19 @@ def test_a_sweep_goes_on_and_compiles_nothing(swept, compiled, capsys):
     path = folder / "out" / "sweep.parquet"
     before, files = pl.read_parquet(path), len(list((folder / "out" / "fits").iterdir()))
     assert main([*words, "--dry-run"]) == 0
-    assert "8 of them done already" in capsys.readouterr().out
+    assert "4 of them done already" in capsys.readouterr().out
     (folder / "plan.toml").write_text(PLAN.replace("[0.1, 0.2]", "[0.1, 0.2, 0.15]"))
     programs = compiled()
     assert main(words) == 1
     assert compiled() == programs
     printed = capsys.readouterr()
-    assert "8 of 12 fits are there already" in printed.err
+    assert "4 of 12 fits are there already" in printed.err
     assert "12 fits: 6 converged, 6 failed" in printed.out
     after = pl.read_parquet(path)
-    assert after[:8].equals(before)
-    assert len(list((folder / "out" / "fits").iterdir())) == files + 4
+    # What failed was begun again.
+    assert after[:8].drop("seconds").equals(before.drop("seconds"))
+    assert after[:8:2].equals(before[::2])
+    assert len(list((folder / "out" / "fits").iterdir())) == files + 2
 
 
 def test_the_table_of_another_plan_is_kept(swept):
@@ -92,3 +98,39 @@ def test_a_file_that_changes_meanwhile_fails_its_fits(swept, tmp_path):
     small_loops.write_loops(tmp_path / "loops.csv", (0, 1, -0.5), seed=1)
     with pytest.raises(InputError, match="has changed since the sweep began"):
         task.call()
+
+
+def test_what_runs_have_for_themselves_is_in_the_table(tmp_path):
+    """Beside the mean of it; runs of the same name that are predicted, by their paths."""
+    small_loops.write_task(tmp_path)
+    (tmp_path / "more").mkdir()
+    small_loops.write_loops(tmp_path / "more" / "loops.csv", (0, 1, -0.5), seed=1)
+    definition = small_loops.DEFINITION.replace("[fit.fix]\noffset = 0.1", "[fit.fix]")
+    definition = definition.replace('"weights[0]" = 0.3', "offset = 0.3")
+    definition = definition.replace('"weights[0]"]', '"weights", "offset"]\nper_run = ["offset"]')
+    (tmp_path / "loops_fit.toml").write_text(definition)
+    files = {
+        "data": [["loops.csv", "other.csv"]],
+        "validation": [["loops.csv", "more/loops.csv"]],
+    }
+    plan = Plan.parse({"fit": "loops_fit.toml", "grid": files}, tmp_path)
+    (row,) = giajax.sweep(plan, out=tmp_path / "out").to_dicts()
+    own = [row[f"value.offset of {name}"] for name in ("loops", "other")]
+    assert own[0] != own[1]
+    assert row["value.offset"] == pytest.approx(sum(own) / 2, rel=1e-12)
+    for name in ("loops", "other"):
+        error = row[f"error.offset of {name}"]
+        assert abs(row[f"value.offset of {name}"] - 0.1) < 4 * error < 0.01
+    predicted = [name for name in row if name.startswith("validation.")]
+    assert predicted == [
+        f"validation.output of loops ({tmp_path / name})"
+        for name in ("loops.csv", "more/loops.csv")
+    ]
+    assert all(0.001 < row[name] < 0.01 for name in predicted)
+
+
+def test_32_bit_is_refused(swept):
+    folder, _ = swept
+    with jax.enable_x64(False), pytest.raises(InputError, match="computes in 32-bit"):
+        giajax.sweep(folder / "plan.toml", out=folder / "narrow")
+    assert not (folder / "narrow").exists()

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from .._errors import InputError
+from .._text import shown
 from ._columns import Case, check_count, columns_of
 from ._values import grid_cases, sample_cases
 
@@ -27,8 +28,7 @@ def cases_of(data: Mapping[str, Any], source: str) -> list[Case]:
         rows = data["list"]
         if not rows or not all(isinstance(row, Mapping) for row in rows):
             raise InputError(f"{source}: list must be a list of tables, [[list]]: correct it")
-        leaves = {"value"}  # of a prior
-        listed = [columns_of(row, f"{source}, [[list]]", leaves) for row in rows]
+        listed = [_row(row, f"{source}, [[list]]") for row in rows]
     drawn: list[Case] = [{}]
     if "sample" in data:
         drawn = sample_cases(data["sample"], f"{source}, [sample]")
@@ -41,3 +41,15 @@ def cases_of(data: Mapping[str, Any], source: str) -> list[Case]:
             )
     check_count(len(listed) * len(drawn) * len(combined), source)
     return [{**row, **draw, **case} for row in listed for draw in drawn for case in combined]
+
+
+def _row(section: Mapping[str, Any], where: str) -> Case:
+    """The values of one fit."""
+    row = columns_of(section, where)
+    for name, value in row.items():
+        if isinstance(value, Mapping) and "value" not in value:
+            raise InputError(
+                f"{where}: {name} = {shown(value)} must be one value: put a range into [grid], and "
+                "a distribution into [sample]"
+            )
+    return row

@@ -103,7 +103,8 @@ class Plan:
             raise InputError(f"{source}: out must be the name of a folder: correct it")
         cases = cases_of(data, source)
         plan = cls(base, tuple(cases), None if out is None else Path(out))
-        # What a fit may not be told is said before the first one begins.
+        # Keys and kinds of values are told before the first fit begins; whether its model has a
+        # path, by each fit.
         for number, case in enumerate(cases, 1):
             plan.fit(case, f"{source}, fit {number}", folder)
         return dataclasses.replace(plan, cases=tuple(_placed(case, folder) for case in cases))

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .._errors import InputError
-from .._files import write_durably
-from ..execution import Outcome, run_tasks
+from .._files import keep
+from ..execution import InProcess, Outcome, run_tasks
 from ..tasks import locked
+from ._fit import check_precision
 from ._plan import Plan
 from ._table import table
 
@@ -51,8 +52,8 @@ def sweep(
         with its message; one that Ctrl-C came before has the status "stopped".
 
     Raises:
-        InputError: a plan that cannot be, a file that is missing, or a folder that another sweep
-            is writing to, or that holds the table of another plan.
+        InputError: a plan that cannot be, a file that is missing, 32-bit, or a folder that another
+            sweep is writing to, that holds the table of another plan, or that cannot be written.
 
     Example:
         >>> import giajax
@@ -65,6 +66,8 @@ def sweep(
         plan = Plan.parse(plan)
     folder = plan.folder if out is None else Path(out)
     tasks = plan.tasks()
+    if executor is None or isinstance(executor, InProcess):
+        check_precision()
     with locked(folder):
         if not force:
             _check_none_is_lost(folder / TABLE, {task.key for task in tasks})
@@ -72,7 +75,7 @@ def sweep(
         rows = table(plan.columns, plan.cases, outcomes)
         content = io.BytesIO()
         rows.write_parquet(content)
-        write_durably(folder / TABLE, content.getvalue())
+        keep(folder / TABLE, content.getvalue())
     return rows
 
 

@@ -36,7 +36,8 @@ def table(
 
     Returns:
         Key, status and message; what differs; `value.PATH` and `error.PATH` of each parameter that
-        a fit freed; and how it went. What a fit does not have is null.
+        a fit freed; how it went; and `validation.CHANNEL of RUN` and `held_out.CHANNEL of RUN`.
+        What a fit does not have is null.
     """
     found = [outcome.value or {} for outcome in outcomes]
     paths = list(dict.fromkeys(path for value in found for path in value.get("values", ())))
@@ -64,8 +65,12 @@ def table(
         data[name] = [value.get(name) for value in found]
     data["seconds"] = [outcome.seconds for outcome in outcomes]
     data["worker"] = [outcome.worker for outcome in outcomes]
+    predicted = list(dict.fromkeys(name for value in found for name in value.get("rmse", {})))
+    for name in predicted:
+        data[name] = [value.get("rmse", {}).get(name) for value in found]
     estimates = {f"{what}.{path}": pl.Float64 for path in paths for what in ("value", "error")}
-    return pl.DataFrame(data, schema={**_BEFORE, **kinds, **estimates, **_AFTER})
+    errors = dict.fromkeys(predicted, pl.Float64)
+    return pl.DataFrame(data, schema={**_BEFORE, **kinds, **estimates, **_AFTER, **errors})
 
 
 def _kind(values: Sequence[Any]) -> Any:

@@ -9,20 +9,14 @@ import numpy as np
 
 from .._errors import InputError
 from .._text import one_of, shown
-from ._columns import Case, check_count, columns_of
+from ._columns import DRAWS, RANGE, Case, check_count, columns_of
 
-_RANGE = {"from", "to", "count", "log"}
-_DRAWS = {
-    "uniform": "[low, high]",
-    "log_uniform": "[low, high], both positive",
-    "normal": "[mean, deviation]",
-}
 _METHODS = ("sobol", "random")
 
 
 def grid_cases(section: Mapping[str, Any], where: str) -> list[Case]:
     """Every combination of the values of a grid; those of the last key differ first."""
-    columns = columns_of(section, where, _RANGE)
+    columns = columns_of(section, where)
     several = [_listed(value, f"{where}: {name}") for name, value in columns.items()]
     check_count(math.prod(map(len, several)), where)
     return [dict(zip(columns, values, strict=True)) for values in itertools.product(*several)]
@@ -32,7 +26,7 @@ def _listed(value: Any, where: str) -> list[Any]:
     """The values that a list has, or a range."""
     if isinstance(value, list) and value:
         return value
-    if not isinstance(value, Mapping) or not {"from", "to", "count"} <= set(value) <= _RANGE:
+    if not isinstance(value, Mapping) or not {"from", "to", "count"} <= set(value) <= set(RANGE):
         raise InputError(
             f"{where} = {shown(value)} must be a list of values, or a range such as "
             "{ from = 0.5, to = 1.5, count = 5 }: correct it"
@@ -40,12 +34,20 @@ def _listed(value: Any, where: str) -> list[Any]:
     low, high, count = value["from"], value["to"], value["count"]
     if type(count) is int:
         check_count(count, where)
-    spaced = np.geomspace if value.get("log", False) else np.linspace
     if not (_is_number(low) and _is_number(high) and type(count) is int and count > 0):
         raise InputError(f"{where} must go from a number to a number in a count: correct it")
-    if value.get("log", False) and not min(low, high) > 0:
+    logarithmic = value.get("log", False)
+    if logarithmic and not min(low, high) > 0:
         raise InputError(f"{where} is logarithmic, and must go from and to what is positive")
-    return [float(number) for number in spaced(low, high, count)]
+    # Whole numbers stay whole where every one is: some keys take no other.
+    steps = max(count - 1, 1)
+    if type(low) is type(high) is int and not logarithmic and (high - low) % steps == 0:
+        return [low + (high - low) // steps * step for step in range(count)]
+    with np.errstate(all="ignore"):
+        spaced = (np.geomspace if logarithmic else np.linspace)(float(low), float(high), count)
+    if not np.all(np.isfinite(spaced)):
+        raise InputError(f"{where} goes too far to be divided: give nearer ends")
+    return [float(number) for number in spaced]
 
 
 def sample_cases(section: Mapping[str, Any], where: str) -> list[Case]:
@@ -66,7 +68,7 @@ def sample_cases(section: Mapping[str, Any], where: str) -> list[Case]:
         raise InputError(f"{where}: seed must be zero or a positive whole number: correct it")
     if method not in _METHODS:
         raise InputError(f"{where}: method must be {one_of(map(repr, _METHODS))}: correct it")
-    columns = columns_of(rest, where, set(_DRAWS))
+    columns = columns_of(rest, where)
     if not columns:
         raise InputError(f"{where} draws nothing: add fix or start with a distribution")
     points = _points(method, len(columns), count, seed)
@@ -102,9 +104,9 @@ def _has_rng(sobol: Any) -> bool:
 def _drawn(value: Any, points: np.ndarray, where: str) -> Iterator[float]:
     """Values of a distribution at points of the unit interval."""
     kind = next(iter(value), None) if isinstance(value, Mapping) and len(value) == 1 else None
-    ends = value[kind] if kind in _DRAWS else None
+    ends = value[kind] if kind in DRAWS else None
     if not (isinstance(ends, list) and len(ends) == 2 and all(map(_is_number, ends))):
-        forms = one_of(f"{name} = {form}" for name, form in _DRAWS.items())
+        forms = one_of(f"{name} = {form}" for name, form in DRAWS.items())
         raise InputError(f"{where} = {shown(value)} must be a table of {forms}: correct it")
     low, high = map(float, ends)
     if kind == "normal":
@@ -114,7 +116,7 @@ def _drawn(value: Any, points: np.ndarray, where: str) -> Iterator[float]:
 
         return iter((low + high * ndtri(points)).tolist())
     if not low < high or (kind == "log_uniform" and low <= 0):
-        raise InputError(f"{where} must go from a lower to a higher end, {_DRAWS[kind or '']}")
+        raise InputError(f"{where} must go from a lower to a higher end, {DRAWS[kind or '']}")
     if kind == "log_uniform":
         return iter(np.exp(math.log(low) + points * math.log(high / low)).tolist())
     return iter((low + points * (high - low)).tolist())
