@@ -70,9 +70,11 @@ def fitted(
 
 def _prediction(result: "FitResult") -> dict[str, float | None]:
     """RMSE of what was not fitted, in the unit of the recording, by channel and run."""
+    parts: dict[str, Sequence[PredictionErrors | HeldOut]]
+    parts = {"validation": result.validation, "held_out": result.held_out}
     return {
         f"{part}.{channel} of {name}": errors.rmse
-        for part, runs in (("validation", result.validation), ("held_out", result.held_out))
+        for part, runs in parts.items()
         for run, name in zip(runs, _names(runs), strict=True)
         for channel, errors in run.channels.items()
     }
@@ -92,7 +94,7 @@ def check_precision() -> None:
     """
     import jax
 
-    if not jax.config.jax_enable_x64:
+    if not jax.config.read("jax_enable_x64"):
         raise InputError(
             "JAX computes in 32-bit, in which no sweep is kept: call "
             'jax.config.update("jax_enable_x64", True) first'
