@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from giajax import Prior, Run, load_result
+from giajax import InputError, Prior, Run, fit, load_result
 from giajax.fitting import Start, set_up
 from giajax.report import summary
 from giajax.report.page._tables import optima_table
@@ -42,6 +42,35 @@ def test_the_best_of_several_starts_is_the_result():
     assert result.config["start"] == {"amplitude": 0.5, "decay": 3.0}
 
 
+def test_starts_are_added_to_a_result():
+    """The old ones are told as they ended, and only the new ones are fitted."""
+    data, told = run(), []
+    options = {"spread": 0.5, "seed": 1, "start": {"amplitude": 0.5, "decay": 3.0}}
+    whole = multi_start(Decay(), data, starts=4, **options)
+    few = multi_start(Decay(), data, starts=2, **options)
+    more = multi_start(
+        Decay(),
+        data,
+        starts=4,
+        before=few,
+        announce=lambda number, start: told.append(number),
+        **options,
+    )
+    assert told == [3, 4]
+    assert more.starts[:2] == few.starts
+    assert [start.start for start in more.starts] == [start.start for start in whole.starts]
+    assert misfit(more) == pytest.approx(misfit(whole), abs=1e-4)
+    assert more.config == whole.config
+    one = fit(Decay(), data, start=options["start"])
+    assert multi_start(Decay(), data, starts=2, before=one, **options).starts[1].misfit is not None
+    with pytest.raises(InputError, match="began elsewhere: give its seed and spread"):
+        multi_start(Decay(), data, starts=4, before=few, **{**options, "seed": 2})
+    with pytest.raises(InputError, match="is of another fit"):
+        multi_start(Decay(), data, starts=4, before=few, loss="huber", **options)
+    with pytest.raises(InputError, match="has 4 of them already"):
+        multi_start(Decay(), data, starts=3, before=whole, **options)
+
+
 def test_a_start_that_fails_is_passed_over():
     """The decay fails above 8, where some of the starts are."""
     result = multi_start(
@@ -72,7 +101,6 @@ def test_ends_are_compared_by_likelihood_when_the_noise_is_estimated():
     assert misfit(result) == pytest.approx(result.cost + 60 * np.log(channel.innovation))
 
 
-@pytest.mark.quick
 def test_starts_fill_priors_and_bounds_and_more_have_the_same_first_ones():
     setup = set_up(
         Decay(),

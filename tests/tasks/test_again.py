@@ -55,6 +55,18 @@ def test_the_same_fit_again_has_the_same_numbers(path):
     assert "elastic differs by 1.0e-09 of its value" in compared(second, stored)
 
 
+def test_more_starts_are_added_to_those_of_a_result(path):
+    first = written(FitTask.load(path).on_top(starts=2, seed=3, max_iterations=40))
+    told = []
+    more = FitTask.again("giajax-out/loops_fit").on_top(starts=3)
+    result = more.run(announce=lambda number, start: told.append(number))
+    assert told == [3]
+    assert result.starts[:2] == first.starts
+    assert result.config["starts"] == len(result.starts) == 3
+    # What else is changed makes another fit.
+    assert more.on_top(loss="huber").earlier is None
+
+
 def test_it_is_found_beside_its_result(path, tmp_path, monkeypatch):
     """The whole folder may move, and whoever fits again may be elsewhere."""
     first = written(FitTask.load(path), check=False)

@@ -29,6 +29,7 @@ from ..fitting import (
 from ..models import AbstractModel
 from ..quantities import Prior
 from ..runs import Run
+from ._earlier_starts import earlier_starts
 from ._ends import end_values, interrupted, misfit
 from ._starts import inside_bounds, start_values
 
@@ -62,6 +63,7 @@ def multi_start(
     progress: Callable[[Iteration], None] | None = None,
     announce: Callable[[int, Mapping[str, float]], None] | None = None,
     check: bool = True,
+    before: FitResult | None = None,
 ) -> FitResult:
     """Fit from several starts, and return the best end.
 
@@ -83,6 +85,7 @@ def multi_start(
         budget: wall time that all of them together may take, s.
         announce: called before each fit with its number, from 1, and its start. Of fits side by
             side the later ones are told of, with their steps, when the earlier ones have ended.
+        before: a result of the same fit from fewer starts, which are not fitted again.
 
     Returns:
         The best result; `result.starts` has where each start ended. Ctrl-C ends the fit and
@@ -118,6 +121,7 @@ def multi_start(
         announce=announce,
         check=check,
         budget=None if budget is None else Budget(budget),
+        before=before,
     )
 
 
@@ -133,12 +137,14 @@ def solve_from_starts(
     check: bool = True,
     budget: Budget | None = None,
     journal: Callable[[int], FitJournal] | None = None,
+    before: FitResult | None = None,
 ) -> FitResult:
     """Fit what `giajax.fitting.set_up` resolved from several starts.
 
     Arguments:
         setup: what to fit to what.
-        starts, spread, seed, max_iterations, progress, announce, check: as of `multi_start`.
+        starts, spread, seed, max_iterations, progress, announce, check, before: as of
+            `multi_start`.
         budget: wall time that all of them together may take.
         journal: the journal of each fit, by its number: the starts from 1, then the one that
             checks the result. A start that has ended there is evaluated where it ended.
@@ -147,7 +153,7 @@ def solve_from_starts(
         As `multi_start`.
 
     Raises:
-        InputError: the first start cannot be evaluated.
+        InputError: the first start cannot be evaluated, or `before` is of another fit.
     """
     setup = setup.at_start()
     values = start_values(setup, spread, seed, starts)
@@ -155,7 +161,7 @@ def solve_from_starts(
     count = cores()
     spent = threading.Event()
 
-    def one(number: int, before: Sequence[FitResult], tell: Tell) -> _End | None:
+    def one(number: int, earlier: Sequence[FitResult], tell: Tell) -> _End | None:
         """How a start ends; None where there is no time left for it."""
         start = values[number - 1]
         if budget is not None and number > 1 and (spent.is_set() or not budget.left() > 0):
@@ -164,7 +170,7 @@ def solve_from_starts(
             if announce is not None:
                 tell(announce, number, start)
             result = solve(
-                _as_fine(setup.started_at(start), before),
+                _as_fine(setup.started_at(start), earlier),
                 max_iterations=max_iterations,
                 progress=functools.partial(tell, _nothing if progress is None else progress),
                 check=False,
@@ -184,9 +190,13 @@ def solve_from_starts(
         message = None if result.status == "converged" else result.message
         return Start(start, result.status, misfit(result), end_values(result), message), result
 
-    ended = _one_by_one_then_side_by_side(one, starts, count)
+    known: list[_End] = []
+    if before is not None:
+        known = [(start, None) for start in earlier_starts(before, setup, values)]
+    fitted = [] if before is None else [before]
+    ended = _one_by_one_then_side_by_side(one, starts, count, known, fitted)
     ends = [start for start, _ in ended]
-    results = [result for _, result in ended if result is not None]
+    results = [*fitted, *(result for _, result in ended if result is not None)]
     if not results:
         raise KeyboardInterrupt
     in_time = budget is None or not (
@@ -203,7 +213,7 @@ def solve_from_starts(
     if budget is not None and not in_time and budget.ended_it not in best.message:
         message = f"{best.message}; {budget.ended_it} after {len(ends)} of {starts} starts"
         best = dataclasses.replace(best, status="not_converged", message=message, reason="budget")
-    if check and best.status == "converged":
+    if check and best.status == "converged" and best is not before:
         last = None if journal is None else journal(starts + 1)
         best = _checked(setup, best, max_iterations, progress, budget, last)
     config = {**best.config, "starts": starts, "spread": spread, "seed": seed}
@@ -211,25 +221,27 @@ def solve_from_starts(
 
 
 def _one_by_one_then_side_by_side(
-    one: Callable[[int, Sequence[FitResult], Tell], _End | None], starts: int, most: int
+    one: Callable[[int, Sequence[FitResult], Tell], _End | None],
+    starts: int,
+    most: int,
+    known: Sequence[_End],
+    fitted: Sequence[FitResult],
 ) -> list[_End]:
     """How the starts end that are begun, in their order.
 
     Those up to the first that converges come one by one: it compiles the programs of the others and
     chooses their tolerance. On one core or on several, each start then has the same numbers.
     """
-    ended: list[_End] = []
-    while len(ended) < starts:
+    ended = list(known)
+    while len(ended) < starts and not any(start.status == "converged" for start, _ in ended):
         end = one(len(ended) + 1, (), directly)
         if end is None:
             return ended
         ended.append(end)
-        if end[0].status == "converged":
-            break
         if _interrupts(end):
             return ended
-    before = [result for _, result in ended if result is not None]
-    jobs = [functools.partial(one, n, before) for n in range(len(ended) + 1, starts + 1)]
+    earlier = [*fitted, *(result for _, result in ended if result is not None)]
+    jobs = [functools.partial(one, n, earlier) for n in range(len(ended) + 1, starts + 1)]
     if not jobs:
         return ended
     others = side_by_side(jobs, min(most, len(jobs)), until=_interrupts)

@@ -39,6 +39,7 @@ class FitTask:
         begin: where another fit ended, as plain data (`fitting.Beginning`); None for a start as
             the settings say.
         resolved: `config` of the result whose numbers are to come again; None for a new fit.
+        earlier: its folder, if at most the number of starts is changed: its own are kept.
 
     Example:
         >>> import giajax
@@ -55,6 +56,7 @@ class FitTask:
     source: Path | None = None
     begin: Mapping[str, Any] | None = None
     resolved: Mapping[str, Any] | None = None
+    earlier: Path | None = None
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -94,8 +96,8 @@ class FitTask:
     def again(cls, path: str | Path) -> Self:
         """The task of a result: the same data, settings and starts, and so the same numbers.
 
-        On the same machine and with the same versions they are the same bit for bit. The result
-        goes beside the other one, into a folder whose name ends in `-again`.
+        On the same machine and with the same versions they are the same bit for bit. It goes
+        beside the other one, into NAME-again. With more `starts` on top only those are fitted.
 
         Arguments:
             path: a `result.json`, or its folder.
@@ -109,7 +111,8 @@ class FitTask:
                 it was fitted to has changed.
         """
         folder, stored = repeatable(path)
-        task = cls(**unchanged(stored["task"], folder), resolved=stored["config"])
+        fields = {**unchanged(stored["task"], folder), "resolved": stored["config"]}
+        task = cls(**fields, earlier=folder)
         out = folder.with_name(f"{folder.resolve().name}-again")
         most = stored["config"]["max_iterations"]
         return task.on_top(max_iterations=most, budget="", out=out)
@@ -195,10 +198,7 @@ class FitTask:
             origin: what an error calls the origin of these settings.
 
         Returns:
-            A new task.
-
-        Raises:
-            InputError: a value that its key may not have.
+            A new task; a value that its key may not have is an InputError.
         """
         values = {
             "uncertainty": dict(uncertainty) if uncertainty else None,
@@ -229,8 +229,10 @@ class FitTask:
             rename=self.rename if rename is None else dict(rename),
             begin=reached and without(reached, (*(start or ()), *(fix or ()))),
         )
-        same = not differences(plain_of(self), plain_of(task))
-        return dataclasses.replace(task, resolved=self.resolved if same else None)
+        changed = differences(plain_of(self), plain_of(task))
+        same = None if changed else self.resolved
+        grown = None if set(changed) - {"starts"} else self.earlier
+        return dataclasses.replace(task, resolved=same, earlier=grown)
 
     @property
     def out(self) -> Path:
@@ -256,7 +258,8 @@ class FitTask:
         record = record_of(self)
         from ._preparation import prepare
 
-        ready = prepare(self.definition, runs, validation, record)
+        more = self.earlier if self.resolved is None else None
+        ready = prepare(self.definition, runs, validation, record, more)
         if self.resolved is not None:
             check_config(self.resolved, ready.setup.config, Path("the result"))
         return ready

@@ -17,6 +17,7 @@ from ..fitting import (
     Iteration,
     PredictionErrors,
     Setup,
+    load_result,
     prediction_errors,
     solve,
 )
@@ -37,6 +38,7 @@ class Preparation:
         validation: runs that the result must predict.
         record: the task as plain data, which the result keeps.
         held_out: what of the runs is not fitted, to judge the fit by; None where all of it is.
+        earlier: a result of the same fit from fewer starts, which are not fitted again.
     """
 
     definition: Definition
@@ -44,6 +46,7 @@ class Preparation:
     validation: tuple[Run, ...]
     record: Mapping[str, Any]
     held_out: HoldOut | None = None
+    earlier: FitResult | None = None
 
     @property
     def runs(self) -> tuple[Run, ...]:
@@ -125,6 +128,7 @@ class Preparation:
                 check=check,
                 budget=budget,
                 journal=journal,
+                before=self.earlier,
             )
         errors: list[PredictionErrors] = []
         try:
@@ -169,6 +173,7 @@ def prepare(
     runs: Sequence[Run],
     validation: Sequence[Run],
     record: Mapping[str, Any],
+    earlier: Path | None = None,
 ) -> Preparation:
     """Build the model of the runs and resolve the settings of the definition.
 
@@ -177,6 +182,7 @@ def prepare(
         runs: what to fit to.
         validation: runs that the result must predict.
         record: the task as plain data; `begin` of it says where another fit ended.
+        earlier: the result to which starts are added.
 
     Returns:
         All that a fit needs.
@@ -189,4 +195,5 @@ def prepare(
     free = [parameter.path for parameter in setup.parameters]
     uncertainty = definition.fit.uncertainty or {}
     check_uncertainty(setup.model, free, uncertainty, setup.config.get("ties"))
-    return Preparation(definition, setup, tuple(validation), record, held_out)
+    before = None if earlier is None else load_result(earlier)
+    return Preparation(definition, setup, tuple(validation), record, held_out, before)
