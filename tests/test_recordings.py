@@ -27,7 +27,7 @@ def published(name, definition, runs):
     return model_for(read_runs(paths, stated.merged_with(Definition.parse(given))))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_triple_pendulum_is_predicted_better_than_by_the_published_parameters():
     # The other starts of the definition end where the first one does, after minutes.
     ready = prepared("triple_pendulum", starts=1)

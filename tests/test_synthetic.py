@@ -19,7 +19,7 @@ def script(path):
     return module
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_every_run_comes_out_of_the_table():
     regenerate = script(FOLDER / "regenerate.py")
     assert sorted(path.stem for path in FOLDER.glob("*.csv")) == sorted(

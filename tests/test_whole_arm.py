@@ -10,7 +10,7 @@ from giajax import FitTask, load_result, read_run
 WHOLE = Path(__file__).parents[1] / "fits" / "whole_arm.toml"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_without_the_bench_only_the_difference_of_alpha_and_beta_is_determined(tmp_path):
     """Beta is a fall, so that its curvature adds to that of alpha."""
     task = FitTask.load(WHOLE)

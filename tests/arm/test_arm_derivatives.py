@@ -55,17 +55,16 @@ def test_no_public_function_is_left_out():
     assert functions - builders - without_state - of_memory - of_muscles == set(FUNCTIONS)
 
 
-@pytest.mark.parametrize("build", [general_arm, pytest.param(full_arm, marks=pytest.mark.slow)])
-@pytest.mark.parametrize(
-    "name",
-    [
-        # Those take longest to compile; `acceleration` goes through both of them.
-        pytest.param(name, marks=pytest.mark.slow)
-        if name in ("forward_dynamics", "inverse_dynamics")
-        else name
-        for name in FUNCTIONS
-    ],
-)
+def cases():
+    """Of each function and arm, `acceleration` goes through those that take longest to compile."""
+    for name in FUNCTIONS:
+        dynamics = name in ("forward_dynamics", "inverse_dynamics")
+        yield pytest.param(name, general_arm, marks=[pytest.mark.slow] if dynamics else [])
+        mark = pytest.mark.slow if name == "acceleration" else pytest.mark.long
+        yield pytest.param(name, full_arm, marks=mark)
+
+
+@pytest.mark.parametrize(("name", "build"), list(cases()))
 def test_both_modes_agree_with_differences(name, build):
     """One random direction over every number of the arm, of the state and of the wind at once."""
     function = getattr(mechanics, name)

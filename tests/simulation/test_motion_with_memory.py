@@ -122,7 +122,7 @@ def test_derivatives_are_slopes(solver):
         assert_allclose(found[..., index], slope, atol=0.03 * np.max(np.abs(slope)))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_gradient_in_reverse_is_that_of_forward_mode():
     command, times = to_and_fro(), np.linspace(0, 0.6, 4)
     arm = arm_with(LAWS["both"])
