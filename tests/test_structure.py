@@ -56,6 +56,7 @@ ROOMS = [
         "_files",
         "_limits",
         "_signals",
+        "_sobol",
         "_syntax",
         "_text",
         "_typing",

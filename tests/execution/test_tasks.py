@@ -184,7 +184,7 @@ def test_a_broken_pool_leaves_its_tasks_undone(tmp_path):
 class Gone(InProcess):
     """As that of a cluster whose scheduler has ended: what it was given never ends."""
 
-    _client = SimpleNamespace(status="running", scheduler=SimpleNamespace(address="tcp://a:1"))
+    _client = SimpleNamespace(status="running", scheduler=None)
 
     def submit(self, *words):
         self._client.status = "closed"
@@ -193,7 +193,7 @@ class Gone(InProcess):
 
 def test_a_scheduler_that_is_gone_is_told(monkeypatch):
     monkeypatch.setattr("giajax.execution._run._BETWEEN_S", 0.01)
-    with pytest.raises(InputError, match="the scheduler at tcp://a:1 is gone: start it again"):
+    with pytest.raises(InputError, match="the scheduler is gone: start it again"):
         run_tasks(tasks_of(small_jobs.double, [1]), executor=Gone())
 
 

@@ -97,7 +97,7 @@ def test_sixty_channels_of_ten_thousand_rows_stay_below_the_limit(result, monkey
     values["link07_y"][4321] = 50.0
     command = {"joint01_command": np.zeros_like(times)}
     run = Run.from_arrays(times, {**command, **values}, definition={"arm": {"links": 20}})
-    like = next(iter(result.runs[0].channels.values()))
+    like = dataclasses.replace(next(iter(result.runs[0].channels.values())), n=len(times))
     record = dataclasses.replace(result.runs[0], channels=dict.fromkeys(names, like), sha256=None)
     large = dataclasses.replace(
         result,

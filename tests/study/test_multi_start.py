@@ -115,7 +115,9 @@ def test_starts_fill_priors_and_bounds_and_more_have_the_same_first_ones():
     decays, offsets, amplitudes = (
         np.array([each[path] for each in many[1:]]) for path in ("decay", "offset", "amplitude")
     )
-    np.testing.assert_allclose(np.quantile(decays, [0.25, 0.5, 0.75]), [1.5, 2, 2.5], atol=0.05)
+    np.testing.assert_allclose(
+        np.quantile(decays, [0.25, 0.5, 0.75]), 3 ** np.array([0.25, 0.5, 0.75]), atol=0.05
+    )
     np.testing.assert_allclose([offsets.mean(), offsets.std()], [0.5, 0.1], atol=0.01)
     logarithms = np.log(amplitudes)
     expected = [np.log(2.0), np.log(1.5)]

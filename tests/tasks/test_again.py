@@ -332,3 +332,16 @@ def test_initial_states_of_runs_are_begun_from_by_name(tmp_path):
     other = small_run(tmp_path, "other", seed=3)
     fresh = set_up(setup.model, [other], begin=Beginning(**again.begin))
     assert solve(fresh, check=False, max_iterations=1).cost is not None
+
+
+def test_starts_are_added_to_a_fit_that_held_something_out(path):
+    """The old end, which is the best, is evaluated anew: what is held out is predicted by it."""
+    first = written(FitTask.load(path).on_top(max_iterations=40, hold_out=["last"]))
+    (held,) = first.held_out
+    more = FitTask.again("giajax-out/loops_fit").on_top(starts=2, spread=0.1)
+    assert more.earlier is None  # Another spread, other starts.
+    result = FitTask.again("giajax-out/loops_fit").on_top(starts=2).run()
+    assert [each.channels.keys() for each in result.held_out] == [held.channels.keys()]
+    codes = [reason.code for reason in result.verdict.reasons]
+    assert len(codes) == len(set(codes))
+    assert result.predictions

@@ -1,6 +1,7 @@
 """What `giajax design` begins from: a fit, its definition, or a file with an arm."""
 
 import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -48,7 +49,7 @@ def source_of(
             "free": None,
             "priors": None,
             "ties": None,
-            "definition": {key: first[key] for key in _KEPT if first.get(key) is not None},
+            "definition": _kept(first),
         }
     from ..runs import read_sidecar
 
@@ -67,8 +68,16 @@ def source_of(
         "free": _free(model, fit),
         "priors": {path: entry.prior() for path, entry in fit.priors.items()},
         "ties": {path: text for path, text in ties.items() if path not in {*changed, *free}},
-        "definition": {key: stated[key] for key in _KEPT if key in stated},
+        "definition": _kept(stated),
     }
+
+
+def _kept(stated: Mapping[str, Any]) -> dict[str, Any]:
+    """What a file says of the start, the wind and the noise, without what only a recording has."""
+    kept = {key: dict(stated[key]) for key in _KEPT if stated.get(key) is not None}
+    # An experiment that is planned has no first row.
+    kept.get("initial", {}).pop("first_row", None)
+    return {key: section for key, section in kept.items() if section}
 
 
 def _free(model: "ArmModel", fit: "Fit") -> list[str] | None:

@@ -110,7 +110,7 @@ def open_executor(workers: int | None = None, scheduler: str | None = None) -> I
 
 
 def check_scheduler(executor: Executor) -> None:
-    """Refuse to wait for a cluster of dask.distributed that is gone: its futures never end.
+    """Refuse to wait for a cluster of dask.distributed that is gone.
 
     Raises:
         InputError: the client has given up.
@@ -118,8 +118,7 @@ def check_scheduler(executor: Executor) -> None:
     client = getattr(executor, "_client", None)
     if client is not None and getattr(client, "status", "") in ("closing", "closed"):
         raise InputError(
-            f"the scheduler at {client.scheduler.address} is gone: start it again, and give the "
-            "same command"
+            "the scheduler is gone: start it again, and give the same command with its address"
         )
 
 

@@ -18,7 +18,7 @@ from .._files import check_path
 from .._process import is_own_process
 from .._text import abridged
 from ._executors import InProcess, Processes, check_scheduler
-from ._outcome import Outcome, outcome_path, read_outcome, write_outcome
+from ._outcome import Outcome, read_outcome, write_outcome
 from ._task import Task
 from ._worker import identity, perform
 
@@ -158,7 +158,7 @@ class _Study:
         else:
             # Of a worker that does not see the folder, or sees it later.
             folder = self.folder if outcome.status == "done" else None
-            if folder is not None and not outcome_path(folder, key).exists():
+            if folder is not None and read_outcome(folder, key) is None:
                 write_outcome(folder, outcome)
         self.known[key] = outcome
         if self.progress is not None:

@@ -47,7 +47,8 @@ def with_held_out(result: FitResult, setup: Setup, parts: Sequence[Parted]) -> F
     if reason is not None and "end" not in [other.code for other in verdict.reasons]:
         verdict = verdict.with_reason(reason)
     records, of_held, of_fitted = [], [], []
-    fitted = iter(result.predictions)
+    # A result that was loaded has none.
+    fitted = iter(result.predictions or ({},) * len(parts))
     for number, (part, channels) in enumerate(zip(parts, predicted, strict=True)):
         known = {}
         if part.held is not None:

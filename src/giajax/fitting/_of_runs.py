@@ -48,7 +48,9 @@ def rows_of_runs(runs: Sequence[RunFit], free: Mapping[str, Estimate]) -> dict[s
     }
 
 
-def matching_runs(records: Sequence[RunFit], runs: Run | Sequence[Run]) -> list[Run]:
+def matching_runs(
+    records: Sequence[RunFit], runs: Run | Sequence[Run], *, whole: bool = False
+) -> list[Run]:
     """The runs of a result, checked to be those.
 
     Of runs that were made in memory, and of windows of one file, there is no checksum that tells
@@ -57,6 +59,7 @@ def matching_runs(records: Sequence[RunFit], runs: Run | Sequence[Run]) -> list[
     Arguments:
         records: of the fitted runs.
         runs: what is said to be them, in their order.
+        whole: whether they may have more than was fitted: what was held out, other channels.
 
     Raises:
         InputError: they are others, or in another order.
@@ -64,9 +67,12 @@ def matching_runs(records: Sequence[RunFit], runs: Run | Sequence[Run]) -> list[
     several = [runs] if isinstance(runs, Run) else list(runs)
     seen = [record.sha256 for record in records]
     same = [run.sha256 for run in several] == seen and all(
-        {name: int(np.sum(~np.isnan(cells))) for name, cells in run.observations.items()}
-        == {name: channel.n for name, channel in record.channels.items()}
-        and (seen.count(record.sha256) == 1 or run.name == record.name)
+        whole
+        or (
+            {name: int(np.sum(~np.isnan(cells))) for name, cells in run.observations.items()}
+            == {name: channel.n for name, channel in record.channels.items()}
+            and (seen.count(record.sha256) == 1 or run.name == record.name)
+        )
         for run, record in zip(several, records, strict=True)
     )
     if not same:

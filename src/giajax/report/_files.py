@@ -104,7 +104,7 @@ def _parts(
     result: FitResult, runs: Run | Sequence[Run]
 ) -> tuple[list[Run], list[str], Sequence[Mapping[str, np.ndarray]]]:
     """The runs of a result, their names as files, and what it predicts for each."""
-    runs = matching_runs(result.runs, runs)
+    runs = matching_runs(result.runs, runs, whole=True)
     # A result that was loaded has no predictions with it.
     begun = runs if result.predictions else begun_where_it_ended(result, runs)
     predictions = result.predictions or [result.predict(run) for run in begun]

@@ -113,10 +113,10 @@ def _starts(result: FitResult) -> list[str]:
         text += f"; the others are worse by {others[0]:.2g} to {others[-1]:.2g} in log-likelihood "
         text += "per value"
     lines = [text]
-    for valley in valleys(result)[1:_MANY]:
+    for valley in [valley for valley in valleys(result) if not valley.is_result][:_MANY]:
         where = ", ".join(f"{path} {value:.4g}" for path, value in valley.values.items())
         who = "1 start" if valley.reached == 1 else f"{valley.reached} starts"
-        lines.append(f"another optimum, by {who}, worse by {valley.worse:.3g}: {where}")
+        lines.append(f"another optimum, by {who}, worse by {valley.worse:.3g}: {where} (SI)")
     return lines + [
         f"{count} did not converge: {why}" for why, count in lost_starts(result).items()
     ]

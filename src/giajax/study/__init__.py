@@ -14,6 +14,7 @@ from ._contrast import (
     ContrastRow as ContrastRow,
     contrast as contrast,
 )
+from ._earlier_starts import has_earlier_starts as has_earlier_starts
 from ._ends import misfit as misfit
 from ._fitted import Fitted as Fitted, fit_key as fit_key
 from ._marginal import Marginal as Marginal

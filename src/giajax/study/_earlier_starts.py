@@ -9,6 +9,26 @@ import numpy as np
 from .._errors import InputError
 from ..fitting import FitResult, Setup, Start
 from ._ends import end_values, misfit
+from ._starts import start_values
+
+
+def has_earlier_starts(
+    before: FitResult | None, setup: Setup, starts: int, spread: float, seed: int
+) -> bool:
+    """Whether starts can be added to a result; an earlier version chose others, for example.
+
+    Arguments:
+        before, setup: as of `earlier_starts`; of None there are none.
+        starts, spread, seed: as of `multi_start`.
+    """
+    if before is None:
+        return False
+    begun = setup.at_start()
+    try:
+        earlier_starts(before, begun, start_values(begun, spread, seed, starts))
+    except InputError:
+        return False
+    return True
 
 
 def earlier_starts(
@@ -22,7 +42,7 @@ def earlier_starts(
         values: of all starts.
 
     Returns:
-        Those that were not cut off, in their order.
+        Those before the first that did not come to an end, in their order.
 
     Raises:
         InputError: the result is of another fit, or its starts were others.
@@ -36,7 +56,8 @@ def earlier_starts(
     if not known:
         message = None if before.status == "converged" else before.message
         known = [Start(dict(values[0]), before.status, misfit(before), end_values(before), message)]
-    whole = list(itertools.takewhile(lambda start: start.status != "interrupted", known))
+    ends = ("converged", "failed")
+    whole = list(itertools.takewhile(lambda start: start.status in ends, known))
     for start, wanted in zip(whole, values, strict=False):
         if start.start.keys() != wanted.keys() or not np.allclose(
             list(start.start.values()), [wanted[path] for path in start.start], rtol=1e-9, atol=0

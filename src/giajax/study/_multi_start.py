@@ -193,7 +193,7 @@ def solve_from_starts(
     known: list[_End] = []
     if before is not None:
         known = [(start, None) for start in earlier_starts(before, setup, values)]
-    fitted = [] if before is None else [before]
+    fitted = [before] if before is not None and before.status == "converged" else []
     ended = _one_by_one_then_side_by_side(one, starts, count, known, fitted)
     ends = [start for start, _ in ended]
     results = [*fitted, *(result for _, result in ended if result is not None)]
@@ -213,7 +213,8 @@ def solve_from_starts(
     if budget is not None and not in_time and budget.ended_it not in best.message:
         message = f"{best.message}; {budget.ended_it} after {len(ends)} of {starts} starts"
         best = dataclasses.replace(best, status="not_converged", message=message, reason="budget")
-    if check and best.status == "converged" and best is not before:
+    # Of a result that was loaded, the predictions are missing, and the verdict on what is held out.
+    if (check or best is before) and best.status == "converged":
         last = None if journal is None else journal(starts + 1)
         best = _checked(setup, best, max_iterations, progress, budget, last)
     config = {**best.config, "starts": starts, "spread": spread, "seed": seed}

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.special import ndtri
 
+from .._sobol import sobol_points
 from ..fitting import Setup, between, prior_of
 from ..parameters import Parameter
 
@@ -14,7 +15,7 @@ def start_values(setup: Setup, spread: float, seed: int, count: int) -> list[dic
 
     The others are a scrambled Sobol sequence, of which more starts have the same first ones. Of a
     parameter with a prior they are its quantiles, between two bounds of the fit they are evenly
-    spread, and otherwise they are near those of the setup.
+    spread (their logarithms, if both are positive), and otherwise they are near those of the setup.
 
     Arguments:
         setup: what to fit to what.
@@ -28,11 +29,7 @@ def start_values(setup: Setup, spread: float, seed: int, count: int) -> list[dic
     first = {each.path: float(each.value(setup.model)) for each in setup.parameters}
     if count < 2 or not first:
         return [dict(first) for _ in range(count)]
-    # Takes a second to import, and one start needs none of it.
-    from scipy.stats import qmc
-
-    sobol = qmc.Sobol(len(first), scramble=True, seed=seed)
-    shares = sobol.random_base2(int(np.ceil(np.log2(count))))[: count - 1]
+    shares = sobol_points(count - 1, len(first), seed)
     others = [
         {
             each.path: _value(setup, each, spread, float(share))
@@ -51,11 +48,12 @@ def _value(setup: Setup, parameter: Parameter, spread: float, share: float) -> f
     prior = prior_of(setup.priors, path)
     stated = setup.config.get("bounds", {})
     if prior is not None:
-        # The sequence may begin at 0, where a quantile is infinite.
+        # Beyond three deviations there is no start.
         quantile = prior.centre + prior.spread * float(ndtri(np.clip(share, 1e-3, 1 - 1e-3)))
         value = float(np.exp(quantile)) if prior.logarithmic else quantile
     elif (path in stated or path.partition("[")[0] in stated) and np.isfinite(upper - lower):
-        value = lower + share * (upper - lower)
+        # Over decades, where each of them is as likely.
+        value = lower * (upper / lower) ** share if lower > 0 else lower + share * (upper - lower)
     elif lower >= 0:
         value *= (1 + spread) ** (2 * share - 1)
     else:

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from ..fitting import FitResult, Start
-from ._ends import misfit
+from ._ends import end_values, misfit
 
 # An end whose misfit is this much above the best one, per measured value, is another valley.
 SAME_END = 1e-3
@@ -20,12 +20,14 @@ class Valley(NamedTuple):
     Attributes:
         worse: its misfit above that of the result, in log-likelihood.
         reached: how many starts.
-        values: of the free parameters, by path, where the best of them ended.
+        values: of the free parameters, by path, SI, where the best of them ended.
+        is_result: whether it is where the result is.
     """
 
     worse: float
     reached: int
     values: Mapping[str, float]
+    is_result: bool
 
 
 def valleys(result: FitResult) -> list[Valley]:
@@ -49,10 +51,14 @@ def valleys(result: FitResult) -> list[Valley]:
                 break
         else:
             found.append((start, 1))
-    return [
-        Valley((start.misfit or 0.0) - best, reached, start.parameters or {})
-        for start, reached in found
-    ]
+    here = Start({}, result.status, best, end_values(result))
+
+    def valley(start: Start, reached: int) -> Valley:
+        worse = (start.misfit or 0.0) - best
+        is_result = worse < SAME_END * values and _is_same(result, start, here)
+        return Valley(max(worse, 0.0), reached, start.parameters or {}, is_result)
+
+    return [valley(*each) for each in found]
 
 
 def lost_starts(result: FitResult) -> dict[str, int]:

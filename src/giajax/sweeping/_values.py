@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from .._errors import InputError
+from .._sobol import sobol_points
 from .._text import one_of, shown
 from ._columns import DRAWS, RANGE, Case, check_count, columns_of
 
@@ -81,24 +82,10 @@ def sample_cases(section: Mapping[str, Any], where: str) -> list[Case]:
 
 def _points(method: str, dimensions: int, count: int, seed: int) -> np.ndarray:
     """Points of the unit cube, shape (count, dimensions), none of them on its faces."""
-    if method == "random":
-        points = np.random.default_rng(seed).random((count, dimensions))
-    else:
-        from scipy.stats import qmc
-
-        sobol = qmc.Sobol(dimensions, rng=seed) if _has_rng(qmc.Sobol) else qmc.Sobol(
-            dimensions, seed=seed
-        )  # fmt: skip
-        points = sobol.random_base2(max(count - 1, 1).bit_length())[:count]
-    edge = np.finfo(float).eps
-    return np.clip(points, edge, 1 - edge)
-
-
-def _has_rng(sobol: Any) -> bool:
-    """Whether SciPy calls the seed so; it did not before 1.15."""
-    import inspect
-
-    return "rng" in inspect.signature(sobol).parameters
+    if method == "sobol":
+        return sobol_points(count, dimensions, seed)
+    points = np.random.default_rng(seed).random((count, dimensions))
+    return np.maximum(points, np.finfo(float).eps)
 
 
 def _drawn(value: Any, points: np.ndarray, where: str) -> Iterator[float]:

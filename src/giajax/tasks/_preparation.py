@@ -22,7 +22,7 @@ from ..fitting import (
     solve,
 )
 from ..runs import Definition, Run, seconds_of
-from ..study import SEED, SPREAD, solve_from_starts
+from ..study import SEED, SPREAD, has_earlier_starts, solve_from_starts
 from ._hold_out import HoldOut, set_up_parts
 from ._journal import Journal
 from ._keeping import kept, warn
@@ -38,7 +38,7 @@ class Preparation:
         validation: runs that the result must predict.
         record: the task as plain data, which the result keeps.
         held_out: what of the runs is not fitted, to judge the fit by; None where all of it is.
-        earlier: a result of the same fit from fewer starts, which are not fitted again.
+        earlier: a result of the same fit, to whose starts others are added.
     """
 
     definition: Definition
@@ -107,28 +107,25 @@ class Preparation:
         most = settings.max_iterations or MAX_ITERATIONS
         starts = settings.starts or 1
         budget = None if settings.budget is None else Budget(seconds_of(settings.budget))
+        common: dict[str, Any] = {"max_iterations": most, "progress": progress}
+        common |= {"check": check, "budget": budget}
         if starts == 1:
-            result = solve(
-                self.setup,
-                max_iterations=most,
-                progress=progress,
-                check=check,
-                budget=budget,
-                journal=None if journal is None else journal(1),
-            )
+            one = None if journal is None else journal(1)
+            result = solve(self.setup, **common, journal=one)
         else:
+            spread = SPREAD if settings.spread is None else settings.spread
+            seed = settings.seed or SEED
+            # Where an earlier version chose others, all of them are fitted.
+            known = has_earlier_starts(self.earlier, self.setup, starts, spread, seed)
             result = solve_from_starts(
                 self.setup,
                 starts=starts,
-                spread=SPREAD if settings.spread is None else settings.spread,
-                seed=SEED if settings.seed is None else settings.seed,
-                max_iterations=most,
-                progress=progress,
+                spread=spread,
+                seed=seed,
+                **common,
                 announce=announce,
-                check=check,
-                budget=budget,
                 journal=journal,
-                before=self.earlier,
+                before=self.earlier if known else None,
             )
         errors: list[PredictionErrors] = []
         try:

@@ -83,7 +83,7 @@ def report_page(
     Raises:
         InputError: other runs than those of the result.
     """
-    runs = matching_runs(result.runs, runs)
+    runs = matching_runs(result.runs, runs, whole=True)
     # What is predicted here, the bands and the arm with it, begins where the fitted values do.
     runs = begun_where_it_ended(result, runs)
     predictions = result.predictions or [result.predict(run) for run in runs]
