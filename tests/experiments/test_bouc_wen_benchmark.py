@@ -42,7 +42,7 @@ def test_the_force_is_as_stated():
     assert np.max(spectrum[~inside]) < 1e-9 * np.max(spectrum)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_it_converges_to_the_noise(result):
     assert result.status == "converged", result.message
     assert result.reduced_chi_square == pytest.approx(1, abs=4 * np.sqrt(2 / 8192))
@@ -50,7 +50,7 @@ def test_it_converges_to_the_noise(result):
     assert result.tolerance_effect.largest_in_standard_errors < 0.2
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_it_flags_the_collinear_parameters_by_itself(result):
     for path, others in (
         ("beta", "gamma, delta"),
@@ -64,7 +64,7 @@ def test_it_flags_the_collinear_parameters_by_itself(result):
     assert not {"beta", "gamma", "delta"} & set(result.correlation.parameters)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_is_determined_is_within_two_and_a_half_standard_errors(result, benchmark):
     estimates = {**result.parameters, **result.derived}
     for name in ("mass", "damping", "stiffness", "alpha", "beta*gamma", "beta*delta"):
@@ -75,7 +75,7 @@ def test_what_is_determined_is_within_two_and_a_half_standard_errors(result, ben
         assert estimate.standard_error < 0.01 * abs(truth)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_it_predicts_a_sweep_that_it_did_not_see(result, benchmark):
     run = benchmark.sweep
     error = predicted_sweep(result, run) - run.values["output"]

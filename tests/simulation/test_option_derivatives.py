@@ -86,8 +86,14 @@ def labels(arm):
     return [f"{path}[{index}]" for path, index in numbered]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ARMS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param("uneven", marks=pytest.mark.slow),
+        # The same numbers, where everything begins at rest.
+        pytest.param("floating", marks=pytest.mark.long),
+    ],
+)
 def test_every_number_of_the_arm_has_the_derivative_that_differences_show(name):
     arm, wind = ARMS[name]()
     # Joints with memory have corners, and tests of their own.

@@ -104,7 +104,7 @@ def test_a_disturbance_needs_steps_for_derivatives(part, derivatives, compiled):
         (jax.jit(derivative) if compiled else derivative)(0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_reverse_mode_by_what_moves_already_takes_steps_for_the_motion():
     def first(coefficient):
         return motion(coefficient, STILL, derivatives="reverse")[0][-LINKS]
