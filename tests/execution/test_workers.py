@@ -1,5 +1,6 @@
 """Tasks by other processes: one pool of two, killed and used again; and a cluster."""
 
+import functools
 import os
 import signal
 import threading
@@ -13,9 +14,14 @@ from giajax.execution import Task, open_executor, run_tasks
 
 
 @pytest.mark.slow
-def test_processes(tmp_path, monkeypatch):
+def test_processes(tmp_path, monkeypatch, request):
     """Settings as those of the command line; one that kills its worker fails alone; Ctrl-C."""
     monkeypatch.delenv("GIAJAX_CORES", raising=False)
+    # A process in the background of a shell has it ignored.
+    request.addfinalizer(
+        functools.partial(signal.signal, signal.SIGINT, signal.getsignal(signal.SIGINT))
+    )
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     with open_executor(workers=2) as executor:
         wide = run_tasks([Task(small_jobs.settings)], executor=executor)[0]
         assert wide.value["wide"] is True
