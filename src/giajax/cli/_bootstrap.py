@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .._errors import InputError
-from .._signals import is_stopped, stopped_status
-from ._many import ManyProgress, Scheduler, Workers
+from ._many import ManyProgress, Scheduler, Workers, end_if_stopped
 from ._options import Renamed
 
 if TYPE_CHECKING:
@@ -111,10 +110,7 @@ def bootstrap(
     elif not quiet:
         show_bootstrap(found)
         typer.echo(f"\nwrote {', '.join(map(str, files))}")
-    if is_stopped():
-        how = "with --force" if folder is not None else "with --folder DIR, and --force,"
-        typer.echo(f"giajax: stopped: the same command {how} goes on another time", err=True)
-        raise typer.Exit(stopped_status())
+    end_if_stopped(folder)
 
 
 def show_bootstrap(found: "Bootstrap") -> None:

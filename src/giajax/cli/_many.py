@@ -1,10 +1,12 @@
 """What commands with many tasks have in common: who does them, and how far they are."""
 
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .._signals import is_stopped, stopped_status
 from .._text import time_in_words
 
 if TYPE_CHECKING:
@@ -27,6 +29,18 @@ Scheduler = Annotated[
 # A line so often; for the first tasks, whose programs are compiled, none says how long it takes.
 _BETWEEN_S = 5.0
 _LEAST = 2
+
+
+def end_if_stopped(folder: Path | None) -> None:
+    """End a command that was stopped, after it has written what it had, and say how to go on.
+
+    Arguments:
+        folder: of the files of its tasks; None where they were not kept.
+    """
+    if is_stopped():
+        how = "with --force" if folder is not None else "with --folder DIR, and --force,"
+        typer.echo(f"giajax: stopped: the same command {how} goes on another time", err=True)
+        raise typer.Exit(stopped_status())
 
 
 class ManyProgress:

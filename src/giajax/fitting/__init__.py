@@ -10,6 +10,7 @@ from ._density import (
     energy_at as energy_at,
 )
 from ._equations import CellEquations as CellEquations, Equations as Equations
+from ._estimates import student_reach as student_reach
 from ._findings import Finding as Finding
 from ._fit import MAX_ITERATIONS as MAX_ITERATIONS, fit as fit, solve as solve
 from ._hold_out import not_judged as not_judged, with_held_out as with_held_out

@@ -78,6 +78,11 @@ def _error_of_mean(statistics: Statistics, places: tuple[int, ...]) -> float | N
     return finite_or_none(float(np.sqrt(weights @ statistics.covariance @ weights)))
 
 
+def student_reach(freedom: float, level: float = _LEVEL) -> float:
+    """Half of an interval by Student's t of some degrees of freedom, in standard errors."""
+    return float(stdtrit(min(freedom, _NORMAL), (1 + level) / 2))
+
+
 def interval(
     statistics: Statistics, index: int, parameter: Parameter
 ) -> tuple[float, float] | None:
@@ -94,7 +99,7 @@ def interval(
     error = finite_or_none(statistics.standard_errors.get(index))
     if error is None:
         return None
-    reach = float(stdtrit(min(statistics.freedom[index], _NORMAL), 1 - (1 - _LEVEL) / 2)) * error
+    reach = student_reach(statistics.freedom[index]) * error
     value = float(statistics.values[index])
     declaration = parameter.declaration
     return max(value - reach, declaration.lower), min(value + reach, declaration.upper)

@@ -4,18 +4,14 @@ import dataclasses
 from typing import Any
 
 import numpy as np
-from scipy.special import stdtrit
 
 from .._typing import Float
-from ..fitting import FitResult, Optimum, Recorded, Statistics
+from ..fitting import FitResult, Optimum, Recorded, Statistics, student_reach
 from ..noise import drawn
 from ..parameters import get
 from ..study import Fitted, optimum_of, refit
 from ._blocks import Residuals
 from ._records import Method
-
-# Degrees of freedom from which Student's t is a normal distribution.
-_NORMAL = 1e9
 
 
 def replicates(
@@ -157,7 +153,7 @@ def _found(result: FitResult, optimum: Optimum, statistics: Statistics) -> dict[
     reach = [
         None
         if (error := statistics.standard_errors.get(place)) is None
-        else float(stdtrit(min(statistics.freedom[place], _NORMAL), 0.975)) * error
+        else student_reach(statistics.freedom[place]) * error
         for place in range(len(values))
     ]
     model = optimum.model(values)

@@ -4,15 +4,11 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import stdtrit
 
 from .._errors import InputError
 from .._text import one_of
-from ..fitting import FitResult, Optimum
+from ..fitting import FitResult, Optimum, student_reach
 from ._constrained import Followed, Quantity, constrained
-
-# Degrees of freedom from which Student's t is a normal distribution.
-_NORMAL = 1e9
 
 # Of the size of what has no standard error: as far as a first step goes.
 _UNKNOWN = 0.1
@@ -53,7 +49,7 @@ class Profiled:
 
     def reach(self, level: float) -> float:
         """Root of the deviance at which an interval ends."""
-        return float(stdtrit(min(self.freedom, _NORMAL), (1 + level) / 2))
+        return student_reach(self.freedom, level)
 
     def linear(self, level: float) -> tuple[float, float] | None:
         """The interval of the standard error, within the bounds."""

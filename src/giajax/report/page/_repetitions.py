@@ -1,8 +1,9 @@
 """What repetitions of a fit add to its page, where their files are beside the result."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from bokeh.embed import json_item
@@ -18,6 +19,8 @@ from .._influence import INFLUENCE, influence_summary, influence_table
 from .._style import BLUE, LIGHT, VERMILLION
 from ._figures import new_plot
 from ._tables import Table
+
+Found = TypeVar("Found", Bootstrap, Influence)
 
 # Histograms of more parameters than these are in bootstrap.png.
 _MOST = 6
@@ -44,14 +47,8 @@ def repeated_part(result: FitResult, source: Path | None) -> RepeatedPart | None
         result: that the page is about.
         source: its `result.json`.
     """
-    text = _beside(source, BOOTSTRAP)
-    if text is None:
-        return None
-    try:
-        found = Bootstrap.of_json(text)
-    except InputError:
-        return None
-    if not is_of(found.fitted, result):
+    found = _beside(result, source, BOOTSTRAP, Bootstrap.of_json)
+    if found is None:
         return None
     drawn = [(path, one) for path, one in found.parameters.items() if len(one.values) > 1]
     plots = [(path, _histogram(one)) for path, one in drawn[:_MOST]]
@@ -65,14 +62,8 @@ def influence_part(result: FitResult, source: Path | None) -> tuple[Table, list[
         result: that the page is about.
         source: its `result.json`.
     """
-    text = _beside(source, INFLUENCE)
-    if text is None:
-        return None
-    try:
-        found = Influence.of_json(text)
-    except InputError:
-        return None
-    if not is_of(found.fitted, result):
+    found = _beside(result, source, INFLUENCE, Influence.of_json)
+    if found is None:
         return None
     return Table(*influence_table(found), 2), influence_summary(found)
 
@@ -82,13 +73,17 @@ def is_of(fitted: dict[str, float], result: FitResult) -> bool:
     return fitted == {path: float(estimate.value) for path, estimate in result.free.items()}
 
 
-def _beside(source: Path | None, name: str) -> bytes | None:
+def _beside(
+    result: FitResult, source: Path | None, name: str, read: Callable[[bytes], Found]
+) -> Found | None:
+    """What a file beside a result holds; None where there is none, or one of another fit."""
     if source is None:
         return None
     try:
-        return read_bytes(source.parent / name, RESULT_BYTES)
+        found = read(read_bytes(source.parent / name, RESULT_BYTES))
     except (OSError, InputError):
         return None
+    return found if is_of(found.fitted, result) else None
 
 
 def _histogram(one: Repeated) -> str:
