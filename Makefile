@@ -15,7 +15,7 @@ endif
 endif
 
 .PHONY: help demo check quick test test-slow test-all test-long test-lowest test-python evidence \
-	paper docs pictures lint types bench bench-check synthetic clean
+	paper docs pictures lint types bench bench-check synthetic browser clean
 
 help:
 	@echo "make demo           install into $(VENV) and fit the demonstration run"
@@ -36,6 +36,7 @@ help:
 	@echo "make bench          side-by-side measurements against MuJoCo, CasADi and scipy"
 	@echo "make bench-check    the same, and fail where a ratio fell by a fifth since it was recorded"
 	@echo "make synthetic      regenerate data/synthetic"
+	@echo "make browser        Chromium from the system's packages, for the tests that open pages"
 
 # A stamp per set of extras: installing again happens only when the project's metadata change.
 $(VENV)/bin/python:
@@ -111,6 +112,9 @@ bench-check: $(VENV)/.installed-dev
 
 synthetic: $(VENV)/.installed
 	$(BIN)/python data/synthetic/regenerate.py
+
+browser:
+	tests/install-browser
 
 clean:
 	rm -rf $(VENV) .venv-* .jax_cache .pytest_cache .mypy_cache .ruff_cache build dist docs/_generated

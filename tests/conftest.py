@@ -117,3 +117,14 @@ def few_programs_at_a_time():
     if MAPS.exists() and MAPS.read_bytes().count(b"\n") > MOST_MAPS:
         jax.clear_caches()
         gc.collect()
+
+
+@pytest.fixture(scope="session")
+def browser():
+    """A browser; a test that asks for it is skipped where there is none."""
+    from docs.machinery import browse
+
+    found = browse.installed()
+    if found is None:
+        pytest.skip(f"no browser, one of {', '.join(browse.BROWSERS)}: make browser")
+    return found

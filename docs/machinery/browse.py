@@ -3,8 +3,9 @@
     python -m docs.machinery.browse [SITE]                    build/docs, unless another is named
     python -m docs.machinery.browse [SITE] --pictures DIR     and a picture of every page
 
-Dead links and fragments, messages of the console, files that are not there, and pages that are
-wider than their window. The exit status is 1 where there is one, 2 without a browser or a site.
+Dead links and fragments, messages of the console, files that are not there, plots that are not
+drawn, and pages that are wider than their window. A folder of reports is a site as well. The exit
+status is 1 where there is one, 2 without a browser or a site.
 """
 
 import functools
@@ -27,17 +28,34 @@ SITE = Path(__file__).resolve().parents[2] / "build" / "docs"
 WIDTHS = (1400, 390)
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 
+# What BokehJS says of itself, and what a browser says of a page that changes its size as it is
+# laid out: the frame does that here.
+_NO_COMPLAINTS = ("setting log level to", "ResizeObserver loop completed")
+
 # A page in a frame has the width of the frame, and one browser opens them all.
 _HARNESS = """\
 <!doctype html><title>running</title><pre id="found"></pre><script>
 const pages = PAGES, widths = WIDTHS, found = [];
+const within = (root) => [...root.querySelectorAll("*")].flatMap(
+  (one) => [one, ...(one.shadowRoot ? within(one.shadowRoot) : [])]);
+const inked = (canvas) => canvas.width && canvas.height && canvas.getContext("2d")
+  .getImageData(0, 0, canvas.width, canvas.height).data.some((part) => part > 0);
+const wait = (ms) => new Promise((after) => setTimeout(after, ms));
 const frame = document.body.appendChild(document.createElement("iframe"));
 frame.height = 900;
 (async () => {
   for (const width of widths) for (const page of pages) {
     frame.width = width;
     await new Promise((loaded) => { frame.onload = loaded; frame.src = page; });
-    await new Promise((drawn) => setTimeout(drawn, 60));
+    await wait(60);
+    const body = frame.contentDocument.body, plots = [...body.querySelectorAll("[data-plot]")];
+    for (let turn = 0; plots.length && !body.dataset.drawn && turn < 200; turn++) await wait(50);
+    for (const plot of plots) {
+      if (within(plot).some((one) => one.localName === "canvas" && inked(one))) continue;
+      found.push(`${page} does not draw ${plot.dataset.plot} at ${width} px`);
+    }
+    for (const canvas of body.querySelectorAll("canvas.arm"))
+      if (!inked(canvas)) found.push(`${page} does not draw the arm at ${width} px`);
     const wide = frame.contentDocument.documentElement.scrollWidth;
     if (wide > width) found.push(`${page} is ${wide} px wide in a window of ${width} px`);
   }
@@ -130,7 +148,8 @@ def _chromium(browser: str, *arguments: str) -> subprocess.CompletedProcess[str]
 def opened(site: Path, browser: str) -> list[str]:
     """What is wrong with the pages in a browser."""
     pages = sorted(f"/{path.relative_to(site)}" for path in site.rglob("*.html"))
-    budget = 200 * len(pages) * len(WIDTHS)
+    # Time that passes at once where nothing is to be done.
+    budget = 10_000 * len(pages) * len(WIDTHS)
     with _server(site, pages) as address:
         ended = _chromium(
             browser, "--dump-dom", f"--virtual-time-budget={budget}", f"{address}/__harness__"
@@ -139,6 +158,7 @@ def opened(site: Path, browser: str) -> list[str]:
     if wide is None:
         return [f"{browser} did not come to an end: {ended.stderr[-500:]}"]
     said = [line.partition("] ")[2] for line in ended.stderr.splitlines() if ":CONSOLE" in line]
+    said = [line for line in said if not any(known in line for known in _NO_COMPLAINTS)]
     return [*json.loads(html.unescape(wide[1])), *dict.fromkeys(said)]
 
 
@@ -152,6 +172,11 @@ def pictures(site: Path, browser: str, folder: Path) -> None:
             _chromium(browser, f"--window-size={width},1600", f"--screenshot={out}", path.as_uri())
 
 
+def installed() -> str | None:
+    """The browser, or None."""
+    return next(filter(None, map(shutil.which, BROWSERS)), None)
+
+
 def main(words: list[str]) -> int:
     """Look at the site; returns the exit status."""
     folder = None
@@ -160,8 +185,8 @@ def main(words: list[str]) -> int:
         _, name = words[place : place + 2]
         folder, words = Path(name), words[:place] + words[place + 2 :]
     site = Path(words[0]) if words else SITE
-    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
-    if browser is None or not (site / "index.html").exists():
+    browser = installed()
+    if browser is None or not any(site.rglob("*.html")):
         what = f"no browser, one of {', '.join(BROWSERS)}" if browser is None else f"no {site}"
         print(f"there is {what}: install it" if browser is None else f"{what}: make docs")
         return 2
