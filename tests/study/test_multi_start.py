@@ -1,16 +1,27 @@
 """Several starts find the valley that one start misses, and say how many did."""
 
 import dataclasses
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from giajax import InputError, Prior, Run, fit, load_result
-from giajax.fitting import Start, set_up
+from giajax.execution import open_executor
+from giajax.execution._executors import InProcess
+from giajax.fitting import Budget, Start, set_up
 from giajax.report import summary
 from giajax.report.page._tables import optima_table
-from giajax.study import _multi_start, _valleys, lost_starts, misfit, multi_start, valleys
+from giajax.study import (
+    _multi_start,
+    _valleys,
+    lost_starts,
+    misfit,
+    multi_start,
+    solve_from_starts,
+    valleys,
+)
 from giajax.study._starts import start_values
 from toy_model import TRUTH, Decay, height, run
 
@@ -176,3 +187,51 @@ def test_an_interruption_keeps_the_best_start_so_far(monkeypatch, interrupted_at
     assert ends == ["converged"] * min(interrupted_at - 1, 3) + ["interrupted"] * (
         interrupted_at < 4
     )
+
+
+@pytest.mark.slow
+def test_spawned_processes_end_where_threads_do(tmp_path):
+    """The same table of ends, and a result that predicts; the files of the tasks are taken up."""
+    options = {
+        "starts": 6, "spread": 2.0, "start": {"decay": 5.0}, "check": False,
+    }  # fmt: skip
+    here, told = multi_start(Decay(), run(), **options), []
+    with open_executor(2, None) as executor:
+        there = multi_start(
+            Decay(),
+            run(),
+            **options,
+            executor=executor,
+            folder=tmp_path,
+            announce=lambda number, start: told.append(number),
+        )
+    assert sorted(told) == [
+        number for number, one in enumerate(here.starts, 1) if one.status != "failed"
+    ]
+    assert {start.status for start in here.starts} == {"converged", "failed"}
+    for one, other in zip(here.starts, there.starts, strict=True):
+        assert (one.start, one.status, one.message) == (other.start, other.status, other.message)
+        for path, value in (one.parameters or {}).items():
+            error = here.parameters[path].standard_error
+            assert abs(other.parameters[path] - value) < 1e-6 * error
+    assert len(there.predictions) == 1
+    assert there.verdict == here.verdict
+    files = {path.name: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
+    assert len(files) == sum(start.status == "converged" for start in here.starts) - 1
+    again = multi_start(Decay(), run(), **options, executor=InProcess(), folder=tmp_path)
+    assert again.starts == there.starts
+    assert {path.name: path.stat().st_mtime_ns for path in tmp_path.iterdir()} == files
+
+
+def test_a_start_without_time_is_no_failure(tmp_path):
+    """A budget that is over before the others begin: none of them is kept as if it had ended."""
+    options = {"start": {"amplitude": 0.5, "decay": 3.0}}
+    first = multi_start(Decay(), run(), starts=1, check=False, **options)
+    budget = Budget(60.0, began=time.monotonic() - 60.0)
+    result = solve_from_starts(
+        set_up(Decay(), run(), **options), starts=4, budget=budget, before=first,
+        executor=InProcess(), folder=tmp_path,
+    )  # fmt: skip
+    assert len(result.starts) == 1
+    assert "after 1 of 4 starts" in result.message
+    assert list(tmp_path.iterdir()) == []

@@ -13,7 +13,8 @@ from .._cores import CORES_VARIABLE
 from ._fit_run import finished, run_fit
 from ._fit_task import named_task
 from ._fit_values import bounds as limits, groups, priors, ties
-from ._options import Renamed
+from ._many import Scheduler, Workers
+from ._options import Cores, Renamed
 from ._values import plain_settings
 
 EXAMPLES = """\b
@@ -29,6 +30,7 @@ Examples:
   giajax fit --data run.csv --hold-out last:0.3
   giajax fit definition.toml --force
   giajax fit long.toml --budget 2h --cores 4
+  giajax fit long.toml --starts 100 --workers 4
   giajax fit --resume giajax-out/long
   giajax fit --again giajax-out/run/result.json
   giajax fit --data other.csv --from giajax-out/run
@@ -45,7 +47,9 @@ far is written). A second Ctrl-C ends at once.
 
 \b
 While it runs, DIR/journal.jsonl has every step. After a crash, Ctrl-C or the
-end of a budget, --resume DIR goes on from there to the same numbers."""
+end of a budget, --resume DIR goes on from there to the same numbers.
+With --workers or --scheduler other processes do the starts after the first that
+converges."""
 
 
 def fit(
@@ -184,15 +188,9 @@ def fit(
             metavar="RESULT", help="The fit of a result once more: same data, same numbers."
         ),
     ] = None,
-    cores: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N",
-            min=1,
-            envvar=CORES_VARIABLE,
-            help="Compute on so many cores (all of them).",
-        ),
-    ] = None,
+    cores: Cores = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
     resume: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="Go on with the fit whose journal is in this folder."),
@@ -294,5 +292,7 @@ def fit(
             self_test=self_test,
             strict=strict,
             suspects=suspects,
+            workers=workers,
+            scheduler=scheduler,
         )
     )

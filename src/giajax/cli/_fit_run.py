@@ -8,6 +8,7 @@ import typer
 from .._signals import stopped_status
 from ._bootstrap import self_test as repeated_fit
 from ._fit_output import show_diagnosis, show_files, show_result, write_or_print
+from ._many import forget_starts, workers_of_starts
 from ._progress import Progress, stop_if_asked
 from ._time_left import TimeLeft
 
@@ -63,6 +64,8 @@ def run_fit(
     self_test: bool,
     strict: bool,
     suspects: bool,
+    workers: int | None,
+    scheduler: str | None,
 ) -> int:
     """Fit a task, write its result and show it.
 
@@ -70,8 +73,8 @@ def run_fit(
         task: what to fit to what.
         again: the result whose numbers are to come again.
         resume: go on with the journal in the task's folder.
-        force, as_json, quiet, figures, report, self_test, strict, suspects: the options of these
-            names.
+        force, as_json, quiet, figures, report, self_test, strict, suspects, workers, scheduler:
+            the options of these names.
 
     Returns:
         The exit status.
@@ -99,7 +102,11 @@ def run_fit(
     if report:
         check_page(task.out / PAGE, force=force)
     before = None if again is None or task.resolved is None else stored_result(again)[1]
-    with ready.kept_in(task.out, resume=resume, force=force, complain=_complain) as journal:
+    starts = task.definition.fit.starts or 1
+    with (
+        ready.kept_in(task.out, resume=resume, force=force, complain=_complain) as journal,
+        workers_of_starts(workers, scheduler, starts, task.out) as others,
+    ):
         versions = journal.head["versions"] if before is None else before["versions"]
         if note := version_note(versions):
             _complain(note)
@@ -111,6 +118,7 @@ def run_fit(
                 stop_if_asked if progress is None else progress,
                 None if progress is None else progress.announce,
                 journal=journal.of,
+                **others,
             )
         except KeyboardInterrupt:
             if journal.is_begun:
@@ -123,6 +131,8 @@ def run_fit(
         )
         journal.settle(result)
         goes_on = journal.path.exists()
+        if not goes_on:
+            forget_starts(task.out)
     if not (as_json or quiet):
         show_result(result, task.definition)
         if before is not None:

@@ -1,11 +1,14 @@
 """What commands with many tasks have in common: who does them, and how far they are."""
 
+import contextlib
 import time
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from .._errors import InputError
 from .._signals import is_stopped, stopped_status
 from .._text import time_in_words
 
@@ -26,6 +29,9 @@ Scheduler = Annotated[
 ]
 """The option `--scheduler`."""
 
+STARTS = "starts"
+"""Folder of a file for each start of a fit that workers do, beside its journal."""
+
 # A line so often; for the first tasks, whose programs are compiled, none says how long it takes.
 _BETWEEN_S = 5.0
 _LEAST = 2
@@ -41,6 +47,39 @@ def end_if_stopped(folder: Path | None) -> None:
         how = "with --force" if folder is not None else "with --folder DIR, and --force,"
         typer.echo(f"giajax: stopped: the same command {how} goes on another time", err=True)
         raise typer.Exit(stopped_status())
+
+
+@contextlib.contextmanager
+def workers_of_starts(
+    workers: int | None, scheduler: str | None, starts: int, out: Path
+) -> Iterator[dict[str, Any]]:
+    """Who fits the starts of a fit, as arguments of `Preparation.run`: none for threads.
+
+    Arguments:
+        workers, scheduler: the options of these names.
+        starts: how many there are.
+        out: folder of the result, which has a file for each start until all of them are done.
+
+    Raises:
+        InputError: there is one start alone, or as of `open_executor`.
+    """
+    if workers is None and scheduler is None:
+        yield {}
+        return
+    if starts < 2:
+        raise InputError("there is one start, which one process fits: add --starts N")
+    from ..execution import open_executor
+
+    with open_executor(workers, scheduler) as executor:
+        yield {"executor": executor, "folder": out / STARTS}
+
+
+def forget_starts(out: Path) -> None:
+    """Remove the files of starts whose result is written."""
+    for path in (out / STARTS).glob("*.json"):
+        path.unlink(missing_ok=True)
+    with contextlib.suppress(OSError):  # It is not there, or something of somebody else's is.
+        (out / STARTS).rmdir()
 
 
 class ManyProgress:

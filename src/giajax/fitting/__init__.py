@@ -50,7 +50,11 @@ from ._responses import (
     Response as Response,
     responses as responses,
 )
-from ._result import FitResult as FitResult, load_result as load_result
+from ._result import (
+    FitResult as FitResult,
+    load_result as load_result,
+    parse_result as parse_result,
+)
 from ._run_records import (
     ChannelErrors as ChannelErrors,
     ChannelFit as ChannelFit,

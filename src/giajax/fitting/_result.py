@@ -208,18 +208,33 @@ def load_result(path: str | Path) -> FitResult:
         if record.pop("schema_version") != SCHEMA_VERSION:
             raise InputError(f"{path} was written by another version of giajax: run the fit again")
         kind = record.pop("model")
-        records = _records(record)
-        values = {name: estimate.value for name, estimate in records["parameters"].items()}
-        model = build_model(kind, record["config"]["definition"], values)
-        if (integration := records["integration"]) is not None:
-            model = model.with_integration(solver=None, tolerance=integration.tolerance)
-        return FitResult(model=model, **{**record, **records})
+        values = {path: item["value"] for path, item in record["parameters"].items()}
+        return _of(record, build_model(kind, record["config"]["definition"], values))
     except FileNotFoundError:
         raise InputError(f"{path} does not exist: give the folder of a finished fit") from None
     except InputError:
         raise
     except (OSError, ValueError, LookupError, ArithmeticError, TypeError, AttributeError):
         raise InputError(f"{path} is not a result of giajax: give the folder of a fit") from None
+
+
+def parse_result(text: str, model: AbstractModel) -> FitResult:
+    """A result from the text of another process, which has no file.
+
+    Arguments:
+        text: of `FitResult.to_json` of this version.
+        model: that was fitted, with the values that are in the text.
+    """
+    record = json.loads(text)
+    del record["schema_version"], record["model"]
+    return _of(record, model)
+
+
+def _of(record: Mapping[str, Any], model: AbstractModel) -> FitResult:
+    records = _records(record)
+    if (integration := records["integration"]) is not None:
+        model = model.with_integration(solver=None, tolerance=integration.tolerance)
+    return FitResult(model=model, **{**record, **records})
 
 
 def _records(record: Mapping[str, Any]) -> dict[str, Any]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from .._errors import InputError
 from ..fitting import FitResult, Setup, Start
-from ._ends import end_values, misfit
+from ._ends import end_of
 from ._starts import start_values
 
 
@@ -54,8 +54,7 @@ def earlier_starts(
         )
     known: Sequence[Start] = before.starts
     if not known:
-        message = None if before.status == "converged" else before.message
-        known = [Start(dict(values[0]), before.status, misfit(before), end_values(before), message)]
+        known = [end_of(values[0], before)]
     ends = ("converged", "failed")
     whole = list(itertools.takewhile(lambda start: start.status in ends, known))
     for start, wanted in zip(whole, values, strict=False):

@@ -1,10 +1,11 @@
 """Where the fits of several starts ended, and how two ends compare."""
 
 import dataclasses
+from collections.abc import Mapping
 
 import numpy as np
 
-from ..fitting import FitResult
+from ..fitting import FitResult, Start
 
 
 def interrupted(result: FitResult, when: str) -> FitResult:
@@ -23,3 +24,9 @@ def misfit(result: FitResult) -> float:
 def end_values(result: FitResult) -> dict[str, float]:
     """Values of the free parameters where a fit ended, by path."""
     return {path: estimate.value for path, estimate in result.free.items()}
+
+
+def end_of(start: Mapping[str, float], result: FitResult) -> Start:
+    """Where a start ended that was fitted."""
+    message = None if result.status == "converged" else result.message
+    return Start(dict(start), result.status, misfit(result), end_values(result), message)

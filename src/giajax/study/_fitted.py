@@ -54,7 +54,7 @@ class Fitted:
 
         Times, places of files, versions, and what was asked of a result afterwards do not count.
         """
-        told = content(list(map(_told, self.runs)))
+        told = content(list(map(told_of, self.runs)))
         return hashlib.sha256((fit_key(self.result) + told).encode()).hexdigest()
 
     def optimum(self) -> Optimum:
@@ -81,7 +81,7 @@ def fit_key(result: FitResult) -> str:
     return hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()
 
 
-def _told(run: Run) -> tuple[Any, ...]:
+def told_of(run: Run) -> tuple[Any, ...]:
     """What a fit knows of a run, wherever its file lies."""
     arrays = {
         name: list(values) if values.dtype == object else values

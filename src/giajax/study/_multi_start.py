@@ -7,12 +7,14 @@ import dataclasses
 import functools
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from pathlib import Path
 
 import numpy.typing as npt
 
 from .._cores import cores
 from .._errors import InputError
-from .._threads import Tell, directly, side_by_side
+from .._threads import Tell
 from ..fitting import (
     MAX_ITERATIONS,
     Budget,
@@ -30,12 +32,12 @@ from ..models import AbstractModel
 from ..quantities import Prior
 from ..runs import Run
 from ._earlier_starts import earlier_starts
-from ._ends import end_values, interrupted, misfit
+from ._ends import end_of, end_values, interrupted, misfit
+from ._start_order import End, as_fine, in_order, in_threads
+from ._start_task import by_executor
 from ._starts import inside_bounds, start_values
 
 STARTS, SPREAD, SEED = 8, 0.3, 0
-
-_End = tuple[Start, FitResult | None]
 
 
 def multi_start(
@@ -64,6 +66,8 @@ def multi_start(
     announce: Callable[[int, Mapping[str, float]], None] | None = None,
     check: bool = True,
     before: FitResult | None = None,
+    executor: Executor | None = None,
+    folder: str | Path | None = None,
 ) -> FitResult:
     """Fit from several starts, and return the best end.
 
@@ -86,6 +90,10 @@ def multi_start(
         announce: called before each fit with its number, from 1, and its start. Of fits side by
             side the later ones are told of, with their steps, when the earlier ones have ended.
         before: a result of the same fit from fewer starts, which are not fitted again.
+        executor: who fits the starts after the first that converges, each a task
+            (`giajax.execution.run_tasks`), and is told of once it has ended; by default threads of
+            this process.
+        folder: of a file for each of these tasks, by which the same call goes on.
 
     Returns:
         The best result; `result.starts` has where each start ended. Ctrl-C ends the fit and
@@ -122,6 +130,8 @@ def multi_start(
         check=check,
         budget=None if budget is None else Budget(budget),
         before=before,
+        executor=executor,
+        folder=folder,
     )
 
 
@@ -138,13 +148,15 @@ def solve_from_starts(
     budget: Budget | None = None,
     journal: Callable[[int], FitJournal] | None = None,
     before: FitResult | None = None,
+    executor: Executor | None = None,
+    folder: str | Path | None = None,
 ) -> FitResult:
     """Fit what `giajax.fitting.set_up` resolved from several starts.
 
     Arguments:
         setup: what to fit to what.
-        starts, spread, seed, max_iterations, progress, announce, check, before: as of
-            `multi_start`.
+        starts, spread, seed, max_iterations, progress, announce, check, before, executor, folder:
+            as of `multi_start`.
         budget: wall time that all of them together may take.
         journal: the journal of each fit, by its number: the starts from 1, then the one that
             checks the result. A start that has ended there is evaluated where it ended.
@@ -161,7 +173,7 @@ def solve_from_starts(
     count = cores()
     spent = threading.Event()
 
-    def one(number: int, earlier: Sequence[FitResult], tell: Tell) -> _End | None:
+    def one(number: int, earlier: Sequence[FitResult], tell: Tell) -> End | None:
         """How a start ends; None where there is no time left for it."""
         start = values[number - 1]
         if budget is not None and number > 1 and (spent.is_set() or not budget.left() > 0):
@@ -170,7 +182,7 @@ def solve_from_starts(
             if announce is not None:
                 tell(announce, number, start)
             result = solve(
-                _as_fine(setup.started_at(start), earlier),
+                as_fine(setup.started_at(start), earlier),
                 max_iterations=max_iterations,
                 progress=functools.partial(tell, _nothing if progress is None else progress),
                 check=False,
@@ -187,14 +199,26 @@ def solve_from_starts(
         if result.reason == "budget":
             # What is left of it is too little for a step of any start.
             spent.set()
-        message = None if result.status == "converged" else result.message
-        return Start(start, result.status, misfit(result), end_values(result), message), result
+        return end_of(start, result), result
 
-    known: list[_End] = []
+    known: list[End] = []
     if before is not None:
         known = [(start, None) for start in earlier_starts(before, setup, values)]
     fitted = [before] if before is not None and before.status == "converged" else []
-    ended = _one_by_one_then_side_by_side(one, starts, count, known, fitted)
+    others = in_threads(one, count)
+    if executor is not None:
+        others = by_executor(
+            setup,
+            values,
+            executor=executor,
+            folder=folder,
+            most=max_iterations,
+            budget=budget,
+            announce=announce,
+            progress=progress,
+            spent=spent.set,
+        )
+    ended = in_order(one, others, starts, known, fitted)
     ends = [start for start, _ in ended]
     results = [*fitted, *(result for _, result in ended if result is not None)]
     if not results:
@@ -214,44 +238,14 @@ def solve_from_starts(
         message = f"{best.message}; {budget.ended_it} after {len(ends)} of {starts} starts"
         best = dataclasses.replace(best, status="not_converged", message=message, reason="budget")
     # Of a result that was loaded, the predictions are missing, and the verdict on what is held out.
-    if (check or best is before) and best.status == "converged":
+    bare = best is before or (executor is not None and not best.predictions)
+    if (check or bare) and best.status == "converged":
         last = None if journal is None else journal(starts + 1)
         best = _checked(setup, best, max_iterations, progress, budget, last)
+    if executor is not None and not best.predictions:
+        best = dataclasses.replace(best, predictions=tuple(map(best.predict, setup.runs)))
     config = {**best.config, "starts": starts, "spread": spread, "seed": seed}
     return dataclasses.replace(best, starts=tuple(ends), config=config, seconds=seconds)
-
-
-def _one_by_one_then_side_by_side(
-    one: Callable[[int, Sequence[FitResult], Tell], _End | None],
-    starts: int,
-    most: int,
-    known: Sequence[_End],
-    fitted: Sequence[FitResult],
-) -> list[_End]:
-    """How the starts end that are begun, in their order.
-
-    Those up to the first that converges come one by one: it compiles the programs of the others and
-    chooses their tolerance. On one core or on several, each start then has the same numbers.
-    """
-    ended = list(known)
-    while len(ended) < starts and not any(start.status == "converged" for start, _ in ended):
-        end = one(len(ended) + 1, (), directly)
-        if end is None:
-            return ended
-        ended.append(end)
-        if _interrupts(end):
-            return ended
-    earlier = [*fitted, *(result for _, result in ended if result is not None)]
-    jobs = [functools.partial(one, n, earlier) for n in range(len(ended) + 1, starts + 1)]
-    if not jobs:
-        return ended
-    others = side_by_side(jobs, min(most, len(jobs)), until=_interrupts)
-    return ended + [end for end in others if end is not None]
-
-
-def _interrupts(end: _End | None) -> bool:
-    """Whether the other starts are to be stopped, too; those without time see it themselves."""
-    return end is not None and end[0].status == "interrupted"
 
 
 def _nothing(_: Iteration) -> None:
@@ -268,7 +262,7 @@ def _checked(
 ) -> FitResult:
     """The best end fitted again from where it is, with the checks that were left out before."""
     try:
-        inside = _as_fine(setup.started_at(inside_bounds(setup, end_values(best))), [best])
+        inside = as_fine(setup.started_at(inside_bounds(setup, end_values(best))), [best])
         again = solve(
             inside,
             max_iterations=max_iterations,
@@ -285,12 +279,3 @@ def _checked(
     return dataclasses.replace(
         again, message=best.message, iterations=best.iterations, history=best.history
     )
-
-
-def _as_fine(setup: Setup, ended: Sequence[FitResult]) -> Setup:
-    """With the tolerance that a fit of the same data chose: it need not be looked for again."""
-    for result in ended:
-        # One that did not converge may have made it finer for nothing.
-        if result.status == "converged" and result.integration is not None:
-            return dataclasses.replace(setup, suited=result.integration.tolerance)
-    return setup

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
@@ -90,12 +91,14 @@ class Preparation:
         *,
         check: bool = True,
         journal: Callable[[int], FitJournal] | None = None,
+        executor: Executor | None = None,
+        folder: Path | None = None,
     ) -> FitResult:
         """Fit, and predict what was held out and the runs of the validation.
 
         Arguments:
             progress, announce, check: as of `FitTask.run`.
-            journal: the journal of each fit, by its number; see `study.solve_from_starts`.
+            journal, executor, folder: as of `study.solve_from_starts`.
 
         Returns:
             As `FitTask.run`.
@@ -110,8 +113,7 @@ class Preparation:
         common: dict[str, Any] = {"max_iterations": most, "progress": progress}
         common |= {"check": check, "budget": budget}
         if starts == 1:
-            one = None if journal is None else journal(1)
-            result = solve(self.setup, **common, journal=one)
+            result = solve(self.setup, **common, journal=None if journal is None else journal(1))
         else:
             spread = SPREAD if settings.spread is None else settings.spread
             seed = settings.seed or SEED
@@ -126,6 +128,8 @@ class Preparation:
                 announce=announce,
                 journal=journal,
                 before=self.earlier if known else None,
+                executor=executor,
+                folder=folder,
             )
         errors: list[PredictionErrors] = []
         try:
