@@ -48,8 +48,8 @@ far is written). A second Ctrl-C ends at once.
 \b
 While it runs, DIR/journal.jsonl has every step. After a crash, Ctrl-C or the
 end of a budget, --resume DIR goes on from there to the same numbers.
-With --workers or --scheduler other processes do the starts after the first that
-converges."""
+With --workers or --scheduler other processes fit the starts after the first
+that converges."""
 
 
 def fit(
