@@ -9,6 +9,7 @@ import numpy as np
 from ..fitting import (
     MAX_ITERATIONS,
     FitResult,
+    NoiseModel,
     Optimum,
     RunFit,
     between,
@@ -108,6 +109,7 @@ def refit(
     free: Sequence[str] = (),
     start: Mapping[str, float | Sequence[float]] | None = None,
     fix: Mapping[str, float | Sequence[float]] | None = None,
+    noise_model: NoiseModel | None = None,
     max_iterations: int = MAX_ITERATIONS,
     check: bool = False,
 ) -> FitResult:
@@ -121,6 +123,7 @@ def refit(
         free: paths of further parameters to free; those that are left out are switched on.
         start: start values by path, SI, in place of those that the model has.
         fix: values by path, SI, that are set and held; what was free of it no longer is.
+        noise_model: in place of that of the fit.
         max_iterations, check: as of `giajax.fit`.
 
     Returns:
@@ -157,7 +160,7 @@ def refit(
         start=values,
         fix=fix,
         loss=result.config.get("loss", "linear"),
-        noise_model=result.config.get("noise_model", "correlated"),
+        noise_model=noise_model or result.config.get("noise_model", "correlated"),
         noise_per_run=result.config.get("noise_per_run", False),
         **limits,
     )
