@@ -127,7 +127,13 @@ def _as_asked(result: FitResult, rungs: Sequence[Rung], runs: Sequence[Run]) -> 
         return result
     model = result.config.get("noise_model", "correlated")
     last = rungs[-1].result
-    return last if model == "white" else refit(last, runs, noise_model=model)
+    if model == "white":
+        return last
+    try:
+        again = refit(last, runs, noise_model=model)
+    except InputError:  # It cannot be evaluated a little inside of its bounds.
+        return last
+    return again if again.status == "converged" else last
 
 
 def _is_better(one: Measured, other: Measured, noise: Noise) -> bool:
