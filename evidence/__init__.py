@@ -14,6 +14,7 @@ from ._design import DESIGN
 from ._influence import INFLUENCE
 from ._kills import KILLS
 from ._ladder import LADDER
+from ._ladder_friction import LADDER_FRICTION
 from ._noise import NOISE
 from ._page import PAGE as PAGE, page as page
 from ._posterior import POSTERIOR
@@ -35,6 +36,7 @@ _ALL = (
     KILLS,
     SUSPECTS,
     LADDER,
+    LADDER_FRICTION,
     BOOTSTRAP,
     INFLUENCE,
     PROFILE,

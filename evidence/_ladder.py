@@ -76,7 +76,7 @@ def _figures(steps: "Ladder") -> Figures:
     last = steps.result
     per = _moving_mass(last.model)
     return {
-        "rungs": [_rung(rung) for rung in steps.rungs],
+        "rungs": [rung_of(rung) for rung in steps.rungs],
         "ending": steps.ending,
         "moving_mass": moving,
         "for_their_mass": {
@@ -89,7 +89,7 @@ def _figures(steps: "Ladder") -> Figures:
     }
 
 
-def _rung(rung: "Rung") -> dict[str, Any]:
+def rung_of(rung: "Rung") -> dict[str, Any]:
     return {
         "change": rung.change,
         "chi_square": rung.chi_square,
@@ -164,7 +164,7 @@ def table(figures: Figures) -> list[str]:
         "| --- | --- | --- | --- | --- | --- |",
     ]
     for rung in figures["rungs"]:
-        cells = [_cell(rung["parameters"][path]) for path in shown]
+        cells = [cell(rung["parameters"][path]) for path in shown]
         change = "the paper's model" if rung["change"] == "-" else f"`{rung['change']}`"
         rows.append(
             f"| {change} | {rung['chi_square']:,.0f} | {rung['moving_mass']:.4f} | "
@@ -175,7 +175,7 @@ def table(figures: Figures) -> list[str]:
     return [*rows, f"| truth | {values:,} values | {mass:.4f} | {' | '.join(true)} |"]
 
 
-def _cell(estimate: Mapping[str, float | None]) -> str:
+def cell(estimate: Mapping[str, float | None]) -> str:
     error = estimate["error"]
     said = "-" if error is None else f"{error:.4f}"
     return f"{estimate['value']:.4f} +- {said}"

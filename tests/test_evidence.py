@@ -105,6 +105,19 @@ def test_the_ladder_leads_to_what_acts_on_a_link_for_its_mass():
 
 
 @pytest.mark.quick
+def test_the_ladder_leads_from_the_papers_model_to_that_of_another_engine():
+    """Within 3 standard errors, and to the air that it has; the first fit is far off."""
+    _, figures = figures_of("ladder_friction")
+    assert len(figures["found"]) == 5
+    for path, one in figures["found"].items():
+        assert is_within(one), path
+    assert figures["air"] == {"drag": "strip", "added_mass": "inertia", "has_added_mass": True}
+    first, last = figures["rungs"][0], figures["rungs"][-1]
+    assert first["chi_square"] > 9 * last["chi_square"]
+    assert last["chi_square"] < 1.1 * last["values"]
+
+
+@pytest.mark.quick
 def test_profiles_agree_with_errors_where_these_are_right_and_hold_the_truth_where_not():
     """Within 10 % on a fit that is determined well; at a bound and in a valley that bends."""
     _, figures = figures_of("profile")

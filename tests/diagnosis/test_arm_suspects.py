@@ -49,26 +49,52 @@ def test_what_is_switched_on_at_its_neutral_value_changes_nothing():
         assert np.max(np.abs(on[name] - row)) < 1e-6, name
 
 
+INERTIA = "arm.added_mass = inertia, air.added_mass_coefficient = 1"
+
+
 def test_choices_of_an_arm():
     names = list(arm().variants())
     assert names == [
         "arm.drag = strip",
         "arm.drag_curve = cylinder",
         "joints.memory.strength = 0.02 N m",
+        INERTIA,
+        f"arm.drag = strip, {INERTIA}",
         "arm.trim = true",
         "arm.trim = true, trim_depth = 0.15 m",
     ]
     floating = arm(drag="strip", trim=True, gravity=9.81)
     memory = "joints.memory.strength = 0.02 N m"
-    assert list(floating.variants()) == ["arm.drag = centre", "arm.drag_curve = cylinder", memory]
+    assert list(floating.variants()) == [
+        "arm.drag = centre", "arm.drag_curve = cylinder", memory, INERTIA,
+    ]  # fmt: skip
     heavy = ArmModel(giajax.pendulum(1))
-    assert list(heavy.variants()) == ["arm.drag = strip", "arm.drag_curve = cylinder", memory]
+    assert list(heavy.variants()) == [
+        "arm.drag = strip", "arm.drag_curve = cylinder", memory, INERTIA,
+        f"arm.drag = strip, {INERTIA}",
+    ]  # fmt: skip
     moving = {"air.added_mass_coefficient": 1.0, "joints.memory.strength": 0.1}
     remembers = dataclasses.replace(heavy, arm=giajax.replace(heavy.arm, moving))
     assert list(remembers.variants())[2:] == ["arm.added_mass = inertia"]
     other = floating.variants()["arm.drag = centre"]
     assert other.arm.air.drag == "centre"
     assert floating.arm.air.drag == "strip"
+
+
+def test_an_arm_that_moves_air_keeps_all_forces_per_mass():
+    """Drag, springs and dampers grow as what they move; where there is weight, nothing does."""
+    model = arm()
+    air = model.arm.air
+    moved = float(jnp.sum(air.density * model.arm.links.volume))
+    ratio = 1 + moved / float(jnp.sum(model.arm.links.mass))
+    other = model.variants()[f"arm.drag = strip, {INERTIA}"]
+    assert (other.arm.air.drag, other.arm.air.added_mass) == ("strip", "inertia")
+    assert float(other.arm.air.added_mass_coefficient) == 1
+    for path in ("air.drag_coefficient", "joints.pitch_stiffness", "joints.damping"):
+        assert float(giajax.get(other, path) / giajax.get(model, path)) == pytest.approx(ratio)
+    weighty = arm(gravity=9.81)
+    same = weighty.variants()[INERTIA]
+    assert same.arm.air.drag_coefficient == weighty.arm.air.drag_coefficient
 
 
 def test_an_arm_that_is_to_float_keeps_all_forces_per_mass():

@@ -10,7 +10,8 @@ from test_suspects import FREE, fitted
 from giajax import InputError, fit, ladder, suspects
 from giajax.diagnosis import Rung
 from giajax.diagnosis._axes import all_axes, name_of, turned_back
-from giajax.diagnosis._ladder import _best_step, _spare
+from giajax.diagnosis._ladder import _spare
+from giajax.diagnosis._step import best_step
 from giajax.noise import by_second_differences
 from giajax.runs import parted
 from giajax.study import refit
@@ -116,7 +117,7 @@ def test_of_several_that_are_tried_the_lowest_bic_is_taken():
     found = suspects(result, recording)
     promising = [found.of("weights"), found.of("shift[1]"), found.of("late")]
     taken = {
-        tries: _best_step(result, [recording], [], promising, tries)[0].suspect.path
+        tries: best_step(result, [recording], [], promising, tries)[0].suspect.path
         for tries in (1, 2)
     }
     # All weights in proportion are no parameter of a fit, and no try.

@@ -18,7 +18,7 @@ EXAMPLES = """\b
 Examples:
   giajax suspects giajax-out/run
   giajax suspects giajax-out/run --ladder
-  giajax suspects giajax-out/run --ladder --tries 3
+  giajax suspects giajax-out/run --ladder --tries 1
   giajax suspects giajax-out/run --ladder --held-out other.csv
   giajax suspects giajax-out/run --systematic --uncertainty links.mass=0.002
   giajax suspects giajax-out/run --json
@@ -26,8 +26,9 @@ Examples:
 \b
 RESULT is the folder of a fit, or its result.json. The runs are read again from
 where they were. The most promising suspect comes first: what lowers chi-square most.
---ladder fits it, asks again, and so on, as long as BIC falls; with --tries it fits
-the first few at each step, and takes the one whose fit has the lowest BIC."""
+--ladder fits the first few, takes the one whose fit has the lowest BIC, asks again,
+and so on, as long as BIC falls: minutes for each step of a long arm, and fewer with
+--tries 1, which takes the first one at its word."""
 
 
 def suspects(
@@ -51,7 +52,7 @@ def suspects(
         typer.Option(metavar="PATH=VALUE", help="Standard deviation of a held number. Repeatable."),
     ] = None,
     ladder: Annotated[
-        bool, typer.Option("--ladder", help="Fit the most promising suspect in turn.")
+        bool, typer.Option("--ladder", help="Fit the most promising suspects in turn.")
     ] = False,
     held_out: Annotated[
         list[Path] | None,
@@ -62,9 +63,9 @@ def suspects(
         int, typer.Option(metavar="N", min=1, help="Rows of the table and steps of the ladder.")
     ] = 8,
     tries: Annotated[
-        int,
-        typer.Option(metavar="N", min=1, help="Suspects that each step of the ladder fits."),
-    ] = 1,
+        int | None,
+        typer.Option(metavar="N", min=1, help="Suspects that each step of the ladder fits (3)."),
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(metavar="FILE.json", help="Write the result with its suspects there."),
@@ -85,7 +86,7 @@ def suspects(
         check_output_files([out], force=force)
     if held_out and not ladder:
         raise typer.BadParameter("--held-out judges the fits of a ladder: add --ladder")
-    if tries > 1 and not ladder:
+    if tries is not None and not ladder:
         raise typer.BadParameter("--tries is how many fits a step of a ladder makes: add --ladder")
     renamed = parse_rename(rename or [])
 
@@ -96,7 +97,7 @@ def suspects(
     from ._jax import configure
 
     configure()
-    from ..diagnosis import ladder as climb, suspects as ask, with_systematic_errors
+    from ..diagnosis import TRIES, ladder as climb, suspects as ask, with_systematic_errors
     from ..fitting import load_result
 
     fitted = load_result(result)
@@ -113,7 +114,7 @@ def suspects(
     if ladder:
         others += held_out_runs(fitted, data or [], rename=renamed)
         said = None if quiet else _say
-        steps = climb(fitted, runs, held_out=others, most=most, tries=tries, progress=said)
+        steps = climb(fitted, runs, held_out=others, most=most, tries=tries or TRIES, progress=said)
         if not (as_json or quiet):
             _show_ladder(steps)
     if out is not None:

@@ -5,7 +5,7 @@ from ._diagnosed import (
     with_systematic_errors as with_systematic_errors,
 )
 from ._doubts import check_uncertainty as check_uncertainty
-from ._ladder import ladder as ladder
+from ._ladder import TRIES as TRIES, ladder as ladder
 from ._records import LEVEL as LEVEL, Suspects as Suspects, promising as promising
 from ._rung import Ladder as Ladder, Rung as Rung
 from ._suspects import suspects as suspects

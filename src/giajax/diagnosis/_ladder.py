@@ -7,18 +7,19 @@ import numpy as np
 
 from .._errors import InputError
 from ..fitting import FitResult, Suspect, matching_runs
-from ..models import AbstractModel
-from ..parameters import declared, elements, left_out, switched_on
 from ..runs import Run
 from ..study import refit
-from ._axes import all_axes, name_of, turned_back
 from ._measured import Measured, Noise
 from ._records import Suspects
 from ._rung import Ladder, Rung
+from ._step import best_step
 from ._suspects import suspects
 
 MOST = 6
 """Steps of a ladder."""
+
+TRIES = 3
+"""Suspects that are fitted at each of them."""
 
 # Standard errors. BIC decides; what is further away need not be tried.
 _NEAR = 4.0
@@ -30,7 +31,7 @@ def ladder(
     *,
     held_out: Sequence[Run] = (),
     most: int = MOST,
-    tries: int = 1,
+    tries: int = TRIES,
     progress: Callable[[Rung], None] | None = None,
 ) -> Ladder:
     """Fit the most promising suspect, ask again, and so on.
@@ -41,14 +42,17 @@ def ladder(
     or where what is tried makes BIC larger. A suspect that is one number for many elements
     (the mass of all links) is no single parameter of a fit, and is passed over.
 
-    What a test promises is the first step of a fit. With `tries` above 1 so many of the first
-    suspects are fitted at each step, each by itself, and the one whose fit has the lowest BIC is
-    taken; the step takes so many times as long.
+    What a test promises is the first step of a fit. So many of the first suspects as `tries` says
+    are fitted at each step, each by itself, and the one whose fit has the lowest BIC is taken; with
+    1 the step takes a fraction of the time, and trusts the test.
 
-    All fits are compared by one likelihood: that of the loss of the fit, with white noise that is
-    the same for both. It is what the runs state, or else what second differences of the residuals
-    show, those of the fit with more in it; and where the samples do not follow each other, what
-    that fit took for noise. The table that comes out has the noise of its last row.
+    All fits are made and compared by one likelihood: that of the loss of the fit, with white noise
+    that is the same for both. Noise with a memory would take what is missing for noise, each fit
+    as much as it leaves over. The white noise is what the runs state, or else what second
+    differences of the residuals show, those of the fit with more in it; and where the samples do
+    not follow each other, what that fit took for noise. The table that comes out has the noise of
+    its last row, which is fitted once more with a memory if the first fit had looked for it: its
+    parameters and errors are those of that fit.
 
     Arguments:
         result: of `giajax.fit` or `giajax.load_result`.
@@ -76,11 +80,11 @@ def ladder(
         if progress is not None:
             progress(fit.rung(fit.noise))
 
-    climb(Measured.of(result, several, apart))
+    climb(Measured.of(_by_white_noise(result, several), several, apart))
     ending = f"{most} steps were allowed"
     for _ in range(most):
         asked[-1] = found = suspects(fits[-1].result, several)
-        step = _best_step(fits[-1].result, several, apart, found.significant, tries)
+        step = best_step(fits[-1].result, several, apart, found.significant, tries)
         if step is None:
             ending = "no suspect that could be freed is significant"
             break
@@ -93,7 +97,9 @@ def ladder(
         for spare in _spare(fits):
             assert spare.value is not None
             try:
-                again = refit(fits[-1].result, several, fix={spare.path: spare.value})
+                again = refit(
+                    fits[-1].result, several, fix={spare.path: spare.value}, noise_model="white"
+                )
                 fewer = Measured.of(again, several, apart, spare, removed=True)
             except InputError:  # It cannot do without.
                 continue
@@ -104,35 +110,30 @@ def ladder(
         dataclasses.replace(fit.rung(noise), suspects=found)
         for fit, found in zip(fits, asked, strict=True)
     ]
+    rungs[-1] = dataclasses.replace(rungs[-1], result=_as_asked(result, rungs, several))
     return Ladder(tuple(rungs), ending)
 
 
-def _best_step(
-    result: FitResult,
-    runs: Sequence[Run],
-    apart: Sequence[Run],
-    promising: Sequence[Suspect],
-    tries: int,
-) -> tuple[Measured, list[Run], list[Run]] | None:
-    """Of the first so many suspects that can be fitted, the fit of the lowest BIC.
+def _by_white_noise(result: FitResult, runs: Sequence[Run]) -> FitResult:
+    """The fit, or where its noise has a memory, that by white noise."""
+    if result.noise is not None and not result.noise.widening:
+        return result
+    return refit(result, runs, noise_model="white")
 
-    It comes with the runs and those held out as it sees them; None where none can be fitted.
-    """
-    fits: list[tuple[Measured, list[Run], list[Run]]] = []
-    for suspect in promising:
-        if len(fits) == tries:
-            break
-        if not _is_one(result.model, suspect):
-            continue
-        try:
-            step = _with(result, runs, apart, suspect)
-            fits.append((Measured.of(*step, suspect), step[1], step[2]))
-        except InputError:  # It cannot be evaluated so; the next one may be.
-            continue
-    if not fits:
-        return None
-    noise = max((fit for fit, _, _ in fits), key=lambda fit: fit.moved.size).noise
-    return min(fits, key=lambda one: one[0].rung(noise).bic)
+
+def _as_asked(result: FitResult, rungs: Sequence[Rung], runs: Sequence[Run]) -> FitResult:
+    """The last fit of a ladder, with the noise that the first one was asked for with."""
+    if len(rungs) == 1:
+        return result
+    model = result.config.get("noise_model", "correlated")
+    last = rungs[-1].result
+    if model == "white":
+        return last
+    try:
+        again = refit(last, runs, noise_model=model)
+    except InputError:  # It cannot be evaluated a little inside of its bounds.
+        return last
+    return again if again.status == "converged" else last
 
 
 def _is_better(one: Measured, other: Measured, noise: Noise) -> bool:
@@ -157,41 +158,3 @@ def _spare(rungs: Sequence[Rung | Measured]) -> list[Suspect]:
         ):
             spare.append(suspect)
     return spare
-
-
-def _is_one(model: AbstractModel, suspect: Suspect) -> bool:
-    """Whether a suspect is what a fit can free as it was tested."""
-    if suspect.kind in ("switch", "axes"):
-        return True
-    parts = elements(_neutrally(model, suspect.path), suspect.path)
-    return suspect.kind != "factor" and len(parts) == suspect.degrees_of_freedom
-
-
-def _with(
-    result: FitResult, runs: Sequence[Run], apart: Sequence[Run], suspect: Suspect
-) -> tuple[FitResult, list[Run], list[Run]]:
-    """A fit with what a suspect asks for, and the runs and those held out as it sees them."""
-    same = list(runs), list(apart)
-    if suspect.kind == "switch":
-        other = result.model.variants()[suspect.path]
-        # What a number switches on, as its strength does memory, has that number free.
-        by = suspect.path.partition(" = ")[0]
-        free = [by] if by in declared(other) else []
-        return refit(result, runs, model=other, free=free), *same
-    if suspect.kind == "axes":
-        way = next(way for way in all_axes() if name_of(way) == suspect.path)
-        turned = [turned_back(run, way) for run in runs]
-        start = result.history[0].parameters
-        return refit(result, turned, start=start), turned, [turned_back(run, way) for run in apart]
-    model = _neutrally(result.model, suspect.path)
-    assert suspect.estimate is not None
-    begin = {suspect.path: suspect.estimate}
-    return refit(result, runs, model=model, free=[suspect.path], start=begin), *same
-
-
-def _neutrally(model: AbstractModel, path: str) -> AbstractModel:
-    """The model with a part on that it leaves out, which changes nothing yet."""
-    absent = left_out(model).get(path.partition("[")[0])
-    if absent is None:
-        return switched_on(model, [path])
-    return absent.set(model, absent.declaration.neutral)

@@ -1,4 +1,4 @@
-"""The arm with one of its choices made another way: where drag acts, and what floats."""
+"""The arm with one choice made another way: where drag acts, what floats, and what air moves."""
 
 import dataclasses
 from collections.abc import Iterator
@@ -8,8 +8,10 @@ import jax.numpy as jnp
 from .._errors import InputError
 from ..arm import STANDARD_GRAVITY, Air, Arm, Buoyancy, bodies, trimmed
 from ..parameters import declared, get, replace
-from ..quantities import BUOYANCY, DRIVE, JOINT_MEMORY
+from ..quantities import AIR, BUOYANCY, DRIVE, JOINT_MEMORY
 from ._arm_conditions import MASSES, SCALE, STRENGTHS
+
+_ADDED = AIR.added_mass_coefficient
 
 
 def arm_variants(arm: Arm) -> dict[str, Arm]:
@@ -44,6 +46,14 @@ def _variants(arm: Arm) -> Iterator[tuple[str, Arm]]:
     if air.added_mass_coefficient is not None:
         other = "inertia" if air.added_mass == "kirchhoff" else "kirchhoff"
         yield f"arm.added_mass = {other}", _in(arm, dataclasses.replace(air, added_mass=other))
+    else:
+        # The coefficient is tested as a parameter, with all terms that follow from it. In other
+        # engines it is inertia alone; and drag that is wrong along a link hides what it does.
+        inertia = f"arm.added_mass = inertia, {_ADDED.path} = {_ADDED.default:g}"
+        yield inertia, _displacing(arm, dataclasses.replace(air, added_mass="inertia"))
+        if air.drag == "centre":
+            both = dataclasses.replace(air, drag="strip", added_mass="inertia")
+            yield f"arm.drag = strip, {inertia}", _displacing(arm, both)
     if arm.buoyancy is None:
         for depth in (None, BUOYANCY.trim_depth.default):
             try:
@@ -54,12 +64,17 @@ def _variants(arm: Arm) -> Iterator[tuple[str, Arm]]:
             yield f"arm.trim = true{below}", floating
 
 
-def _floating(arm: Arm, depth: float | None) -> Arm:
-    """The arm with trim weights that make each link float.
+def _displacing(arm: Arm, air: Air) -> Arm:
+    """The arm in that air, of which its links move as much as they displace."""
+    coefficient = jnp.asarray(_ADDED.default, jnp.result_type(float))
+    other = _in(arm, dataclasses.replace(air, added_mass_coefficient=coefficient))
+    mass = float(jnp.sum(bodies(arm).mass))
+    moved = _ADDED.default * float(jnp.sum(arm.air.density * arm.links.volume))
+    return _moved_alike(other, arm, 1 + moved / mass)
 
-    It is heavier then. Positions do not show that: all that moves it grows by as much, so that
-    only what floats and hangs is different. Without buoyancy nothing fixes the scale of an arm.
-    """
+
+def _floating(arm: Arm, depth: float | None) -> Arm:
+    """The arm with trim weights that make each link float."""
     still = float(arm.gravity) == 0
     below = None if depth is None else jnp.asarray(depth, jnp.result_type(float))
     other = dataclasses.replace(
@@ -69,10 +84,21 @@ def _floating(arm: Arm, depth: float | None) -> Arm:
     )
     other = trimmed(other, level=True)
     ratio = float(jnp.sum(bodies(other).mass) / jnp.sum(bodies(arm).mass))
+    return _moved_alike(other, arm, ratio)
+
+
+def _moved_alike(other: Arm, arm: Arm, ratio: float) -> Arm:
+    """An arm that is so many times as heavy as another one, and moves as that one does.
+
+    Positions do not show how heavy an arm is: all that moves it grows by as much, so that only
+    what is new is different. Where an arm has weight, that fixes the scale, and nothing grows.
+    """
+    if float(arm.gravity) != 0:
+        return other
     # One strength of muscles is enough: the first that their law has.
     strength = [path for path in STRENGTHS if path in declared(arm)][:1]
     forces = [path for path in (*SCALE, *strength) if path not in MASSES and path in declared(arm)]
-    return replace(other, {path: ratio * get(arm, path) for path in (forces if still else [])})
+    return replace(other, {path: ratio * get(arm, path) for path in forces})
 
 
 def _in(arm: Arm, air: Air) -> Arm:

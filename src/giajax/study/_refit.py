@@ -9,6 +9,7 @@ import numpy as np
 from ..fitting import (
     MAX_ITERATIONS,
     FitResult,
+    NoiseModel,
     Optimum,
     RunFit,
     between,
@@ -108,6 +109,7 @@ def refit(
     free: Sequence[str] = (),
     start: Mapping[str, float | Sequence[float]] | None = None,
     fix: Mapping[str, float | Sequence[float]] | None = None,
+    noise_model: NoiseModel | None = None,
     max_iterations: int = MAX_ITERATIONS,
     check: bool = False,
 ) -> FitResult:
@@ -121,7 +123,7 @@ def refit(
         free: paths of further parameters to free; those that are left out are switched on.
         start: start values by path, SI, in place of those that the model has.
         fix: values by path, SI, that are set and held; what was free of it no longer is.
-        max_iterations, check: as of `giajax.fit`.
+        noise_model, max_iterations, check: as of `giajax.fit`; the noise model is that of `result`.
 
     Returns:
         The new result. What ended at a bound starts a little inside of it.
@@ -129,12 +131,11 @@ def refit(
     Raises:
         InputError: as `giajax.fit`.
     """
-    own = _own_values(result, result.model if model is None else model)
-    model = switched_on(result.model if model is None else model, free)
-    held = set(fix or {})
+    model = result.model if model is None else model
+    own, model = _own_values(result, model), switched_on(model, free)
 
     def is_held(path: str) -> bool:
-        return path in held or path.partition("[")[0] in held
+        return bool({path, path.partition("[")[0]} & set(fix or {}))
 
     limits: dict[str, Any] = {
         key: {path: item for path, item in result.config.get(key, {}).items() if not is_held(path)}
@@ -157,16 +158,15 @@ def refit(
         start=values,
         fix=fix,
         loss=result.config.get("loss", "linear"),
-        noise_model=result.config.get("noise_model", "correlated"),
+        noise_model=noise_model or result.config.get("noise_model", "correlated"),
         noise_per_run=result.config.get("noise_per_run", False),
         **limits,
     )
     begun = {path.partition("[")[0] for path in begin}
-    own = {
+    setup = dataclasses.replace(setup, own={
         name: {path: value for path, value in values.items() if path.partition("[")[0] not in begun}
         for name, values in own.items()
-    }
-    setup = dataclasses.replace(setup, own=own)
+    })  # fmt: skip
     if result.integration is not None and result.integration.chosen:
         # What moved nothing of one model may move another.
         config = {**setup.config, "tolerance": None}
@@ -194,7 +194,7 @@ def _own_values(result: FitResult, model: AbstractModel) -> dict[str, dict[str, 
 def _inside(parameter: Parameter, value: float, bounds: Mapping[str, Sequence[float]]) -> float:
     """A value well within the bounds of a fit, where a start on one of them would stay."""
     declaration, path = parameter.declaration, parameter.path
-    stated = bounds.get(path, bounds.get(path.partition("[")[0]))
-    lower, upper = stated or (declaration.lower, declaration.upper)
+    known = bounds.get(path, bounds.get(path.partition("[")[0]))
+    lower, upper = known or (declaration.lower, declaration.upper)
     width = min(upper - lower, abs(declaration.default) or 1.0)
     return between(value, lower, upper, margin=_INSIDE * width)
