@@ -5,9 +5,9 @@ design has the same joint, angle, rate and duration, and knows drag, stiffness a
 fifth. Then both experiments are recorded again and again and fitted from a start away from the
 truth: once by an arm that is as the design took it to be, and once by one that the design did not
 know, whose joints remember and which hangs in gusts that nobody recorded. Its recordings are fitted
-as a user would who asks what a fit leaves over: with the joints' memory and a mean wind free, which
-is what `giajax suspects` puts first of a fit without either, one after the other. What is left of
-the gusts then is noise.
+as a user would who asks what a fit leaves over: with a mean wind free, and then the joints' memory
+as well, each of which is among the first suspects of the fit without it (`--ladder` tries three of
+them and takes the best). What is left of the gusts then is noise.
 """
 
 import math
@@ -105,13 +105,15 @@ def table(figures: Figures) -> list[str]:
                 f"{one['covered']} |"
             )
     low, high = figures["over_draws"]
-    suggested = {
-        ", then ".join(f"`{path}`" for path in each["suggested"])
-        for each in figures["experiments"].values()
-    }
+    asked = [
+        f"{name}: "
+        + "; then ".join(", ".join(f"`{path}`" for path in few) for few in each["suggested"])
+        for name, each in figures["experiments"].items()
+    ]
     rows += [
         "",
-        f"First suspect of the unknown arm's fits: {'; '.join(sorted(suggested))}.",
+        "The first suspects of fits of the unknown arm, without either and then with a mean wind: "
+        f"{'. '.join(asked)}.",
         "",
         f"Expected is {figures['ratio']:.3f} times the error of the base step, after "
         f"{figures['evaluations']} evaluations; {low:.2f} to {high:.2f} times the error of the "
@@ -127,8 +129,8 @@ DESIGN = Study(
         "of the paper's base step, beside that: the standard error to expect, and the spread of "
         "C_D in fits of repeated recordings. Of an arm that the design did not know there are "
         "half as many: its joints remember (Dahl), and it hangs in gusts that nobody recorded. Its "
-        "fits have free what `giajax suspects` puts first, one after the other: that memory and a "
-        "mean wind."
+        "fits have free what is among the first suspects of a fit without it: a mean wind, and "
+        "then that memory."
     ),
     size=200,
     seed=1,

@@ -25,13 +25,15 @@ NOISE = 0.02
 TOLERANCE = 1e-5
 # An arm that remembers takes several times as many steps, and a fit of it as much longer.
 FEWER = 2
+FIRST = 3
 # What the fits of the unknown arm have free, in the order in which it is asked for, with its start.
 # Across the plane in which the arm moves and is seen, no wind shows.
 ASKED: tuple[dict[str, float], ...] = (
-    {"joints.memory.strength": 0.04, "joints.memory.yield_angle": 0.006},
     {"air.wind[0]": 0.0, "air.wind[2]": 0.0},
+    {"joints.memory.strength": 0.04, "joints.memory.yield_angle": 0.006},
 )
-STILL: dict[str, Any] = {"air.wind": [0.0, 0.0, 0.0]}
+# What has to be there for that.
+SWITCHED: tuple[dict[str, Any], ...] = ({"air.wind": [0.0, 0.0, 0.0]}, MEMORY)
 
 
 def fits(plan: Any, size: int, entropy: list[int], *, unknown: bool) -> Figures:
@@ -59,14 +61,14 @@ def fits(plan: Any, size: int, entropy: list[int], *, unknown: bool) -> Figures:
     }
 
 
-def suggested(plan: Any, entropy: list[int]) -> list[str]:
-    """What the first suspect is of each fit of the unknown arm that has less than all free."""
+def suggested(plan: Any, entropy: list[int]) -> list[list[str]]:
+    """The first suspects, as many as a ladder tries, of fits of the unknown arm with less free."""
     import giajax
 
     recording = _recorded(plan, [*entropy, 0], None)
+    fitted = (_fit(*_asked(count), recording) for count in range(len(ASKED)))
     return [
-        giajax.suspects(_fit(*_asked(count), recording), recording).promising[0].path
-        for count in range(len(ASKED))
+        [row.path for row in giajax.suspects(one, recording).promising[:FIRST]] for one in fitted
     ]
 
 
@@ -74,10 +76,10 @@ def _asked(count: int) -> tuple[Any, dict[str, float]]:
     """A model that has so much of what is asked for, and where its fits begin."""
     import giajax
 
-    start = dict(START)
-    for more in ASKED[:count]:
+    start, extras = dict(START), {}
+    for more, switched in zip(ASKED[:count], SWITCHED, strict=False):
         start.update(more)
-    extras = {**(MEMORY if count > 0 else {}), **(STILL if count > 1 else {})}
+        extras.update(switched)
     return model_of(giajax.takeichi_20m(20, parameters=extras)), start
 
 
