@@ -16,6 +16,12 @@ from ._arm_sections import (
     PointMass as PointMass,
     SensorsSection as SensorsSection,
 )
+from ._camera_sections import (
+    CamerasSection as CamerasSection,
+    LandmarksSection as LandmarksSection,
+    PinholeSection as PinholeSection,
+    sections_of_cameras as sections_of_cameras,
+)
 from ._content import (
     Content as Content,
     RecordedChannel as RecordedChannel,

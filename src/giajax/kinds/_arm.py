@@ -6,6 +6,12 @@ from .._errors import InputError
 from ._arm_inputs import CommandSection, InitialSection, WindSection
 from ._arm_pressures import PRESSURES, check_pressures
 from ._arm_sections import ArmSection, SensorsSection
+from ._camera_sections import (
+    CamerasSection,
+    LandmarkSection,
+    LandmarksSection,
+    PinholeSection,
+)
 from ._content import Content, RecordedChannel, Wording
 from ._kind import ChannelKind, Kind, Offer
 
@@ -22,9 +28,15 @@ _CHANNELS = (
     ChannelKind("link_angle", "linkNN_angle", "angle", "output", noise="angle_deg"),
     ChannelKind("link_position", "linkNN_x", "length", "output", noise="position_m"),
     ChannelKind("tip_position", "tip_x", "length", "output", noise="position_m"),
+    ChannelKind("link_pixel", "linkNN_u", "pixel", "output", noise="pixel_px"),
+    ChannelKind("tip_pixel", "tip_u", "pixel", "output", noise="pixel_px"),
+    ChannelKind("mark_pixel", "markNN_u", "pixel", "output", noise="pixel_px"),
     ChannelKind("wind", "wind_x", "velocity", "surroundings"),
     ChannelKind("link_wind", "linkNN_wind_x", "velocity", "surroundings"),
 )
+PIXELS = frozenset({"link_pixel", "tip_pixel", "mark_pixel"})
+"""Rows of what cameras with a lens show."""
+
 _WINDS = ("wind", "link_wind")
 _COMMANDS = ("joint_command", "joint_torque", *PRESSURES)
 
@@ -49,8 +61,9 @@ def _check(content: Content, wording: Wording) -> None:
     section = definition.section(ArmSection)
     links = links_of(section)
     for channel in channels.values():
-        if links is not None and channel.index is not None and channel.index > links:
-            part = "link" if channel.name.startswith("link") else "joint"
+        numbered = channel.kind != "mark_pixel" and channel.index is not None
+        if links is not None and numbered and (channel.index or 0) > links:
+            part = "link" if channel.kind.startswith("link") else "joint"
             raise InputError(
                 f"{wording.source}: {wording.of(channel)} is of {part} {channel.index}, but the "
                 f"arm has {links} links: correct the name, or state links in [arm]"
@@ -60,6 +73,10 @@ def _check(content: Content, wording: Wording) -> None:
             lists.check_lists(links)
         except ValueError as error:
             raise InputError(f"{wording.source}: [{name}] {error}") from None
+    try:
+        definition.section(CamerasSection).check_mounts(links)
+    except ValueError as error:
+        raise InputError(f"{wording.source}: [camera] {error}") from None
     for body in section.point_masses or ():
         if links is not None and body.link > links:
             raise InputError(
@@ -115,6 +132,10 @@ def _notes(content: Content, sidecar: bool) -> list[str]:
             "pressures are recorded, but no joint has muscles: state muscles in [arm], such as "
             'muscles = "pitch"'
         )
+    if rows & PIXELS and not definition.section(CamerasSection).named():
+        notes.append(
+            "pixels are recorded, but no camera is described: state it in [camera.NAME]"
+        )
     if not definition.section(InitialSection).contents():
         notes.append("initial state not stated: the arm starts straight and at rest")
     if (
@@ -140,7 +161,8 @@ def _notes(content: Content, sidecar: bool) -> list[str]:
 
 def _template(channels: Sequence[RecordedChannel]) -> list[Offer]:
     rows = {channel.kind for channel in channels}
-    largest = max((channel.index or 0 for channel in channels), default=0)
+    numbered = [channel for channel in channels if channel.kind != "mark_pixel"]
+    largest = max((channel.index or 0 for channel in numbered), default=0)
     commanded = bool(rows & set(_COMMANDS))
     arm = dict.fromkeys(ArmSection.model_fields)
     if largest > DEFAULT_LINKS:
@@ -160,6 +182,7 @@ def _template(channels: Sequence[RecordedChannel]) -> list[Offer]:
             dict.fromkeys(sensors),
             "known errors of the recording; a fit can find them too",
         ),
+        *_cameras(channels),
         Offer(
             "initial",
             dict.fromkeys((*state, "free")),
@@ -170,10 +193,31 @@ def _template(channels: Sequence[RecordedChannel]) -> list[Offer]:
     ]
 
 
+def _cameras(channels: Sequence[RecordedChannel]) -> list[Offer]:
+    """A section for each camera and each landmark that is recorded."""
+    seen = [channel for channel in channels if channel.kind in PIXELS]
+    cameras = sorted({channel.camera or "main" for channel in seen})
+    marks = sorted({channel.index or 0 for channel in seen if channel.kind == "mark_pixel"})
+    lens = "its lens and where it is; a fit can find these too"
+    where = "where this landmark is; must be stated"
+    return [
+        *(
+            Offer(f"camera.{name}", dict.fromkeys(PinholeSection.model_fields), lens)
+            for name in cameras
+        ),
+        *(
+            Offer(f"landmark.mark{mark:02d}", dict.fromkeys(LandmarkSection.model_fields), where)
+            for mark in marks
+        ),
+    ]
+
+
 def _records(sensor: str, rows: set[str]) -> bool:
     """Whether a sensor records one of these rows of the table."""
-    angles = {"joint_angle", "joint_rate", "link_angle"}
-    return bool(rows & (angles if sensor == "encoder" else {"link_position", "tip_position"}))
+    if sensor == "encoder":
+        return bool(rows & {"joint_angle", "joint_rate", "link_angle"})
+    positions = {"link_position", "tip_position"}
+    return bool(rows & (positions | PIXELS if sensor == "marker" else positions))
 
 
 ARM = Kind(
@@ -182,7 +226,12 @@ ARM = Kind(
     channels=_CHANNELS,
     recognises=_recognises,
     measured="linkNN_z_m or jointNN_angle_deg",
-    sections={"arm": ArmSection, "sensors": SensorsSection},
+    sections={
+        "arm": ArmSection,
+        "sensors": SensorsSection,
+        "camera": CamerasSection,
+        "landmark": LandmarksSection,
+    },
     run_sections={"initial": InitialSection, "command": CommandSection, "wind": WindSection},
     commands=_COMMANDS,
     uncommanded="none (free motion)",

@@ -68,7 +68,7 @@ def nearest(name: str, *, suffixes: bool = True) -> str | None:
     candidates = []
     for kind, row in TABLE.items():
         plain = row.column.replace("NN", number)
-        for channel in [plain[:-1] + c for c in "xyz"] if "_x" in plain else [plain]:
+        for channel in [plain[:-1] + c for c in row.components] or [plain]:
             candidates += [
                 f"{channel}_{unit}" if unit and suffixes else channel for unit in units_of(kind)
             ]

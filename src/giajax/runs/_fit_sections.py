@@ -33,6 +33,9 @@ class Noise(Section):
     rate_deg_per_s: Positive | None = key(
         _NOISE, "standard deviation of every joint rate", example=1.0
     )
+    pixel_px: Positive | None = key(
+        _NOISE, "standard deviation of every coordinate in a picture", example=2.0
+    )
     position_correlated_m: Positive | None = key(_NOISE, "the correlated part of position_m")
     position_correlation_s: Positive | None = key(_TIME, "how long that part is correlated")
     angle_correlated_deg: Positive | None = key(_NOISE, "the correlated part of angle_deg")
@@ -41,6 +44,8 @@ class Noise(Section):
         _NOISE, "the correlated part of rate_deg_per_s"
     )
     rate_correlation_s: Positive | None = key(_TIME, "how long that part is correlated")
+    pixel_correlated_px: Positive | None = key(_NOISE, "the correlated part of pixel_px")
+    pixel_correlation_s: Positive | None = key(_TIME, "how long that part is correlated")
 
     def correlated_part(self, name: str) -> tuple[float, float] | None:
         """Deviation, in the unit of a key, and time of the part of it that has a memory."""
@@ -56,7 +61,7 @@ class Noise(Section):
 
     @model_validator(mode="after")
     def _a_correlated_part_is_whole(self) -> "Noise":
-        for name in ("position_m", "angle_deg", "rate_deg_per_s"):
+        for name in ("position_m", "angle_deg", "rate_deg_per_s", "pixel_px"):
             quantity, _, unit = name.partition("_")
             part, time = f"{quantity}_correlated_{unit}", f"{quantity}_correlation_s"
             size, of_part = getattr(self, name), getattr(self, part)
