@@ -23,7 +23,8 @@ ROOT = Path(__file__).resolve().parents[1]
 KEYED = [
     (section, name, part)
     for kind in KINDS.values()
-    for section in (*kind.sections.values(), *kind.run_sections.values())
+    for stated in (*kind.sections.values(), *kind.run_sections.values())
+    for section in (stated.entries or stated,)
     for name, parts in section.quantities.items()
     for part in parts
 ]

@@ -41,9 +41,7 @@ class PinholeSection(Section):
     def _a_place(cls, mount: str | None) -> str | None:
         place = None if mount is None else _PLACES.fullmatch(mount)
         digits = None if place is None else place[1]
-        whole = digits is None or (
-            0 < int(digits) <= MOST_LINKS and digits == f"{int(digits):02d}"
-        )
+        whole = digits is None or (0 < int(digits) <= MOST_LINKS and digits == f"{int(digits):02d}")
         if mount is not None and not (place and whole):
             raise ValueError(
                 f'is {mount!r}, but must be "room", "tip" or a link such as "link06": correct it'

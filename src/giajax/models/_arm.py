@@ -31,13 +31,13 @@ from ..simulation import (
     is_disturbance,
 )
 from ._agreement import agreed_parts
-from ._arm_conditions import behind_conditions, controller_conditions, scale_conditions, sensor_conditions
+from ._arm_conditions import controller_conditions, scale_conditions, sensor_conditions
 from ._arm_inputs import ArmInputs, arm_inputs
 from ._arm_scene import arm_scene
 from ._arm_sensors import recorded_channels, seen_by_cameras
 from ._arm_variants import arm_variants
 from ._definition import arm_from_definition, arm_to_definition
-from ._pixels import cameras_of, unseen
+from ._pixels import behind_conditions, cameras_of, unseen
 from ._protocol import AbstractModel, Channels, Derived, Integration
 from ._scene import Scene
 from ._sensors import Sensors
@@ -246,10 +246,7 @@ class ArmModel(AbstractModel):
         scale = scale_conditions(self, self.arm, free, runs)
         known = controller_conditions(self.arm, free, runs)
         behind = [
-            sentence
-            for run in runs
-            if run.model == self.kind
-            for sentence in self._behind(run)
+            sentence for run in runs if run.model == self.kind for sentence in self._behind(run)
         ]
         return scale + known + sensor_conditions(self, free, runs) + behind
 

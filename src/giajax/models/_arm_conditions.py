@@ -1,9 +1,8 @@
 """On what a fit of an arm is conditional: the scale of all forces, and what sensors refer to."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from ..arm import Arm
 from ..kinds import InitialSection
@@ -174,32 +173,6 @@ def sensor_conditions(model: AbstractModel, free: Sequence[str], runs: Sequence[
             "that shows everything larger looks like a longer arm"
         )
     return sentences
-
-
-def behind_conditions(
-    run: Run, unseen: Mapping[str, tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]]
-) -> list[str]:
-    """That pixels were recorded of points that the model has behind the camera.
-
-    Arguments:
-        run: that was recorded.
-        unseen: by channel, at which samples the point is behind the camera, and out of the picture.
-
-    Returns:
-        A sentence for each camera, or none.
-    """
-    cells: dict[str, list[tuple[str, int]]] = {}
-    for name, (behind, _) in unseen.items():
-        count = int(np.sum(behind & np.isfinite(run.values[name])))
-        if count:
-            cells.setdefault(run.channels[name].camera or "", []).append((name, count))
-    return [
-        f"{'camera ' + camera if camera else 'the camera'}: in '{run.name}' "
-        f"{sum(count for _, count in found)} recorded pixels of "
-        f"{', '.join(name for name, _ in found)} are of points that the model has behind it, "
-        "where nothing is seen: correct its position and rotation, or which point is which"
-        for camera, found in cells.items()
-    ]
 
 
 def _values(model: AbstractModel, paths: Sequence[str]) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from ..arm import MUSCLE_BLEND, Arm, Pneumatics, PointMasses, chain, named_axes, preset
 from ..joint import MUSCLE_LAWS as LAWS, Correction, Joint, JointPair
 from ..kinds import DEFAULT_PRESET, ArmSection, PointMass
-from ..parameters import declared, default_free, replace
+from ..parameters import declared, default_free
 from ..quantities import BUOYANCY, POINT_MASSES, Declaration
 from ..runs import Definition
 from ._build import parameter_values

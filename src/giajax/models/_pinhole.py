@@ -1,13 +1,12 @@
 """A camera with a lens: from points of the world to pixels of its picture, and back to rays.
 
-Its own axes are those of OpenCV: x to the right of the picture, y down, z into it. A camera that is
-not turned looks along the x axis of what it is mounted on, with that one's z axis up in the picture.
+Its own axes are those of OpenCV: x to the right of the picture, y down, z into it. A camera that
+is not turned looks along the x axis of what it is mounted on, whose z axis is up in the picture.
 """
 
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -17,19 +16,13 @@ from .._typing import Array, Bool, Float, Scalar
 from ..arm import Arm, pose
 from ..parameters import parameter
 from ..quantities import PINHOLE
+from ._lens import distorted, undistorted
 
 # Columns: the camera's x, y and z axes (right, down, forwards) in the frame of an unturned camera.
 _AXES = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 NEAR = 0.1
 """Where a lens stops showing (m before it): nearer points, and those behind, are not seen."""
-
-# Beyond this tangent of the angle to the optical axis (84 degrees) the polynomial of the distortion
-# is held: it is fitted to what a picture shows, and grows with the tenth power.
-_STEEPEST = 10.0
-
-# Newton steps of `rays`; each squares the error, and lenses distort by some per cent.
-_STEPS = 12
 
 
 class Projection(NamedTuple):
@@ -133,15 +126,10 @@ class Pinhole(eqx.Module):
     ) -> Projection:
         """Where points of the base frame appear in the picture.
 
-        x' = x / z and y' = y / z before the camera, r^2 = x'^2 + y'^2, and with the distortion
-
-            x'' = x' (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x' y' + p2 (r^2 + 2 x'^2)
-            y'' = y' (1 + k1 r^2 + k2 r^4 + k3 r^6) + p1 (r^2 + 2 y'^2) + 2 p2 x' y'
-
-        u = f x'' + c_u and v = f aspect y'' + c_v: the model of OpenCV ("Camera Calibration and 3D
-        Reconstruction") with its order of the five coefficients. Nearer than `NEAR` and behind the
-        camera 1 / z goes on along its tangent, so that pixels and derivatives stay finite; such
-        points are not seen (`sees`).
+        u = f x'' + c_u and v = f aspect y'' + c_v, where x'' and y'' are x / z and y / z before the
+        camera as its lens distorts them: the model of OpenCV ("Camera Calibration and 3D
+        Reconstruction"). Nearer than `NEAR` and behind the camera 1 / z goes on along its tangent,
+        so that pixels and derivatives stay finite; such points are not seen (`sees`).
 
         Arguments:
             points: m, in the base frame, shape (..., 3).
@@ -162,7 +150,7 @@ class Pinhole(eqx.Module):
         x, y, depth = ((rows - view.centre[None]) @ view.axes).T
         far = jnp.where(depth > NEAR, depth, NEAR)
         inverse = jnp.where(depth > NEAR, 1 / far, (2 - depth / NEAR) / NEAR)
-        flat = self._distorted(jnp.stack([x * inverse, y * inverse]))
+        flat = distorted(jnp.stack([x * inverse, y * inverse]), self.distortion)
         scale = self._focal()
         pixels = (flat * scale[:, None] + self.centre[:, None]).T
         return Projection(pixels.reshape(*points.shape[:-1], 2), depth.reshape(points.shape[:-1]))
@@ -192,16 +180,9 @@ class Pinhole(eqx.Module):
         Raises:
             InputError: as `view`.
         """
-        wanted = (pixels.reshape(-1, 2) - self.centre[None]) / self._focal()[None]
-
-        def undistorted(wanted: Array) -> Array:
-            def step(_: int, at: Array) -> Array:
-                slope = jax.jacfwd(self._one_distorted)(at)
-                return at - jnp.linalg.solve(slope, self._one_distorted(at) - wanted)
-
-            return jax.lax.fori_loop(0, _STEPS, step, wanted)
-
-        flat = wanted if self.distortion is None else jax.vmap(undistorted)(wanted)
+        flat = undistorted(
+            (pixels.reshape(-1, 2) - self.centre[None]) / self._focal()[None], self.distortion
+        )
         ahead = jnp.concatenate([flat, jnp.ones_like(flat[:, :1])], axis=1)
         ahead = ahead / jnp.linalg.norm(ahead, axis=1, keepdims=True)
         return (ahead @ self.view(arm, angles).axes.T).reshape(*pixels.shape[:-1], 3)
@@ -210,22 +191,3 @@ class Pinhole(eqx.Module):
         """Focal lengths across and down, px."""
         across = self.focal_length
         return jnp.stack([across, across if self.aspect is None else across * self.aspect])
-
-    def _one_distorted(self, flat: Float[Array, "2"]) -> Float[Array, "2"]:
-        return self._distorted(flat[:, None])[:, 0]
-
-    def _distorted(self, flat: Float[Array, "2 point"]) -> Float[Array, "2 point"]:
-        """Points of the plane at distance 1, as the lens shows them there."""
-        if self.distortion is None:
-            return flat
-        k1, k2, p1, p2, k3 = self.distortion
-        x, y = flat
-        squared = x * x + y * y
-        held = jnp.minimum(squared, _STEEPEST**2)
-        radial = 1 + held * (k1 + held * (k2 + held * k3))
-        return jnp.stack(
-            [
-                x * radial + 2 * p1 * x * y + p2 * (squared + 2 * x * x),
-                y * radial + p1 * (squared + 2 * y * y) + 2 * p2 * x * y,
-            ]
-        )

@@ -12,7 +12,7 @@ from .._program import program
 from .._text import one_of
 from .._typing import Array, Float
 from ..arm import Arm
-from ..runs import Channel
+from ..runs import Channel, Run
 from ._pinhole import NEAR, Pinhole, Projection
 from ._sensors import Sensors
 
@@ -120,7 +120,7 @@ def projections(
 def _unseen(
     arm: Arm, sensors: Sensors, name: str, angles: Array, asked: tuple[str, ...]
 ) -> dict[str, tuple[Array, Array]]:
-    """Of each channel of a camera, where the point is behind it and where it is not in its picture."""
+    """Of each channel of a camera, where its point is behind it, and where out of the picture."""
     channels = [Channel.named(each) for each in asked]
     seen = projections(arm, sensors, name, angles, channels)
     camera = sensors.camera.pinholes[name]
@@ -158,3 +158,29 @@ def unseen(
             arm, sensors, name, angles[name], tuple(asked)
         ).items()
     }
+
+
+def behind_conditions(
+    run: Run, unseen: Mapping[str, tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]]
+) -> list[str]:
+    """That pixels were recorded of points that the model has behind the camera.
+
+    Arguments:
+        run: that was recorded.
+        unseen: by channel, at which samples the point is behind the camera, and out of the picture.
+
+    Returns:
+        A sentence for each camera, or none.
+    """
+    cells: dict[str, list[tuple[str, int]]] = {}
+    for name, (behind, _) in unseen.items():
+        count = int(np.sum(behind & np.isfinite(run.values[name])))
+        if count:
+            cells.setdefault(run.channels[name].camera or "", []).append((name, count))
+    return [
+        f"{'camera ' + camera if camera else 'the camera'}: in '{run.name}' "
+        f"{sum(count for _, count in found)} recorded pixels of "
+        f"{', '.join(name for name, _ in found)} are of points that the model has behind it, "
+        "where nothing is seen: correct its position and rotation, or which point is which"
+        for camera, found in cells.items()
+    ]

@@ -126,9 +126,7 @@ class AbstractModel(eqx.Module):
             SimulationError: the model cannot be evaluated.
         """
 
-    def unseen(
-        self, inputs: Any, channels: tuple[str, ...]
-    ) -> dict[str, npt.NDArray[np.bool_]]:
+    def unseen(self, inputs: Any, channels: tuple[str, ...]) -> dict[str, npt.NDArray[np.bool_]]:
         """Samples of a prepared run at which an experiment could not record a channel.
 
         By channel, each of shape (sample,), such as where a point is out of a camera's picture;

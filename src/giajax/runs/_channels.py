@@ -140,9 +140,7 @@ def _channel(row: NameMatch, unit: str) -> Channel:
         name=row.match["name"],
         kind=row.kind,
         index=None if number is None else int(number),
-        component=(
-            None if component is None else TABLE[row.kind].components.index(component)
-        ),
+        component=(None if component is None else TABLE[row.kind].components.index(component)),
         quantity=TABLE[row.kind].quantity or QUANTITY_OF_SUFFIX[unit],
         unit=unit,
         camera=groups.get("camera"),

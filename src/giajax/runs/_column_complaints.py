@@ -36,9 +36,9 @@ def _listed(columns: Iterable[str]) -> Iterator[str]:
     """Columns, of which those of one part of the arm share its name: `jointNN_angle, _rate`."""
     before = ""
     for column in columns:
-        part, numbered, rest = column.partition("NN")
-        yield rest if numbered and part == before else column
-        before = part if numbered else ""
+        part, _, rest = column.partition("_")
+        yield f"_{rest}" if rest and part == before else column
+        before = part
 
 
 def unknown_name(name: str, what: str) -> str:

@@ -17,6 +17,7 @@ from ._duration import DURATION
 
 _NOISE = "a positive number, the standard deviation"
 _TIME = "a positive number of seconds"
+_WHOLE = ("position_m", "angle_deg", "rate_deg_per_s", "pixel_px")
 
 
 class Noise(Section):
@@ -61,7 +62,7 @@ class Noise(Section):
 
     @model_validator(mode="after")
     def _a_correlated_part_is_whole(self) -> "Noise":
-        for name in ("position_m", "angle_deg", "rate_deg_per_s", "pixel_px"):
+        for name in _WHOLE:
             quantity, _, unit = name.partition("_")
             part, time = f"{quantity}_correlated_{unit}", f"{quantity}_correlation_s"
             size, of_part = getattr(self, name), getattr(self, part)
@@ -83,8 +84,9 @@ class Noise(Section):
                 channel = parse_column(name).name
             except InputError:
                 raise ValueError(
-                    f"key {name!r} must be {', '.join(type(self).model_fields)} or a column of "
-                    "the run: correct or remove it"
+                    f"key {name!r} must be {', '.join(_WHOLE)}, a part of one such as "
+                    "position_correlated_m with position_correlation_s, or a column of the run: "
+                    "correct or remove it"
                 ) from None
             if channel in stated:
                 raise ValueError(

@@ -97,7 +97,11 @@ def synthesise(
     hidden = model.unseen(prepared, tuple(channels))
     recorded = {
         channel: _record(
-            blanked(predicted[channel], hidden.get(channel)), plan.noise(channel), missing, seed, channel
+            blanked(predicted[channel], hidden.get(channel)),
+            plan.noise(channel),
+            missing,
+            seed,
+            channel,
         )
         for channel in channels
     }
@@ -119,9 +123,7 @@ def predict_prepared(
     return model.predict(inputs, channels)
 
 
-def blanked(
-    values: npt.ArrayLike, hidden: npt.NDArray[np.bool_] | None
-) -> npt.NDArray[np.float64]:
+def blanked(values: npt.ArrayLike, hidden: npt.NDArray[np.bool_] | None) -> npt.NDArray[np.float64]:
     """What a model predicts of a channel, NaN where no experiment could record it."""
     shown = np.array(values, dtype=float)
     if hidden is not None:
