@@ -2,6 +2,8 @@
 
 from typing import Any
 
+import jax.numpy as jnp
+
 from .._errors import InputError
 from ..kinds import (
     CamerasSection,
@@ -51,7 +53,7 @@ def _pinhole(name: str, section: PinholeSection) -> Pinhole:
     return Pinhole(
         mount=keys.get("mount", "room"),
         size=(width, height),
-        centre=[(width - 1) / 2, (height - 1) / 2],
+        centre=jnp.array([(width - 1) / 2, (height - 1) / 2]),
     )
 
 
