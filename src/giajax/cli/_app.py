@@ -146,11 +146,15 @@ def _app_for(words: Sequence[str]) -> typer.Typer:
     )
     app.callback(invoke_without_command=True)(_giajax)
     for function, examples in _COMMANDS:
-        # `import` is a word of Python: its function is called import_.
-        name = function.__name__.rstrip("_")
+        name = _named(function)
         full = function if name in words else _without_options(function)
         app.command(name, epilog=examples, cls=command_of(full))(full)
     return app
+
+
+def _named(function: Callable[..., None]) -> str:
+    # `import` is a word of Python: its function is called import_.
+    return function.__name__.rstrip("_")
 
 
 def _without_options(function: Callable[..., None]) -> Callable[..., None]:

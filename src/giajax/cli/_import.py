@@ -66,11 +66,11 @@ def import_(
     from .._errors import InputError
     from ..runs import (
         filmed,
+        filmed_beside,
         parse_rename,
         read_beside,
         read_deeplabcut,
         read_kinovea,
-        together,
         write_run,
     )
     from ._values import number
@@ -98,7 +98,7 @@ def import_(
         )
     times, table = points.times, values
     if commands is not None:
-        times, table = together(times, values, read_beside(commands))
+        times, table = filmed_beside(times, values, read_beside(commands))
     write_run(out, times, table, digits=9, force=force)
     cells = sum(seen.values()) // 2
     typer.echo(

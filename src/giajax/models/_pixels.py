@@ -67,9 +67,10 @@ def mark_of(channel: Channel) -> str:
 
 
 def clock_of(sensors: Sensors, name: str) -> Float[Array, ""] | None:
-    """How late a camera is, s: by itself, or else as all cameras are; None: it is not late."""
-    own = sensors.camera.pinholes[name].delay
-    return sensors.camera.delay if own is None else own
+    """How late a camera is, s: as all cameras are, and by itself; None: it is not late."""
+    delays = [sensors.camera.delay, sensors.camera.pinholes[name].delay]
+    late = [delay for delay in delays if delay is not None]
+    return sum(late[1:], late[0]) if late else None
 
 
 def projections(

@@ -59,7 +59,7 @@ class _Pinhole(Group):
     )
     delay = delay(
         "delay_s",
-        "how long before its time stamp a picture was true; camera.delay where it has none",
+        "how long before its time stamp a picture was true, added to the delay of all cameras",
     )
 
 

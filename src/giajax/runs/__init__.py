@@ -11,8 +11,8 @@ from ._duration import seconds_of as seconds_of
 from ._filmed import (
     Beside as Beside,
     filmed as filmed,
+    filmed_beside as filmed_beside,
     read_beside as read_beside,
-    together as together,
 )
 from ._fit_sections import Figure as Figure, Fit as Fit
 from ._hold_out import Parted as Parted, hold_out as hold_out, parted as parted

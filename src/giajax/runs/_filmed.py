@@ -88,7 +88,7 @@ def read_beside(path: str | Path) -> Beside:
     return Beside(table.times, *parts)
 
 
-def together(
+def filmed_beside(
     times: npt.NDArray[np.float64], values: Mapping[str, npt.NDArray[np.float64]], beside: Beside
 ) -> tuple[npt.NDArray[np.float64], dict[str, npt.NDArray[np.float64]]]:
     """The points of a film and what was recorded beside it as one table, which loses neither.
