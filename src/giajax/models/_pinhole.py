@@ -62,8 +62,8 @@ class Pinhole(eqx.Module):
         aspect: of a pixel; None: square ones.
         centre: where the optical axis meets the picture, px, shape (2,).
         distortion: k1, k2, p1, p2, k3; None: none.
-        delay: how long before its time stamp a picture was true, s, added to `camera.delay`, that of
-            all cameras; None: nothing is.
+        delay: how long before its time stamp a picture was true, s, added to `camera.delay`, which
+            all cameras share; None: nothing is.
         mount: "room", "tip" or a link such as "link06".
         size: width and height of the picture, px; by them a point is in it or not.
 

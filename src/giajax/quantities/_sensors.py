@@ -45,7 +45,7 @@ class _Camera(Group):
         doc="recorded over true distances",
         key=Key("camera_scale"),
     )
-    delay = delay("camera_delay_s", "how long before its time stamp a position was true")
+    delay = delay("camera_delay_s", "how long before its time stamp a position or picture was true")
 
 
 class _Marker(Group):
