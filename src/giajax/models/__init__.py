@@ -29,6 +29,7 @@ from ._muscle import MuscleModel as MuscleModel
 from ._muscle_inputs import MuscleInputs as MuscleInputs
 from ._oscillator import OscillatorInputs as OscillatorInputs, OscillatorModel as OscillatorModel
 from ._pinhole import NEAR as NEAR, Pinhole as Pinhole, Projection as Projection, View as View
+from ._pixels import camera_of as camera_of, clock_of as clock_of
 from ._protocol import (
     AbstractModel as AbstractModel,
     Channels as Channels,
