@@ -28,6 +28,10 @@ ENGINE = {
 }
 
 
+# A geometry that is half wrong cannot be built; a camera that is half wrong looks elsewhere.
+NEARER = {"geometry.": 0.15, "camera.side.": 0.25, "camera.front.": 0.25, "camera.tip.": 0.25}
+
+
 def true_value(stated, name):
     path, _, index = name.rstrip("]").partition("[")
     if index and path in stated:
@@ -59,8 +63,7 @@ def test_it_states_the_truth_and_starts_away_from_it(path):
             assert figure.standard_errors <= 3
             if name in derived:
                 continue
-            # A geometry that is half wrong cannot be built.
-            off = 0.15 if name.startswith("geometry.") else 0.4
+            off = next((by for part, by in NEARER.items() if name.startswith(part)), 0.4)
             start = definition.fit.start.get(name)
             if start is None:  # an option starts where it changes nothing
                 start = float(elements(model, name)[0].value(model))

@@ -23,7 +23,8 @@ ROOT = Path(__file__).resolve().parents[1]
 KEYED = [
     (section, name, part)
     for kind in KINDS.values()
-    for section in (*kind.sections.values(), *kind.run_sections.values())
+    for stated in (*kind.sections.values(), *kind.run_sections.values())
+    for section in (stated.entries or stated,)
     for name, parts in section.quantities.items()
     for part in parts
 ]
@@ -110,11 +111,13 @@ def test_the_paths_that_pages_name_are_declared():
     known = {path for group in GROUPS.values() for path in paths_of(group)}
     sections = {name: of for kind in KINDS.values() for name, of in kind.all_sections.items()}
     known |= {f"{name}.{key}" for name, of in sections.items() for key in of.model_fields}
+    # The name of a camera is part of its paths, and pages choose one.
+    named_by_files = "|".join(name for name, of in sections.items() if of.entries)
     named = {
-        (page.name, path)
+        (page.name, re.sub(rf"^({named_by_files})\.\w+\.", r"\1.NAME.", path))
         for page in PAGES
         for path in re.findall(
-            rf"(?<![\w./])(?:{'|'.join(sorted(PARTS))})\.(?!csv|toml|md)[a-z_]+(?:\.[a-z_]+)*\b",
+            rf"(?<![\w./\[])(?:{'|'.join(sorted(PARTS))})\.(?!csv|toml|md)[a-z_]+(?:\.[a-z_]+)*\b",
             page.read_text(encoding="utf-8"),
         )
     }

@@ -198,6 +198,80 @@ def turned_camera_run(name: str) -> Run:
     )
 
 
+# Noise of a tracked point, px; links of the arm that cameras film.
+_PIXEL = 2.0
+_FILMED = 6
+_FILMED_ARM = {
+    "air.drag_coefficient": 1.2,
+    "joints.pitch_stiffness": 2.5,
+    "joints.yaw_stiffness": 20.0,
+    "joints.damping": 0.06,
+}
+# In the files' units, as of one who has measured them well.
+_LENS = {"size_px": [1920, 1080], "focal_length_px": 1000.0}
+_TIP_CAMERA = {
+    "tip": {
+        **{"mount": "tip", "size_px": [1280, 720], "focal_length_px": 640.0},
+        **{"position_m": [0.12, -0.08, 0.15], "rotation_deg": [6.0, 10.0, -8.0]},
+    }
+}
+_ROOM_CAMERAS = {
+    "side": {**_LENS, "position_m": [3.5, -7.0, 1.2], "rotation_deg": [-6.0, 8.0, 80.0]},
+    "front": {**_LENS, "position_m": [11.0, 2.5, 2.0], "rotation_deg": [25.0, -10.0, -160.0]},
+}
+_MARKS = {
+    "mark01": [11.0, 2.0, 1.5],
+    "mark02": [12.0, -2.5, 0.5],
+    "mark03": [10.5, 0.5, -1.5],
+    "mark04": [13.0, -0.5, 3.0],
+    "mark05": [12.5, 3.5, -0.5],
+    "mark06": [11.5, -1.0, -2.5],
+}
+
+
+def pixel_run(name: str, cameras: dict[str, dict[str, object]], points: list[str]) -> Run:
+    """An arm filmed by cameras whose pose the sidecar has 30 % wrong."""
+    from giajax import build_model, synthesise
+    from giajax.models import parameter_values
+
+    marks = {mark: {"position_m": place} for mark, place in _MARKS.items()}
+    landmarks = {"landmark": marks} if "mark01" in points else {}
+    truth = {"arm": {"links": _FILMED}, "camera": cameras, **landmarks}
+    guess = {
+        camera: {
+            key: [round(1.3 * each, 3) for each in value]  # type: ignore[attr-defined]
+            if key in ("position_m", "rotation_deg")
+            else value
+            for key, value in about.items()
+        }
+        for camera, about in cameras.items()
+    }
+    simulation = {"simulation": {"solver": "springs5", "tolerance": 1e-10, "max_steps": 50_000}}
+    model = build_model("arm", truth | simulation, _FILMED_ARM)
+    times = np.linspace(0.0, 12.0, 121)
+    moves = {
+        "joint01_command": ([0.5, 1.5, 6.0, 7.5], [0.0, 20.0, 20.0, -10.0]),
+        "joint02_command": ([1.0, 2.5, 7.0, 9.0], [0.0, -20.0, -20.0, 15.0]),
+        "joint04_command": ([3.0, 4.5], [0.0, 15.0]),
+    }
+    poses = {
+        path: value
+        for path, value in parameter_values(model).items()
+        if path.startswith("camera.") and path.endswith((".position", ".rotation"))
+    }
+    return synthesise(
+        model,
+        times,
+        {joint: np.interp(times, at, np.deg2rad(to)) for joint, (at, to) in moves.items()},
+        [f"{camera}.{point}_{axis}" for camera in cameras for point in points for axis in "uv"],
+        noise={"pixel": _PIXEL},
+        seed=14,
+        definition={"truth": {**_FILMED_ARM, **poses}, "command": {"interpolation": "linear"}},
+        constants=build_model("arm", truth | {"camera": guess} | simulation, _FILMED_ARM),
+        name=name,
+    )
+
+
 # An arm of three links: muscles bend its pitch joints, all of its joints remember.
 _WHOLE_ARM = {"links": 3, "muscles": "pitch"}
 _WHOLE_CORRECTIONS = {
@@ -300,6 +374,18 @@ STILL = {
         "0.1 m, which the sidecar does not know; links are hidden for seconds.",
         turned_camera_run,
         (),
+    ),
+    "pixels_side": (
+        "An arm of six links before two cameras in the room, with noise of 2 px; the sidecar has "
+        "their poses 30 % wrong.",
+        pixel_run,
+        (_ROOM_CAMERAS, ["link02", "link04", "link06", "tip"]),
+    ),
+    "pixels_tip": (
+        "The same motion as a camera on the tip shows it: six landmarks of the room, which leave "
+        "its picture and come back.",
+        pixel_run,
+        (_TIP_CAMERA, list(_MARKS)),
     ),
     "joint": (
         "One muscle of a joint under 0.3 N m on both sides, with noise of 2 % of full scale: what "

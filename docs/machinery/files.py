@@ -32,6 +32,8 @@ def _sections() -> Iterator[tuple[str, type[Section]]]:
     for name, annotation in known.items():
         for section in _within(annotation):
             yield name, section
+            if section.entries is not None:
+                yield f"{name}.NAME", section.entries
             for key, field in section.model_fields.items():
                 yield from ((f"{name}.{key}", inner) for inner in _within(field.annotation))
 

@@ -49,7 +49,8 @@ def _keys() -> Iterator[str]:
     yield "| key | parameter | unless stated | meaning |"
     yield "| --- | --- | --- | --- |"
     for kind in KINDS.values():
-        for name, section in {**kind.sections, **kind.run_sections}.items():
+        for stated, of in {**kind.sections, **kind.run_sections}.items():
+            name, section = (f"{stated}.NAME", of.entries) if of.entries else (stated, of)
             for key, parts in section.quantities.items():
                 paths = ", ".join(f"`{path}`" for path in dict.fromkeys(p.path for p in parts))
                 field = section.model_fields[key]

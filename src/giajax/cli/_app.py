@@ -21,6 +21,7 @@ from . import (
     _examples,
     _fit,
     _hysteresis,
+    _import,
     _influence,
     _init,
     _joint,
@@ -95,6 +96,7 @@ _COMMANDS: tuple[tuple[Callable[..., None], str], ...] = (
     (_compensate.compensate, _compensate.EXAMPLES),
     (_design.design, _design.EXAMPLES),
     (_hysteresis.hysteresis, _hysteresis.EXAMPLES),
+    (_import.import_, _import.EXAMPLES),
     (_influence.influence, _influence.EXAMPLES),
     (_init.init, _init.EXAMPLES),
     (_joint.joint, _joint.EXAMPLES),
@@ -144,10 +146,15 @@ def _app_for(words: Sequence[str]) -> typer.Typer:
     )
     app.callback(invoke_without_command=True)(_giajax)
     for function, examples in _COMMANDS:
-        name = function.__name__
+        name = _named(function)
         full = function if name in words else _without_options(function)
         app.command(name, epilog=examples, cls=command_of(full))(full)
     return app
+
+
+def _named(function: Callable[..., None]) -> str:
+    # `import` is a word of Python: its function is called import_.
+    return function.__name__.rstrip("_")
 
 
 def _without_options(function: Callable[..., None]) -> Callable[..., None]:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from .._errors import InputError
 
 _DEFAULT_LINKS = (2, 6, 12, 20)
+_MEASURED = ("joint_angle", "joint_rate", "link_position", "tip_position")
 
 
 def channel_names(selections: Sequence[str], count: int) -> list[str]:
@@ -20,19 +21,21 @@ def channel_names(selections: Sequence[str], count: int) -> list[str]:
             names += [f"link{i:02d}_{axis}" for i in range(1, count + 1) for axis in "xyz"]
         elif selection == "joints":
             names += [f"joint{i:02d}_angle" for i in range(1, count + 1)]
+        elif re.fullmatch(r"(\w+\.(tip|link[0-9]+|mark[0-9]+))|mark[0-9]+", selection):
+            names += [f"{selection}_{axis}" for axis in "uv"]
         elif re.fullmatch(r"tip|link[0-9]+", selection):
             names += [f"{selection}_{axis}" for axis in "xyz"]
         else:
             names.append(selection)
     for name in names:
         channel = Channel.named(name)
-        if channel.kind not in ("joint_angle", "joint_rate", "link_position", "tip_position"):
+        if channel.kind not in _MEASURED and channel.quantity != "pixel":
             raise InputError(
-                f"--channels {name!r} names no channel that an arm is measured by: "
-                "give link06, link06_z, tip, joint03_angle, joint03_rate, joints or all"
+                f"--channels {name!r} names no channel that an arm is measured by: give link06, "
+                "link06_z, tip, joint03_angle, joint03_rate, joints or all, or of a camera side.tip"
             )
-        if (channel.index or 1) > count:
-            part = "link" if channel.kind == "link_position" else "joint"
+        if channel.kind != "mark_pixel" and (channel.index or 1) > count:
+            part = "link" if channel.kind.startswith("link") else "joint"
             raise InputError(
                 f"--channels {name!r} is of {part} {channel.index}, but the arm has {count} links: "
                 "correct the number, or simulate a longer arm"

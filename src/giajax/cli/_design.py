@@ -83,7 +83,7 @@ def design(
         typer.Option(
             metavar="KEY=VALUE",
             help="Standard deviation, by a key of [noise]. Repeatable. "
-            "[the fit's, or position_m=0.01 and angle_deg=0.5]",
+            "[the fit's, or position_m=0.01, angle_deg=0.5, pixel_px=2]",
         ),
     ] = None,
     uncertainty: Annotated[

@@ -44,6 +44,7 @@ Writes sensitivity.png, sensitivity.csv (derivatives over time) and information.
 
 _RATE = 10.0
 _NOISE = 0.01
+_NOISE_PIXEL = 2.0
 _NOISE_ANGLE = 0.5
 _DEFAULT_RAMP = "1=30"
 _FILES = ("sensitivity.png", "sensitivity.csv", "information.csv")
@@ -95,7 +96,7 @@ def sensitivity(
         typer.Option(
             metavar="KEY=VALUE",
             help="Standard deviation, by a key of [noise]. Repeatable. "
-            "[the run's, or position_m=0.01 and angle_deg=0.5]",
+            "[the run's, or position_m=0.01, angle_deg=0.5, pixel_px=2]",
         ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Write over files.")] = False,
@@ -122,7 +123,13 @@ def sensitivity(
 
     configure()
 
-    from ..kinds import ArmSection, InitialSection, SensorsSection
+    from ..kinds import (
+        ArmSection,
+        CamerasSection,
+        InitialSection,
+        LandmarksSection,
+        SensorsSection,
+    )
     from ..models import model_for, parameter_values
     from ..parameters import replace
     from ..report import information_shares, sensitivity_figure, sensitivity_files, to_png
@@ -154,6 +161,8 @@ def sensitivity(
         names = channel_names(channels or ["all"], count)
         facts["arm"] = sections.section(ArmSection).contents()
         facts["sensors"] = sections.section(SensorsSection).contents()
+        facts["camera"] = sections.section(CamerasSection).contents()
+        facts["landmark"] = sections.section(LandmarksSection).contents()
         definition = Definition.parse({k: v for k, v in facts.items() if v}, "sensitivity")
         recorded = planned(
             times, inputs, links=count, channels=names, definition=definition.contents()
@@ -188,6 +197,8 @@ def _noise_of(run: "Run", channels: tuple[str, ...], section: dict[str, float]) 
             deviation = _NOISE
         elif deviation is None and quantity.startswith("ang"):
             deviation = math.radians(_NOISE_ANGLE)
+        elif deviation is None and quantity == "pixel":
+            deviation = _NOISE_PIXEL
         elif deviation is None:
             raise InputError(
                 f"the noise of {name} is not stated: state it in [noise] of the run, or by --noise"

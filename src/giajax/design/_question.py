@@ -35,6 +35,7 @@ from ._uncertainty import known_before, uncertain
 
 # Of positions (m) and of angles (rad, rad/s), where nobody states it: as `giajax sensitivity`.
 _NOISE = 0.01
+_NOISE_PIXEL = 2.0
 _NOISE_ANGLE = math.radians(0.5)
 
 # A tolerance at which derivatives are right to a percent, and quick.
@@ -238,7 +239,7 @@ def _definition(
     model: ArmModel, result: FitResult | None, definition: Mapping[str, Any] | None
 ) -> dict[str, Any]:
     """What the sidecar says: the arm, how commands go on between rows, and what the caller adds."""
-    known = {key: part for key, part in model.definition().items() if key in ("arm", "sensors")}
+    known = {key: part for key, part in model.definition().items() if key in ARM.sections}
     fitted = () if result is None else result.runs
     if any(path.startswith("initial.") for run in fitted for path in run.parameters):
         known["initial"] = {"free": True}
@@ -274,6 +275,7 @@ def _noise(run: Run, channels: Sequence[str], result: FitResult | None) -> dict[
         if deviation is None and quantity in fitted:
             deviation = float(np.sqrt(np.mean(np.square(fitted[quantity]))))
         if deviation is None:
-            deviation = _NOISE if quantity == "length" else _NOISE_ANGLE
+            usual = {"length": _NOISE, "pixel": _NOISE_PIXEL}
+            deviation = usual.get(quantity, _NOISE_ANGLE)
         found[name] = deviation
     return found

@@ -4,7 +4,8 @@ A kind is a file here, which declares it, one in `giajax.models`, which computes
 imports it below. Readers, commands, fits and reports ask the kind, and know none by name.
 """
 
-from ._arm import ARM as ARM, DEFAULT_PRESET as DEFAULT_PRESET
+from ._arm import ARM as ARM
+from ._arm_channels import DEFAULT_PRESET as DEFAULT_PRESET
 from ._arm_inputs import (
     CommandSection as CommandSection,
     InitialSection as InitialSection,
@@ -15,6 +16,12 @@ from ._arm_sections import (
     ArmSection as ArmSection,
     PointMass as PointMass,
     SensorsSection as SensorsSection,
+)
+from ._camera_sections import (
+    CamerasSection as CamerasSection,
+    LandmarksSection as LandmarksSection,
+    PinholeSection as PinholeSection,
+    sections_of_cameras as sections_of_cameras,
 )
 from ._content import (
     Content as Content,

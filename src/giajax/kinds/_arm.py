@@ -1,36 +1,20 @@
 """An arm: from joint commands, torques and wind to positions and joint angles."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from .._errors import InputError
+from ._arm_channels import CHANNELS, COMMANDS, DEFAULT_LINKS, DEFAULT_PRESET, PIXELS, WINDS
 from ._arm_inputs import CommandSection, InitialSection, WindSection
 from ._arm_pressures import PRESSURES, check_pressures
 from ._arm_sections import ArmSection, SensorsSection
+from ._arm_template import arm_template
+from ._camera_sections import CamerasSection, LandmarksSection
 from ._content import Content, RecordedChannel, Wording
-from ._kind import ChannelKind, Kind, Offer
-
-DEFAULT_PRESET = "takeichi_20m"
-DEFAULT_LINKS = 20
-
-_CHANNELS = (
-    ChannelKind("joint_command", "jointNN_command", "angle", "input"),
-    ChannelKind("joint_angle", "jointNN_angle", "angle", "output", noise="angle_deg"),
-    ChannelKind("joint_rate", "jointNN_rate", "angular_velocity", "output", noise="rate_deg_per_s"),
-    ChannelKind("joint_torque", "jointNN_torque", "torque", "input"),
-    ChannelKind("joint_pressure_first", "jointNN_pressure_first", "pressure", "input"),
-    ChannelKind("joint_pressure_second", "jointNN_pressure_second", "pressure", "input"),
-    ChannelKind("link_angle", "linkNN_angle", "angle", "output", noise="angle_deg"),
-    ChannelKind("link_position", "linkNN_x", "length", "output", noise="position_m"),
-    ChannelKind("tip_position", "tip_x", "length", "output", noise="position_m"),
-    ChannelKind("wind", "wind_x", "velocity", "surroundings"),
-    ChannelKind("link_wind", "linkNN_wind_x", "velocity", "surroundings"),
-)
-_WINDS = ("wind", "link_wind")
-_COMMANDS = ("joint_command", "joint_torque", *PRESSURES)
+from ._kind import Kind
 
 
 def _recognises(rows: frozenset[str]) -> bool:
-    return bool(rows & {row.name for row in _CHANNELS if row.part != "surroundings"})
+    return bool(rows & {row.name for row in CHANNELS if row.part != "surroundings"})
 
 
 def links_of(section: ArmSection) -> int | None:
@@ -49,8 +33,9 @@ def _check(content: Content, wording: Wording) -> None:
     section = definition.section(ArmSection)
     links = links_of(section)
     for channel in channels.values():
-        if links is not None and channel.index is not None and channel.index > links:
-            part = "link" if channel.name.startswith("link") else "joint"
+        numbered = channel.kind != "mark_pixel" and channel.index is not None
+        if links is not None and numbered and (channel.index or 0) > links:
+            part = "link" if channel.kind.startswith("link") else "joint"
             raise InputError(
                 f"{wording.source}: {wording.of(channel)} is of {part} {channel.index}, but the "
                 f"arm has {links} links: correct the name, or state links in [arm]"
@@ -60,6 +45,10 @@ def _check(content: Content, wording: Wording) -> None:
             lists.check_lists(links)
         except ValueError as error:
             raise InputError(f"{wording.source}: [{name}] {error}") from None
+    try:
+        definition.section(CamerasSection).check_mounts(links)
+    except ValueError as error:
+        raise InputError(f"{wording.source}: [camera] {error}") from None
     for body in section.point_masses or ():
         if links is not None and body.link > links:
             raise InputError(
@@ -68,7 +57,7 @@ def _check(content: Content, wording: Wording) -> None:
             )
     _check_motion(channels, content, wording, links)
     check_pressures(content, wording)
-    windy = [channel for channel in channels.values() if channel.kind in _WINDS]
+    windy = [channel for channel in channels.values() if channel.kind in WINDS]
     if windy and definition.section(WindSection).velocity_m_per_s is not None:
         raise InputError(
             f"{wording.source}: wind.velocity_m_per_s states a constant wind, but "
@@ -88,7 +77,7 @@ def _check_motion(
                 f"{wording.source}: initial.{key} has {len(value)} values, but must have one for "
                 f"each of the {links} joints: correct the list"
             )
-    commanded = any(channel.kind in _COMMANDS for channel in channels.values())
+    commanded = any(channel.kind in COMMANDS for channel in channels.values())
     free = bool(content.definition.free_motion)
     if commanded and free:
         raise InputError(
@@ -115,10 +104,12 @@ def _notes(content: Content, sidecar: bool) -> list[str]:
             "pressures are recorded, but no joint has muscles: state muscles in [arm], such as "
             'muscles = "pitch"'
         )
+    if rows & PIXELS and not definition.section(CamerasSection).named():
+        notes.append("pixels are recorded, but no camera is described: state it in [camera.NAME]")
     if not definition.section(InitialSection).contents():
         notes.append("initial state not stated: the arm starts straight and at rest")
     if (
-        rows & set(_COMMANDS)
+        rows & set(COMMANDS)
         and "interpolation" not in definition.section(CommandSection).contents()
     ):
         notes.append("command interpolation not stated: linear between two rows")
@@ -138,58 +129,25 @@ def _notes(content: Content, sidecar: bool) -> list[str]:
     return notes
 
 
-def _template(channels: Sequence[RecordedChannel]) -> list[Offer]:
-    rows = {channel.kind for channel in channels}
-    largest = max((channel.index or 0 for channel in channels), default=0)
-    commanded = bool(rows & set(_COMMANDS))
-    arm = dict.fromkeys(ArmSection.model_fields)
-    if largest > DEFAULT_LINKS:
-        arm["links"] = largest
-    sensors = [
-        name for name in SensorsSection.model_fields if _records(name.partition("_")[0], rows)
-    ]
-    angles = {channel.index for channel in channels if channel.kind == "joint_angle"}
-    recorded = largest > 0 and angles == set(range(1, largest + 1))
-    state = ["first_row"] if recorded else list(InitialSection.quantities)
-    wind = "interpolation" if rows & set(_WINDS) else "velocity_m_per_s"
-    return [
-        *([] if commanded else [Offer("", {"free_motion": True})]),
-        Offer("arm", arm, "known constants; a number holds for all links, a list has one a link"),
-        Offer(
-            "sensors",
-            dict.fromkeys(sensors),
-            "known errors of the recording; a fit can find them too",
-        ),
-        Offer(
-            "initial",
-            dict.fromkeys((*state, "free")),
-            "at the first sample; a number holds for all joints",
-        ),
-        *([Offer("command", {"interpolation": None})] if commanded else []),
-        Offer("wind", {wind: None}),
-    ]
-
-
-def _records(sensor: str, rows: set[str]) -> bool:
-    """Whether a sensor records one of these rows of the table."""
-    angles = {"joint_angle", "joint_rate", "link_angle"}
-    return bool(rows & (angles if sensor == "encoder" else {"link_position", "tip_position"}))
-
-
 ARM = Kind(
     name="arm",
     model="_arm:ArmModel",
-    channels=_CHANNELS,
+    channels=CHANNELS,
     recognises=_recognises,
     measured="linkNN_z_m or jointNN_angle_deg",
-    sections={"arm": ArmSection, "sensors": SensorsSection},
+    sections={
+        "arm": ArmSection,
+        "sensors": SensorsSection,
+        "camera": CamerasSection,
+        "landmark": LandmarksSection,
+    },
     run_sections={"initial": InitialSection, "command": CommandSection, "wind": WindSection},
-    commands=_COMMANDS,
+    commands=COMMANDS,
     uncommanded="none (free motion)",
     timed=True,
     interpolation=_interpolation,
     check=_check,
     notes=_notes,
-    template=_template,
+    template=arm_template,
     template_heading=f"# is as in the preset {DEFAULT_PRESET}.",
 )

@@ -11,7 +11,7 @@ from ._section import Finite, Section, key
 
 S = TypeVar("S", bound=Section)
 
-_COUNTS = {2: "two", 3: "three"}
+_COUNTS = {2: "two", 3: "three", 5: "five"}
 
 
 def with_keys(*groups: Group, required: bool = False) -> Callable[[type[S]], type[S]]:

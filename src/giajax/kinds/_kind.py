@@ -8,6 +8,9 @@ from typing import Any, Literal, NamedTuple
 from ._content import Content, RecordedChannel, Wording
 from ._section import Section
 
+CAMERA_NAME = "[A-Za-z][A-Za-z0-9_]*"
+"""Regular expression of the name of a camera."""
+
 
 @dataclass(frozen=True)
 class ChannelKind:
@@ -16,7 +19,8 @@ class ChannelKind:
     Attributes:
         name: of the row, such as `link_position`.
         column: a channel of the row without its unit, as documentation writes it: `linkNN_x`. NN
-            stands for the number of a joint or link, x at the end for x, y or z.
+            stands for the number of a joint, link or landmark, x at the end for x, y or z, u at
+            the end for u or v. Of u and v the name of a camera may go before: `side.linkNN_u`.
         quantity: of its values, as in `runs`' table of quantities; None: any.
         part: what it is to the model: an input, something of the surroundings that acts on it
             as well, or an output, which is what it predicts.
@@ -33,9 +37,17 @@ class ChannelKind:
 
     @property
     def pattern(self) -> str:
-        """Regular expression of the channels of this row, with groups `index` and `component`."""
+        """Regular expression of the channels of this row, with groups `index`, `component` and
+        `camera`."""
         numbered = self.column.replace("NN", "(?P<index>[0-9]+)")
+        if numbered.endswith("_u"):
+            return rf"(?:(?P<camera>{CAMERA_NAME})\.)?{numbered[:-1]}(?P<component>[uv])"
         return re.sub("_x$", "_(?P<component>[xyz])", numbered)
+
+    @property
+    def components(self) -> str:
+        """What the last letter of a channel may be: one for each component; empty without any."""
+        return {"_x": "xyz", "_u": "uv"}.get(self.column[-2:], "")
 
 
 class Offer(NamedTuple):

@@ -54,9 +54,11 @@ class Section(BaseModel):
     Attributes:
         quantities: the keys that are made from declarations, by name. Several declarations share
             a key where they are a list in it, or where the model has one or the other.
+        entries: the section that every key holds, where the keys are names that a file chooses.
     """
 
     quantities: ClassVar[Mapping[str, tuple[Declaration, ...]]] = {}
+    entries: ClassVar["type[Section] | None"] = None
 
     # Strict: "0.3" and true are not numbers here. An int where a float is meant is one.
     model_config: ClassVar[ConfigDict] = ConfigDict(extra="forbid", strict=True, frozen=True)

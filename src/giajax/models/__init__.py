@@ -12,7 +12,6 @@ from ._build import (
 from ._definition import (
     arm_from_definition as arm_from_definition,
     arm_to_definition as arm_to_definition,
-    sensors_from_definition as sensors_from_definition,
 )
 from ._direct import AbstractDirectModel as AbstractDirectModel
 from ._hysteresis import (
@@ -29,6 +28,8 @@ from ._joint_scene import joint_scene as joint_scene
 from ._muscle import MuscleModel as MuscleModel
 from ._muscle_inputs import MuscleInputs as MuscleInputs
 from ._oscillator import OscillatorInputs as OscillatorInputs, OscillatorModel as OscillatorModel
+from ._pinhole import NEAR as NEAR, Pinhole as Pinhole, Projection as Projection, View as View
+from ._pixels import camera_of as camera_of, clock_of as clock_of
 from ._protocol import (
     AbstractModel as AbstractModel,
     Channels as Channels,
@@ -43,4 +44,5 @@ from ._response import (
 )
 from ._scene import Line as Line, Scene as Scene
 from ._sensors import Sensors as Sensors
+from ._sensors_definition import sensors_from_definition as sensors_from_definition
 from ._several import SeveralModels as SeveralModels

@@ -5,39 +5,38 @@ from typing import Any, TypeVar
 
 from .._errors import InputError
 from ..arm import Arm
-from ..kinds import ArmSection, Section, SensorsSection
+from ..kinds import ArmSection, CamerasSection, LandmarksSection, Section, SensorsSection
 from ..runs import Run
-from ._definition import (
-    arm_from_definition,
-    arm_to_definition,
-    sensors_from_definition,
-    sensors_to_definition,
-)
+from ._definition import arm_from_definition, arm_to_definition
 from ._sensors import Sensors
+from ._sensors_definition import SECTIONS, sensors_from_definition, sensors_to_definition
 
 S = TypeVar("S", bound=Section)
+
+_SECTIONS = (ArmSection, SensorsSection, CamerasSection, LandmarksSection)
 
 
 def agreed_parts(runs: Sequence[Run]) -> tuple[Arm, Sensors]:
     """The arm and the sensors of some runs.
 
     Raises:
-        InputError: the sidecars disagree in [arm] or [sensors].
+        InputError: the sidecars disagree in [arm], [sensors], [camera] or [landmark].
     """
     first, *others = runs
     arm = arm_from_definition(first.definition)
     sensors = sensors_from_definition(first.definition)
-    sections = [first.definition.section(of) for of in (ArmSection, SensorsSection)]
+    sections = [first.definition.section(of) for of in _SECTIONS]
     for other in others:
         if [other.definition.section(type(of)) for of in sections] == sections:
             continue
         their_arm = arm_from_definition(other.definition)
         their_sensors = sensors_from_definition(other.definition)
-        for section, ours, theirs in (
-            ("arm", arm_to_definition(arm), arm_to_definition(their_arm)),
-            ("sensors", sensors_to_definition(sensors), sensors_to_definition(their_sensors)),
-        ):
-            check_agreement(section, (first, ours), (other, theirs))
+        check_agreement(
+            "arm", (first, arm_to_definition(arm)), (other, arm_to_definition(their_arm))
+        )
+        ours, theirs = sensors_to_definition(sensors), sensors_to_definition(their_sensors)
+        for name in SECTIONS:
+            check_agreement(name, (first, ours.get(name, {})), (other, theirs.get(name, {})))
     return arm, sensors
 
 

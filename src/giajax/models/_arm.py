@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Self
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 
 from .._errors import InputError
 from .._program import program
@@ -33,17 +34,14 @@ from ._agreement import agreed_parts
 from ._arm_conditions import controller_conditions, scale_conditions, sensor_conditions
 from ._arm_inputs import ArmInputs, arm_inputs
 from ._arm_scene import arm_scene
-from ._arm_sensors import recorded_channels
+from ._arm_sensors import recorded_channels, seen_by_cameras
 from ._arm_variants import arm_variants
-from ._definition import (
-    arm_from_definition,
-    arm_to_definition,
-    sensors_from_definition,
-    sensors_to_definition,
-)
+from ._definition import arm_from_definition, arm_to_definition
+from ._pixels import behind_conditions, cameras_of, unseen
 from ._protocol import AbstractModel, Channels, Derived, Integration
 from ._scene import Scene
 from ._sensors import Sensors
+from ._sensors_definition import SECTIONS, sensors_from_definition, sensors_to_definition
 
 # Of a prediction, where none is stated. Positions of the 20 m arm are then right to about 1e-6 m,
 # far below the noise of a camera.
@@ -106,7 +104,7 @@ class ArmModel(AbstractModel):
         """The arm and the sensors that the sidecars state, which must agree.
 
         Raises:
-            InputError: the sidecars disagree in [arm] or [sensors].
+            InputError: the sidecars disagree in [arm], [sensors], [camera] or [landmark].
         """
         arm, sensors = agreed_parts(runs)
         durations = [float(np.ptp(run.times)) for run in runs if run.times is not None]
@@ -115,7 +113,7 @@ class ArmModel(AbstractModel):
     @classmethod
     def from_definition(cls, definition: Mapping[str, Any]) -> Self:
         """The arm, its sensors and the settings of the integrator that `definition()` gave."""
-        sections = {key: definition[key] for key in ("arm", "sensors") if key in definition}
+        sections = {key: definition[key] for key in ("arm", *SECTIONS) if key in definition}
         stored = Definition.parse(sections, "stored result")
         return cls(
             arm_from_definition(stored),
@@ -147,6 +145,7 @@ class ArmModel(AbstractModel):
 
     def prepare(self, run: Run) -> ArmInputs:
         """Sample times, command, wind and initial state of an arm run."""
+        cameras_of(self.sensors, run.observations)
         return arm_inputs(self.arm, self.sensors.encoder, run)
 
     def trajectory(self, inputs: ArmInputs) -> Trajectory:
@@ -183,6 +182,21 @@ class ArmModel(AbstractModel):
             inputs.times,
             channels,
         )
+
+    def unseen(
+        self, inputs: ArmInputs, channels: tuple[str, ...]
+    ) -> dict[str, npt.NDArray[np.bool_]]:
+        """Where a point is behind a camera, or out of its picture."""
+        return {name: outside for name, (_, outside) in self._unseen(inputs, channels).items()}
+
+    def _unseen(
+        self, inputs: ArmInputs, channels: Sequence[str]
+    ) -> dict[str, tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]]:
+        cameras = cameras_of(self.sensors, channels)
+        if not cameras:
+            return {}
+        angles, _ = _camera_angles(self, inputs, cameras)
+        return unseen(self.arm, self.sensors, angles, channels)
 
     def refined(self, factor: float) -> Self:
         """The same model with the integrator's tolerances multiplied by a factor."""
@@ -231,20 +245,38 @@ class ArmModel(AbstractModel):
         """The scale that motion alone cannot determine, and what C_D and sensors refer to."""
         scale = scale_conditions(self, self.arm, free, runs)
         known = controller_conditions(self.arm, free, runs)
-        return scale + known + sensor_conditions(self, free, runs)
+        behind = [
+            sentence for run in runs if run.model == self.kind for sentence in self._behind(run)
+        ]
+        return scale + known + sensor_conditions(self, free, runs) + behind
+
+    def _behind(self, run: Run) -> list[str]:
+        pixels = [name for name in run.observations if run.channels[name].quantity == "pixel"]
+        return behind_conditions(run, self._unseen(self.prepare(run), pixels)) if pixels else []
 
     def definition(self) -> dict[str, Any]:
         """The arm's constants, its sensors and the settings of the integrator."""
-        sensors = sensors_to_definition(self.sensors)
         return {
             "arm": arm_to_definition(self.arm),
-            **({"sensors": sensors} if sensors else {}),
+            **sensors_to_definition(self.sensors),
             "simulation": {
                 "solver": self.solver,
                 "tolerance": self.integration().tolerance,
                 "max_steps": self.max_steps,
             },
         }
+
+
+@program
+def _camera_angles(
+    model: ArmModel, inputs: ArmInputs, cameras: tuple[str, ...]
+) -> tuple[dict[str, Array], Bool[Array, ""]]:
+    return seen_by_cameras(
+        model.sensors,
+        lambda times, end: model._motion(inputs, times, end),
+        inputs.times,
+        cameras,
+    )
 
 
 @program

@@ -8,12 +8,11 @@ import numpy as np
 
 from ..arm import MUSCLE_BLEND, Arm, Pneumatics, PointMasses, chain, named_axes, preset
 from ..joint import MUSCLE_LAWS as LAWS, Correction, Joint, JointPair
-from ..kinds import DEFAULT_PRESET, ArmSection, PointMass, SensorsSection
-from ..parameters import declared, default_free, replace
+from ..kinds import DEFAULT_PRESET, ArmSection, PointMass
+from ..parameters import declared, default_free
 from ..quantities import BUOYANCY, POINT_MASSES, Declaration
 from ..runs import Definition
 from ._build import parameter_values
-from ._sensors import Sensors
 
 # Keys of [arm] that are arguments of `chain`.
 _CHOICES = (
@@ -181,13 +180,3 @@ def _axes(arm: Arm) -> str | list[list[float]]:
     if arm.joints.axes == named_axes("pitch_yaw", arm.count):
         return "pitch_yaw"
     return [list(axis) for axis in arm.joints.axes]
-
-
-def sensors_from_definition(definition: Definition) -> Sensors:
-    """What the `[sensors]` section states; what it does not state is left out."""
-    return replace(Sensors(), definition.section(SensorsSection).values())
-
-
-def sensors_to_definition(sensors: Sensors) -> dict[str, Any]:
-    """The `[sensors]` section: what the sensors do not leave out, in the TOML vocabulary."""
-    return SensorsSection.keys_of(parameter_values(sensors))

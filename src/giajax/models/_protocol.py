@@ -5,6 +5,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Self
 
 import equinox as eqx
+import numpy as np
+import numpy.typing as npt
 
 from .._typing import Array, Bool, Float, Scalar
 from ..runs import Run
@@ -123,6 +125,14 @@ class AbstractModel(eqx.Module):
             InputError: the run is not one of this model.
             SimulationError: the model cannot be evaluated.
         """
+
+    def unseen(self, inputs: Any, channels: tuple[str, ...]) -> dict[str, npt.NDArray[np.bool_]]:
+        """Samples of a prepared run at which an experiment could not record a channel.
+
+        By channel, each of shape (sample,), such as where a point is out of a camera's picture;
+        what it does not name is always recorded, as is everything of most models.
+        """
+        return {}
 
     # `AbstractDirectModel` says what follows for its models.
 

@@ -13,17 +13,20 @@ from .._errors import InputError
 from .._maths import rotate, rotation_vector_to_quaternion, scaled
 from .._typing import Array, Float, Scalar
 from ..arm import Arm, pose
-from ..parameters import declared, parameter
-from ..quantities import CAMERA, ENCODER, MARKER
+from ..parameters import declared, inline, parameter
+from ..quantities import CAMERA, ENCODER, LANDMARK, MARKER
+from ._pinhole import Pinhole
 
 
 class Camera(eqx.Module):
-    """Frame, scale and clock of recorded positions."""
+    """Frame, scale and clock of recorded positions; and the cameras whose pixels are recorded."""
 
     rotation: Float[Array, "3"] | None = parameter(CAMERA.rotation)
     origin: Float[Array, "3"] | None = parameter(CAMERA.origin)
     scale: Scalar | None = parameter(CAMERA.scale)
     delay: Scalar | None = parameter(CAMERA.delay)
+    # By name, which is part of the paths: `camera.side.position`.
+    pinholes: dict[str, Pinhole] = inline(default_factory=dict)
 
     def sees(self, positions: Float[Array, "*point 3"]) -> Float[Array, "*point 3"]:
         """Positions (m) of the base frame as they are recorded; the clock apart."""
@@ -35,6 +38,12 @@ class Camera(eqx.Module):
             turned = rotate(jnp.broadcast_to(back[:, None], (4, rows.shape[1])), rows)
             positions = turned.T.reshape(positions.shape)
         return positions if self.scale is None else self.scale * positions
+
+
+class Landmark(eqx.Module):
+    """A point of the room that cameras see."""
+
+    position: Float[Array, "3"] = parameter(LANDMARK.position)
 
 
 class Marker(eqx.Module):
@@ -108,6 +117,7 @@ class Sensors(eqx.Module):
     camera: Camera = eqx.field(default_factory=Camera)
     marker: Marker = eqx.field(default_factory=Marker)
     encoder: Encoder = eqx.field(default_factory=Encoder)
+    landmark: dict[str, Landmark] = eqx.field(default_factory=dict)
 
     def check(self, joints: int) -> None:
         """Refuse values for another number of links or joints.

@@ -12,6 +12,7 @@ from typing import Any, Self
 
 import equinox as eqx
 import numpy as np
+import numpy.typing as npt
 
 from .._errors import InputError
 from .._typing import Array, Bool
@@ -120,6 +121,12 @@ class SeveralModels(AbstractModel):
     def scene(self, run: Run) -> Scene | None:
         """That of the model of the run's kind."""
         return self.part(run.model).scene(run)
+
+    def unseen(
+        self, inputs: SeveralInputs, channels: tuple[str, ...]
+    ) -> dict[str, npt.NDArray[np.bool_]]:
+        """What the model of the run says."""
+        return self.part(inputs.kind).unseen(inputs.inputs, channels)
 
     def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
         """Each of them where it may start."""

@@ -139,6 +139,10 @@ def _walk(node: eqx.Module, prefix: str, getter: Callable[[Any], Any]) -> Iterab
             for index, part in enumerate(child):
                 if isinstance(part, eqx.Module):
                     yield from _walk(part, inner, _element(reach, index))
+        elif isinstance(child, dict):
+            for name, part in child.items():
+                if isinstance(part, eqx.Module):
+                    yield from _walk(part, f"{inner}{name}.", _element(reach, name))
 
 
 def _frozen(parameter: Parameter) -> Parameter:
@@ -159,7 +163,8 @@ def _check(node: eqx.Module) -> None:
         check()
     for field in dataclasses.fields(node):
         child = getattr(node, field.name)
-        for part in child if isinstance(child, tuple) else (child,):
+        several = child.values() if isinstance(child, dict) else child
+        for part in several if isinstance(child, tuple | dict) else (child,):
             if isinstance(part, eqx.Module):
                 _check(part)
 
@@ -168,5 +173,5 @@ def _attribute(getter: Callable[[Any], Any], name: str) -> Callable[[Any], Any]:
     return lambda root: getattr(getter(root), name)
 
 
-def _element(getter: Callable[[Any], Any], index: int) -> Callable[[Any], Any]:
+def _element(getter: Callable[[Any], Any], index: int | str) -> Callable[[Any], Any]:
     return lambda root: getter(root)[index]

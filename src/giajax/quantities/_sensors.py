@@ -6,7 +6,8 @@ _LONGEST_DELAY = 5.0
 """A clock that is off by more than this (s) is a wrong file."""
 
 
-def _delay(key: str, doc: str) -> Declaration:
+def delay(key: str, doc: str) -> Declaration:
+    """Of a clock that is late, or early, by so much."""
     return Declaration(
         0.0,
         unit="s",
@@ -44,7 +45,7 @@ class _Camera(Group):
         doc="recorded over true distances",
         key=Key("camera_scale"),
     )
-    delay = _delay("camera_delay_s", "how long before its time stamp a position was true")
+    delay = delay("camera_delay_s", "how long before its time stamp a position or picture was true")
 
 
 class _Marker(Group):
@@ -106,7 +107,7 @@ class _Encoder(Group):
         doc="shown over true changes of a joint's angle",
         key=Key("encoder_scale"),
     )
-    delay = _delay("encoder_delay_s", "how long before its time stamp a joint's angle was true")
+    delay = delay("encoder_delay_s", "how long before its time stamp a joint's angle was true")
 
 
 CAMERA = _Camera("camera")

@@ -28,6 +28,7 @@ QUANTITIES: dict[str, Quantity] = {
         Quantity("angle", "rad", {"deg": "deg", "rad": "rad"}),
         Quantity("angular_velocity", "rad/s", {"deg_per_s": "deg/s", "rad_per_s": "rad/s"}),
         Quantity("length", "m", {"m": "m", "cm": "cm", "mm": "mm"}),
+        Quantity("pixel", "px", {"px": "px"}),
         Quantity("velocity", "m/s", {"m_per_s": "m/s"}),
         Quantity("force", "N", {"N": "N", "mN": "mN"}),
         Quantity("torque", "N m", {"N_m": "N m"}),

@@ -8,6 +8,12 @@ from ._definition import (
 )
 from ._describe import describe as describe
 from ._duration import seconds_of as seconds_of
+from ._filmed import (
+    Beside as Beside,
+    filmed as filmed,
+    filmed_beside as filmed_beside,
+    read_beside as read_beside,
+)
 from ._fit_sections import Figure as Figure, Fit as Fit
 from ._hold_out import Parted as Parted, hold_out as hold_out, parted as parted
 from ._names import unique_names as unique_names
@@ -28,4 +34,9 @@ from ._read import (
 from ._run import Run as Run
 from ._select import observing as observing, rows_of as rows_of, windows as windows
 from ._template import sidecar_template as sidecar_template
+from ._tracked import (
+    TrackedPoints as TrackedPoints,
+    read_deeplabcut as read_deeplabcut,
+    read_kinovea as read_kinovea,
+)
 from ._write import write_files as write_files, write_run as write_run

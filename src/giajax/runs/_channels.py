@@ -19,11 +19,12 @@ class Channel:
     Attributes:
         name: `link06_z`, `joint01_command`, `tip_x`, `time`, ...
         kind: the row of the column table: `link_position`, `joint_command`, ...
-        index: 1-based number of the joint or link, or None.
-        component: 0, 1, 2 for x, y, z, or None.
-        quantity: `length`, `angle`, `angular_velocity`, `velocity`, `force`, `torque`,
+        index: 1-based number of the joint, link or landmark, or None.
+        component: 0, 1, 2 for x, y, z; 0, 1 for u, v; or None.
+        quantity: `length`, `pixel`, `angle`, `angular_velocity`, `velocity`, `force`, `torque`,
             `pressure`, `time`, `ratio` or `text`.
         unit: the suffix as recorded, `m`, `cm`, `deg`, ...; empty for a ratio or text.
+        camera: that the name begins with, as `side` of `side.link06_u`, or None.
     """
 
     name: str
@@ -32,6 +33,7 @@ class Channel:
     component: int | None
     quantity: str
     unit: str
+    camera: str | None = None
 
     @classmethod
     def named(cls, name: str, unit: str | None = None) -> "Channel":
@@ -125,9 +127,10 @@ def parse_columns(names: Iterable[str]) -> dict[str, Channel]:
     return channels
 
 
-def order(channel: Channel) -> tuple[int, int, int]:
-    """Sort key of the columns in a written file: kind, then number, then component."""
-    return (ROWS.index(channel.kind), channel.index or 0, channel.component or 0)
+def order(channel: Channel) -> tuple[int, str, int, int]:
+    """Sort key of the columns in a written file: kind, then camera, number and component."""
+    row = ROWS.index(channel.kind)
+    return (row, channel.camera or "", channel.index or 0, channel.component or 0)
 
 
 def _channel(row: NameMatch, unit: str) -> Channel:
@@ -137,7 +140,8 @@ def _channel(row: NameMatch, unit: str) -> Channel:
         name=row.match["name"],
         kind=row.kind,
         index=None if number is None else int(number),
-        component=None if component is None else "xyz".index(component),
+        component=(None if component is None else TABLE[row.kind].components.index(component)),
         quantity=TABLE[row.kind].quantity or QUANTITY_OF_SUFFIX[unit],
         unit=unit,
+        camera=groups.get("camera"),
     )

@@ -36,9 +36,9 @@ def _listed(columns: Iterable[str]) -> Iterator[str]:
     """Columns, of which those of one part of the arm share its name: `jointNN_angle, _rate`."""
     before = ""
     for column in columns:
-        part, numbered, rest = column.partition("NN")
-        yield rest if numbered and part == before else column
-        before = part if numbered else ""
+        part, _, rest = column.partition("_")
+        yield f"_{rest}" if rest and part == before else column
+        before = part
 
 
 def unknown_name(name: str, what: str) -> str:
@@ -68,7 +68,7 @@ def nearest(name: str, *, suffixes: bool = True) -> str | None:
     candidates = []
     for kind, row in TABLE.items():
         plain = row.column.replace("NN", number)
-        for channel in [plain[:-1] + c for c in "xyz"] if "_x" in plain else [plain]:
+        for channel in [plain[:-1] + c for c in row.components] or [plain]:
             candidates += [
                 f"{channel}_{unit}" if unit and suffixes else channel for unit in units_of(kind)
             ]

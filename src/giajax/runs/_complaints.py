@@ -91,6 +91,10 @@ def _locate(
             break
         path.append(part)
         field = owner.model_fields.get(part)
+        entries = getattr(owner, "entries", None)
+        if field is None and entries is not None:
+            owner = entries
+            continue
         if field is None:  # an unknown key, or a column in [noise]
             if location[-1] == part and owner.model_config.get("extra") == "allow":
                 field = next(iter(owner.model_fields.values()))

@@ -17,6 +17,7 @@ from ._duration import DURATION
 
 _NOISE = "a positive number, the standard deviation"
 _TIME = "a positive number of seconds"
+_WHOLE = ("position_m", "angle_deg", "rate_deg_per_s", "pixel_px")
 
 
 class Noise(Section):
@@ -33,6 +34,9 @@ class Noise(Section):
     rate_deg_per_s: Positive | None = key(
         _NOISE, "standard deviation of every joint rate", example=1.0
     )
+    pixel_px: Positive | None = key(
+        _NOISE, "standard deviation of every coordinate in a picture", example=2.0
+    )
     position_correlated_m: Positive | None = key(_NOISE, "the correlated part of position_m")
     position_correlation_s: Positive | None = key(_TIME, "how long that part is correlated")
     angle_correlated_deg: Positive | None = key(_NOISE, "the correlated part of angle_deg")
@@ -41,6 +45,8 @@ class Noise(Section):
         _NOISE, "the correlated part of rate_deg_per_s"
     )
     rate_correlation_s: Positive | None = key(_TIME, "how long that part is correlated")
+    pixel_correlated_px: Positive | None = key(_NOISE, "the correlated part of pixel_px")
+    pixel_correlation_s: Positive | None = key(_TIME, "how long that part is correlated")
 
     def correlated_part(self, name: str) -> tuple[float, float] | None:
         """Deviation, in the unit of a key, and time of the part of it that has a memory."""
@@ -56,7 +62,7 @@ class Noise(Section):
 
     @model_validator(mode="after")
     def _a_correlated_part_is_whole(self) -> "Noise":
-        for name in ("position_m", "angle_deg", "rate_deg_per_s"):
+        for name in _WHOLE:
             quantity, _, unit = name.partition("_")
             part, time = f"{quantity}_correlated_{unit}", f"{quantity}_correlation_s"
             size, of_part = getattr(self, name), getattr(self, part)
@@ -78,8 +84,9 @@ class Noise(Section):
                 channel = parse_column(name).name
             except InputError:
                 raise ValueError(
-                    f"key {name!r} must be {', '.join(type(self).model_fields)} or a column of "
-                    "the run: correct or remove it"
+                    f"key {name!r} must be {', '.join(_WHOLE)}, a part of one such as "
+                    "position_correlated_m with position_correlation_s, or a column of the run: "
+                    "correct or remove it"
                 ) from None
             if channel in stated:
                 raise ValueError(

@@ -114,7 +114,7 @@ def read_sidecar(path: str | Path) -> Definition:
     return definition
 
 
-def parse_rename(pairs: list[str]) -> dict[str, str]:
+def parse_rename(pairs: list[str], option: str = "--rename") -> dict[str, str]:
     """`["OLD=NEW", ...]` of the command line as a mapping.
 
     Raises:
@@ -126,10 +126,10 @@ def parse_rename(pairs: list[str]) -> dict[str, str]:
         old, equals, new = pair.rpartition("=")
         if not equals or not old or not new:
             raise InputError(
-                f"--rename {pair!r} must be OLD=NEW: give the file's name of the column and its "
+                f"{option} {pair!r} must be OLD=NEW: give the file's name of the column and its "
                 "name in the column table"
             )
         if old in rename:
-            raise InputError(f"--rename gives {old!r} twice, but must give it once: remove one")
+            raise InputError(f"{option} gives {old!r} twice, but must give it once: remove one")
         rename[old] = new
     return rename

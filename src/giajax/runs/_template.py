@@ -55,7 +55,10 @@ def _offered(kind: Kind, table: Table) -> list[str]:
     classes = kind.all_sections
     lines = []
     for offer in kind.offers(list(table.channels.values())):
-        section = classes.get(offer.section, Definition)
+        first, _, name = offer.section.partition(".")
+        section = classes.get(first, Definition)
+        if name and section.entries is not None:
+            section = section.entries
         if offer.section:
             comment = f"  # {offer.comment}" if offer.comment else ""
             lines += ["", f"[{offer.section}]{comment}"]

@@ -12,7 +12,7 @@ from ..parameters import default_free, get
 from ..runs import Definition, Run
 from ..simulation import SimulationError
 from ._recording_errors import RecordingErrors, with_errors
-from ._synthesise import predict_prepared
+from ._synthesise import blanked, predict_prepared
 
 # What a sidecar says of one recording, and not of what was recorded.
 _OF_THE_FILE = ("noise", "truth", "sha256", "fit", "figures", "origin", "licence")
@@ -56,6 +56,7 @@ def recorded_again(
     predicted, successful = predict_prepared(model, prepared, names)
     if not successful:
         raise SimulationError(model.failure(prepared))
+    hidden = model.unseen(prepared, names)
     known = [path for path in default_free(model) if path not in truth]
     sidecar = run.definition.contents()
     sections = {key: sidecar[key] for key in sidecar if key not in _OF_THE_FILE}
@@ -68,7 +69,7 @@ def recorded_again(
         sections["initial"] = {**kept, **model.initial_section(prepared)}
     exact = Run.from_arrays(
         run.times,
-        {**run.commands, **run.winds, **{n: np.asarray(predicted[n]) for n in names}},
+        {**run.commands, **run.winds, **{n: blanked(predicted[n], hidden.get(n)) for n in names}},
         name=name,
         definition=Definition.parse({"model": model.kind, **sections, "truth": facts}, name),
     )

@@ -94,9 +94,14 @@ def synthesise(
     predicted, successful = predict_prepared(model, prepared, tuple(channels))
     if not successful:
         raise SimulationError(model.failure(prepared))
+    hidden = model.unseen(prepared, tuple(channels))
     recorded = {
         channel: _record(
-            np.asarray(predicted[channel]), plan.noise(channel), missing, seed, channel
+            blanked(predicted[channel], hidden.get(channel)),
+            plan.noise(channel),
+            missing,
+            seed,
+            channel,
         )
         for channel in channels
     }
@@ -116,6 +121,14 @@ def predict_prepared(
 ) -> tuple[Channels, Bool[Array, ""]]:
     """What a model predicts for a prepared run, compiled, and whether that succeeded."""
     return model.predict(inputs, channels)
+
+
+def blanked(values: npt.ArrayLike, hidden: npt.NDArray[np.bool_] | None) -> npt.NDArray[np.float64]:
+    """What a model predicts of a channel, NaN where no experiment could record it."""
+    shown = np.array(values, dtype=float)
+    if hidden is not None:
+        shown[hidden] = np.nan
+    return shown
 
 
 def _record(

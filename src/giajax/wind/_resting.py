@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from .._errors import InputError
-from ..models import ArmModel
+from ..models import ArmModel, camera_of, clock_of
 from ..runs import Run
 from ..synthetic import RESOLVED
 from ._multitaper import TAPERS
@@ -169,8 +169,12 @@ def _filled(run: Run, kept: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, 
 
 
 def _delay(model: ArmModel, run: Run, name: str) -> float:
-    position = run.channels[name].quantity == "length"
-    delay = (model.sensors.camera if position else model.sensors.encoder).delay
+    channel = run.channels[name]
+    if channel.quantity == "pixel":
+        delay = clock_of(model.sensors, camera_of(model.sensors, channel))
+    else:
+        position = channel.quantity == "length"
+        delay = (model.sensors.camera if position else model.sensors.encoder).delay
     return 0.0 if delay is None else float(delay)
 
 

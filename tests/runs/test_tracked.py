@@ -1,0 +1,154 @@
+"""Tracked points of other programs: files of their true form, and what is wrong in them."""
+
+import numpy as np
+import pytest
+
+from giajax import InputError, read_run
+from giajax.cli import main
+from giajax.runs import read_deeplabcut, read_kinovea
+
+SCORER = "DLC_resnet50_armSep1shuffle1_100000"
+# As pandas writes it: the scorer's name, the body parts and x, y, likelihood for each.
+DEEPLABCUT = (
+    f"scorer,{','.join([SCORER] * 6)}\n"
+    "bodyparts,elbow,elbow,elbow,tip end,tip end,tip end\n"
+    "coords,x,y,likelihood,x,y,likelihood\n"
+    "0,403.84326,520.2443,0.8864096,393.53666,528.21704,0.843187\n"
+    "1,404.5,521.0,0.31,394.0,529.0,0.99\n"
+    "3,405.0,522.0,0.99,,,\n"
+)
+ANIMALS = (
+    f"scorer,{','.join([SCORER] * 4)}\n"
+    "individuals,left,left,right,right\n"
+    "bodyparts,tip,tip,tip,tip\n"
+    "coords,x,y,x,y\n"
+    "0,1.0,2.0,3.0,4.0\n"
+    "1,1.5,2.5,3.5,4.5\n"
+)
+# Kinovea encloses cells in quotes, leaves those without a value empty, and ends rows by CRLF.
+KINOVEA = (
+    '"Time","Marker 1/0/X","Marker 1/0/Y","Marker 2/0/X","Marker 2/0/Y"\r\n'
+    '"0","100.5","20.25",,\r\n'
+    '"0.04","101","21","-5","300"\r\n'
+)
+
+
+def write(folder, text, name="points.csv"):
+    path = folder / name
+    path.write_text(text, newline="")
+    return path
+
+
+@pytest.mark.quick
+def test_deeplabcut_counts_pictures_and_drops_what_is_unlikely(tmp_path):
+    points = read_deeplabcut(write(tmp_path, DEEPLABCUT), rate=50.0)
+    np.testing.assert_allclose(points.times, [0, 0.02, 0.06])
+    assert list(points.points) == ["elbow", "tip end"]
+    elbow = [[403.84326, 520.2443], [np.nan, np.nan], [405, 522]]
+    np.testing.assert_array_equal(points.points["elbow"], elbow)
+    assert np.isnan(points.points["tip end"][2]).all()
+    bolder = read_deeplabcut(write(tmp_path, DEEPLABCUT), rate=50.0, likelihood=0.3)
+    np.testing.assert_array_equal(bolder.points["elbow"][1], [404.5, 521.0])
+
+
+@pytest.mark.quick
+def test_deeplabcut_of_several_animals_names_them(tmp_path):
+    points = read_deeplabcut(write(tmp_path, ANIMALS), rate=10.0).points
+    np.testing.assert_array_equal(points["left/tip"], [[1, 2], [1.5, 2.5]])
+    np.testing.assert_array_equal(points["right/tip"], [[3, 4], [3.5, 4.5]])
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize(
+    "text",
+    [
+        KINOVEA,
+        KINOVEA.replace(".", ","),
+        KINOVEA.replace(".", ",").replace('","', '";"').replace('",,', '";;'),
+    ],
+    ids=["point", "comma", "semicolon"],
+)
+def test_kinovea_has_y_upwards_from_its_origin(tmp_path, text):
+    points = read_kinovea(write(tmp_path, text), origin=(10.0, 1079.0))
+    np.testing.assert_allclose(points.times, [0, 0.04])
+    np.testing.assert_allclose(points.points["Marker 1"], [[110.5, 1058.75], [111, 1058]])
+    np.testing.assert_allclose(points.points["Marker 2"], [[np.nan, np.nan], [5, 779]])
+    later = read_kinovea(write(tmp_path, text), origin=(0, 0), time_unit="ms")
+    np.testing.assert_allclose(later.times, [0, 4e-5])
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("time_s,tip_u_px\n0,1\n", "is not a file of DeepLabCut"),
+        (DEEPLABCUT.replace("404.5", "left"), "row 5 has 'left', which must be a number"),
+        (DEEPLABCUT.replace("1,404.5", "404.5"), "row 5 has 6 cells"),
+        (DEEPLABCUT.replace("\n3,", "\n1,"), "each once"),
+        (DEEPLABCUT.replace("x,y,l", "x,z,l", 1), "'elbow' has no columns x and y"),
+        (DEEPLABCUT.split("\n0,")[0] + "\n", "no rows"),
+    ],
+)
+def test_a_bad_file_of_deeplabcut_is_one_sentence(tmp_path, text, says):
+    with pytest.raises(InputError) as caught:
+        read_deeplabcut(write(tmp_path, text), rate=50.0)
+    assert says in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize(
+    "text", [DEEPLABCUT, KINOVEA.replace("1/0/Y", "2/0/Y", 1), '"Time"\r\n"0"\r\n', ""]
+)
+def test_a_bad_file_of_kinovea_is_one_sentence(tmp_path, text):
+    with pytest.raises(InputError, match="is not a file of Kinovea"):
+        read_kinovea(write(tmp_path, text), origin=(0.0, 0.0))
+
+
+@pytest.mark.quick
+def test_two_cameras_and_a_log_become_one_run(tmp_path, capsys):
+    """Each camera and the log keep their own times; commands go between their rows."""
+    log = write(tmp_path, "time_s,joint01_command_deg\n0,0\n0.05,10\n", "log.csv")
+    film, other = write(tmp_path, DEEPLABCUT), write(tmp_path, KINOVEA, "kinovea.csv")
+    first, run = tmp_path / "first.csv", tmp_path / "run.csv"
+    options = ["--rate", "50", "--point", "elbow=link03", "--point", "tip end=tip"]
+    arguments = [str(film), *options, "--camera", "side", "--commands", str(log)]
+    assert main(["import", *arguments, "--out", str(first)]) == 0
+    assert "3 pictures, 4 points found of 6" in capsys.readouterr().out
+    options = ["--kinovea-origin", "0,1079", "--point", "Marker 1=mark01", "--camera", "top"]
+    arguments = [str(other), *options, "--commands", str(first)]
+    assert main(["import", *arguments, "--out", str(run)]) == 0
+    table = read_run(run)
+    np.testing.assert_allclose(table.times, [0, 0.02, 0.04, 0.05, 0.06])
+    command = np.deg2rad([0, 4, 8, 10, 10])
+    np.testing.assert_allclose(table.values["joint01_command"], command)
+    np.testing.assert_allclose(table.values["side.link03_u"][[0, 4]], [403.84326, 405])
+    assert np.isnan(table.values["side.link03_u"][1:4]).all()
+    np.testing.assert_allclose(table.values["top.mark01_v"][[0, 2]], [1058.75, 1058])
+    # The template has a section for each camera and landmark, and the noise of pixels.
+    assert main(["init", str(run)]) == 0
+    text = run.with_suffix(".toml").read_text()
+    for line in ("[camera.side]", "[camera.top]", "[landmark.mark01]", "# pixel_px = 2.0"):
+        assert line in text
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ([], "give --rate for a file of DeepLabCut"),
+        (["--rate", "50"], "no tracked point is a channel"),
+        (["--rate", "50", "--point", "nose=tip"], "there is no tracked point 'nose'"),
+        (["--rate", "50", "--point", "elbow=wrist"], "is called 'wrist', which a camera does not"),
+        (["--rate", "50", "--point", "elbow"], "--point 'elbow' must be OLD=NEW"),
+        (["--rate", "0", "--point", "elbow=tip"], "the rate is 0"),
+        (["--kinovea-origin", "5", "--point", "elbow=tip"], "must be two numbers"),
+        (["--rate", "50", "--point", "elbow=tip", "--likelihood", "2"], "no picture in which"),
+        (["--rate", "50", "--point", "elbow=tip", "--point", "tip end=tip"], "are called 'tip'"),
+    ],
+)
+def test_what_an_import_must_say(tmp_path, capsys, options, says):
+    film, out = write(tmp_path, DEEPLABCUT), tmp_path / "run.csv"
+    assert main(["import", str(film), *options, "--out", str(out)]) == 2
+    assert says in capsys.readouterr().err
+    assert not out.exists()
