@@ -57,7 +57,7 @@ class OwnHeights(AbstractModel):
     for_runs = from_definition = classmethod(lambda cls, _: cls(curve()))
     scene = failure = integration = lambda self, *_: None
     refined = with_integration = at_start = for_derivatives = lambda self, *_, **__: self
-    derived = definition = variants = initial_section = lambda self, *_: {}
+    derived = definition = variants = initial_section = unseen = lambda self, *_: {}
     conditions = lambda self, *_: []  # noqa: E731
     free_inputs = lambda self, run: ("height",)  # noqa: E731
 

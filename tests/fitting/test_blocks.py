@@ -52,6 +52,7 @@ class OwnHeights(AbstractModel):
     integration = Decay.integration
     with_integration = Decay.with_integration
     at_start = Decay.at_start
+    unseen = Decay.unseen
     derived = Decay.derived
     scene = Decay.scene
     variants = Decay.variants

@@ -64,18 +64,6 @@ class _Named(Section):
 
     model_config: ClassVar[ConfigDict] = ConfigDict(extra="allow", strict=True, frozen=True)
 
-    def values(self) -> dict[str, Any]:
-        """The quantities that the file has, by path, in SI."""
-        return {
-            path.replace(".NAME.", f".{name}."): value
-            for name, entry in self.named().items()
-            for path, value in entry.values().items()
-        }
-
-    def named(self) -> dict[str, Any]:
-        """The sections by name."""
-        return dict(self.__pydantic_extra__ or {})
-
 
 class CamerasSection(_Named):
     """`[camera]`: the cameras that show pixels, by name."""

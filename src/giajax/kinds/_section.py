@@ -75,7 +75,14 @@ class Section(BaseModel):
                 place = None if part.key is None else part.key.place
                 number = value if place is None else value[place]
                 values[part.path] = np.asarray(np.multiply(number, part.factor), dtype=float)
+        for name, entry in self.named().items():
+            for path, value in entry.values().items():
+                values[path.replace(".NAME.", f".{name}.")] = value
         return values
+
+    def named(self) -> dict[str, Any]:
+        """The sections in it whose names a file chooses, by name."""
+        return {} if self.entries is None else dict(self.__pydantic_extra__ or {})
 
     @classmethod
     def keys_of(cls, values: Mapping[str, npt.ArrayLike]) -> dict[str, Any]:

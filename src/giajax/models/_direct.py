@@ -3,6 +3,9 @@
 from collections.abc import Sequence
 from typing import Any, Self
 
+import numpy as np
+import numpy.typing as npt
+
 from .._errors import InputError
 from ..runs import Run
 from ._protocol import AbstractModel, Integration
@@ -13,6 +16,10 @@ class AbstractDirectModel(AbstractModel):
 
     Says for all such models what they would say alike; the arm is the one that has both.
     """
+
+    def unseen(self, inputs: Any, channels: tuple[str, ...]) -> dict[str, npt.NDArray[np.bool_]]:
+        """None: whatever it has can be recorded at any time."""
+        return {}
 
     def variants(self) -> dict[str, Self]:
         """None: it has no choice that parameters do not make."""

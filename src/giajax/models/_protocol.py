@@ -126,15 +126,15 @@ class AbstractModel(eqx.Module):
             SimulationError: the model cannot be evaluated.
         """
 
+    # `AbstractDirectModel` says what follows for its models.
+
+    @abc.abstractmethod
     def unseen(self, inputs: Any, channels: tuple[str, ...]) -> dict[str, npt.NDArray[np.bool_]]:
         """Samples of a prepared run at which an experiment could not record a channel.
 
         By channel, each of shape (sample,), such as where a point is out of a camera's picture;
-        what it does not name is always recorded, as is everything of most models.
+        what it does not name is always recorded.
         """
-        return {}
-
-    # `AbstractDirectModel` says what follows for its models.
 
     @abc.abstractmethod
     def variants(self) -> dict[str, Self]:
