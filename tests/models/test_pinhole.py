@@ -97,7 +97,7 @@ def test_pixels_do_not_change_where_camera_and_world_move_together():
 
 
 def test_derivatives_are_those_of_differences_also_behind_and_unturned():
-    points = jnp.array([[5.0, 1.0, -0.4], [0.3, 2.0, 1.0], [NEAR / 2, 0.1, 0.2], [-0.3, 0.1, 0.2]])
+    points = jnp.array([[5.0, 1.0, -0.4], [0.3, 2.0, 1.0], [0.0, 0.1, 0.2], [-0.3, 0.1, 0.2]])
 
     @jax.jit
     def pixels(values):
