@@ -127,3 +127,20 @@ def test_what_is_fitted_is_not_asked_for():
     assert (mass.kind, mass.value, mass.unit, mass.lower) == ("factor", 1, "", 0)
     assert mass.direction.step.tolist() == pytest.approx([0.04, 0.05, 0.05, 0.05])
     assert set(asked.impossible) == {"air.axial_coefficient"}
+
+
+@pytest.mark.long
+def test_added_mass_in_a_wind_that_changes_is_not_tested_where_it_is_not_neutral():
+    """Air that speeds up presses on what displaces it: with a coefficient of 0, too."""
+    model = replace(arm(), small_arm.TRUTH)
+    wind = {"wind_x": 0.3 * RAMP, "wind_y": 0.0 * RAMP, "wind_z": 0.5 * np.sin(TIMES)}
+    noise = {"position": small_arm.NOISE}
+    run = giajax.synthesise(model, TIMES, {**COMMANDS, **wind}, CHANNELS, noise=noise, seed=1)
+    free = ["air.drag_coefficient", "joints.pitch_stiffness"]
+    result = giajax.fit(model, run, free=free, start={"joints.pitch_stiffness": 2.0}, check=False)
+    found = giajax.suspects(result, run)
+    assert found.chi_square == pytest.approx(2 * result.cost, rel=0.05)
+    assert found.significant == ()
+    row = found.of("air.added_mass_coefficient")
+    assert not row.testable
+    assert "no test can begin there: free it in a fit" in row.note

@@ -9,6 +9,9 @@ from curves import NOISE, TRUTH, OwnHeights, curve, recorded
 
 from giajax import InputError, fit, suspects
 from giajax.diagnosis import with_suspects
+from giajax.diagnosis._candidates import inquiry
+from giajax.diagnosis._neutral import is_disturbed
+from giajax.diagnosis._suspects import linearised
 from toy_model import Decay, run
 
 FREE = ["amplitude", "decay"]
@@ -189,3 +192,14 @@ def test_bad_input():
 def test_truth_is_not_where_the_fits_begin():
     assert TRUTH["amplitude"] != 1.5
     assert TRUTH["decay"] != 0.9
+
+
+def test_responses_that_are_not_those_of_the_fit_are_noticed():
+    """A part that is on at its neutral value must change nothing."""
+    recording = recorded(offset=0.1)
+    result = fitted(recording)
+    (at,) = linearised(result, [recording], inquiry(result.model, list(result.free)))
+    assert not is_disturbed(result, [recording], [at])
+    random = np.random.default_rng(0).normal(size=at.predicted.shape)
+    moved = dataclasses.replace(at, predicted=at.predicted + NOISE * random)
+    assert is_disturbed(result, [recording], [moved])

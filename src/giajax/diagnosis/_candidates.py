@@ -66,6 +66,7 @@ def inquiry(
     free: Sequence[str],
     each: Sequence[str] = (),
     ties: Mapping[str, str] | None = None,
+    without: Mapping[str, str] | None = None,
 ) -> Inquiry:
     """All that may be asked of a fitted model.
 
@@ -75,6 +76,7 @@ def inquiry(
         each: paths of arrays whose elements are asked for one by one, and together, in place of
             all in proportion.
         ties: expressions by the paths of what follows from them.
+        without: paths of what is not to be switched on, and why.
 
     Returns:
         The model with everything on, and the directions of its parameters.
@@ -82,9 +84,9 @@ def inquiry(
     Raises:
         InputError: `each` names what is no array of this model.
     """
-    impossible = {}
+    impossible = dict(without or {})
     for path, absent in left_out(model).items():
-        if absent.declaration.has_states:
+        if absent.declaration.has_states or path in impossible:
             continue
         try:
             model = absent.set(model, absent.declaration.neutral)

@@ -13,6 +13,7 @@ from ..runs import Run
 from ._axes_test import axes_row
 from ._candidates import Inquiry, inquiry
 from ._ended import Moved, responses_of
+from ._neutral import is_disturbed, not_neutral
 from ._projection import projected
 from ._records import Suspects
 from ._rows import impossible_row, parameter_rows, switch_row
@@ -58,8 +59,13 @@ def suspects(result: FitResult, runs: Run | Sequence[Run], *, each: Sequence[str
         'camera.delay'
     """
     runs = matching_runs(result.runs, runs)
-    asked = inquiry(result.model, list(result.free), each, result.config.get("ties"))
-    return tested(result, runs, asked, linearised(result, runs, asked))
+    of_this_fit = result.model, list(result.free), each, result.config.get("ties")
+    asked = inquiry(*of_this_fit)
+    at = linearised(result, runs, asked)
+    if is_disturbed(result, runs, at):
+        asked = inquiry(*of_this_fit, not_neutral(result, runs))
+        at = linearised(result, runs, asked)
+    return tested(result, runs, asked, at)
 
 
 def linearised(result: FitResult, runs: Sequence[Run], asked: Inquiry) -> list[Response]:
