@@ -76,9 +76,10 @@ def not_neutral(result: FitResult, runs: Sequence[Run]) -> dict[str, str]:
         )
 
     def within(paths: Sequence[str]) -> list[str]:
-        """Those of some paths of which at least one changes something."""
+        """Those of some paths of which at least one ought to change something."""
         if len(paths) < 2:
-            return list(paths)
+            # If none does by itself, it is the integrator's steps that do.
+            return [path for path in paths if changes([path])]
         first, second = paths[: len(paths) // 2], paths[len(paths) // 2 :]
         in_first = changes(first)
         in_second = changes(second) if in_first else True
