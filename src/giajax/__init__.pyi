@@ -161,10 +161,12 @@ from .runs import (
 from .simulation import (
     RESULTS as RESULTS,
     SOLVERS as SOLVERS,
+    Contacts as Contacts,
     Pressures as Pressures,
     Signal as Signal,
     SimulationError as SimulationError,
     Trajectory as Trajectory,
+    contacts as contacts,
     joint_ramps as joint_ramps,
     joint_steps as joint_steps,
     logged as logged,

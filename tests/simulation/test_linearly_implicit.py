@@ -15,7 +15,8 @@ from giajax.arm import takeichi_20m
 from giajax.parameters import replace
 from giajax.simulation import constant, joint_ramps, joint_steps, ramps, simulate
 from giajax.simulation._linearly_implicit import LinearlyImplicit
-from giajax.simulation._motion import Inputs, motion, pull, springs
+from giajax.simulation._motion import Inputs, motion
+from giajax.simulation._springs import pull, springs
 from giajax.simulation._tableau import tableau
 from peers.arms import driven_arm
 

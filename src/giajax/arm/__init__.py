@@ -11,6 +11,11 @@ from ._atmosphere import (
 from ._axes import named_axes as named_axes
 from ._bodies import Bodies as Bodies, bodies as bodies, lift as lift
 from ._build import chain as chain
+from ._contact import Contact as Contact
+from ._contact_stiffness import (
+    Stiffness as Stiffness,
+    contact_stiffness as contact_stiffness,
+)
 from ._cylinder import cylinder_drag_coefficient as cylinder_drag_coefficient
 from ._dynamics import (
     acceleration as acceleration,
@@ -50,4 +55,6 @@ from ._presets import (
     takeichi_20m_full as takeichi_20m_full,
 )
 from ._stops import Stops as Stops
+from ._touch import Touch as Touch, contact_energy as contact_energy, touch as touch
+from ._touched import touched as touched
 from ._trim import net_lift as net_lift, trimmed as trimmed

@@ -13,6 +13,7 @@ from .._typing import Array, Float, Scalar
 from ..parameters import inline, parameter
 from ..quantities import BASE
 from ._atmosphere import Air
+from ._contact import Contact
 from ._joints import Joints
 from ._links import Links
 from ._masses import Buoyancy, PointMasses
@@ -33,6 +34,7 @@ class Arm(eqx.Module):
         buoyancy: helium and trim weights; None where lift and weight are no part of the model.
         point_masses: bodies fixed to links; None for none.
         pneumatics: muscles that drive joints, in place of their springs; None where springs do.
+        contact: obstacles around the arm, and how links press against them; None for none.
         base_rotation: rotation vector of the straight arm, rad, shape (3,).
         gravity: along -z, m/s^2.
     """
@@ -43,6 +45,7 @@ class Arm(eqx.Module):
     buoyancy: Buoyancy | None = None
     point_masses: PointMasses | None = None
     pneumatics: Pneumatics | None = inline(default=None)
+    contact: Contact | None = None
     base_rotation: Float[Array, "3"] = parameter(BASE.base_rotation)
     gravity: Scalar = parameter(BASE.gravity)
 

@@ -13,6 +13,7 @@ from ..parameters import checked, declaration, find, switched_on
 from ._arm import Arm
 from ._atmosphere import Air
 from ._axes import named_axes
+from ._contact import Contact
 from ._joints import Joints
 from ._links import Links
 from ._masses import Buoyancy, PointMasses
@@ -42,6 +43,7 @@ def chain(
     point_masses: PointMasses | None = None,
     muscles: str | Sequence[int] | None = None,
     pair: JointPair | None = None,
+    contact: Contact | None = None,
     parameters: Mapping[str, Any] | None = None,
 ) -> Arm:
     """Build an arm; by default that of the paper (`takeichi_20m`).
@@ -70,6 +72,7 @@ def chain(
             numbers from 1 on; none by default.
         pair: the joint and the law of its muscles, the same in each; by default braided muscles,
             with corrections that are blended over 1 deg about 0.
+        contact: obstacles around the arm, and how links press against them; none by default.
         parameters: values of any parameters by path, SI (`giajax parameters` lists them); one
             that is left out by default, such as `air.added_mass_coefficient`, is switched on.
 
@@ -138,6 +141,7 @@ def chain(
         buoyancy=Buoyancy(trim_position=length / 2) if buoyancy or trim else None,
         point_masses=point_masses,
         pneumatics=pneumatics,
+        contact=contact,
         base_rotation=base_rotation,
         gravity=gravity,
     )

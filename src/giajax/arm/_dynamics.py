@@ -12,6 +12,7 @@ from ._arm import Arm
 from ._inertia import carried_inertia, mass_matrix_upper
 from ._kinematics import Pose, pose, sum_from_tip
 from ._load import carried_load, load_torque, required_torque
+from ._touch import touch
 
 
 def acceleration(
@@ -24,6 +25,7 @@ def acceleration(
     torque: Float[Array, " joint"] | None = None,
     memory: Float[Array, "row joint"] | None = None,
     pressures: Float[Array, "2 joint"] | None = None,
+    skin: Float[Array, "3 link"] | None = None,
 ) -> Float[Array, " joint"]:
     """Joint accelerations of the arm under its commands, rad/s^2: its equation of motion.
 
@@ -39,6 +41,7 @@ def acceleration(
         memory: states of the joints' hysteresis (`JointHysteresis`); without strain by default.
         pressures: in the muscles of joints that have some (`Pneumatics`), Pa; by default those with
             which their controller holds the command.
+        skin: stretch of the links' skin along obstacles (`Contact`), m; none by default.
 
     Returns:
         Accelerations, rad/s^2, shape (joint,).
@@ -46,6 +49,8 @@ def acceleration(
     total = joint_torque(arm, angles, rates, command, memory, pressures)
     if torque is not None:
         total = total + torque
+    if arm.contact is not None:
+        total = total + touch(arm, angles, rates, skin).torque
     return forward_dynamics(arm, angles, rates, total, wind, wind_rate)
 
 

@@ -14,6 +14,7 @@ from ._arm_inputs import (
 from ._arm_sections import (
     MUSCLE_KEYS as MUSCLE_KEYS,
     ArmSection as ArmSection,
+    Obstacle as Obstacle,
     PointMass as PointMass,
     SensorsSection as SensorsSection,
 )

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 
 from .._errors import InputError
+from ..quantities import CONTACT
 from ._arm_channels import CHANNELS, COMMANDS, DEFAULT_LINKS, DEFAULT_PRESET, PIXELS, WINDS
 from ._arm_inputs import CommandSection, InitialSection, WindSection
 from ._arm_pressures import PRESSURES, check_pressures
@@ -49,6 +50,13 @@ def _check(content: Content, wording: Wording) -> None:
         definition.section(CamerasSection).check_mounts(links)
     except ValueError as error:
         raise InputError(f"{wording.source}: [camera] {error}") from None
+    for quantity in CONTACT:
+        key = "" if quantity.key is None else quantity.key.name
+        if getattr(section, key) is not None and not section.obstacles:
+            raise InputError(
+                f"{wording.source}: arm.{key} is stated, but no obstacles: add them as "
+                "[[arm.obstacles]], or remove it"
+            )
     for body in section.point_masses or ():
         if links is not None and body.link > links:
             raise InputError(

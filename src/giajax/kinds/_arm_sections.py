@@ -11,12 +11,14 @@ from ..quantities import (
     BASE,
     BUOYANCY,
     CAMERA,
+    CONTACT,
     ENCODER,
     JOINTS,
     LINKS,
     MARKER,
 )
 from ._keys import with_keys
+from ._obstacle import Obstacle as Obstacle, check_names
 from ._other_parameters import check_bounds, check_stated_once
 from ._point_mass import PointMass as PointMass
 from ._section import Finite, Name, Section, Vector, each_of, flat, key
@@ -39,7 +41,7 @@ class _Links(Section):
     )
 
 
-@with_keys(JOINTS, BASE, AIR, BUOYANCY)
+@with_keys(JOINTS, BASE, AIR, BUOYANCY, CONTACT)
 class _Surroundings(_Links):
     """Its joints, how it stands, and the air."""
 
@@ -83,6 +85,11 @@ class ArmSection(_Surroundings):
         "bodies fixed to links",
         example=[{"link": 20, "mass_kg": 0.003, "position_m": 0.99}],
     )
+    obstacles: list[Obstacle] | None = key(
+        "a list of tables with shape, name and centre_m",
+        "what links may touch: boxes, planes, walls with an opening",
+        example=[{"shape": "plane", "name": "ground", "centre_m": [0, 0, -8], "normal": [0, 0, 1]}],
+    )
     muscles: Literal["pitch", "all"] | list[Annotated[int, Field(ge=1, le=MOST_LINKS)]] | None = (
         key(
             '"pitch", "all" or a list of numbers of joints',
@@ -121,6 +128,12 @@ class ArmSection(_Surroundings):
     def _within_bounds(cls, table: dict[str, float | list[float]] | None) -> Any:
         check_bounds(table or {})
         return table
+
+    @field_validator("obstacles")
+    @classmethod
+    def _obstacles_have_names(cls, obstacles: list[Obstacle] | None) -> Any:
+        check_names(obstacles or [])
+        return obstacles
 
     @field_validator("joint_axes")
     @classmethod

@@ -6,13 +6,14 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from ..arm import MUSCLE_BLEND, Arm, Pneumatics, PointMasses, chain, named_axes, preset
+from ..arm import MUSCLE_BLEND, Arm, Contact, Pneumatics, PointMasses, chain, named_axes, preset
 from ..joint import MUSCLE_LAWS as LAWS, Correction, Joint, JointPair
 from ..kinds import DEFAULT_PRESET, ArmSection, PointMass
 from ..parameters import declared, default_free
 from ..quantities import BUOYANCY, POINT_MASSES, Declaration
 from ..runs import Definition
 from ._build import parameter_values
+from ._obstacles import entries_of, obstacles_from
 
 # Keys of [arm] that are arguments of `chain`.
 _CHOICES = (
@@ -51,6 +52,8 @@ def arm_from_definition(definition: Definition) -> Arm:
         changes |= {"muscles": keys["muscles"], "pair": _pair(section)}
     if "point_masses" in keys:
         changes["point_masses"] = _point_masses(section.point_masses or [])
+    if section.obstacles:
+        changes["contact"] = Contact(obstacles=obstacles_from(section.obstacles))
     name = keys.get("preset", DEFAULT_PRESET)
     return preset(name, keys.get("links") or _listed(section), **changes)
 
@@ -133,6 +136,8 @@ def arm_to_definition(arm: Arm) -> dict[str, Any]:
         facts["added_mass"] = arm.air.added_mass
     if arm.pneumatics is not None:
         facts |= _muscle_keys(arm.pneumatics, arm)
+    if arm.contact is not None:
+        facts["obstacles"] = entries_of(arm.contact.obstacles)
     if arm.point_masses is not None:
         facts["point_masses"] = _entries(arm.point_masses)
     keyed = {part.path for parts in ArmSection.quantities.values() for part in parts}

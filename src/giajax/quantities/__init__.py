@@ -8,6 +8,7 @@ computes with it.
 
 from ._air import AIR as AIR, BUOYANCY as BUOYANCY
 from ._cameras import LANDMARK as LANDMARK, PINHOLE as PINHOLE
+from ._contact import CONTACT as CONTACT
 from ._declaration import Declaration as Declaration, Group as Group, Key as Key
 from ._expression import Expression as Expression
 from ._hysteresis import (

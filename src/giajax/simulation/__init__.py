@@ -1,5 +1,6 @@
 """Motion over time: inputs, integration by diffrax, and its result."""
 
+from ._contacts import Contacts as Contacts, contacts as contacts
 from ._disturbances import (
     STEPS_FOR as STEPS_FOR,
     StepsFor as StepsFor,

@@ -1,4 +1,4 @@
-"""What happens to joints that slide, at the end of each step of any integration method."""
+"""What happens where something slides, at the end of each step of any integration method."""
 
 import dataclasses
 from typing import Any
@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from .._typing import Array, Bool
+from ..arm import touch
 from ._motion import State
 from ._turns import angle_after, turns
 
@@ -19,7 +20,7 @@ Carried = tuple[Any, Bool[Array, ""]]
 def catching_up(
     solver: diffrax.AbstractAdaptiveSolver, rtol: Any, atol: Any, derivatives: str
 ) -> "CatchingUp":
-    """A method whose steps end with the return mapping of sliding elements.
+    """A method whose steps end with the return mapping of what slides.
 
     Arguments:
         solver: the method.
@@ -41,7 +42,8 @@ class CatchingUp(diffrax.AbstractAdaptiveSolver):
     follow the angles of the joints, limited: in a motion in one direction that is exact. At its
     end they catch up with the joints (Moreau's sweeping process; the return mapping of
     plasticity), first with the angle at which a joint turned round on its way. What that changes
-    the torques did not know, and counts as an error of the step.
+    the torques did not know, and counts as an error of the step. The skin of links that slide
+    along an obstacle catches up in the same way.
 
     Reference: J. C. Simo, T. J. R. Hughes, Computational Inelasticity, Springer 1998, chapter 1.
 
@@ -110,9 +112,19 @@ class CatchingUp(diffrax.AbstractAdaptiveSolver):
         memory = hysteresis.caught_up(y1[0], hysteresis.caught_up(extreme, held))
         unknown = jax.lax.stop_gradient(memory - direct)
         y1 = jnp.concatenate([y1[:2], memory, y1[last:]])
+        y1 = _slid(args, y1)
         assert y_error is not None
         y_error = y_error.at[2:last].add(unknown)
         return y1, y_error, dense, (inner, jnp.any(unknown != 0)), result
+
+
+def _slid(args: Any, state: State) -> State:
+    """The state with the skin of links stretched no further than friction holds it."""
+    contact, parts = args.arm.contact, args.parts(state)
+    if contact is None or not parts.skin.size:
+        return state
+    met = touch(args.arm, parts.angles, parts.rates, parts.skin)
+    return state.at[-contact.rows :].set(contact.hold(parts.skin, met.normal))
 
 
 def _extreme(step: Any, y0: State, y1: State) -> Array:

@@ -83,9 +83,10 @@ def integrate(
         implicit = isinstance(method, LinearlyImplicit)
         fastest = Rates(rate, fastest_rate(arm, state[0], springs=False) if implicit else rate)
     moved = Inputs(arm, command, wind, torque, eqxi.prevbefore(end), pressure)
+    slides = hysteresis.stops.rows > 0 or (arm.contact is not None and arm.contact.rows > 0)
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(motion),
-        catching_up(method, rtol, atol, derivatives) if hysteresis.stops.rows else method,
+        catching_up(method, rtol, atol, derivatives) if slides else method,
         t0=begin,
         t1=end,
         dt0=None,
@@ -100,7 +101,7 @@ def integrate(
         throw=False,
     )
     assert solution.ys is not None
-    angles, rates, memory, muscles = jax.vmap(moved.parts)(solution.ys)
+    angles, rates, memory, muscles, skin = jax.vmap(moved.parts)(solution.ys)
     steps = jnp.stack(
         [
             jnp.asarray(solution.stats["num_accepted_steps"]),
@@ -114,6 +115,7 @@ def integrate(
         # Within a step sliding elements have not caught up yet.
         memory=jax.vmap(hysteresis.caught_up)(angles, memory) if hysteresis.rows else None,
         pressures=None if arm.pneumatics is None else jax.vmap(moved.inside)(times, muscles),
+        skin=skin if skin.size else None,
         arm=arm,
         command=command,
         wind=wind,

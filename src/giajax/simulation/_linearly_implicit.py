@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from .._typing import Array, Bool, Scalar
 from ._interpolation import QuinticInterpolation, State
-from ._motion import Springs
+from ._springs import Springs
 from ._tableau import tableau
 
 # Whether the slope at the start of the next step is known, and the slope.
@@ -39,7 +39,8 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
 
     Where joints remember, or pressures lag, J has the slopes of these states z, too: of the torque
     by z, and of dz/dt by z and by the rate. Each state depends on its own joint alone, so that it
-    drops out of the matrix and adds to the damping. What supplies pressures is explicit.
+    drops out of the matrix and adds to the damping. What supplies pressures is explicit. Contact
+    adds its stiffness and damping, which couple the joints, and the skin of links that stick.
 
     Source: Kennedy and Carpenter, Applied Numerical Mathematics 44 (2003) 139; the coefficients
     are those of `diffrax.KenCarp5`.
@@ -124,7 +125,7 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
         """What solves (1 - scale J) x = b + scale g, of b and the torque in g."""
         # The order holds for every J, so that of the equation for a derivative holds with J
         # taken for a constant, too: that equation has J again, and terms that are not stiff.
-        scale, (mass, stiffness, damping, strain) = jax.lax.stop_gradient(
+        scale, (mass, stiffness, damping, strain, contact) = jax.lax.stop_gradient(
             (scale, self.springs(time, state, args))
         )
         spring = scale * stiffness
@@ -134,7 +135,17 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
             kept = 1 / (1 + scale * strain.forgetting)
             torque = scale * strain.torque * kept
             damper = damper + jnp.sum(torque * scale * strain.filling, axis=0)
-        factor = jnp.linalg.cholesky(mass + jnp.diag(damper), symmetrize_input=False)
+        count = 0 if strain is None else len(strain.torque)
+        matrix, sticking = mass + jnp.diag(damper), None
+        if contact is not None:
+            pressing = scale * contact.angles
+            resisting = scale * (contact.rates + pressing)
+            if contact.sticking is not None:
+                sticking = contact.sticking.reshape(-1, len(damper))
+                stretching = scale * contact.skin * sticking.T
+                resisting = resisting + stretching @ (scale * sticking)
+            matrix = matrix + resisting
+        factor = jnp.linalg.cholesky(matrix, symmetrize_input=False)
         # Seven stages, and as many for each derivative: products are cheaper than solutions.
         half = jax.lax.linalg.triangular_solve(
             factor, jnp.eye(len(damper)), left_side=True, lower=True
@@ -144,11 +155,19 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
         def solve(right_side: State, pull: Array) -> State:
             angles, rates, states = right_side[0], right_side[1], right_side[2:]
             held = spring * angles + damper * rates - scale * pull
-            if strain is None:
-                rates = rates - inverse @ held
-                return jnp.stack([angles + scale * rates, rates])
-            rates = rates - inverse @ (held + jnp.sum(torque * states, axis=0))
-            states = kept * (states + scale * strain.filling * rates[None])
-            return jnp.concatenate([(angles + scale * rates)[None], rates[None], states])
+            stretch = states[count:]
+            if contact is not None:
+                held = held + pressing @ angles + resisting @ rates
+            if sticking is not None:
+                held = held + stretching @ stretch.ravel()
+            if strain is not None:
+                held = held + jnp.sum(torque * states[:count], axis=0)
+            rates = rates - inverse @ held
+            rows = [(angles + scale * rates)[None], rates[None]]
+            if strain is not None:
+                rows.append(kept * (states[:count] + scale * strain.filling * rates[None]))
+            if sticking is not None:
+                rows.append(stretch + (scale * sticking @ rates).reshape(stretch.shape))
+            return jnp.concatenate(rows)
 
         return solve

@@ -5,7 +5,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from .._errors import InputError
-from ._motion import pull, springs
+from ._springs import pull, springs
 
 if TYPE_CHECKING:
     from diffrax import AbstractAdaptiveSolver

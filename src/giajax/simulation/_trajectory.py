@@ -41,6 +41,8 @@ class Trajectory(eqx.Module):
             joint), or None.
         pressures: in the first and the second muscle of each joint, Pa, shape (sample, 2, joint);
             None where no joint has muscles.
+        skin: stretch of the skin of each link along what it touches, m, shape (sample, 3, link);
+            None where contacts have no friction.
         arm: the arm that moved.
         command: its command.
         wind: the wind it moved in, or None for still air.
@@ -54,6 +56,7 @@ class Trajectory(eqx.Module):
     rates: Float[Array, "sample joint"]
     memory: Float[Array, "sample row joint"] | None
     pressures: Float[Array, "sample 2 joint"] | None
+    skin: Float[Array, "sample 3 link"] | None
     arm: Arm
     command: Signal
     wind: Signal | None

@@ -1,0 +1,251 @@
+"""Contact of links with obstacles: closed forms, energy, power and derivatives."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from giajax import InputError, arm as mechanics
+from giajax.arm import Contact, chain, mass_matrix, pose
+from giajax.arm._meeting import Pairs, flattening
+from giajax.obstacles import Box, Plane, WallWithOpening
+
+touch, touched = jax.jit(mechanics.touch), jax.jit(mechanics.touched)
+contact_energy = jax.jit(mechanics.contact_energy)
+contact_stiffness = jax.jit(mechanics.contact_stiffness)
+
+LINKS = 3
+SCENE = (
+    Box(centre=[1.4, 0.1, -0.5], size=[0.4, 0.6, 0.9], rotation=[0.2, 0.1, 0.5]),
+    WallWithOpening(centre=[2.4, 0.0, 0.0], opening=[0.5, 0.5], rotation=[0.0, 0.1, 0.1]),
+    Plane(centre=[0.0, 0.0, -0.55], normal=[0.1, 0.1, 1.0]),
+)
+
+
+def arm_among(obstacles=SCENE, links=LINKS, **about):
+    return chain(links, contact=Contact(obstacles=obstacles, **about))
+
+
+def deepest(arm, angles):
+    """How deep any link is pressed, m."""
+    shape = (arm.count, 10)
+    pairs = Pairs(*(jnp.asarray(index.ravel()) for index in np.indices(shape)))
+    return jnp.max(flattening(arm, arm.contact, pose(arm, angles), pairs))
+
+
+def pressed_states(arm, count):
+    """Angles in which something touches, not deeper than links are thick."""
+    random = np.random.default_rng(3)
+    angles = jnp.asarray(random.normal(size=(2000, arm.count)) * 0.25)
+    depth = jax.jit(jax.vmap(lambda q: deepest(arm, q)))(angles)
+    found = angles[(depth > 2e-3) & (depth < 0.08)]
+    assert len(found) >= count
+    rates = jnp.asarray(random.normal(size=(count, arm.count)))
+    strain = jnp.asarray(random.normal(size=(count, 3, arm.count)) * 1e-3)
+    return found[:count], rates, strain
+
+
+@pytest.mark.parametrize("factor", [np.pi, 4 * np.pi / 3])
+def test_a_link_between_two_plates_is_the_closed_form(factor):
+    """(pi / 2) p L delta for plates that come nearer by delta: pi p L w for each wall."""
+    w, pressure = 0.02, 800.0
+    walls = (
+        Plane(centre=[0.0, 0.0, -0.15 + w], name="below"),
+        Plane(centre=[0.0, 0.0, 0.15 - w], normal=[0.0, 0.0, -1.0], name="above"),
+    )
+    arm = arm_among(walls, links=1, pressure=pressure, shape_factor=factor)
+    flat, force = touched(arm, jnp.zeros(1), jnp.zeros(1))
+    expected = factor * pressure * 0.99 * w
+    assert_allclose(force[0], [[0, 0, expected], [0, 0, -expected]], rtol=1e-12, atol=1e-12)
+    assert_allclose(flat, [[w, w]], rtol=1e-12)
+    if factor == np.pi:
+        assert_allclose(expected, np.pi / 2 * pressure * 0.99 * (2 * w), rtol=1e-15)
+    assert_allclose(contact_energy(arm, jnp.zeros(1)), 2 * expected * w / 2, rtol=1e-12)
+    # Twice: above and below; the torque of both is none.
+    assert_allclose(touch(arm, jnp.zeros(1), jnp.zeros(1)).torque, 0, atol=1e-12)
+
+
+def test_a_flattened_tube_has_the_force_of_its_flat_width():
+    """The closed form from the geometry: an oval of the same circumference, and p times its flat.
+
+    For one wall the section is that of a membrane under its own even weight, to first order:
+    radial displacements u with u + u'' = (F / p) (delta - cos(theta) / pi), of which the terms
+    cos(n theta), n >= 2, are 1 / (pi (1 - n^2)).
+    """
+    radius, pressure, delta = 0.15, 1000.0, 0.01
+    flat = (2 * np.pi * radius - np.pi * (2 * radius - delta)) / 2
+    assert_allclose(pressure * flat, np.pi / 2 * pressure * delta, rtol=1e-12)
+    n = np.arange(2, 400_000, dtype=float)
+    one_wall = np.sum(1 / (np.pi * (n * n - 1)))
+    assert_allclose(1 / one_wall, 4 * np.pi / 3, rtol=1e-5)
+    two_walls = np.sum(2 / (np.pi * (n[::2] ** 2 - 1)))
+    assert_allclose(1 / two_walls, np.pi, rtol=1e-5)
+
+
+def test_force_is_the_derivative_of_the_energy_and_has_its_own():
+    arm = arm_among(damping=0.4, friction=0.3)
+    angles, rates, strain = pressed_states(arm, 40)
+    energy = jax.jit(jax.vmap(lambda q: contact_energy(arm, q)))
+
+    def of(q, v, s):
+        return touch(arm, q, v, s).torque
+
+    torque = jax.jit(jax.vmap(of))
+    step = 1e-6
+    resting = torque(angles, jnp.zeros_like(rates), jnp.zeros_like(strain))
+    rows = [step * np.tile(row, (len(angles), 1)) for row in np.eye(LINKS)]
+    slopes = [(energy(angles + row) - energy(angles - row)) / (2 * step) for row in rows]
+    scale = np.abs(resting).max(axis=1, keepdims=True)
+    assert_allclose(-np.stack(slopes, axis=1) / scale, resting / scale, atol=1e-5)
+    # One direction over angles, rates and stretch, in both modes.
+    random = np.random.default_rng(5)
+    d = [jnp.asarray(random.normal(size=x.shape)) for x in (angles, rates, strain)]
+    d[2] = d[2] * 1e-3
+    forward = jax.jit(jax.vmap(lambda x, dx: jax.jvp(of, x, dx)[1]))(
+        (angles, rates, strain), tuple(d)
+    )
+    ahead, back = (
+        torque(*(x + sign * step * dx for x, dx in zip((angles, rates, strain), d, strict=True)))
+        for sign in (1, -1)
+    )
+    numbers = (ahead - back) / (2 * step)
+    size = np.abs(numbers).max(axis=1, keepdims=True)
+    assert_allclose(forward / size, numbers / size, atol=1e-4)
+
+    def reverse(x, dx):
+        value, pull = jax.vjp(of, *x)
+        weights = jnp.cos(jnp.arange(value.size))
+        by = pull(weights)
+        return jnp.sum(weights * jax.jvp(of, x, dx)[1]), sum(
+            jnp.vdot(a, b) for a, b in zip(by, dx, strict=True)
+        )
+
+    one, other = jax.jit(jax.vmap(reverse))((angles, rates, strain), tuple(d))
+    assert_allclose(one, other, rtol=1e-8)
+
+
+def test_derivatives_by_pressure_and_by_where_the_wall_stands():
+    arm = arm_among(pressure=1000.0)
+    angles = pressed_states(arm, 8)[0]
+
+    def of(pressure, height, q):
+        up = jnp.array([0.0, 0.0, 1.0]) * height
+        scene = tuple(dataclasses.replace(each, centre=each.centre + up) for each in SCENE)
+        contact = dataclasses.replace(arm.contact, obstacles=scene, pressure=pressure)
+        moved = dataclasses.replace(arm, contact=contact)
+        return jnp.sum(touch(moved, q, jnp.zeros(LINKS)).torque * jnp.arange(1.0, 1 + LINKS))
+
+    def total(pressure, height):
+        return jnp.sum(jax.vmap(lambda q: of(pressure, height, q))(angles))
+
+    at = (jnp.asarray(1000.0), jnp.asarray(0.0))
+    slopes = jax.jit(jax.grad(total, (0, 1)))(*at)
+    value = jax.jit(total)
+    assert_allclose(slopes[0], value(*at) / 1000, rtol=1e-10)
+    step = 1e-6
+    difference = (value(at[0], at[1] + step) - value(at[0], at[1] - step)) / (2 * step)
+    assert difference != 0
+    assert_allclose(slopes[1], difference, rtol=1e-4)
+
+
+def test_contact_never_creates_energy():
+    """Pointwise: what it delivers, and what it stores, is never positive together."""
+    arm = arm_among(damping=2.0, friction=0.4)
+    angles, rates, strain = pressed_states(arm, 40)
+
+    def power(q, v, s):
+        """Of the torques, and of what is stored: flattening, and skin that is held."""
+        met = touch(arm, q, v, s)
+        held = arm.contact.hold(s, met.normal)
+        stored = jax.jvp(lambda q: contact_energy(arm, q), (q,), (v,))[1]
+        stretched = arm.contact.friction_stiffness * jnp.sum(held * met.slip)
+        return met.torque @ v + stored + stretched, jnp.abs(met.torque @ v)
+
+    total, size = jax.jit(jax.vmap(power))(angles, rates * 3, strain)
+    assert np.all(np.asarray(total) < 1e-10 * np.asarray(size) + 1e-12)
+    assert np.median(-total / size) > 0.01
+
+
+def test_the_stiffness_is_what_presses_and_never_negative():
+    arm = arm_among((Plane(centre=[0.0, 0.0, -0.14]),), damping=0.5, friction=0.5)
+    angles = jnp.asarray([0.001, 0.0, -0.001])
+    stiff = contact_stiffness(arm, angles, jnp.zeros(3), jnp.zeros((3, 3)))
+    by_angles = -jax.jacfwd(lambda q: touch(arm, q, jnp.zeros(3)).torque)(angles)
+    by_rates = -jax.jacfwd(lambda v: touch(arm, angles, v).torque)(jnp.zeros(3))
+    # But for the turning of the normals, which is the force over the length.
+    assert_allclose(stiff.angles, by_angles, atol=0.02 * np.abs(by_angles).max())
+    assert_allclose(stiff.rates, by_rates, atol=1e-10)
+    assert np.linalg.eigvalsh(stiff.angles).min() > -1e-9
+    slip = jax.jacfwd(lambda v: touch(arm, angles, v).slip)(jnp.zeros(3))
+    assert_allclose(stiff.sticking, slip, atol=1e-12)
+    stretch = jnp.asarray(np.random.default_rng(0).normal(size=(3, 3)) * 1e-4)
+    pulls = touch(arm, angles, jnp.zeros(3), stretch).torque
+    rest = touch(arm, angles, jnp.zeros(3), jnp.zeros((3, 3))).torque
+    by_skin = -stiff.skin * jnp.einsum("ilj,il->j", stiff.sticking, stretch)
+    assert_allclose(pulls - rest, by_skin, atol=1e-10)
+
+
+def test_the_period_of_a_link_on_its_cushion():
+    """3.1 kN/m and 257 rad/s for a link of 47 g at 1 kPa that a wall presses evenly."""
+    arm = arm_among((Plane(centre=[0.0, 0.0, -0.14]),), links=1)
+    rate = np.sqrt(np.pi * 1000 * 0.99 / float(arm.links.mass[0]))
+    assert_allclose(rate, 257, rtol=2e-3)
+    stiff = contact_stiffness(arm, jnp.zeros(1), jnp.zeros(1)).angles
+    # About the joint: pi p L^3 / 3.
+    assert_allclose(stiff, [[np.pi * 1000 * 0.99**3 / 3]], rtol=1e-10)
+    assert mass_matrix(arm, jnp.zeros(1)) > 0
+
+
+def test_boxes_side_by_side_press_as_one_wall():
+    """A link that slides along a wall of eight boxes does not feel where they meet."""
+    wall = WallWithOpening(
+        centre=[0.5, 0.0, -1.2],
+        opening=[0.3, 0.3],
+        margins=[1.0] * 4,
+        rotation=[0.0, np.pi / 2, 0.0],
+    )
+    solid = Box(size=[2.3, 2.3, 0.2])
+    yaw = [jnp.asarray([angle, 0.012]) for angle in (0.0, 0.3, 0.7, 1.2)]
+
+    def arm(obstacle, side):
+        moved = dataclasses.replace(obstacle, centre=jnp.asarray([1.0, side, -0.24]))
+        return chain(2, joint_axes=["yaw", "pitch"], contact=Contact(obstacles=(moved,)))
+
+    for angles in yaw:
+        # Beside the opening both are the same.
+        whole = touch(arm(solid, 0.8), angles, jnp.zeros(2))
+        parts = touch(arm(wall, 0.8), angles, jnp.zeros(2))
+        assert np.max(whole.normal) > 1
+        if float(angles[0]) == 0.0:
+            assert_allclose(parts.normal, whole.normal, rtol=1e-9)
+            assert_allclose(parts.torque, whole.torque, rtol=1e-9)
+
+
+def test_far_away_nothing_is_pressed():
+    arm = arm_among((Plane(centre=[0.0, 0.0, -5.0]),), friction=0.3)
+    met = touch(arm, jnp.zeros(3), jnp.ones(3), jnp.ones((3, 3)))
+    assert not np.any(met.torque)
+    assert not np.any(met.slip)
+
+
+def test_many_links_at_once_are_all_seen():
+    """More pairs than are looked at together where few are near."""
+    ground = (Plane(centre=[0.0, 0.0, -0.14]), Box(centre=[6.0, 0.29, 0.0], size=[14.0, 0.3, 0.3]))
+    arm = arm_among(ground, links=15)
+    flat, force = touched(arm, jnp.zeros(15), jnp.zeros(15))
+    assert_allclose(flat[:, 0], 0.01, rtol=1e-10)
+    assert_allclose(flat[:12, 1], 0.01, rtol=1e-10)
+    seen = touch(arm, jnp.zeros(15), jnp.zeros(15)).normal
+    # At the end of the box, forces on one link have several directions.
+    alike = np.delete(np.arange(15), 13)
+    assert_allclose(seen[alike], jnp.linalg.norm(force, axis=2).sum(axis=1)[alike], rtol=1e-9)
+
+
+def test_contact_needs_something_to_touch():
+    with pytest.raises(InputError, match="without an obstacle: give at least one"):
+        Contact(obstacles=())
+    with pytest.raises(InputError, match="two obstacles are called 'box': give each its own"):
+        Contact(obstacles=(Box(), Box()))

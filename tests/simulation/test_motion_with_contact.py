@@ -1,0 +1,192 @@
+"""Motion among obstacles: against MuJoCo, at rest, and over random impacts."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import giajax
+from giajax import InputError
+from giajax.arm import Contact, chain, contact_energy, kinetic_energy, potential_energy, touch
+from giajax.obstacles import Box, Plane, WallWithOpening
+from giajax.simulation import constant, contacts, joint_ramps, simulate
+from peers.mujoco_contact import MujocoContact
+
+WALL = ([1.9, 0.0, 0.5], [0.4, 0.2, 0.2], [0.0, 0.0, 0.4])
+EDGE = ([1.3, 0.35, 0.0], [0.15, 0.15, 1.0], [0.0, 0.0, 0.7])
+
+
+def arm_at(box, **about):
+    centre, half, turn = box
+    obstacle = Box(centre=centre, size=2 * np.asarray(half), rotation=turn)
+    stiff = {"joints.pitch_stiffness": 3.0, "joints.yaw_stiffness": 3.0, "joints.damping": 0.1}
+    return chain(2, contact=Contact(obstacles=(obstacle,), **about), parameters=stiff)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("box", "joint"), [(WALL, 1), (EDGE, 2)], ids=["swing into a wall", "press on an edge"]
+)
+@pytest.mark.parametrize("solver", ["tsit5", "springs5"])
+def test_the_same_penalty_in_mujoco(box, joint, solver):
+    """With its own distances at 400 points of each link; ours has 15 in each contact."""
+    arm = arm_at(box, pressure=200.0)
+    command = joint_ramps(2, {joint: 0.6}, start=0.0, duration=0.25)
+    times = np.linspace(0.0, 2.0, 41)
+    motion = simulate(arm, command, times, solver=solver, rtol=1e-8, atol=1e-8)
+    flat = contacts(motion).flattening
+    assert 2e-3 < flat.max() < 0.15
+    expected = MujocoContact(arm, [box], command).trajectory(times, 0.005)
+    theirs = dataclasses.replace(motion, angles=jnp.asarray(expected[:, 0]))
+    assert np.linalg.norm(theirs.tip - motion.tip, axis=1).max() < 1e-4
+
+
+def resting():
+    """A link on the ground under its weight, which the wind pushes aside."""
+    ground = Plane(centre=[0.0, 0.0, -0.6])
+    return chain(
+        2,
+        gravity=9.81,
+        joint_axes=["pitch", "yaw"],
+        contact=Contact(obstacles=(ground,), friction=0.5),
+        parameters={
+            "joints.pitch_stiffness": 0.2,
+            "joints.yaw_stiffness": 0.1,
+            "joints.damping": 0.02,
+        },
+    )
+
+
+def test_what_rests_does_not_drift():
+    arm = resting()
+    times = np.concatenate([np.linspace(0.0, 60.0, 31), np.linspace(120.0, 600.0, 5)])
+    still = constant(jnp.zeros(2))
+    about = {"wind": [0.0, 1.0, 0.0], "solver": "springs5", "rtol": 1e-8, "atol": 1e-8}
+    motion = simulate(arm, still, times, **about)
+    tip = np.asarray(motion.tip)
+    assert np.abs(tip[-1] - tip[30]).max() < 1e-7
+    # Without friction it ends elsewhere, with it within the cone.
+    smooth = dataclasses.replace(arm, contact=dataclasses.replace(arm.contact, friction=None))
+    slid = simulate(smooth, still, times, **about)
+    assert np.linalg.norm(np.asarray(slid.tip[-1]) - tip[-1]) > 0.1
+    force = np.asarray(contacts(motion).force[-1, 1, 0])
+    assert 0.01 < np.hypot(force[0], force[1]) < 0.5 * force[2] * (1 + 1e-9)
+    # What is implicit costs no steps: a second or two each, with a skin of 138 rad/s.
+    assert int(motion.steps.sum()) < 4000
+
+
+def test_impulse_is_what_the_motion_lost():
+    """A free link that bounces off a wall: twice its angular momentum, but for the damping."""
+    wall = Box(centre=[0.9, 0.0, -0.45], size=[0.3, 0.6, 0.4])
+    none = {"joints.pitch_stiffness": 1e-9, "joints.damping": 0.0, "air.drag_coefficient": 1e-9}
+    for damping, kept in ((0.0, 1.0), (1.0, None)):
+        arm = chain(
+            1, contact=Contact(obstacles=(wall,), pressure=50.0, damping=damping), parameters=none
+        )
+        times = np.linspace(0.0, 0.6, 3001)
+        start = (jnp.zeros(1), jnp.asarray([-0.8]))
+        motion = simulate(arm, constant(jnp.zeros(1)), times, initial=start, rtol=1e-9, atol=1e-9)
+        rate = float(motion.rates[-1, 0])
+        assert rate > 0
+        assert contacts(motion).flattening[-1, 0, 0] == 0
+        inertia = float(giajax.arm.mass_matrix(arm, jnp.zeros(1))[0, 0])
+        if kept is not None:
+            assert_allclose(rate, 0.8, rtol=1e-4)
+        else:
+            assert rate > -0.75
+        moment = inertia * (rate + 0.8)
+        push = contacts(motion).impulse[0, 0, 2]
+        # The wall begins at x = 0.75, so that the lever is between there and the tip.
+        assert 0.7 < moment / float(push) < 0.99
+
+
+SCENE = (
+    Box(centre=[1.5, 0.0, -0.6], size=[0.8, 1.0, 0.8], rotation=[0.1, 0.2, 0.3]),
+    WallWithOpening(centre=[2.6, 0.0, 0.0], opening=[0.8, 0.7], thickness=0.1),
+    Plane(centre=[0.0, 0.0, -0.9], normal=[0.1, 0.1, 1.0]),
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("solver", ["tsit5", "springs5"])
+def test_energy_does_not_grow_over_a_thousand_impacts(solver):
+    """Without air and joint damping: what is left is contact, with friction and damping."""
+    none = {"joints.damping": 0.0, "air.drag_coefficient": 0.0}
+    arm = chain(3, contact=Contact(obstacles=SCENE, friction=0.3), parameters=none)
+    times = jnp.linspace(0.0, 1.5, 61)
+    still = constant(jnp.zeros(3))
+
+    def energies(rates):
+        motion = simulate(
+            arm,
+            still,
+            times,
+            initial=(jnp.zeros(3), rates),
+            solver=solver,
+            rtol=1e-7,
+            atol=1e-7,
+            throw=False,
+        )
+
+        def of(q, v, s):
+            held = arm.contact.hold(s, touch(arm, q, v, s).normal)
+            pressed = contact_energy(arm, q)
+            whole = kinetic_energy(arm, q, v) + potential_energy(arm, q, jnp.zeros(3))
+            return whole + contact_energy(arm, q, held), pressed
+
+        return (*jax.vmap(of)(motion.angles, motion.rates, motion.skin), motion.successful)
+
+    random = np.random.default_rng(11)
+    rates = jnp.asarray(random.normal(size=(1000, 3)) * 0.6)
+    # One after the other: in a batch, each would take as long as the slowest.
+    found = jax.jit(lambda rates: jax.lax.map(energies, rates))(rates)
+    energy, pressed, good = map(np.asarray, found)
+    assert good.all()
+    assert (pressed.max(axis=1) > 1e-6).mean() > 0.9
+    growth = np.diff(energy, axis=1).max(axis=1) / energy[:, 0]
+    assert growth.max() < 1e-4
+    assert np.median(growth) < 1e-6
+    assert np.median(energy[:, -1] / energy[:, 0]) < 0.9
+
+
+def test_both_solvers_agree():
+    arm = resting()
+    times = np.linspace(0.0, 3.0, 31)
+    still = constant(jnp.zeros(2))
+    tips = [
+        simulate(arm, still, times, wind=[0.0, 1.0, 0.0], solver=solver, rtol=1e-8, atol=1e-8).tip
+        for solver in ("tsit5", "springs5")
+    ]
+    # Where skin slides its stretch ends steps, and depends on where they are.
+    assert_allclose(tips[0], tips[1], atol=3e-4)
+
+
+def test_derivatives_through_an_impact_are_differences():
+    arm = arm_at(WALL)
+    command = joint_ramps(2, {1: 0.6}, start=0.0, duration=0.25)
+    times = np.linspace(0.0, 1.0, 11)
+
+    def end(pressure, stiffness):
+        changes = {"contact.pressure": pressure, "joints.pitch_stiffness": stiffness}
+        moved = giajax.replace(arm, changes)
+        motion = simulate(moved, command, times, solver="springs5", rtol=1e-9, atol=1e-9)
+        return motion.tip[-1]
+
+    at = (jnp.asarray(300.0), jnp.asarray(3.0))
+    found = jax.jit(jax.jacfwd(end, (0, 1)))(*at)
+    value = jax.jit(end)
+    for index, step in ((0, 0.05), (1, 5e-4)):
+        ahead, back = (
+            value(*(x + sign * step * (i == index) for i, x in enumerate(at))) for sign in (1, -1)
+        )
+        difference = (ahead - back) / (2 * step)
+        assert_allclose(found[index], difference, atol=1e-4 * np.abs(difference).max())
+
+
+def test_an_arm_without_obstacles_has_no_contacts():
+    motion = simulate(chain(1), constant(jnp.zeros(1)), [0.0, 1.0])
+    with pytest.raises(InputError, match="the arm has no obstacles"):
+        contacts(motion)
