@@ -33,7 +33,7 @@ ROOMS = [
     ("control",),
     ("synthetic",),
     ("models",),
-    ("simulation", "joint", "arm", "hysteresis"),
+    ("filling", "simulation", "joint", "arm", "hysteresis"),
     ("runs",),
     ("kinds",),
     ("verdict",),
