@@ -72,7 +72,7 @@ def fill(
     from ._jax import configure
 
     configure()
-    from ..filling import Filling, filling_curve, fill as filled_by
+    from ..filling import Filling, fill as filled_by, filling_curve
     from ..models import arm_from_definition
     from ..report import CURVE_FILES, FILLING_FILES, filling_files, filling_json
 
@@ -129,8 +129,9 @@ def _show(filled: "Filled") -> None:
         )
     lifts = minutes(filled.arm_lift_off)
     typer.echo(
-        "the arm's lift does not bear it" if lifts is None else f"the arm lifts itself at {lifts} "
-        "min"
+        "the arm's lift does not bear it"
+        if lifts is None
+        else f"the arm lifts itself at {lifts} min"
     )
 
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from .._errors import InputError
 from ..parameters import get, replace
 from ..quantities import PORTS
-from ._fill import check_filling, fill, integrated
+from ._fill import check_filling, fill, tried
 from ._filling import Filling
 from ._supply import STRENGTHS
 
@@ -23,8 +23,8 @@ DIAMETERS = (0.004, 0.005, 0.006, 0.007, 0.008, 0.01, 0.012, 0.015, 0.02)
 """Diameters of the ports of a curve, m."""
 
 _TRIES = 40
-# A supply that is a thousand times as strong will not do either.
-_FAR = math.log(1e3)
+# A supply that is a hundred times as strong will not do either.
+_FAR = math.log(1e2)
 _CLOSE = 1e-6
 
 
@@ -101,7 +101,9 @@ def _strength(filling: Filling, path: str, duration: float, guess: float) -> flo
     low, high, start = -math.inf, math.inf, guess
     here, before = guess, None
     for _ in range(_TRIES):
-        course = integrated(replace(filling, {path: math.exp(here)}), 4 * duration, 1e-7)
+        course = tried(replace(filling, {path: math.exp(here)}), 4 * duration, 1e-7)
+        if not bool(course.succeeded):
+            return None
         finished = bool(course.finished)
         late = math.log(float(course.times[-1]) / duration)
         if finished and abs(late) < _CLOSE:

@@ -24,6 +24,7 @@ LIMIT = 6 * 3600.0
 """When `fill` gives up, s."""
 
 _TIMES = 401
+_TOLERANCE = 1e-8
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,7 +103,7 @@ def fill(filling: Filling | None = None, *, limit: float = LIMIT) -> Filled:
     if not 0 < limit < np.inf:
         raise InputError(f"the limit is {limit:g} s: give a positive number of seconds")
     check_filling(made)
-    found = integrated(made, limit)
+    found = _integrated(made, limit)
     here = made.bag_of_link
     links = made.arm.links
     states = _states(made, found)
@@ -132,22 +133,27 @@ def fill(filling: Filling | None = None, *, limit: float = LIMIT) -> Filled:
     )
 
 
-def integrated(filling: Filling, limit: float, tolerance: float = 1e-8) -> Course:
+def _integrated(filling: Filling, limit: float) -> Course:
     """The gas over time.
 
     Raises:
         InputError: the steps did not come to an end.
     """
+    found = tried(filling, limit, _TOLERANCE)
+    if not bool(found.succeeded):
+        raise InputError(
+            f"the filling needs more than {int(found.steps)} steps: give narrower holes, or a "
+            "larger skin_slack"
+        )
+    return found
+
+
+def tried(filling: Filling, limit: float, tolerance: float) -> Course:
+    """The gas over time, as far as its steps came."""
     if jnp.result_type(float) == jnp.float32:
         tolerance = max(tolerance, 1e-4)
     numbers = (jnp.asarray(number, jnp.result_type(float)) for number in (limit, tolerance))
-    found = course(filling, *numbers, times=_TIMES)
-    if not bool(found.succeeded):
-        raise InputError(
-            f"the filling needs more than {int(found.steps)} steps: give a larger skin_slack, or "
-            "ports that differ less"
-        )
-    return found
+    return course(filling, *numbers, times=_TIMES)
 
 
 def check_filling(filling: Filling) -> None:

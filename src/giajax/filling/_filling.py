@@ -78,7 +78,7 @@ class Filling(eqx.Module):
         values = section.values()
         ports = {d.path: values.pop(d.path) for d in PORTS if d.path in values}
         shared = tuple(tuple(links) for links in section.shared or [])
-        named = {path.rpartition(".")[2]: value for path, value in ports.items()}
+        named: dict[str, Any] = {path.rpartition(".")[2]: value for path, value in ports.items()}
         made = cls(
             arm=arm,
             ports=Ports(**named),

@@ -1,6 +1,6 @@
 """The gas of all bags over time."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import diffrax
 import jax
@@ -55,7 +55,7 @@ class Course(NamedTuple):
     steps: Int[Array, ""]
 
 
-def rates(time: Scalar, state: State, filling: Filling) -> State:
+def rates(time: Any, state: State, filling: Filling) -> State:
     """Rates of change, 1/s: what comes through one port of a bag less what leaves by the other."""
     gas, full = filling.gas, filling.full_mass
     pressure = bags_at(filling, state.share).pressure

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from .._typing import Array, Float, Scalar
 from ._gas import Gas
 
-Numbers = Float[Array, "*holes"]
+Numbers = Float[Array, "..."]
 
 
 class Hole(NamedTuple):

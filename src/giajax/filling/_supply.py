@@ -33,9 +33,7 @@ class Supply(eqx.Module):
 
     def __check_init__(self) -> None:
         if self.kind not in STRENGTHS:
-            raise InputError(
-                f"there is no supply '{self.kind}': use one of {', '.join(STRENGTHS)}"
-            )
+            raise InputError(f"there is no supply '{self.kind}': use one of {', '.join(STRENGTHS)}")
 
 
 STRENGTHS = {

@@ -129,10 +129,15 @@ def filling_figure(filled: Filled) -> Figure:
             if not np.isnan(filled.arm_lift_off):
                 when = filled.arm_lift_off / _MINUTE
                 axes.axvline(when, color=INK, linewidth=0.8, linestyle="--")
+                low, high = axes.get_ylim()
+                axes.set_ylim(low, high + 0.2 * (high - low))
                 axes.annotate(
-                    f"the arm: {when:.1f} min", (when, axes.get_ylim()[0]), (3, 6),
-                    textcoords="offset points", fontsize=8,
-                )  # fmt: skip
+                    f"the arm lifts itself: {when:.1f} min",
+                    (when, high + 0.08 * (high - low)),
+                    (4, 0),
+                    textcoords="offset points",
+                    fontsize=8,
+                )
     return figure
 
 
