@@ -1,4 +1,7 @@
-"""The public names, each once: what is imported here is what `giajax` offers."""
+"""The public names, each once: what is imported here is what `giajax` offers.
+
+The file is longer than 200 lines because all public names are in one place.
+"""
 
 from . import (
     arm as arm,

@@ -122,8 +122,8 @@ def filling_figure(filled: Filled) -> Figure:
         plain(axes, title)
         axes.set_ylabel(unit)
         axes.set_xlabel("time (min)")
-        if place == 1:
-            axes.legend(fontsize=8, frameon=False, loc="lower right")
+        if place == 2:
+            axes.legend(fontsize=8, frameon=False, loc="upper left")
         if place == 3:
             axes.axhline(0, color=GREY, linewidth=0.8)
             if not np.isnan(filled.arm_lift_off):
@@ -134,8 +134,9 @@ def filling_figure(filled: Filled) -> Figure:
                 axes.annotate(
                     f"the arm lifts itself: {when:.1f} min",
                     (when, high + 0.08 * (high - low)),
-                    (4, 0),
+                    (-4, 0),
                     textcoords="offset points",
+                    ha="right",
                     fontsize=8,
                 )
     return figure
