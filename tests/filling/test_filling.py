@@ -162,6 +162,13 @@ def test_a_bottle_with_too_little_leaves_links_limp():
     assert found.supplied[-1] <= 10e5 * 0.01 / (ROOM / DENSITY)
 
 
+def test_what_cannot_be_followed_is_said():
+    made = small("bottle", supply__nozzle_diameter=0.5)
+    with pytest.raises(InputError, match=r"cannot be followed beyond .* s, after 20000 steps: give"):
+        fill(made)
+    assert np.isnan(filling_curve(made, duration=300, diameters=(0.01,)).flows).all()
+
+
 @pytest.mark.parametrize("kind", ["flow", "regulator", "bottle"])
 def test_every_pair_of_the_curve_fills_in_its_time(kind):
     curve = filling_curve(small(kind), duration=300, diameters=(0.004, 0.006, 0.01))

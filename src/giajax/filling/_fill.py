@@ -142,8 +142,8 @@ def _integrated(filling: Filling, limit: float) -> Course:
     found = tried(filling, limit, _TOLERANCE)
     if not bool(found.succeeded):
         raise InputError(
-            f"the filling needs more than {int(found.steps)} steps: give narrower holes, or a "
-            "larger skin_slack"
+            f"the filling cannot be followed beyond {float(found.times[-1]):.3g} s, after "
+            f"{int(found.steps)} steps: give narrower holes, or a larger skin_slack"
         )
     return found
 

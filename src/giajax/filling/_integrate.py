@@ -94,6 +94,8 @@ def course(filling: Filling, end: Scalar, tolerance: Scalar, *, times: int) -> C
     """
     start = State(jnp.zeros_like(filling.volume), jnp.zeros_like(end))
 
+    exact = 100 * float(jnp.finfo(end.dtype).eps)
+
     def missing(t: Scalar, y: State, args: Filling, **_: object) -> Scalar:
         return jnp.min(y.share) - 1
 
@@ -108,7 +110,7 @@ def course(filling: Filling, end: Scalar, tolerance: Scalar, *, times: int) -> C
         args=filling,
         stepsize_controller=diffrax.PIDController(rtol=tolerance, atol=tolerance),
         saveat=diffrax.SaveAt(dense=True, t1=True),
-        event=diffrax.Event(missing, optimistix.Newton(rtol=1e-12, atol=1e-12)),
+        event=diffrax.Event(missing, optimistix.Newton(rtol=exact, atol=exact)),
         max_steps=MOST_STEPS,
         throw=False,
     )
