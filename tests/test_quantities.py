@@ -11,7 +11,7 @@ import pytest
 
 import giajax
 from giajax import InputError, Run, quantities
-from giajax.kinds import KINDS, Section, with_keys
+from giajax.kinds import KINDS, FillingSection, Section, with_keys
 from giajax.models import ArmModel, model_for
 from giajax.parameters import declared, left_out, parameter, replace
 from giajax.quantities import Declaration, Group, Key, key_factor
@@ -20,10 +20,14 @@ from giajax.runs._template import _line
 
 GROUPS = {name: group for name, group in vars(quantities).items() if isinstance(group, Group)}
 ROOT = Path(__file__).resolve().parents[1]
-KEYED = [
-    (section, name, part)
+STATED = [
+    stated
     for kind in KINDS.values()
     for stated in (*kind.sections.values(), *kind.run_sections.values())
+]
+KEYED = [
+    (section, name, part)
+    for stated in (*STATED, FillingSection)
     for section in (stated.entries or stated,)
     for name, parts in section.quantities.items()
     for part in parts

@@ -33,7 +33,7 @@ ROOMS = [
     ("control",),
     ("synthetic",),
     ("models",),
-    ("simulation", "joint", "arm", "hysteresis", "obstacles"),
+    ("filling", "simulation", "joint", "arm", "hysteresis", "obstacles"),
     ("runs",),
     ("kinds",),
     ("verdict",),

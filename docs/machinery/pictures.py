@@ -20,9 +20,11 @@ from giajax.paper import reproduce
 from giajax.report import (
     correction_figure,
     correlation_figure,
+    curve_figure,
     draw_scene,
     equilibria_figure,
     equilibria_table,
+    filling_figure,
     joint_figure,
     new_figure,
     plain,
@@ -112,6 +114,12 @@ def _hysteresis() -> None:
     _save("fig12", to_png(figure_12(one_link())))
 
 
+def _filling() -> None:
+    """The arm filled with helium, and which port goes with which supply."""
+    _save("filling", to_png(filling_figure(giajax.fill())))
+    _save("filling_curve", to_png(curve_figure(giajax.filling_curve())))
+
+
 def _paper() -> None:
     """A figure of the paper, made again."""
     for name, made in reproduce(["fig5"], ROOT / "data" / "paper"):
@@ -129,6 +137,7 @@ PICTURES: dict[str, Callable[[], None]] = {
     "equilibria.png corrections.png joint.png": _joint,
     "sensitivity.png": _sensitivity,
     "fig12.png": _hysteresis,
+    "filling.png filling_curve.png": _filling,
     "fig5.png": _paper,
 }
 """What makes which files."""

@@ -6,19 +6,22 @@ A page has a table between two comments, `<!-- table: NAME -->` and `<!-- end of
 tests ask whether each is as its declarations make it.
 """
 
+import json
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import equinox as eqx
+
 import giajax
 from giajax.joint import Friction
-from giajax.kinds import KINDS
+from giajax.kinds import KINDS, FillingSection
 
 DOCS = Path(__file__).resolve().parents[1]
 _TABLE = re.compile(r"(<!-- table: ([\w ]+) -->\n\n).*?(<!-- end of table -->)", re.DOTALL)
 
 
-def _assumed(model: giajax.AbstractModel) -> Iterator[str]:
+def _assumed(model: eqx.Module) -> Iterator[str]:
     """A row for each parameter whose default has no source."""
     yield "| parameter | assumed | unit | meaning |"
     yield "| --- | --- | --- | --- |"
@@ -27,6 +30,25 @@ def _assumed(model: giajax.AbstractModel) -> Iterator[str]:
         if declaration.assumed:
             unit = declaration.unit or "-"
             yield f"| `{path}` | {declaration.default:g} | {unit} | {declaration.doc} |"
+
+
+def _assumed_filling() -> Iterator[str]:
+    """The same of a filling, without what is assumed of its arm."""
+    arm = giajax.declared(giajax.takeichi_20m())
+    for row in _assumed(giajax.Filling()):
+        if not any(row.startswith(f"| `{path}` ") for path in arm):
+            yield row
+
+
+def _filling_keys() -> Iterator[str]:
+    """A row for each key of a filling."""
+    yield "| key | must be | unless stated | meaning |"
+    yield "| --- | --- | --- | --- |"
+    for key, field in FillingSection.model_fields.items():
+        extra = field.json_schema_extra
+        assert isinstance(extra, dict)
+        preset = "" if extra["preset"] is None else f"`{json.dumps(extra['preset'])}`"
+        yield f"| `{key}` | {extra['must']} | {preset} | {field.description} |"
 
 
 def _channels() -> Iterator[str]:
@@ -66,6 +88,8 @@ TABLES: dict[str, Callable[[], Iterator[str]]] = {
     "assumed braided muscle": lambda: _assumed(giajax.MuscleModel(friction=Friction())),
     "assumed empirical muscle": lambda: _assumed(giajax.MuscleModel(giajax.EmpiricalMuscle())),
     "assumed piston": lambda: _assumed(giajax.MuscleModel(giajax.Piston())),
+    "assumed filling": _assumed_filling,
+    "filling keys": _filling_keys,
     "channels": _channels,
     "keys": _keys,
 }

@@ -1,4 +1,7 @@
-"""The public names, each once: what is imported here is what `giajax` offers."""
+"""The public names, each once: what is imported here is what `giajax` offers.
+
+The file is longer than 200 lines because all public names are in one place.
+"""
 
 from . import (
     arm as arm,
@@ -7,6 +10,7 @@ from . import (
     diagnosis as diagnosis,
     execution as execution,
     experiments as experiments,
+    filling as filling,
     fitting as fitting,
     hysteresis as hysteresis,
     joint as joint,
@@ -76,6 +80,13 @@ from .diagnosis import (
     ladder as ladder,
     suspects as suspects,
     systematic_errors as systematic_errors,
+)
+from .filling import (
+    Filled as Filled,
+    Filling as Filling,
+    FillingCurve as FillingCurve,
+    fill as fill,
+    filling_curve as filling_curve,
 )
 from .fitting import (
     ChannelFit as ChannelFit,

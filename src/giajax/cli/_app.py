@@ -19,6 +19,7 @@ from . import (
     _compensate,
     _design,
     _examples,
+    _fill,
     _fit,
     _hysteresis,
     _import,
@@ -78,6 +79,8 @@ Examples:
                             the next experiment: what to command and to film
   giajax wind --data resting.csv --wind 0,0.2,0
                             the gusts that a resting arm undulates in
+  giajax fill --out DIR
+                            20 balloons filled with helium: fullness, lift
   giajax hysteresis --out DIR
                             the paper's 1-link experiment, simulated
   giajax paper all --out DIR
@@ -95,6 +98,7 @@ _COMMANDS: tuple[tuple[Callable[..., None], str], ...] = (
     (_compare.compare, _compare.EXAMPLES),
     (_compensate.compensate, _compensate.EXAMPLES),
     (_design.design, _design.EXAMPLES),
+    (_fill.fill, _fill.EXAMPLES),
     (_hysteresis.hysteresis, _hysteresis.EXAMPLES),
     (_import.import_, _import.EXAMPLES),
     (_influence.influence, _influence.EXAMPLES),

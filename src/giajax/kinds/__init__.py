@@ -30,6 +30,7 @@ from ._content import (
     Sections as Sections,
     Wording as Wording,
 )
+from ._filling import FillingSection as FillingSection
 from ._hysteresis import HYSTERESIS as HYSTERESIS, HysteresisSection as HysteresisSection
 from ._joint import JOINT as JOINT, JointSection as JointSection
 from ._keys import with_keys as with_keys

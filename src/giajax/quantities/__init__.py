@@ -11,6 +11,7 @@ from ._cameras import LANDMARK as LANDMARK, PINHOLE as PINHOLE
 from ._contact import CONTACT as CONTACT
 from ._declaration import Declaration as Declaration, Group as Group, Key as Key
 from ._expression import Expression as Expression
+from ._filling import GAS as GAS, PORTS as PORTS, SKIN as SKIN, SUPPLY as SUPPLY
 from ._hysteresis import (
     BOUC_WEN as BOUC_WEN,
     BOUC_WEN_OSCILLATOR as BOUC_WEN_OSCILLATOR,

@@ -59,6 +59,9 @@ _IN_SI = {
     "bar": 1e5,
 }
 
+# Units of keys that no column has, by their SI unit.
+_OF_KEYS = {"m^3": {"l": 1e-3}, "m^3/s": {"l_per_min": 1e-3 / 60}}
+
 
 def si_factor(quantity: str, suffix: str) -> float:
     """How many SI units one unit of `suffix` is: 0.01 for `cm`, pi/180 for `deg`.
@@ -89,6 +92,7 @@ def key_factor(key: str, si_unit: str) -> float:
     if not si_unit:
         return 1.0
     known = {si_unit.replace("/", "_per_").replace(" ", "_").replace("^", ""): 1.0}
+    known |= _OF_KEYS.get(si_unit, {})
     for quantity in QUANTITIES.values():
         if quantity.si_unit == si_unit:
             known |= {name: si_factor(quantity.name, name) for name in quantity.suffixes}

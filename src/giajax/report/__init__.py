@@ -17,6 +17,14 @@ from ._design import (
     design_rows as design_rows,
 )
 from ._files import write_figures as write_figures, write_result as write_result
+from ._filling import (
+    CURVE_FILES as CURVE_FILES,
+    FILLING_FILES as FILLING_FILES,
+    curve_figure as curve_figure,
+    filling_figure as filling_figure,
+    filling_files as filling_files,
+    filling_json as filling_json,
+)
 from ._folder import check_folder as check_folder
 from ._influence import (
     INFLUENCE as INFLUENCE,

@@ -11,7 +11,7 @@ from .._files import read_bytes
 from .._limits import TEXT_BYTES
 from .._syntax import check_size, parse_toml
 from .._text import one_of
-from ..kinds import KINDS, Name, Section, key
+from ..kinds import KINDS, FillingSection, Name, Section, key
 from ._complaints import complaint, plain
 from ._fit_sections import Figure, Fit, Noise
 from ._toml import to_toml
@@ -74,6 +74,7 @@ class Definition(_Sections):
         "a table", "what the maker of the data knows; never read by a fit", default={}
     )
     fit: Fit = Field(default_factory=Fit)
+    filling: FillingSection = Field(default_factory=FillingSection)
     figures: dict[Name, Figure] = key(
         'a table like [figures."air.drag_coefficient"]', "figures to reach", default={}
     )

@@ -1,0 +1,158 @@
+"""`giajax fill`: an arm of balloons that is filled with helium."""
+
+import math
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .._errors import InputError
+from ._values import settings, with_settings
+
+if TYPE_CHECKING:
+    from ..filling import Filled, FillingCurve
+
+EXAMPLES = """\b
+Examples:
+  giajax fill
+  giajax fill --out filling
+  giajax fill filling.toml --minutes 30 --out filling --force
+  giajax fill --set ports.diameter=0.008 --no-curve --json
+
+\b
+It writes
+  filling.json            when each link is full and lifts itself; all settings
+  filling.csv             fullness, pressure, lift and stiffness over time
+  filling.png             the same as a picture
+  curve.csv, curve.png    ports and supplies with which it takes 23 min
+
+A definition is a TOML file with an [arm] and a [filling], such as
+
+\b
+  [filling]
+  supply = "regulator"       # or "flow", or "bottle"
+  supply_pressure_bar = 2.0
+  port_diameter_mm = 8.0
+  shared = [[1, 2], [3, 4]]  # links that are not welded apart"""
+
+
+def fill(
+    definition: Annotated[
+        Path | None,
+        typer.Argument(metavar="DEFINITION", help="[arm] and [filling] to use."),
+    ] = None,
+    pairs: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="PATH=VALUE", help="A parameter, SI. Repeatable."),
+    ] = None,
+    minutes: Annotated[
+        float,
+        typer.Option(metavar="MIN", help="How long filling takes on the curve of ports."),
+    ] = 23.0,
+    no_curve: Annotated[bool, typer.Option("--no-curve", help="Leave that curve out.")] = False,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write tables and pictures there.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Write over files.")] = False,
+) -> None:
+    """Fill an arm of balloons with helium, and tell what each link is like on the way.
+
+    Bags in a row with ports between them, fed at the base (the paper's fig. 15), and which
+    port goes with which supply where filling takes the paper's 23 minutes.
+    """
+    from ..runs import Definition, check_output_folder, make_folder, write_files
+
+    if not 0 < minutes < math.inf:
+        raise InputError(f"--minutes is {minutes:g}: give a positive number")
+    sections = Definition() if definition is None else Definition.load(definition)
+    values = settings(pairs)
+
+    from ._jax import configure
+
+    configure()
+    from ..filling import Filling, fill as filled_by, filling_curve
+    from ..models import arm_from_definition
+    from ..report import CURVE_FILES, FILLING_FILES, filling_files, filling_json
+
+    names = FILLING_FILES if no_curve else (*FILLING_FILES, *CURVE_FILES)
+    if out is not None:
+        check_output_folder(out, names, force=force)
+    filling = Filling.from_section(sections.filling, arm_from_definition(sections))
+    filling = with_settings(filling, values)
+    filled = filled_by(filling)
+    curve = None if no_curve else filling_curve(filling, duration=60 * minutes)
+    if out is not None:
+        contents = filling_files(filled, curve)
+        make_folder(out)
+        write_files({out / name: contents[name] for name in names}, force=force)
+    if as_json:
+        typer.echo(filling_json(filled, curve))
+        return
+    _show(filled)
+    if curve is not None:
+        _show_curve(curve)
+    if out is not None:
+        typer.echo(f"\nwrote {shlex.quote(str(out))}: {', '.join(names)}")
+
+
+def _show(filled: "Filled") -> None:
+    """A row for each link, and what is so of all."""
+    import numpy as np
+
+    from ._output import print_table
+
+    def minutes(seconds: float) -> str | None:
+        return None if np.isnan(seconds) else f"{seconds / 60:.2f}"
+
+    rows = [
+        (
+            str(link + 1),
+            minutes(filled.full[link]),
+            minutes(filled.lift_off[link]),
+            f"{filled.fullness[-1, link]:.3f}",
+            f"{filled.pressure[:, link].max():.1f}",
+            f"{1e3 * filled.net_lift[-1, link]:.1f}",
+            f"{filled.stiffness[-1, link]:.1f}",
+        )
+        for link in range(len(filled.full))
+    ]
+    headings = ["link", "full min", "lifts min", "fullness", "most Pa", "lift g", "N m^2"]
+    print_table(headings, rows)
+    if filled.finished:
+        typer.echo(f"\nfull after {filled.duration / 60:.2f} min")
+    else:
+        typer.echo(
+            f"\nnot full after {filled.times[-1] / 60:.0f} min: "
+            "the supply is too weak, or has too little"
+        )
+    lifts = minutes(filled.arm_lift_off)
+    typer.echo(
+        "the arm's lift does not bear it"
+        if lifts is None
+        else f"the arm lifts itself at {lifts} min"
+    )
+
+
+def _show_curve(curve: "FillingCurve") -> None:
+    import numpy as np
+
+    from ..quantities import SUPPLY
+    from ._output import print_table
+
+    unit = next(each.unit for each in SUPPLY if each.path == curve.path)
+    typer.echo(f"\nfilling takes {curve.duration / 60:g} min with")
+    columns = (curve.diameters, curve.flows, curve.strengths, curve.pressures)
+    rows = [
+        (
+            f"{1e3 * diameter:g}",
+            *(
+                (None, None, None)
+                if np.isnan(flow)
+                else (f"{6e4 * flow:.2f}", f"{strength:.5g}", f"{pressure:.0f}")
+            ),
+        )
+        for diameter, flow, strength, pressure in zip(*columns, strict=True)
+    ]
+    print_table(["port mm", "l/min", f"{curve.path} {unit}", "most Pa"], rows)

@@ -1,0 +1,181 @@
+"""The parts of a filling: holes, bags and skins, against closed forms and tables of others."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.optimize import brentq
+
+from giajax import chain, replace
+from giajax.filling import (
+    Filling,
+    Gas,
+    Hole,
+    Skin,
+    Supply,
+    bag_state,
+    critical_ratio,
+    inflow,
+    mass_flow,
+    stiff_share,
+)
+from giajax.filling._integrate import State, rates
+
+HELIUM = Gas()
+ROOM = float(HELIUM.ambient_pressure)
+RT = ROOM / float(HELIUM.density)
+# A short, sharp hole has no laminar part to speak of.
+SHORT = Hole(jnp.asarray(1e-3), jnp.asarray(1e-12), jnp.asarray(1.0))
+PORT = Hole(jnp.asarray(0.01), jnp.asarray(0.005), jnp.asarray(0.61))
+AREA = np.pi / 4 * 1e-6
+
+
+def flows(hole, before, after, gas=HELIUM):
+    return np.asarray(
+        jax.vmap(lambda p, q: mass_flow(gas, hole, p, q))(
+            jnp.asarray(before, float), jnp.asarray(after, float)
+        )
+    )
+
+
+def test_choked_flow_is_the_published_closed_form():
+    """C A p0 sqrt(k / (R T)) (2 / (k + 1))^((k + 1) / (2 (k - 1))), and nothing of what is behind.
+
+    Written as in Anderson, Modern Compressible Flow, eq. (5.21); k = 5/3.
+    """
+    k, before = 5 / 3, 3e5
+    published = AREA * before * np.sqrt(k / RT) * (2 / (k + 1)) ** ((k + 1) / (2 * (k - 1)))
+    after = np.array([0.0, 0.2, 0.4, 0.487]) * before
+    np.testing.assert_allclose(flows(SHORT, np.full(4, before), after), published, rtol=1e-7)
+    assert float(critical_ratio(HELIUM)) == pytest.approx(0.4871, abs=5e-5)
+
+
+def test_flow_agrees_with_printed_tables():
+    """NACA Report 1135, table I and White's table B.1 (k = 1.4): p / p0 and A / A* by Mach number.
+
+    The flow through a hole is then A* / A of the choked one, which is 0.6847 A p0 / sqrt(R T).
+    """
+    air = Gas(heat_capacity_ratio=1.4)
+    before = 2e5
+    choked = AREA * before / np.sqrt(RT) * 0.6847
+    assert float(critical_ratio(air)) == pytest.approx(0.5283, abs=5e-5)
+    ratios, areas = np.array([0.9395, 0.8430, 0.6560, 0.5283]), [2.0351, 1.3398, 1.0382, 1.0]
+    found = flows(SHORT, np.full(4, before), ratios * before, air)
+    np.testing.assert_allclose(found, choked / np.array(areas), rtol=3e-4)
+
+
+def test_a_port_is_laminar_and_turbulent_in_series():
+    """dp = a Q + b Q |Q|, where the difference is small beside the pressure; both ways."""
+    d, length, c, density = 0.01, 0.005, 0.61, float(HELIUM.density)
+    a = 128 * float(HELIUM.viscosity) * length / (np.pi * d**4)
+    b = density / (2 * c**2 * (np.pi / 4 * d**2) ** 2)
+    for drop in (1e-6, 1e-3, 0.1, 1.0, 38.0):
+        volume = brentq(lambda q, drop=drop: a * q + b * q * q - drop, 0, 1, xtol=1e-18, rtol=1e-14)
+        there, back = flows(PORT, [ROOM + drop, ROOM], [ROOM, ROOM + drop])
+        # Beyond it the gas is thinner by up to 4e-4.
+        assert there / density == pytest.approx(volume, rel=max(1e-8, 10 * drop / ROOM))
+        assert back == -there
+    assert flows(PORT, [ROOM], [ROOM]) == 0
+
+
+@pytest.mark.parametrize("ratio", [1.0, 0.999, 0.6, 0.48713928, 0.3])
+def test_a_hole_has_a_slope_everywhere(ratio):
+    """Also where nothing flows and where it chokes; both ways of differentiating."""
+    after = jnp.asarray(ratio * ROOM)
+
+    def flow(p):
+        return mass_flow(HELIUM, PORT, p, after)
+
+    here, step = jnp.asarray(ROOM), 1e-6 if ratio == 1 else 1e-2
+    forward = jax.jit(lambda p: jax.jvp(flow, (p,), (jnp.ones_like(p),))[1])(here)
+    backward = jax.jit(jax.grad(flow))(here)
+    difference = (flow(here + step) - flow(here - step)) / (2 * step)
+    assert float(forward) == pytest.approx(float(difference), rel=1e-3)
+    assert float(backward) == pytest.approx(float(forward), rel=1e-12)
+    if ratio == 1:
+        a = 128 * float(HELIUM.viscosity) * 0.005 / (np.pi * 0.01**4)
+        assert float(forward) == pytest.approx(float(HELIUM.density) / a, rel=1e-9)
+
+
+def test_a_bag_is_limp_until_it_is_full():
+    skin, stretch = Skin(), jnp.asarray([41.6e3])
+    share = np.array([0.0, 0.5, 0.95, 1.05, 1.5])
+    pressure, fullness = (
+        np.concatenate([np.asarray(each) for each in column])
+        for column in zip(
+            *(bag_state(HELIUM, skin, stretch, jnp.asarray([s])) for s in share), strict=True
+        )
+    )
+    assert np.all(pressure[:3] < 1e-15 * ROOM)
+    np.testing.assert_allclose(fullness[:3], share[:3], rtol=1e-14)
+    # Full: what the gas is pressed together and what the skin stretches make up its mass.
+    np.testing.assert_allclose((1 + pressure / ROOM) * (1 + pressure / 41.6e3), share.clip(1))
+    np.testing.assert_allclose(fullness[3:], 1 + pressure[3:] / 41.6e3, rtol=1e-12)
+
+
+def test_the_skin_stretches_as_a_thin_tube_does():
+    """Strains of a closed tube of radius 0.15 m under 100 Pa, by Hooke's law in the plane."""
+    filling, p, r, nu, et = Filling(), 100.0, 0.15, 0.45, 1e4
+    hoop, along = p * r, p * r / 2
+    volume = (1 + (hoop - nu * along) / et) ** 2 * (1 + (along - nu * hoop) / et)
+    assert p / float(filling.stretch[0]) == pytest.approx(volume - 1, rel=2e-3)
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize("wrinkled", [0.0, 0.5, 1.5, 2.5])
+def test_wrinkles_take_stiffness_as_in_comer_and_levy(wrinkled):
+    """By quadrature of stresses that vanish over the wrinkled part, and balance the pressure."""
+
+    def stress(t):
+        return np.cos(wrinkled) - np.cos(t)
+
+    force = 2 * quad(stress, wrinkled, np.pi)[0]
+    moment = -2 * quad(lambda t: stress(t) * np.cos(t), wrinkled, np.pi)[0]
+    # With radius, E t and curvature 1: the pressure is force / pi, and M / curvature the moment.
+    load = moment / force
+    assert float(stiff_share(np.array(load))) == pytest.approx(moment / np.pi, abs=1e-6)
+    assert 0.5 <= load < 1
+
+
+@pytest.mark.quick
+def test_a_tube_folds_and_a_tight_one_has_no_wrinkles():
+    np.testing.assert_allclose(stiff_share(np.array([0.0, 0.5, 1.0, 3.0])), [1, 1, 0, 0])
+
+
+def test_a_supply_feeds_what_its_nozzle_lets_through():
+    none = jnp.zeros(())
+    volume = float(inflow(HELIUM, Supply(), none, none)) / float(HELIUM.density)
+    assert volume == pytest.approx(61e-3 / 60)
+    choked = inflow(HELIUM, Supply(kind="regulator"), none, none)
+    against = inflow(HELIUM, Supply(kind="regulator"), none + 3e4, none)
+    assert float(choked) == float(against) > 0
+    weak = Supply(kind="regulator", pressure=1e4)
+    assert float(inflow(HELIUM, weak, none + 1e4, none)) == 0
+    assert float(inflow(HELIUM, weak, none + 5e3, none)) > 0
+    bottle = Supply(kind="bottle")
+    held = float(bottle.bottle_pressure) * float(bottle.bottle_volume) / RT
+    begin, half = (float(inflow(HELIUM, bottle, none, none + part * held)) for part in (0, 0.5))
+    assert half == pytest.approx(begin * (0.5 * 200e5 + ROOM) / (200e5 + ROOM), rel=1e-4)
+    assert float(inflow(HELIUM, bottle, none, none + held)) == pytest.approx(0, abs=1e-15)
+
+
+def test_tight_bags_in_a_laminar_ladder_are_its_linear_network():
+    """The Jacobian of the rates at rest: conductances of the ports over capacities of the bags."""
+    diameters = np.array([2e-3, 3e-3, 2.5e-3])
+    made = Filling(arm=chain(4, length=[1.0, 0.8, 1.2, 0.9]))
+    made = replace(made, {"ports.diameter": diameters, "ports.length": 0.2})
+
+    def slope(share):
+        return rates(0.0, State(share, jnp.zeros(())), made).share
+
+    found = np.asarray(jax.jit(jax.jacfwd(slope))(jnp.full(4, 1.02)))
+    # Resistors between capacitors: G the conductances (kg/s/Pa), dp / d share the capacities.
+    skin, room = 41666.666666666664, ROOM
+    p = brentq(lambda p: (1 + p / room) * (1 + p / skin) - 1.02, 0, 1e4, xtol=1e-12, rtol=1e-14)
+    slope = 1 / ((1 + p / skin) / room + (1 + p / room) / skin)
+    density = float(HELIUM.density) * (1 + p / room)
+    g = density * np.pi * diameters**4 / (128 * float(HELIUM.viscosity) * 0.2)
+    network = np.diag(np.append(g, 0) + np.append(0, g)) - np.diag(g, 1) - np.diag(g, -1)
+    mass = float(HELIUM.density) * np.pi * 0.15**2 * np.array([1.0, 0.8, 1.2, 0.9])
+    np.testing.assert_allclose(found, -network * slope / mass[:, None], rtol=1e-7, atol=1e-12)
