@@ -76,7 +76,7 @@ def test_the_nearest_point_is_on_the_surface_along_the_normal():
     x = jnp.asarray(random.uniform(-1.5, 1.5, (3, 500)))
     seen = nearest(x, half, jnp.zeros((2, 3, 1)))
     assert_allclose(jnp.sum(seen.normal**2, axis=0), 1, rtol=1e-14)
-    surface = x - seen.distance * seen.normal
+    surface = x - seen.distance[None] * seen.normal
     assert_allclose(jnp.max(jnp.abs(surface) - half, axis=0), 0, atol=1e-14)
     # Nothing of the surface is nearer.
     clipped = jnp.clip(x, -half, half)

@@ -1,7 +1,8 @@
 """What stands around an arm: boxes, planes and walls with an opening, and what is nearest."""
 
+from ._lines import Lines as Lines
 from ._nearest import Nearest as Nearest, nearest as nearest
-from ._patches import Lines as Lines, Patches as Patches, patches as patches
+from ._patches import Patches as Patches, patches as patches
 from ._shapes import (
     AbstractObstacle as AbstractObstacle,
     Box as Box,
