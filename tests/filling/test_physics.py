@@ -4,6 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from fluids.compressible import P_critical_flow, T_critical_flow
+from fluids.safety_valve import API520_A_g
+from scipy.constants import R
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
@@ -49,6 +52,21 @@ def test_choked_flow_is_the_published_closed_form():
     after = np.array([0.0, 0.2, 0.4, 0.487]) * before
     np.testing.assert_allclose(flows(SHORT, np.full(4, before), after), published, rtol=1e-7)
     assert float(critical_ratio(HELIUM)) == pytest.approx(0.4871, abs=5e-5)
+
+
+@pytest.mark.parametrize("k", [5 / 3, 1.4])
+def test_choked_flow_is_that_of_another_library(k):
+    """Sonic flow at the throat as `fluids` has it, and the hole that API 520 asks for."""
+    gas, before, temperature = Gas(heat_capacity_ratio=k), 3e5, 293.15
+    (found,) = flows(SHORT, [before], [1e5], gas)
+    throat = T_critical_flow(temperature, k) / temperature * RT
+    sonic = AREA * P_critical_flow(before, k) / throat * np.sqrt(k * throat)
+    np.testing.assert_allclose(found, sonic, rtol=1e-7)
+    assert float(critical_ratio(gas)) == pytest.approx(P_critical_flow(1.0, k), rel=1e-12)
+    weight = 1e3 * R * temperature / RT
+    asked = API520_A_g(found, temperature, 1.0, weight, k, before, 1e5, Kd=1.0)
+    # Its constant has four digits.
+    np.testing.assert_allclose(asked, AREA, rtol=2e-3)
 
 
 def test_flow_agrees_with_printed_tables():
