@@ -167,8 +167,9 @@ def test_the_springs_are_those_of_the_motion():
     arm = replace(takeichi_20m(4), {"joints.damping": 0.3})
     inputs = Inputs(arm, constant(np.zeros(4)), None, None, jnp.ones(()))
     rest = jnp.zeros((2, 4))
-    mass, stiffness, damping, strain = springs(0.0, rest, inputs)
-    assert strain is None
+    mass, stiffness, damping, memory, contact = springs(0.0, rest, inputs)
+    assert memory is None
+    assert contact is None
     jacobian = jax.jacfwd(lambda state: motion(0.0, state, inputs))(rest)[1]
     assert_allclose(-mass @ jacobian[:, 0], np.diag(stiffness), atol=1e-10)
     assert_allclose(-mass @ jacobian[:, 1], np.diag(damping), atol=1e-10)
@@ -184,7 +185,8 @@ def test_the_strain_of_joints_is_that_of_the_motion():
     states = jnp.asarray([0.3, -0.9, 0.5, 0.0])
     rates = jnp.asarray([0.2, 0.1, -0.3, 0.4])
     state = jnp.stack([jnp.zeros(4), rates, states])
-    mass, *_, strain = springs(0.0, state, inputs)
+    found = springs(0.0, state, inputs)
+    mass, strain = found.mass, found.memory
     jacobian = jax.jacfwd(lambda state: motion(0.0, state, inputs))(state)
     assert_allclose(-mass @ jacobian[1][:, 2], np.diag(strain.torque[0]), atol=1e-10)
     assert_allclose(jacobian[2][:, 1], np.diag(strain.filling[0]), atol=1e-10)
