@@ -23,6 +23,7 @@ from ._simulate import (
     simulate as simulate,
 )
 from ._solvers import SOLVERS as SOLVERS
+from ._stepper import Moment as Moment, Stepper as Stepper
 from ._trajectory import (
     RESULTS as RESULTS,
     SimulationError as SimulationError,

@@ -1,0 +1,195 @@
+"""A motion step by step, for those who decide on the way: an operator, a controller."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .._errors import InputError
+from .._program import program
+from .._typing import Array, Float, Scalar
+from ..arm import Arm
+from ..parameters import is_concrete
+from ._motion import Inputs, State, motion
+from ._pressures import check_muscles
+from ._signal import Signal, constant
+from ._solvers import solver as solver_named
+
+# Of a method that iterates; the one of fixed steps has no error to keep.
+_TOLERANCE = 1e-6
+
+
+class Moment(eqx.Module):
+    """An arm at one time of its motion.
+
+    Attributes:
+        time: s.
+        state: of the joints: angles (rad), rates (rad/s), and what else the arm remembers.
+        command: commanded angles, rad.
+        wind: velocity of the air, m/s, of the whole arm or of link after link; None for still air.
+    """
+
+    time: Scalar
+    state: State
+    command: Float[Array, " joint"]
+    wind: Float[Array, " width"] | None
+
+    @property
+    def angles(self) -> Float[Array, " joint"]:
+        """Joint angles, rad."""
+        return self.state[0]
+
+    @property
+    def rates(self) -> Float[Array, " joint"]:
+        """Joint rates, rad/s."""
+        return self.state[1]
+
+
+class Stepper(eqx.Module):
+    """Fixed steps of a simulation, compiled once, in which the command may be decided on the way.
+
+    An interval is what passes between two decisions. In it the command and the wind move linearly
+    from what they were to what is given; it is integrated in a number of equal steps, without any
+    control of the error: compare with `simulate` once, or halve the steps.
+
+    Attributes:
+        arm: the arm.
+        interval: between two decisions, s.
+        steps: of the integrator in an interval.
+        solver: one of `giajax.SOLVERS`; "springs5" is stable with long steps.
+
+    Example:
+        >>> import giajax, jax.numpy as jnp
+        >>> stepper = giajax.Stepper(giajax.takeichi_20m(), interval=0.1, steps=2)
+        >>> moment = stepper.start()
+        >>> for _ in range(10):
+        ...     moment = stepper.advance(moment, moment.command.at[0].add(0.005))
+        >>> round(float(moment.time), 3)
+        1.0
+    """
+
+    arm: Arm
+    interval: Scalar = eqx.field(converter=lambda x: jnp.asarray(x, dtype=jnp.result_type(float)))
+    steps: int = eqx.field(static=True, default=1)
+    solver: str = eqx.field(static=True, default="springs5")
+
+    def __check_init__(self) -> None:
+        """Refuse what cannot be stepped.
+
+        Raises:
+            InputError: an interval that is not positive, no steps, or an unknown solver.
+        """
+        if is_concrete(self.interval) and not (
+            self.interval.ndim == 0 and 0 < self.interval < np.inf
+        ):
+            raise InputError(f"the interval is {self.interval} s: give one positive number")
+        if self.steps < 1:
+            raise InputError(f"an interval has {self.steps} steps: give at least one")
+        solver_named(self.solver)
+
+    def start(
+        self,
+        angles: Any | None = None,
+        rates: Any | None = None,
+        *,
+        command: Any | None = None,
+        wind: Any | None = None,
+        time: float = 0.0,
+    ) -> Moment:
+        """The arm at the beginning, where nothing strains the joints' hysteresis.
+
+        Arguments:
+            angles: of the joints, rad, shape (joint,); straight by default.
+            rates: of the joints, rad/s, shape (joint,); at rest by default.
+            command: commanded angles, rad, shape (joint,); by default those of the joints.
+            wind: velocity of the air, m/s, of shape (3,) or (3 * link,), or None for still air,
+                which it then stays.
+            time: s.
+
+        Raises:
+            InputError: shapes that do not fit the arm, or a command that muscles cannot follow.
+        """
+        count = self.arm.count
+        angles = _row("angles", count, np.zeros(count) if angles is None else angles)
+        rates = _row("rates", count, np.zeros(count) if rates is None else rates)
+        command = angles if command is None else _row("command", count, command)
+        if wind is not None:
+            wind = jnp.ravel(jnp.asarray(wind))
+            wind = _row("wind", 3 * count if wind.size == 3 * count else 3, wind)
+        check_muscles(self.arm, constant(command), None)
+        at = jnp.asarray(time, dtype=angles.dtype)
+        inputs = Inputs(self.arm, constant(command), None, None, at)
+        return Moment(at, inputs.start(jnp.stack([angles, rates]), at), command, wind)
+
+    def advance(self, moment: Moment, command: Any, wind: Any | None = None) -> Moment:
+        """The arm an interval later.
+
+        Arguments:
+            moment: where it is.
+            command: commanded angles at the end of the interval, rad, shape (joint,).
+            wind: velocity of the air at its end, as of `start`; by default it stays.
+
+        Raises:
+            InputError: shapes that do not fit the arm, or a wind where there was still air.
+        """
+        command = _row("command", self.arm.count, command)
+        if moment.wind is None and wind is not None:
+            raise InputError("a wind comes up in still air: give one at the start, 0 m/s perhaps")
+        if moment.wind is not None:
+            wind = moment.wind if wind is None else _row("wind", moment.wind.size, wind)
+        return _advance(self, moment, command, wind)
+
+
+@program
+def _advance(stepper: Stepper, moment: Moment, command: Array, wind: Array | None) -> Moment:
+    # Slow to import, and needed only here, where the program is traced.
+    import diffrax
+
+    from ._catch_up import catching_up
+
+    arm, interval = stepper.arm, stepper.interval
+    inputs = Inputs(
+        arm,
+        _line(moment.command, command, interval),
+        None if wind is None or moment.wind is None else _line(moment.wind, wind, interval),
+        None,
+        interval,
+    )
+    method = solver_named(stepper.solver)
+    slides = arm.joints.hysteresis.stops.rows > 0 or (
+        arm.contact is not None and arm.contact.rows > 0
+    )
+    if slides:
+        method = catching_up(method, _TOLERANCE, _TOLERANCE, "forward")
+    terms = diffrax.ODETerm(motion)
+    # Times within the interval, so that the steps of a long motion are as equal as of a short one.
+    ends = jnp.arange(1, stepper.steps + 1, dtype=interval.dtype) * (interval / stepper.steps)
+
+    def one(carry: Any, end: Array) -> tuple[Any, None]:
+        state, inner, before, first = carry
+        state, _, _, inner, _ = method.step(terms, before, end, state, inputs, inner, first)
+        return (state, inner, end, jnp.asarray(False)), None
+
+    begin = jnp.zeros_like(interval)
+    inner = method.init(terms, begin, ends[0], moment.state, inputs)
+    start = (moment.state, inner, begin, jnp.asarray(True))
+    (state, *_), _ = jax.lax.scan(one, start, ends)
+    return Moment(moment.time + interval, state, command, wind)
+
+
+def _line(before: Array, after: Array, duration: Scalar) -> Signal:
+    """From one value to another."""
+    slope = (after - before) / duration
+    time = jnp.zeros((1,), before.dtype)
+    return Signal(time, before[None], slope[None], jnp.full_like(time, jnp.inf))
+
+
+def _row(name: str, count: int, values: Any) -> Array:
+    row = jnp.asarray(values, dtype=jnp.result_type(float))
+    if row.shape != (count,):
+        raise InputError(
+            f"the {name} of a moment have shape {row.shape}: give {count} numbers in one row"
+        )
+    return row

@@ -1,0 +1,129 @@
+"""Fixed steps with decisions on the way: the same motion as of a simulation that knew them."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from giajax import InputError
+from giajax.arm import Contact, chain
+from giajax.obstacles import Plane
+from giajax.parameters import replace
+from giajax.simulation import Stepper, logged, simulate
+
+INTERVAL = 1 / 30
+TIMES = np.arange(61) * INTERVAL
+STIFF = {"joints.pitch_stiffness": 3.0, "joints.yaw_stiffness": 3.0, "joints.damping": 0.1}
+ARMS = {
+    "springs": {},
+    "stops": {
+        "parameters": STIFF
+        | {"joints.stops.strength": [0.1, 0.2], "joints.stops.yield_angle": [0.01, 0.05]}
+    },
+    "lagging muscles": {
+        "muscles": "pitch",
+        "parameters": {"joints.damping": 0.6, "joints.yaw_stiffness": 5.0, "drive.lag": 0.3},
+    },
+    "ground": {
+        "contact": Contact(obstacles=(Plane(centre=[0.0, 0.0, -0.5]),), pressure=200.0),
+        "gravity": 9.81,
+    },
+}
+
+
+def operated():
+    """What an operator does: rates of the joints that change as he likes."""
+    random = np.random.default_rng(3)
+    rates = np.repeat(random.normal(size=(6, 3)) * 0.3, 10, axis=0)
+    return np.concatenate([np.zeros((1, 3)), np.cumsum(rates * INTERVAL, axis=0)])
+
+
+def stepped(stepper, commands, wind=None):
+    @jax.jit
+    def run(stepper, commands):
+        def one(moment, command):
+            moment = stepper.advance(moment, command)
+            return moment, moment.angles
+
+        return jax.lax.scan(one, stepper.start(wind=wind), commands[1:])
+
+    last, angles = run(stepper, commands)
+    return last, jnp.concatenate([jnp.zeros((1, 3)), angles])
+
+
+@pytest.mark.parametrize("kind", ARMS)
+def test_decisions_on_the_way_are_a_log_known_before(kind):
+    arm = chain(3, **({"parameters": STIFF} | ARMS[kind]))
+    commands, wind = operated(), [0.3, 0.5, 0.0]
+    command = logged(TIMES, commands)
+    expected = simulate(arm, command, TIMES, wind=wind, solver="springs5", rtol=1e-9, atol=1e-9)
+    errors = [
+        np.abs(stepped(Stepper(arm, INTERVAL, steps), commands, wind)[1] - expected.angles).max()
+        for steps in (1, 8)
+    ]
+    # What sticks or slides, or touches, begins and ends within steps.
+    coarse, fine = {"ground": (1e-2, 1e-4), "stops": (2e-3, 1e-4)}.get(kind, (1e-4, 1e-6))
+    assert errors[0] < coarse
+    assert errors[1] < fine
+    assert errors[1] < 0.1 * errors[0]
+
+
+def test_one_at_a_time_is_all_at_once():
+    stepper, commands = Stepper(chain(3, parameters=STIFF), INTERVAL, 2), operated()
+    moment = stepper.start()
+    for command in commands[1:]:
+        moment = stepper.advance(moment, command)
+    last, _ = stepped(stepper, commands)
+    assert_allclose(moment.state, last.state, rtol=0, atol=1e-13)
+    assert_allclose(moment.time, TIMES[-1], rtol=1e-12)
+
+
+def test_a_wind_comes_up_linearly():
+    """As a signal of two knots does, from one interval to the next."""
+    arm = chain(3, parameters=STIFF)
+    stepper = Stepper(arm, INTERVAL, 4)
+    moment = stepper.start(wind=np.zeros(3))
+    winds = np.outer(np.minimum(TIMES, 1.0), [0.0, 1.0, 0.5])
+    for wind in winds[1:]:
+        moment = stepper.advance(moment, jnp.zeros(3), wind)
+    still = logged(TIMES[[0, -1]], np.zeros((2, 3)))
+    motion = simulate(arm, still, TIMES, wind=logged(TIMES, winds), rtol=1e-10, atol=1e-10)
+    assert_allclose(moment.angles, motion.angles[-1], rtol=0, atol=1e-7)
+    assert np.abs(motion.angles[-1]).max() > 1e-3
+
+
+def test_derivatives_are_those_of_the_simulation():
+    """By the command and by the stiffness, through all decisions."""
+    arm, commands = chain(3, parameters=STIFF), jnp.asarray(operated())
+
+    def last(scale, stiffness):
+        moved = replace(arm, {"joints.yaw_stiffness": stiffness})
+        return stepped(Stepper(moved, INTERVAL), scale * commands)[0].angles
+
+    found = jax.jit(jax.jacfwd(last, (0, 1)))(1.0, 3.0)
+    value = jax.jit(last)
+    for slope, ahead, back in (
+        (found[0], value(1.0 + 1e-4, 3.0), value(1.0 - 1e-4, 3.0)),
+        (found[1], value(1.0, 3.0 + 1e-4), value(1.0, 3.0 - 1e-4)),
+    ):
+        assert_allclose(slope, (ahead - back) / 2e-4, atol=1e-6 * np.abs(slope).max())
+
+
+def test_what_cannot_be_stepped_is_refused():
+    arm = chain(3)
+    with pytest.raises(InputError, match=r"the interval is 0\.0 s: give one positive number"):
+        Stepper(arm, 0.0)
+    with pytest.raises(InputError, match="an interval has 0 steps"):
+        Stepper(arm, 0.1, 0)
+    with pytest.raises(InputError, match="there is no solver 'euler'"):
+        Stepper(arm, 0.1, solver="euler")
+    stepper = Stepper(arm, 0.1)
+    with pytest.raises(InputError, match=r"the rates of a moment have shape \(2,\): give 3"):
+        stepper.start(rates=[0.0, 1.0])
+    with pytest.raises(InputError, match=r"the wind of a moment have shape \(4,\): give 3"):
+        stepper.start(wind=[0.0, 1.0, 0.0, 0.0])
+    with pytest.raises(InputError, match=r"the command of a moment have shape \(1,\)"):
+        stepper.advance(stepper.start(), [0.1])
+    with pytest.raises(InputError, match="a wind comes up in still air"):
+        stepper.advance(stepper.start(), np.zeros(3), [0.0, 1.0, 0.0])
