@@ -5,6 +5,7 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from giajax import (
     InputError,
@@ -13,13 +14,16 @@ from giajax import (
     MuscleModel,
     Run,
     chain,
+    contacts,
     joint_steps,
     muscle_path,
     predict,
     simulate,
 )
+from giajax.arm import Contact, drag_force
 from giajax.models import Line, Scene, arm_scene, joint_scene, model_for
 from giajax.models._sensors import Marker
+from giajax.obstacles import Plane
 from small_arm import small_run
 
 ANGLES = np.deg2rad([-60.0, -30.0, -2.0, 2.0, 10.0, 45.0])
@@ -122,3 +126,49 @@ def test_parts_that_do_not_fit_together_are_refused():
     line = Line("link", points, np.zeros(2))
     with pytest.raises(InputError, match="give all of them as many"):
         Scene((line,), {"tip": np.zeros((3, 3))})
+
+
+def test_muscles_lie_on_both_sides_of_their_joint():
+    """The first on the side to which a positive angle bends, and shorter then."""
+    arm = chain(2, muscles=[2], joint_axes="pitch_yaw", length=2.0, diameter=0.4)
+    angles = jnp.asarray([[0.3, 0.0], [0.3, 0.5]])
+    motion = simulate(arm, joint_steps(2, {}), jnp.asarray([0.0, 1e-3]))
+    scene = arm_scene(dataclasses.replace(motion, angles=angles))
+    first, second = (line for line in scene.lines if line.name == "muscle")
+    joint = scene.lines[1].points[:, 0]
+    for line, side in ((first, 1.0), (second, -1.0)):
+        assert_allclose(np.linalg.norm(line.points[:, 1] - joint, axis=1), 0.2)
+        assert_allclose(line.points[0, 1] - joint[0], [0.0, 0.2 * side, 0.0], atol=1e-12)
+        # At its ends on the skin of the links, a quarter of their length from the joint.
+        for link, end in ((scene.lines[0], 0), (scene.lines[1], 2)):
+            along = link.points[1, 1] - link.points[1, 0]
+            place = (line.points[1, end] - link.points[1, 0]) @ along / 2.0
+            assert_allclose(place, 1.5 if end == 0 else 0.5)
+            off = line.points[1, end] - link.points[1, 0] - along * place / 2.0
+            assert_allclose(np.linalg.norm(off), 0.2)
+
+    def length(line, sample):
+        return np.linalg.norm(np.diff(line.points[sample], axis=0), axis=1).sum()
+
+    assert length(first, 1) < length(first, 0) == pytest.approx(1.0)
+    assert length(second, 1) > 1.0
+    assert_allclose(first.pressure, motion.pressures[:, 0, 1])
+
+
+@pytest.mark.slow
+def test_forces_are_those_of_the_air_and_of_what_is_touched():
+    ground = Plane(centre=[0.0, 0.0, -0.15])
+    arm = chain(2, length=1.0, diameter=0.4, contact=Contact(obstacles=(ground,)))
+    wind = [0.0, 2.0, 0.0]
+    motion = simulate(arm, joint_steps(2, {}), jnp.asarray([0.0, 1e-3]), wind=wind)
+    scene = arm_scene(motion)
+    air, contact = scene.arrows
+    expected = drag_force(arm, jnp.zeros(2), jnp.zeros(2), jnp.asarray(wind))
+    assert_allclose(air.vectors[0], expected, atol=1e-12)
+    assert_allclose(air.origins[0], [[0.5, 0.0, 0.0], [1.5, 0.0, 0.0]], atol=1e-12)
+    # Each link is pressed in by 5 cm: upwards.
+    assert contact.vectors[0, :, 2].min() > 1.0
+    assert_allclose(contact.vectors[0], contacts(motion).force[0, :, 0])
+    (block,) = scene.blocks
+    assert block.name == "ground"
+    assert_allclose((block.centre + block.axes @ np.diag(block.size)[:, 2] / 2)[2], -0.15)

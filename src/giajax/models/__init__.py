@@ -42,7 +42,7 @@ from ._response import (
     input_channel as input_channel,
     output_channel as output_channel,
 )
-from ._scene import Line as Line, Scene as Scene
+from ._scene import Arrows as Arrows, Block as Block, Line as Line, Scene as Scene
 from ._sensors import Sensors as Sensors
 from ._sensors_definition import sensors_from_definition as sensors_from_definition
 from ._several import SeveralModels as SeveralModels

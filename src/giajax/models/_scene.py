@@ -20,12 +20,14 @@ class Line:
         points: m, shape (sample, point, 3).
         radii: of the round body about it at each point, m, shape (point,); 0 for a thread.
         loose: where a thread hangs slack, shape (sample,); None where it never does.
+        pressure: inside, above the surroundings, Pa, shape (sample,); None where it has none.
     """
 
     name: str
     points: Float[np.ndarray, "sample point 3"]
     radii: Float[np.ndarray, " point"]
     loose: Bool[np.ndarray, " sample"] | None = None
+    pressure: Float[np.ndarray, " sample"] | None = None
 
     def __post_init__(self) -> None:
         if self.points.shape[1:] != (len(self.radii), 3):
@@ -36,6 +38,47 @@ class Line:
 
 
 @dataclasses.dataclass(frozen=True)
+class Arrows:
+    """Vectors that act somewhere: forces of the air, or of what is touched.
+
+    Attributes:
+        name: what they are (`air`, `contact`).
+        unit: of their length (`N`).
+        origins: where they act, m, shape (sample, arrow, 3).
+        vectors: shape (sample, arrow, 3).
+    """
+
+    name: str
+    unit: str
+    origins: Float[np.ndarray, "sample arrow 3"]
+    vectors: Float[np.ndarray, "sample arrow 3"]
+
+    def __post_init__(self) -> None:
+        if self.origins.shape != self.vectors.shape:
+            raise InputError(
+                f"the arrows '{self.name}' have origins of shape {self.origins.shape} and vectors "
+                f"of shape {self.vectors.shape}: give an origin to each vector"
+            )
+
+
+@dataclasses.dataclass(frozen=True)
+class Block:
+    """A solid box that stays where it is.
+
+    Attributes:
+        name: of the obstacle that it is a part of.
+        centre: m, shape (3,).
+        size: along its own axes, m, shape (3,).
+        axes: unit vectors along its sizes, as columns, shape (3, 3).
+    """
+
+    name: str
+    centre: Float[np.ndarray, "3"]
+    size: Float[np.ndarray, "3"]
+    axes: Float[np.ndarray, "3 3"]
+
+
+@dataclasses.dataclass(frozen=True)
 class Scene:
     """Everything that is seen of a model, in one frame: x ahead, y to the left, z upwards.
 
@@ -43,15 +86,20 @@ class Scene:
         lines: bodies and threads.
         markers: points by name, m, each of shape (sample, 3); NaN where there is none.
         times: of the samples, s, shape (sample,); None where they are not in time.
+        arrows: forces.
+        blocks: what stands around.
     """
 
     lines: tuple[Line, ...]
     markers: dict[str, Float[np.ndarray, "sample 3"]]
     times: Float[np.ndarray, " sample"] | None = None
+    arrows: tuple[Arrows, ...] = ()
+    blocks: tuple[Block, ...] = ()
 
     def __post_init__(self) -> None:
         lengths = {len(line.points) for line in self.lines}
         lengths |= {len(points) for points in self.markers.values()}
+        lengths |= {len(arrows.origins) for arrows in self.arrows}
         if self.times is not None:
             lengths.add(len(self.times))
         if len(lengths) != 1:
