@@ -24,6 +24,7 @@ ROOMS = [
     ("paper",),
     ("experiments",),
     ("report",),
+    ("viewer",),
     ("sweeping",),
     ("tasks",),
     ("diagnosis",),

@@ -37,6 +37,7 @@ from . import (
     _suspects,
     _sweep,
     _synth,
+    _view,
     _wind,
 )
 from ._errors import Commands, run
@@ -55,6 +56,8 @@ Examples:
                             fit drag, stiffness and damping to it
   giajax report giajax-out/run
                             the fit as a page: whether to believe it, and why
+  giajax view giajax-out/run
+                            the arm as fitted, and what was seen, in a browser
   giajax compare giajax-out/run giajax-out/other
                             whether two fits agree to within their errors
   giajax suspects giajax-out/run
@@ -115,6 +118,7 @@ _COMMANDS: tuple[tuple[Callable[..., None], str], ...] = (
     (_suspects.suspects, _suspects.EXAMPLES),
     (_sweep.sweep, _sweep.EXAMPLES),
     (_synth.synth, _synth.EXAMPLES),
+    (_view.view, _view.EXAMPLES),
     (_wind.wind, _wind.EXAMPLES),
     (_examples.examples, _examples.EXAMPLES),
     (_cache.cache, _cache.EXAMPLES),

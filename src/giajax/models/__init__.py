@@ -36,6 +36,7 @@ from ._protocol import (
     Derived as Derived,
     Integration as Integration,
 )
+from ._recorded_markers import recorded_markers as recorded_markers
 from ._response import (
     Columns as Columns,
     comparable as comparable,

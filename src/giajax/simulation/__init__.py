@@ -28,4 +28,5 @@ from ._trajectory import (
     RESULTS as RESULTS,
     SimulationError as SimulationError,
     Trajectory as Trajectory,
+    at_rest as at_rest,
 )

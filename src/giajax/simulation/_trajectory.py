@@ -4,11 +4,13 @@ from collections.abc import Callable
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 
 from .._program import program
 from .._typing import Array, Bool, Float, Int
 from ..arm import Arm, link_centres, tip_position
-from ._signal import Signal
+from ._motion import Inputs
+from ._signal import Signal, constant
 
 
 class RESULTS(eqx.Enumeration):
@@ -87,6 +89,35 @@ class Trajectory(eqx.Module):
     def commands(self) -> Float[Array, "sample joint"]:
         """Commanded angles at the samples, rad."""
         return jax.vmap(self.command)(self.times)
+
+
+def at_rest(arm: Arm, angles: Float[Array, " joint"]) -> Trajectory:
+    """One sample of an arm that is held still, as a motion: for pictures, and sizes of results.
+
+    Arguments:
+        arm: the arm.
+        angles: of its joints, commanded and actual, rad.
+
+    Returns:
+        A trajectory of one sample at 0 s, in still air.
+    """
+    command, time = constant(angles), jnp.zeros((), angles.dtype)
+    inputs = Inputs(arm, command, None, None, time)
+    parts = inputs.parts(inputs.start(jnp.stack([angles, jnp.zeros_like(angles)]), time))
+    pressures = inputs.inside(time, parts.muscles)
+    return Trajectory(
+        times=time[None],
+        angles=parts.angles[None],
+        rates=parts.rates[None],
+        memory=parts.memory[None] if len(parts.memory) else None,
+        pressures=None if pressures is None else pressures[None],
+        skin=parts.skin[None] if parts.skin.size else None,
+        arm=arm,
+        command=command,
+        wind=None,
+        result=RESULTS.successful,  # type: ignore[arg-type]
+        steps=jnp.zeros(2, dtype=int),
+    )
 
 
 @program

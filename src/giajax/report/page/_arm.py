@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...fitting import FitResult
-from ...models import Scene
+from ...models import recorded_markers
 from ...runs import Run
 from ...simulation import SimulationError
 
@@ -16,9 +16,6 @@ _MOST_FRAMES = 240
 
 # Coordinates are integers of this range: an eye sees a thousandth.
 _GRID = 4095
-
-# Of the extent: where a recording's axes are those of the scene, they agree better than this.
-_ALIGNED = 1e-3
 
 
 class Arm(NamedTuple):
@@ -55,7 +52,8 @@ def animation(result: FitResult, run: Run, predicted: Mapping[str, np.ndarray]) 
         return None
     frames = np.unique(np.linspace(0, scene.samples - 1, _MOST_FRAMES).round().astype(int))
     low, high = scene.extent()
-    recorded, aligned = _recorded_markers(scene, run, predicted, float(np.max(high - low)))
+    found = recorded_markers(scene, run, predicted)
+    recorded, aligned = found or {}, found is not None
     for points in recorded.values():
         if np.any(np.isfinite(points)):
             low = np.fmin(low, np.nanmin(points, axis=0))
@@ -85,31 +83,3 @@ def animation(result: FitResult, run: Run, predicted: Mapping[str, np.ndarray]) 
         "recorded": [grid(points) for points in recorded.values()],
     }
     return Arm(json.dumps(facts, separators=(",", ":")), len(recorded), aligned)
-
-
-def _recorded_markers(
-    scene: Scene, run: Run, predicted: Mapping[str, np.ndarray], extent: float
-) -> tuple[dict[str, np.ndarray], bool]:
-    """Where markers were recorded, in the frame of the scene; none where its axes are others.
-
-    Of a marker whose coordinates were recorded in part, the others are those of the model.
-    """
-    found: dict[str, np.ndarray] = {}
-    aligned = True
-    for name, points in scene.markers.items():
-        here = points.copy()
-        measured = np.zeros(len(here), bool)
-        for axis, letter in enumerate("xyz"):
-            channel = f"{name}_{letter}"
-            if channel not in run.observations or len(predicted[channel]) != len(here):
-                continue
-            if np.nanmax(np.abs(predicted[channel] - points[:, axis])) > _ALIGNED * extent:
-                aligned = False
-                continue
-            cells = run.observations[channel]
-            here[:, axis] = cells
-            measured |= ~np.isnan(cells)
-        if measured.any():
-            here[~measured] = np.nan
-            found[name] = here
-    return (found, True) if aligned else ({}, False)
