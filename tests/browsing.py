@@ -78,7 +78,9 @@ class Page:
     def wait(self, script, seconds=30.0):
         """Until an expression is true; its value."""
         end = time.monotonic() + seconds
-        while not (value := self.evaluate(script)):
+        # While a page is loaded, much of it is not there yet.
+        within = f"(() => {{ try {{ return {script}; }} catch {{ return false; }} }})()"
+        while not (value := self.evaluate(within)):
             assert time.monotonic() < end, f"not within {seconds} s: {script}"
             time.sleep(0.05)
         return value

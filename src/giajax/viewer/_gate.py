@@ -44,6 +44,7 @@ class Gate:
         self._ports = dict(ports)
         self._socket = bound(host, port)
         self.host, self.port = host, self._socket.getsockname()[1]
+        self._writers: set[asyncio.StreamWriter] = set()
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
@@ -75,14 +76,16 @@ class Gate:
             self._loop.run_forever()
         finally:
             server.close()
-            tasks = asyncio.all_tasks(self._loop)
-            for task in tasks:
-                task.cancel()
-            self._loop.run_until_complete(asyncio.gather(*tasks, return_exceptions=True))
+            # Both ends of each connection, so that what passes things on comes to its own end.
+            for writer in list(self._writers):
+                writer.transport.abort()
+            if tasks := asyncio.all_tasks(self._loop):
+                self._loop.run_until_complete(asyncio.wait(tasks, timeout=5))
             self._loop.close()
 
     async def _admit(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """One connection."""
+        self._writers.add(writer)
         with suppress(OSError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
             head = await reader.readuntil(b"\r\n\r\n")
             passed = self._passed(head)
@@ -91,10 +94,19 @@ class Gate:
                 await writer.drain()
             else:
                 port, inside = passed
-                near = await asyncio.open_connection(LOOPBACK, port)
-                near[1].write(inside)
-                await asyncio.gather(_pipe(reader, near[1]), _pipe(near[0], writer))
+                answers, asked = await asyncio.open_connection(LOOPBACK, port)
+                self._writers.add(asked)
+                asked.write(inside)
+                await asyncio.gather(_pipe(reader, asked), _pipe(answers, writer))
+                await self._closed(asked)
+        await self._closed(writer)
+
+    async def _closed(self, writer: asyncio.StreamWriter) -> None:
+        """End one side of a connection."""
         writer.close()
+        with suppress(OSError):
+            await writer.wait_closed()
+        self._writers.discard(writer)
 
     def _passed(self, head: bytes) -> tuple[int, bytes] | None:
         """To which server a request goes, and as what; None where it is refused."""

@@ -128,10 +128,8 @@ class Viewer:
 
     def _build(self) -> None:
         gui = self._server.gui
-        gui.configure_theme(
-            control_layout="collapsible", show_logo=False, show_share_button=False,
-            brand_color=(0, 90, 140),
-        )  # fmt: skip
+        gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(0, 90, 140))
+        gui.main_panel.dock_right()
         gui.set_panel_label("giajax")
         self._words = gui.add_markdown("")
         if self._posable is not None:

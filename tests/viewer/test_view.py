@@ -1,0 +1,173 @@
+"""The viewer as a user sees it: its files, its page in a browser, and its errors."""
+
+import dataclasses
+import time
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+
+import giajax
+from browsing import opened
+from giajax import InputError
+from giajax.cli import main
+from giajax.models import ArmModel, Pinhole, arm_scene
+from giajax.viewer import Posable, Show, Viewer, recording, shown
+from small_arm import small_run
+
+
+@pytest.fixture(scope="module")
+def show():
+    """A small arm that swings, and where a camera saw it: a little to the left."""
+    arm = giajax.chain(3, length=1.0, diameter=0.2)
+    times = jnp.linspace(0.0, 2.0, 41)
+    command = giajax.joint_ramps(3, {1: 0.5, 2: 0.4}, start=0.0, duration=1.0)
+    scene = arm_scene(giajax.simulate(arm, command, times))
+    seen = {name: points + np.array([0.0, 0.5, 0.0]) for name, points in scene.markers.items()}
+    return Show("swing", scene, seen)
+
+
+@pytest.fixture
+def page(browser, tmp_path):
+    with opened(browser, tmp_path / "profile") as found:
+        yield found
+
+
+def test_a_run_is_shown_with_its_recording(tmp_path):
+    run = small_run(tmp_path)
+    path = next(tmp_path.glob("*.csv"))
+    found = shown(path)
+    assert found.name == path.stem
+    assert_allclose(found.clock, run.times)
+    assert set(found.recorded) <= set(found.scene.markers)
+    assert found.recorded
+    with pytest.raises(InputError, match=r"nothing\.csv"):
+        shown(tmp_path / "nothing.csv")
+
+
+def test_an_arm_is_posed_by_hand(tmp_path):
+    path = tmp_path / "arm.toml"
+    path.write_text("[arm]\nlinks = 2\n")
+    arm = shown(path)
+    assert isinstance(arm, Posable)
+    posed = arm.show(np.array([0.5, 0.0])).scene
+    link = posed.lines[0].points[0]
+    assert_allclose(np.arctan2(link[1, 2], link[1, 0]), 0.5)
+    path.write_text('model = "joint"\n')
+    with pytest.raises(InputError, match="describes a joint: give the TOML file of an arm"):
+        shown(path)
+
+
+def test_a_file_plays_without_a_server(show, page, tmp_path):
+    out = tmp_path / "swing.html"
+    out.write_bytes(recording([show, dataclasses.replace(show, name="again")]))
+    page.open(out.as_uri())
+    # Its clock runs.
+    page.wait("document.querySelector('[role=slider]') !== null")
+    first = page.evaluate("document.querySelector('[role=slider]').ariaValueNow")
+    page.wait(f"document.querySelector('[role=slider]').ariaValueNow != '{first}'")
+    assert page.evaluate("document.querySelector('[role=slider]').ariaValueMax") == "2"
+    assert not page.complaints
+
+
+def test_the_page_plays_and_hides(show, page):
+    viewer = Viewer([show])
+    try:
+        page.open(viewer.address)
+        page.wait("document.body.innerText.includes('recorded markers off by 500.0 mm')")
+        button = "[...document.querySelectorAll('button')].find(b => b.innerText == 'play')"
+        page.wait(f"!!{button}")
+        page.evaluate(f"{button}.click()")
+        page.wait("!document.body.innerText.includes('time 0.00 s')")
+        assert viewer.player.playing
+        # Beside those of viser itself: "again and again", and then the layers.
+        box = "document.querySelectorAll('input[type=checkbox]:not([id^=mantine])')[1]"
+        layer = viewer.stages[0]._layers["balloons"]
+        assert layer.visible
+        page.evaluate(f"{box}.click()")
+        end = time.monotonic() + 10
+        while layer.visible:
+            assert time.monotonic() < end
+            time.sleep(0.02)
+        assert not page.complaints
+    finally:
+        viewer.close()
+
+
+def test_sliders_move_the_arm(page):
+    arm = Posable(ArmModel(giajax.chain(2)), "arm")
+    viewer = Viewer([arm])
+    try:
+        page.open(viewer.address)
+        page.wait("document.querySelectorAll('[role=slider]').length == 2")
+        page.evaluate("document.querySelectorAll('[role=slider]')[0].focus()")
+        for _ in range(4):
+            for kind in ("keyDown", "keyUp"):
+                page.call(
+                    "Input.dispatchKeyEvent", type=kind, key="ArrowRight", code="ArrowRight",
+                    windowsVirtualKeyCode=39,
+                )  # fmt: skip
+        page.wait("document.body.innerText.match(/tip at [0-9.]+, 0.000, 0.0[0-9]*[1-9]/)")
+        link = viewer.stages[0].show.scene.lines[0].points[0]
+        assert_allclose(np.rad2deg(np.arctan2(link[1, 2], link[1, 0])), 2.0, atol=1e-6)
+        assert not page.complaints
+    finally:
+        viewer.close()
+
+
+def test_markers_are_where_a_camera_sees_them(show, page):
+    """Rendered by the browser, against our projection: within a pixel."""
+    camera = Pinhole(
+        position=[1.5, -6.0, 0.8], rotation=[0.05, 0.02, np.pi / 2 + 0.1], focal_length=600.0,
+        centre=[319.5, 239.5], size=(640, 480),
+    )  # fmt: skip
+    view = camera.view()
+    viewer = Viewer([show])
+    try:
+        for layer in ("balloons", "markers", "air"):
+            viewer.stages[0].visible(layer, False)
+        viewer.server.scene.remove_by_name("/grid")
+        page.open(viewer.address)
+        page.wait("document.body.innerText.includes('play')")
+        sample = 25
+        viewer.player.seek(float(show.clock[sample]))
+        viewer.draw()
+        time.sleep(1.0)
+        client = next(iter(viewer.server.get_clients().values()))
+        turn = Rotation.from_matrix(np.asarray(view.axes)).as_quat(scalar_first=True)
+        field = 2 * float(np.arctan(240 / 600))
+        picture = client.get_render(
+            480, 640, wxyz=turn, position=np.asarray(view.centre), fov=field, transport_format="png"
+        )
+    finally:
+        viewer.close()
+    weights = picture[..., 3] / 255
+    rows, columns = np.indices(weights.shape)
+    for name, points in show.recorded.items():
+        expected = np.asarray(camera.project(jnp.asarray(points[sample])).pixels)
+        near = weights * (np.hypot(columns - expected[0], rows - expected[1]) < 6)
+        assert near.sum() > 3, name
+        found = np.array([(near * columns).sum(), (near * rows).sum()]) / near.sum()
+        assert np.linalg.norm(found - expected) < 1.0, name
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["nothing.csv"], "nothing.csv does not exist: give a run, the folder of a fit, or an arm"),
+        (["arm.toml", "arm.toml"], "an arm without a motion is shown by itself"),
+        (["arm.toml", "--out", "page.html"], "page.html exists"),
+        (["arm.toml", "--port", "70000", "--no-browser"], "the port is 70000"),
+    ],
+)
+def test_errors_are_one_sentence(words, said, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "arm.toml").write_text("[arm]\nlinks = 2\n")
+    (tmp_path / "page.html").write_text("mine")
+    assert main(["view", *words]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+    assert (tmp_path / "page.html").read_text() == "mine"
