@@ -24,6 +24,7 @@ ROOMS = [
     ("paper",),
     ("experiments",),
     ("report",),
+    ("driving",),
     ("viewer",),
     ("sweeping",),
     ("tasks",),

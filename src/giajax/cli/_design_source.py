@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .._errors import InputError
-from ._drive import definition_from_options, model_and_truth
+from ._driven import definition_from_options, model_and_truth
 from ._model import is_result
 
 if TYPE_CHECKING:

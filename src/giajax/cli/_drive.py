@@ -1,167 +1,152 @@
-"""Options of commands that simulate an arm, as definitions and drives.
+"""`giajax drive`: the operator's page, or what a pad did, without one."""
 
-Shared by `giajax simulate` and `giajax sensitivity`; JAX is imported where it is needed only.
-"""
-
-import math
-import re
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Annotated
+
+import typer
 
 from .._errors import InputError
-from ._values import NUMBER, plain_settings, settings, velocity, with_settings
-
-if TYPE_CHECKING:
-    from ..models import ArmModel
-    from ..runs import Definition, Run
-    from ..synthetic import Drive
-
-DURATION = 25.0
-"""Length of a run, s, by default."""
-
-_START = 0.5
-_RAMP_DURATION = 1.0
-
-_MOVE = re.compile(
-    rf"(?P<joint>[0-9]{{1,9}})=(?P<angle>{NUMBER})"
-    rf"(?:@(?P<start>{NUMBER})(?::(?P<duration>{NUMBER}))?)?"
+from ._channel_names import channel_names
+from ._driving import (
+    compensation_of,
+    driven_arm,
+    free_name,
+    mapping_of,
+    replay_table,
+    save,
+    serve,
+    wind_of,
 )
+from ._origin import origin
+from ._values import noise_section, settings, with_settings
+
+EXAMPLES = """\b
+Examples:
+  giajax drive                          the paper's arm, in a browser
+  giajax drive giajax-out/run           the arm of a fit
+  giajax drive my_arm.toml --gusts 0.3:5 --wind 0,0.2,0
+  giajax drive my_arm.toml --pad my_pad.toml --out monday.csv
+  giajax drive --replay pad.csv --out again.csv
+                                        what a pad did, as fast as it goes
+
+\b
+WHAT is the folder of a fit, or the TOML file of an arm. Sticks bend the base and
+the tip, sliders and presets any joint; where the pad, the tab or its connection
+is gone, the arm holds. The drive ends by Ctrl-C, and is saved as a run that
+giajax fit reads. A pad file says what sticks and buttons do:
+
+\b
+  [pad]
+  largest_rate_deg_per_s = 5.0
+  axes = [{axis = 1, joints = [1, 3], rate_deg_per_s = -3.0}]
+  buttons = [{button = 0, preset = "up"}, {button = 1, stop = true}]
+  presets = [{name = "up", joints = [1], angles_deg = [20], others_deg = 0}]
+
+\b
+A table of a pad has the columns time_s, axis0, axis1, ..., button0, ...; a row
+holds until the next one."""
 
 
-def definition_from_options(arm: Path | None, links: int | None, wind: str | None) -> "Definition":
-    """What the arm file and the options say, the options on top."""
-    from ..kinds import ARM
-    from ..runs import Definition
+def drive(
+    context: typer.Context,
+    what: Annotated[Path | None, typer.Argument(metavar="WHAT", help="See below.")] = None,
+    pad: Annotated[
+        Path | None, typer.Option(metavar="FILE.toml", help="What the pad does; see below.")
+    ] = None,
+    replay: Annotated[
+        Path | None, typer.Option(metavar="PAD.csv", help="Drive by a table, without a page.")
+    ] = None,
+    links: Annotated[int | None, typer.Option(metavar="N", help="Number of links.")] = None,
+    pairs: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="PATH=VALUE", help="A parameter. Repeatable."),
+    ] = None,
+    wind: Annotated[
+        str | None, typer.Option(metavar="X,Y,Z", help="Mean velocity of the air, m/s.")
+    ] = None,
+    gusts: Annotated[
+        str | None,
+        typer.Option(metavar="I:L", help="Gusts about --wind: intensity, and length scale, m."),
+    ] = None,
+    compensate: Annotated[
+        Path | None,
+        typer.Option(metavar="RESULT", help="A fit of a joint's hysteresis, to be undone."),
+    ] = None,
+    no_memory: Annotated[
+        bool, typer.Option("--no-memory", help="Leave out what joints remember.")
+    ] = False,
+    latency: Annotated[
+        float, typer.Option(metavar="S", help="Of the picture of the camera at the tip.")
+    ] = 0.2,
+    rate: Annotated[float, typer.Option(metavar="HZ", help="Poses a second.")] = 30.0,
+    steps: Annotated[
+        int, typer.Option(metavar="N", min=1, help="Steps of the integrator in each.")
+    ] = 1,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="RUN.csv", help="The run to write. [default: drive-1.csv, or -2 ...]"),
+    ] = None,
+    channels: Annotated[
+        list[str] | None,
+        typer.Option(metavar="CHANNELS", help="What is recorded, as of simulate. Repeatable."),
+    ] = None,
+    noise: Annotated[
+        list[str] | None,
+        typer.Option(metavar="KEY=VALUE", help="Standard deviation, by a key of [noise]."),
+    ] = None,
+    every: Annotated[
+        int, typer.Option(metavar="N", min=1, help="One row in so many is recorded.")
+    ] = 3,
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Of noise and gusts.")] = 0,
+    host: Annotated[
+        str, typer.Option(metavar="ADDRESS", help="Where to listen; 0.0.0.0: everywhere.")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(metavar="N", help="Where to listen; 0 for a free one.")] = 0,
+    browser: Annotated[
+        bool, typer.Option("--browser/--no-browser", help="Open a browser, or only say where.")
+    ] = True,
+    force: Annotated[bool, typer.Option("--force", help="Write over a run.")] = False,
+) -> None:
+    """Drive an arm: with a game pad or sliders, in a browser, in real time.
 
-    definition = Definition() if arm is None else Definition.load(arm)
-    if definition.model not in (None, ARM.name):
-        raise InputError(f"{arm} describes a {definition.model}: give the TOML file of an arm")
-    if links is not None:
-        if links < 1:
-            raise InputError(f"--links is {links}: give at least 1 link")
-        definition = definition.merged_with(Definition.parse({"arm": {"links": links}}))
-    if wind is not None:
-        stated = {"velocity_m_per_s": velocity(wind, "--wind")}
-        definition = definition.merged_with(Definition.parse({"wind": stated}))
-    return definition
-
-
-def replayed_run(
-    command: Path | None, definition: "Definition", moves: Sequence[str] | None
-) -> "Run | None":
-    """The run of --command, whose commands go between its rows as the arm file says; or None.
-
-    Raises:
-        InputError: there are moves of --step or --ramp beside it, or it is no run.
+    The picture of a camera at the tip, gusts, and every drive saved as a run.
     """
-    from ..kinds import ArmSection
-    from ..runs import Definition, read_run, read_sidecar
+    from ..runs import check_output_run
 
-    if command is None:
-        return None
-    if moves:
-        raise InputError(
-            "--command gives the commands, and so do --step and --ramp: give one of them"
-        )
-    # The arm that recorded the run says which joints there are, where the sidecar describes it.
-    recorded = bool(read_sidecar(command).section(ArmSection).contents())
-    keys = ("command", "wind") if recorded else ("arm", "command", "wind")
-    section = {key: item for key, item in definition.contents().items() if key in keys}
-    return read_run(command, definition=Definition.parse(section))
+    section = noise_section(noise, "--noise")
+    out = free_name() if out is None else out
+    check_output_run(out, force=force)
+    values = settings(pairs)
+    if what is not None and not what.exists():
+        raise InputError(f"{what} does not exist: give the folder of a fit, or the file of an arm")
 
+    from ._jax import configure
 
-def drives_of(run: "Run", rate: float) -> tuple[float, float, list["Drive"]]:
-    """Start of a recorded run, its length in whole samples, its commands and wind."""
-    from ..kinds import ARM, CommandSection, WindSection
-    from ..synthetic import Drive
+    configure()
+    from ..driving import Session, TipCamera, read_pad
 
-    if run.model != ARM.name or run.times is None:
-        raise InputError(f"{run.path} is a run of the {run.model} model: give the run of an arm")
-    length = float(run.times[-1] - run.times[0])
-    if rate > 0:
-        length = max(math.floor(length * rate + 1e-6), 1) / rate
-    wind = run.definition.section(WindSection)
-    interpolation = run.definition.section(CommandSection).interpolation
-    apart: dict[str, dict[str, Any]] = {}  # what is straight is told by the largest value
-    for name, values in run.commands.items():
-        apart.setdefault(run.channels[name].quantity, {})[name] = values
-    drives = [Drive(run.times, rows, interpolation) for rows in apart.values()]
-    drives += [Drive(run.times, run.winds, wind.interpolation)] if run.winds else []
-    return float(run.times[0]), length, drives
-
-
-def moves_of(step: Sequence[str], ramp: Sequence[str], count: int, duration: float) -> "Drive":
-    """The commands of --step and --ramp, for an arm of `count` joints and a run of a length (s)."""
-    from ..synthetic import Move, joint_moves
-
-    moves = []
-    for option, texts in (("--step", step), ("--ramp", ramp)):
-        for text in texts:
-            match = _MOVE.fullmatch(text.replace(" ", ""))
-            if match is None or (match["duration"] and option == "--step"):
-                form = "JOINT=DEG[@T]" if option == "--step" else "JOINT=DEG[@START:DURATION]"
-                raise InputError(f"{option} {text!r} must be {form}, such as 1=30@0.5: correct it")
-            length = float(match["duration"] or _RAMP_DURATION) if option == "--ramp" else 0.0
-            if option == "--ramp" and length == 0:
-                raise InputError(
-                    f"{option} {text!r} has the duration 0: give a longer one, or --step"
-                )
-            start = _START if match["start"] is None else float(match["start"])
-            angle = math.radians(float(match["angle"]))
-            moves.append(Move(int(match["joint"]), angle, start, length))
-    return joint_moves(moves, joints=count, end=duration)
-
-
-def model_and_truth(
-    definition: "Definition", pairs: Sequence[str], solver: str, tolerance: float
-) -> tuple["ArmModel", dict[str, float | list[float]]]:
-    """The model with the parameters of --set, and the truth to state."""
-    import jax.numpy as jnp
-
-    from ..models import ArmModel, arm_from_definition, sensors_from_definition
-    from ..parameters import default_free, get
-
-    model = ArmModel(
-        arm_from_definition(definition),
-        tolerance=jnp.asarray(tolerance),
-        solver=solver,
-        sensors=sensors_from_definition(definition),
+    table = None if replay is None else read_pad(replay)
+    definition, model = driven_arm(what, links, wind)
+    model = with_settings(model, values)
+    count = model.arm.count
+    recorded = channel_names(channels or [], count)
+    session = Session(
+        model,
+        mapping_of(pad, count),
+        rate=rate,
+        steps=steps,
+        gusts=wind_of(gusts, definition, model, seed),
+        compensation=compensation_of(compensate, count),
+        memory=not no_memory,
     )
-    model = with_settings(model, settings(pairs))
-    truth = {
-        path: float(get(model, path)) for path in default_free(model) if not get(model, path).ndim
-    }
-    return model, {**truth, **plain_settings(pairs, "--set")}
-
-
-def facts_of(
-    definition: "Definition", replayed: "Run | None", drives: Sequence["Drive"], model: "ArmModel"
-) -> dict[str, Any]:
-    """The sections of the sidecar that say what moves the arm."""
-    from ..kinds import InitialSection, WindSection
-
-    source = definition if replayed is None else replayed.definition
-    driven = {name: drive for drive in drives for name in drive.values}
-    facts: dict[str, Any] = {"schema_version": 1}
-    initial = definition.section(InitialSection).contents()
-    commanded = [drive for name, drive in driven.items() if name.startswith("joint")]
-    winds = [drive for name, drive in driven.items() if "wind_" in name]
-    velocity = source.section(WindSection).velocity_m_per_s
-    if not (driven or initial or velocity or float(model.arm.gravity)):
-        raise InputError(
-            "nothing moves the arm: give --step, --ramp, --command or --wind, or --arm with an "
-            "[initial] state"
-        )
-    if not commanded:
-        facts["free_motion"] = True
-    if initial:
-        facts["initial"] = initial
-    if commanded:
-        facts["command"] = {"interpolation": commanded[0].interpolation}
-    # Gusts have the mean wind in them.
-    if winds:
-        facts["wind"] = {"interpolation": winds[0].interpolation}
-    elif velocity is not None:
-        facts["wind"] = {"velocity_m_per_s": velocity}
-    return facts
+    try:
+        if table is not None:
+            replay_table(session, table)
+        else:
+            camera = TipCamera(model, latency)
+            serve(session, camera, host=host, port=port, browser=browser)
+    finally:
+        save(
+            session, out, recorded,
+            noise=section, every=every, seed=seed, origin=origin(context), force=force,
+        )  # fmt: skip

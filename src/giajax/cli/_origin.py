@@ -9,7 +9,7 @@ def origin(context: typer.Context) -> str:
     """The command line without what only says where to write."""
     from importlib.metadata import version
 
-    words = [f"giajax {version('giajax')} simulate"]
+    words = [f"giajax {version('giajax')} {context.command.name}"]
     for parameter in context.command.params:
         value = context.params.get(parameter.name or "")
         if (
@@ -21,5 +21,7 @@ def origin(context: typer.Context) -> str:
         items = value if isinstance(value, list | tuple) else [value]
         for item in items:
             shown = f"{item:.15g}" if isinstance(item, float) else str(item)
-            words.append(f"{parameter.opts[0]} {shlex.quote(shown)}")
+            # An argument has its place and no name.
+            option = [parameter.opts[0]] if parameter.opts[0].startswith("-") else []
+            words.append(" ".join([*option, shlex.quote(shown)]))
     return " ".join(words)

@@ -11,7 +11,7 @@ import typer
 
 from .._errors import InputError
 from ._channel_names import channel_names
-from ._drive import (
+from ._driven import (
     DURATION,
     definition_from_options,
     drives_of,

@@ -37,6 +37,7 @@ from ._keys import with_keys as with_keys
 from ._kind import ChannelKind as ChannelKind, Kind as Kind, Offer as Offer
 from ._muscle import MUSCLE as MUSCLE, MuscleSection as MuscleSection
 from ._oscillator import OSCILLATOR as OSCILLATOR, OscillatorSection as OscillatorSection
+from ._pad import PadFile as PadFile, PadSection as PadSection
 from ._section import (
     Finite as Finite,
     Name as Name,

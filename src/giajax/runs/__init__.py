@@ -1,6 +1,7 @@
 """Recorded runs: reading, checking, describing and writing them. Imports no JAX."""
 
 from ._channels import Channel as Channel, parse_column as parse_column
+from ._complaints import complaint as complaint
 from ._definition import (
     Definition as Definition,
     run_keys as run_keys,

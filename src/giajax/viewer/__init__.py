@@ -2,6 +2,7 @@
 
 from ._backend import check_viser as check_viser
 from ._gate import LOOPBACK as LOOPBACK, Gate as Gate
+from ._live import LiveStage as LiveStage
 from ._page import Viewer as Viewer
 from ._player import Player as Player
 from ._recording import recording as recording

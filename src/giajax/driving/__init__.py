@@ -1,0 +1,10 @@
+"""An arm that a person drives: pad, sliders, a fixed step in time with a clock, and a record."""
+
+from ._cockpit import Cockpit as Cockpit
+from ._compensation import Compensation as Compensation
+from ._mapping import PadMapping as PadMapping
+from ._operator import Operator as Operator
+from ._record import Record as Record
+from ._replay import read_pad as read_pad, replay as replay
+from ._session import RATE as RATE, Pose as Pose, Session as Session
+from ._tip_camera import LATENCY as LATENCY, TipCamera as TipCamera

@@ -1,0 +1,246 @@
+"""The operator's page: a server for its messages, and the arm in the viewer's scene beside it."""
+
+import json
+import threading
+import time
+from contextlib import suppress
+from http import HTTPStatus
+from importlib.resources import files
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .._errors import InputError
+from ..models import Scene, arm_scene
+from ..simulation import at_rest
+from ..viewer import LOOPBACK, Gate, LiveStage
+from ._session import Pose, Session
+from ._tip_camera import TipCamera
+
+if TYPE_CHECKING:
+    from websockets.http11 import Request, Response
+    from websockets.sync.server import ServerConnection
+
+# The page is told so many poses a second at most, and the scene is drawn so often.
+_TOLD, _DRAWN = 20.0, 12.0
+
+TAKEN_OVER = "another page has taken over"
+
+
+class Cockpit:
+    """Serves the page of a drive, and drives in step with the clock until it is closed.
+
+    Three threads go their own ways, so that none waits for another: the arm advances, the page is
+    told where it is, and the scene is drawn. Each takes the latest pose, and none is queued.
+
+    Arguments:
+        session: the drive.
+        camera: of the picture at the tip.
+        host, port: where to listen, as of `giajax.viewer.Viewer`.
+
+    Raises:
+        InputError: viser is not installed, or the port is in use.
+    """
+
+    def __init__(
+        self, session: Session, camera: TipCamera, *, host: str = LOOPBACK, port: int = 0
+    ) -> None:
+        from websockets.sync.server import serve
+
+        self.session = session
+        self.camera = camera
+        self.error: str | None = None
+        self._lock = threading.Lock()
+        self._ended = threading.Event()
+        self._fresh = threading.Condition()
+        self._pose: Pose = session.tick(time.monotonic())
+        self._operator: ServerConnection | None = None
+        self._stage = LiveStage(self._scene(self._pose))
+        try:
+            self._server = serve(
+                self._talk, LOOPBACK, 0, process_request=self._page, compression=None
+            )
+            ports = {"": self._server.socket.getsockname()[1], "view": self._stage.port}
+            self._gate = Gate(ports, host=host, port=port)
+        except BaseException:
+            self._stage.close()
+            raise
+        self._threads = [
+            threading.Thread(target=target, daemon=True)
+            for target in (self._server.serve_forever, self._drive, self._draw)
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    @property
+    def address(self) -> str:
+        """Where a browser finds the page; whoever has it, drives."""
+        return self._gate.address
+
+    @property
+    def is_open(self) -> bool:
+        """Whether other machines can reach the page."""
+        return self._gate.is_open
+
+    @property
+    def ended(self) -> bool:
+        """Whether the drive is over: it was closed, or the arm became infinite (`error`)."""
+        return self._ended.is_set()
+
+    def wait(self, seconds: float) -> bool:
+        """Until the drive is over, but no longer; whether it is."""
+        return self._ended.wait(seconds)
+
+    def close(self) -> None:
+        """End the drive."""
+        self._ended.set()
+        with self._fresh:
+            self._fresh.notify_all()
+        self._gate.close()
+        self._server.shutdown()
+        for thread in self._threads:
+            thread.join(timeout=5)
+        self._stage.close()
+
+    def _drive(self) -> None:
+        """Advance the arm in step with the clock."""
+        interval = self.session.interval
+        while not self._ended.is_set():
+            try:
+                with self._lock:
+                    pose = self.session.tick(time.monotonic())
+            except InputError as error:
+                self.error = str(error)
+                self._ended.set()
+                return
+            if pose.time != self._pose.time:
+                with self._fresh:
+                    self._pose = pose
+                    self._fresh.notify_all()
+            self._ended.wait(interval / 4)
+
+    def _draw(self) -> None:
+        drawn = -1.0
+        while not self._ended.wait(1 / _DRAWN):
+            pose = self._pose
+            if pose.time != drawn:
+                self._stage.draw(self._scene(pose))
+                drawn = pose.time
+
+    def _scene(self, pose: Pose) -> Scene:
+        """The arm as it is; forces of the air on a still are none."""
+        import jax.numpy as jnp
+
+        model = self.session.record.model
+        return arm_scene(at_rest(model.arm, jnp.asarray(pose.angles)), model.sensors.marker)
+
+    def _page(self, _: "ServerConnection", request: "Request") -> "Response | None":
+        """The page itself; what is not asked for it is a WebSocket."""
+        from websockets.datastructures import Headers
+        from websockets.http11 import Response
+
+        if request.path.rstrip("/") == "/pad":
+            return None
+        known = request.path.partition("?")[0] == "/"
+        body = files(__package__).joinpath("page.html").read_bytes() if known else b"not here\n"
+        status = HTTPStatus.OK if known else HTTPStatus.NOT_FOUND
+        fields = Headers(
+            {
+                "Content-Type": "text/html; charset=utf-8" if known else "text/plain",
+                "Content-Length": str(len(body)),
+                "Cache-Control": "no-store",
+                "Referrer-Policy": "no-referrer",
+                "Connection": "close",
+            }
+        )
+        return Response(status.value, status.phrase, fields, body)
+
+    def _talk(self, connection: "ServerConnection") -> None:
+        """One page: it is told where the arm is, and says what the operator does."""
+        from websockets.exceptions import ConnectionClosed
+
+        with self._lock:
+            before, self._operator = self._operator, connection
+        if before is not None:
+            # A tab that was loaded again, or a second one: the latest drives.
+            with suppress(ConnectionClosed, OSError):
+                before.send(json.dumps({"type": "error", "text": TAKEN_OVER}))
+                before.close()
+        told = threading.Thread(target=self._tell, args=(connection,), daemon=True)
+        with suppress(ConnectionClosed, OSError):
+            connection.send(json.dumps(self._facts()))
+            told.start()
+            for text in connection:
+                if answer := self._heard(connection, text):
+                    connection.send(json.dumps({"type": "error", "text": answer}))
+        with self._lock:
+            if self._operator is connection:
+                self._operator = None
+
+    def _heard(self, connection: "ServerConnection", text: str | bytes) -> str | None:
+        """What is wrong with a message, or None."""
+        try:
+            message = json.loads(text)
+            if not isinstance(message, dict):
+                return "a message of the page is no table"
+            with self._lock:
+                if self._operator is not connection:
+                    return TAKEN_OVER
+                self.session.receive(message, time.monotonic())
+        except ValueError as error:
+            return str(error)
+        return None
+
+    def _tell(self, connection: "ServerConnection") -> None:
+        from websockets.exceptions import ConnectionClosed
+
+        told = -1.0
+        with suppress(ConnectionClosed, OSError):
+            while not self._ended.is_set():
+                with self._fresh:
+                    while self._pose.time == told and not self._ended.is_set():
+                        self._fresh.wait(timeout=1.0)
+                    pose = self._pose
+                told = pose.time
+                connection.send(json.dumps(self._words(pose)))
+                if self._ended.wait(1 / _TOLD):
+                    connection.send(json.dumps({"type": "ended", "text": self.error or ""}))
+
+    def _facts(self) -> dict[str, Any]:
+        """What does not change."""
+        mapping, scene = self.session.mapping, self._scene(self._pose)
+        return {
+            "type": "facts",
+            "joints": self.session.operator.joints,
+            "limit": float(np.rad2deg(mapping.largest_angle)),
+            "presets": list(mapping.presets),
+            "gusts": self.session.can_gust,
+            "compensation": self.session.can_compensate,
+            "camera": self.camera.facts(),
+            "latency": self.camera.latency,
+            "blocks": [
+                {
+                    "centre": block.centre.tolist(),
+                    "size": block.size.tolist(),
+                    "axes": block.axes.T.tolist(),
+                }
+                for block in scene.blocks
+            ],
+        }
+
+    def _words(self, pose: Pose) -> dict[str, Any]:
+        """Where the arm is."""
+        view = self.camera.see(pose.time, pose.angles)
+        return {
+            "type": "pose",
+            "time": round(pose.time, 3),
+            "angles": np.rad2deg(pose.angles).round(3).tolist(),
+            "command": np.rad2deg(pose.command).round(3).tolist(),
+            "wind": pose.wind.round(3).tolist(),
+            "gusts": self.session.gusty,
+            "compensation": self.session.compensated,
+            "stopped": pose.stopped,
+            "lost": round(pose.lost, 2),
+            "centre": np.asarray(view.centre).tolist(),
+            "axes": np.asarray(view.axes).T.tolist(),
+        }
