@@ -28,7 +28,7 @@ class Page:
         self._socket = socket
         self._numbers = itertools.count(1)
         self.said = []
-        for domain in ("Page", "Runtime", "Log", "Network"):
+        for domain in ("Page", "Runtime", "Log"):
             self.call(f"{domain}.enable")
 
     def call(self, method, **parameters):

@@ -1,8 +1,12 @@
-"""The operator's page: a server for its messages, and the arm in the viewer's scene beside it."""
+"""The operator's page: a server for its messages, and the arm in the viewer's scene beside it.
+
+Longer than 200 lines because what three threads share should be seen in one place.
+"""
 
 import json
 import threading
 import time
+from collections import deque
 from contextlib import suppress
 from http import HTTPStatus
 from importlib.resources import files
@@ -50,19 +54,22 @@ class Cockpit:
         self.session = session
         self.camera = camera
         self.error: str | None = None
-        self._lock = threading.Lock()
+        camera.see(session.time, session.pose.angles)  # compiled before the clock runs
+        # What pages said, with the time at which it came; the arm's own thread takes it in.
+        self._inbox: deque[tuple[ServerConnection, dict[str, Any], float]] = deque()
+        self._answers: deque[tuple[ServerConnection, str]] = deque()
         self._ended = threading.Event()
         self._fresh = threading.Condition()
-        self._pose: Pose = session.tick(time.monotonic())
+        # The clock of the drive begins with its thread.
+        self._pose: Pose = session.pose
         self._operator: ServerConnection | None = None
         self._stage = LiveStage(self._scene(self._pose))
+        self._server = serve(self._talk, LOOPBACK, 0, process_request=self._page, compression=None)
         try:
-            self._server = serve(
-                self._talk, LOOPBACK, 0, process_request=self._page, compression=None
-            )
             ports = {"": self._server.socket.getsockname()[1], "view": self._stage.port}
             self._gate = Gate(ports, host=host, port=port)
         except BaseException:
+            self._server.shutdown()
             self._stage.close()
             raise
         self._threads = [
@@ -106,9 +113,9 @@ class Cockpit:
         """Advance the arm in step with the clock."""
         interval = self.session.interval
         while not self._ended.is_set():
+            self._take_in()
             try:
-                with self._lock:
-                    pose = self.session.tick(time.monotonic())
+                pose = self.session.tick(time.monotonic())
             except InputError as error:
                 self.error = str(error)
                 self._ended.set()
@@ -119,11 +126,22 @@ class Cockpit:
                     self._fresh.notify_all()
             self._ended.wait(interval / 4)
 
+    def _take_in(self) -> None:
+        """What came since: of the page that drives."""
+        while self._inbox:
+            connection, message, came = self._inbox.popleft()
+            if connection is not self._operator:
+                continue
+            try:
+                self.session.receive(message, came)
+            except InputError as error:
+                self._answers.append((connection, str(error)))
+
     def _draw(self) -> None:
         drawn = -1.0
         while not self._ended.wait(1 / _DRAWN):
             pose = self._pose
-            if pose.time != drawn:
+            if pose.time != drawn and self._stage.watched:
                 self._stage.draw(self._scene(pose))
                 drawn = pose.time
 
@@ -159,8 +177,7 @@ class Cockpit:
         """One page: it is told where the arm is, and says what the operator does."""
         from websockets.exceptions import ConnectionClosed
 
-        with self._lock:
-            before, self._operator = self._operator, connection
+        before, self._operator = self._operator, connection
         if before is not None:
             # A tab that was loaded again, or a second one: the latest drives.
             with suppress(ConnectionClosed, OSError):
@@ -171,25 +188,21 @@ class Cockpit:
             connection.send(json.dumps(self._facts()))
             told.start()
             for text in connection:
-                if answer := self._heard(connection, text):
-                    connection.send(json.dumps({"type": "error", "text": answer}))
-        with self._lock:
-            if self._operator is connection:
-                self._operator = None
+                self._heard(connection, text)
+        if self._operator is connection:
+            self._operator = None
 
-    def _heard(self, connection: "ServerConnection", text: str | bytes) -> str | None:
-        """What is wrong with a message, or None."""
+    def _heard(self, connection: "ServerConnection", text: str | bytes) -> None:
+        """A message; what is none is answered."""
         try:
             message = json.loads(text)
-            if not isinstance(message, dict):
-                return "a message of the page is no table"
-            with self._lock:
-                if self._operator is not connection:
-                    return TAKEN_OVER
-                self.session.receive(message, time.monotonic())
         except ValueError as error:
-            return str(error)
-        return None
+            self._answers.append((connection, f"a message of the page is no JSON: {error}"))
+            return
+        if isinstance(message, dict):
+            self._inbox.append((connection, message, time.monotonic()))
+        else:
+            self._answers.append((connection, "a message of the page is no table"))
 
     def _tell(self, connection: "ServerConnection") -> None:
         from websockets.exceptions import ConnectionClosed
@@ -203,6 +216,10 @@ class Cockpit:
                     pose = self._pose
                 told = pose.time
                 connection.send(json.dumps(self._words(pose)))
+                while self._answers and self._operator is connection:
+                    asked, answer = self._answers.popleft()
+                    if asked is connection:
+                        connection.send(json.dumps({"type": "error", "text": answer}))
                 if self._ended.wait(1 / _TOLD):
                     connection.send(json.dumps({"type": "ended", "text": self.error or ""}))
 
@@ -212,7 +229,7 @@ class Cockpit:
         return {
             "type": "facts",
             "joints": self.session.operator.joints,
-            "limit": float(np.rad2deg(mapping.largest_angle)),
+            "limit": round(float(np.rad2deg(mapping.largest_angle)), 6),
             "presets": list(mapping.presets),
             "gusts": self.session.can_gust,
             "compensation": self.session.can_compensate,

@@ -99,6 +99,8 @@ class Session:
         self._stepper = Stepper(arm, jnp.asarray(self.interval), steps)
         self._wind = self._wind_at(0.0)
         self._moment: Moment = self._stepper.start(wind=self._wind)
+        # Compiled before the clock runs.
+        self._stepper.advance(self._moment, self._moment.command, jnp.asarray(self._wind))
         self._count = 0
         self._began: float | None = None
         self._add()

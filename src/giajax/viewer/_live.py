@@ -27,6 +27,11 @@ class LiveStage:
         """Where it listens on the loopback."""
         return self._server.get_port()
 
+    @property
+    def watched(self) -> bool:
+        """Whether a browser shows it."""
+        return bool(self._server.get_clients())
+
     def draw(self, scene: Scene) -> None:
         """Show another scene of the same parts."""
         with self._server.atomic():

@@ -1,0 +1,193 @@
+"""A drive: in time with its clock, as the simulation of what was commanded, and as a run."""
+
+import jax
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import giajax
+from giajax import InputError
+from giajax.arm import chain, tip_position
+from giajax.cli import main
+from giajax.control import Compensator
+from giajax.driving import Compensation, PadMapping, Session, TipCamera, replay
+from giajax.hysteresis import PrandtlIshlinskii
+from giajax.models import ArmModel
+from giajax.runs import Channel, read_run
+from giajax.simulation import ramps, simulate
+from giajax.synthetic import gusts
+
+STIFF = {"joints.pitch_stiffness": 6.0, "joints.yaw_stiffness": 6.0, "joints.damping": 0.3}
+
+
+@pytest.fixture(scope="module")
+def model():
+    return ArmModel(chain(4, parameters=STIFF))
+
+
+def pad(duration, rows=20):
+    """Sticks that go to and fro, and a button at the end."""
+    times = np.arange(round(duration * rows)) / rows
+    late = (times > 0.8 * duration).astype(float)
+    axes = {"axis0": np.sin(times), "axis1": -np.cos(times / 2), "axis3": 0.7 * np.sin(2 * times)}
+    return {"time_s": times, **axes, "button0": late}
+
+
+def test_a_replay_is_the_simulation_of_its_commands(model):
+    session = Session(model, steps=4)
+    replay(session, pad(8.0), until=8.0)
+    record = session.record
+    assert_allclose(record.times, np.arange(241) / 30, atol=1e-12)
+    command = ramps(record.times, record.commands, tolerance=0.0)
+    about = {"solver": "springs5", "rtol": 1e-10, "atol": 1e-10}
+    motion = simulate(model.arm, command, record.times, **about)
+    tip = jax.jit(jax.vmap(lambda angles: tip_position(model.arm, angles)))
+    assert np.linalg.norm(tip(record.angles) - motion.tip, axis=1).max() < 1e-6
+    # It did move.
+    assert np.linalg.norm(np.ptp(motion.tip, axis=0)) > 0.3
+
+
+def test_it_keeps_step_with_the_clock(model):
+    session = Session(model)
+    assert session.tick(100.0).time == 0.0
+    assert session.tick(100.0 + 0.5).time == pytest.approx(0.5)
+    # In steps that are no intervals.
+    for index in range(1, 101):
+        pose = session.tick(100.5 + index * 0.011)
+    assert pose.time == pytest.approx(1.6, abs=session.interval)
+    assert pose.lost == 0
+    # What is too late is left out, and said.
+    pose = session.tick(110.0)
+    assert pose.lost == pytest.approx(110.0 - 101.6, abs=2 * session.interval)
+    assert session.tick(110.5).time == pytest.approx(2.1, abs=3 * session.interval)
+
+
+def test_messages_hold_from_the_next_interval_on(model):
+    session = Session(model)
+    session.tick(0.0)
+    session.receive({"type": "joint", "joint": 2, "deg": 1.0}, 0.0)
+    pose = session.tick(session.interval)
+    assert pose.command[1] > 0
+    assert pose.stopped is None
+    assert "no word" in session.tick(0.9).stopped
+
+
+def test_gusts_are_switched(model):
+    wind = gusts([0.0, 0.3, 0.0], intensity=0.3, length_scale=5.0, duration=5.0)
+    session = Session(model, gusts=wind)
+    assert session.can_gust
+    blown = session.tick(0.0)
+    assert_allclose(blown.wind, [wind.values[f"wind_{axis}"][0] for axis in "xyz"])
+    session.receive({"type": "gusts", "on": False}, 0.0)
+    assert not np.any(session.tick(0.2).wind)
+    session.receive({"type": "gusts", "on": True}, 0.2)
+    # Beyond their end they begin again.
+    for second in np.arange(0.4, 7.5, 0.5):
+        pose = session.tick(float(second))
+    expected = wind.at(np.array([pose.time % 4.9]))["wind_y"][0]
+    assert pose.wind[1] == pytest.approx(expected, rel=1e-6) or wind.times[-1] != 4.9
+    still = Session(model)
+    assert not still.can_gust
+    still.receive({"type": "gusts", "on": True}, 0.0)
+    assert not still.gusty
+
+
+def test_what_joints_remember_is_left_out():
+    stops = {"joints.stops.strength": [0.5, 1.0], "joints.stops.yield_angle": [0.01, 0.05]}
+    remembering = ArmModel(chain(2, parameters=STIFF | stops))
+    table = pad(3.0)
+    ends = []
+    for memory in (True, False):
+        session = Session(remembering, PadMapping.usual(2), memory=memory)
+        replay(session, table)
+        ends.append(session.pose.angles)
+    plain = Session(ArmModel(chain(2, parameters=STIFF)), PadMapping.usual(2))
+    replay(plain, table)
+    assert_allclose(ends[1], plain.pose.angles, atol=1e-6)
+    assert np.abs(ends[0] - ends[1]).max() > 1e-3
+    with pytest.raises(InputError, match="remember nothing: there is nothing to leave out"):
+        Session(ArmModel(chain(2)), memory=False)
+
+
+def test_compensated_commands_undo_a_joints_hysteresis():
+    """One sample after the other as all of them at once, in each joint by itself."""
+    operator = PrandtlIshlinskii(weights=[0.3, 0.2], thresholds=[0.02, 0.1])
+    channel = Channel.named("joint01_command")
+    # The inverse is an operator of the same kind.
+    inverse, state = operator.inverse(), None
+    compensator = Compensator(inverse, state, 0.0, (-1.0, 1.0), channel)
+    compensation = Compensation(compensator, 2)
+    wanted = np.stack([0.5 * np.sin(np.arange(40) / 6), 0.3 * np.cos(np.arange(40) / 4)], axis=1)
+    commands = np.array([compensation(row) for row in wanted])
+    for joint in (0, 1):
+        assert_allclose(commands[:, joint], inverse.history(wanted[:, joint])[0], atol=1e-12)
+        assert_allclose(operator.history(commands[:, joint])[0], wanted[:, joint], atol=1e-10)
+    pressure = Compensator(inverse, state, 0.0, (-1.0, 1.0), Channel.named("pressure"))
+    with pytest.raises(InputError, match="the joints of an arm by angles"):
+        Compensation(pressure, 2)
+
+
+def test_the_camera_at_the_tip_is_late(model):
+    camera = TipCamera(model, latency=0.2)
+    lifted = np.array([0.3, 0.0, 0.0, 0.0])
+    camera.see(0.0, np.zeros(4))
+    before = camera.see(0.1, lifted)
+    assert_allclose(before.centre[2], 0.0, atol=1e-12)
+    assert_allclose(before.axes[:, 2], [1.0, 0.0, 0.0], atol=1e-12)
+    assert_allclose(camera.see(0.29, lifted).centre[2], 0.0, atol=1e-12)
+    now = camera.see(0.3, lifted)
+    assert_allclose(now.axes[:, 2], [np.cos(0.3), 0.0, np.sin(0.3)], atol=1e-12)
+    with pytest.raises(InputError, match="the latency is -1 s"):
+        TipCamera(model, latency=-1.0)
+
+
+def test_drives_that_are_none(model):
+    with pytest.raises(InputError, match="the rate is 0 poses a second"):
+        Session(model, rate=0.0)
+    session = Session(model)
+    with pytest.raises(InputError, match="nothing was driven"):
+        session.record.run(["tip_z"])
+    session.tick(0.0)
+    session.tick(1.0)
+    with pytest.raises(InputError, match="no joint was moved"):
+        session.record.run(["tip_z"])
+
+
+def test_a_drive_is_saved_as_a_run(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "arm.toml").write_text("[arm]\nlinks = 3\n")
+    table = pad(4.0)
+    rows = np.stack(list(table.values()), axis=1)
+    np.savetxt("pad.csv", rows, delimiter=",", header=",".join(table), comments="")
+    words = ["drive", "arm.toml", "--replay", "pad.csv", "--noise", "position_m=0.01"]
+    assert main([*words, "--channels", "link03", "--wind", "0,0.1,0"]) == 0
+    assert "wrote drive-1.csv and drive-1.toml" in capsys.readouterr().out
+    run = read_run("drive-1.csv")
+    assert sorted(run.observations) == ["link03_x", "link03_y", "link03_z"]
+    assert_allclose(run.values["wind_y"], 0.1)
+    assert np.isfinite(run.values["link03_z"]).mean() == pytest.approx(1 / 3, abs=0.01)
+    assert run.noise("link03_z") == 0.01
+    assert main([*words]) == 0
+    assert "wrote drive-2.csv" in capsys.readouterr().out
+    assert main([*words, "--out", "drive-1.csv"]) == 2
+    assert "drive-1.csv exists" in capsys.readouterr().err
+    (tmp_path / "pad.csv").write_text("time_s,button0\n0,1\n")
+    assert main(words) == 2
+    assert "is of a pad without axes" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_drive_gives_the_arm_back():
+    """Drag and stiffness of the arm that was driven, from a camera's view of it."""
+    truth = {"air.drag_coefficient": 1.3, "joints.pitch_stiffness": 4.0, "joints.damping": 0.5}
+    model = ArmModel(giajax.replace(chain(4, parameters=STIFF), truth))
+    session = Session(model)
+    replay(session, pad(25.0))
+    channels = [f"{where}_{axis}" for where in ("link02", "tip") for axis in "xyz"]
+    run = session.record.run(channels, noise={"position_m": 0.005}, every=3, seed=4)
+    start = {"air.drag_coefficient": 0.7, "joints.pitch_stiffness": 7.0, "joints.damping": 0.2}
+    result = giajax.fit(model, [run], free=list(truth), start=start)
+    for path, value in truth.items():
+        estimate = result.parameters[path]
+        assert abs(estimate.value - value) < 3 * estimate.standard_error
+        assert estimate.standard_error < 0.2 * value
