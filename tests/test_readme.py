@@ -13,6 +13,7 @@ import typer
 
 import giajax
 from giajax.cli import _app
+from giajax.kinds import PadFile
 from giajax.sweeping import Plan
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -59,6 +60,8 @@ def test_the_files_that_pages_show_are_legal():
     for name, block in shown:
         if name == "sweep.md":
             assert Plan.parse(tomllib.loads(block), ROOT / "fits", name).tasks()
+        elif block.startswith("[pad]"):
+            assert PadFile(**tomllib.loads(block)).pad.axes
         else:
             giajax.Definition.parse(tomllib.loads(block), name)
 

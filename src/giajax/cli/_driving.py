@@ -5,7 +5,7 @@ import sys
 import webbrowser
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import typer
 
@@ -51,9 +51,9 @@ def driven_arm(
 
     stored_result(what)
     model = load_result(what).model
-    if not isinstance(model, ArmModel):
+    if model.kind != ArmModel.kind:
         raise InputError(f"{what} is a fit of a {model.kind}, which nobody drives: give an arm's")
-    return definition_from_options(None, None, wind), model
+    return definition_from_options(None, None, wind), cast("ArmModel", model)
 
 
 def mapping_of(pad: Path | None, joints: int) -> "PadMapping":

@@ -18,7 +18,8 @@ from .._errors import InputError
 from ..models import Scene, arm_scene
 from ..simulation import at_rest
 from ..viewer import LOOPBACK, Gate, LiveStage
-from ._session import Pose, Session
+from ._pose import Pose
+from ._session import Session
 from ._tip_camera import TipCamera
 
 if TYPE_CHECKING:

@@ -1,7 +1,7 @@
 """An arm that is driven: commands from an operator, steps in time with a clock, and a record."""
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,6 +15,7 @@ from ..synthetic import Drive
 from ._compensation import Compensation
 from ._mapping import PadMapping
 from ._operator import Operator
+from ._pose import Pose
 from ._record import Record
 
 RATE = 30.0
@@ -27,26 +28,6 @@ _WIND = ("wind_x", "wind_y", "wind_z")
 
 # The strengths of what joints remember, by the names of their parameters.
 _MEMORY = ("joints.memory.strength", "joints.stops.strength")
-
-
-class Pose(NamedTuple):
-    """Where a driven arm is: the latest, and no other.
-
-    Attributes:
-        time: that was driven, s.
-        angles: of the joints, rad.
-        command: commanded angles, rad.
-        wind: velocity of the air, m/s, shape (3,).
-        stopped: why nothing moves, or None.
-        lost: time that the simulation fell behind the clock for good, s.
-    """
-
-    time: float
-    angles: Float[np.ndarray, " joint"]
-    command: Float[np.ndarray, " joint"]
-    wind: Float[np.ndarray, "3"]
-    stopped: str | None
-    lost: float
 
 
 class Session:
