@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from giajax import InputError, arm as mechanics
 from giajax.arm import Contact, chain, mass_matrix, pose
 from giajax.arm._meeting import Pairs, flattening
-from giajax.obstacles import Box, Plane, WallWithOpening
+from giajax.obstacles import Box, Plane, WallWithOpening, nearest, solids
 
 touch, touched = jax.jit(mechanics.touch), jax.jit(mechanics.touched)
 contact_energy = jax.jit(mechanics.contact_energy)
@@ -208,20 +208,59 @@ def test_boxes_side_by_side_press_as_one_wall():
         rotation=[0.0, np.pi / 2, 0.0],
     )
     solid = Box(size=[2.3, 2.3, 0.2])
-    yaw = [jnp.asarray([angle, 0.012]) for angle in (0.0, 0.3, 0.7, 1.2)]
 
-    def arm(obstacle, side):
-        moved = dataclasses.replace(obstacle, centre=jnp.asarray([1.0, side, -0.24]))
+    def arm(obstacle):
+        moved = dataclasses.replace(obstacle, centre=jnp.asarray([1.0, 0.8, -0.24]))
         return chain(2, joint_axes=["yaw", "pitch"], contact=Contact(obstacles=(moved,)))
 
-    for angles in yaw:
-        # Beside the opening both are the same.
-        whole = touch(arm(solid, 0.8), angles, jnp.zeros(2))
-        parts = touch(arm(wall, 0.8), angles, jnp.zeros(2))
-        assert np.max(whole.normal) > 1
-        if float(angles[0]) == 0.0:
-            assert_allclose(parts.normal, whole.normal, rtol=1e-9)
-            assert_allclose(parts.torque, whole.torque, rtol=1e-9)
+    # Across the seams at x = 0.85 and 1.15 m, the last also across that at y = 0.65 m; the opening
+    # between them is out of reach.
+    for angle in (-0.15, 0.0, 0.1, 0.3, 0.36):
+        angles = jnp.asarray([angle, 0.012])
+        whole, parts = (touch(arm(each), angles, jnp.zeros(2)) for each in (solid, wall))
+        assert np.min(whole.normal) > 1
+        assert_allclose(parts.normal, whole.normal, rtol=1e-9)
+        assert_allclose(parts.torque, whole.torque, rtol=1e-9, atol=1e-9)
+    # Over the opening nothing presses.
+    angles = jnp.asarray([0.67, 0.0])
+    whole, parts = (touch(arm(each), angles, jnp.zeros(2)) for each in (solid, wall))
+    assert np.sum(parts.normal) < 0.95 * np.sum(whole.normal)
+
+
+def test_flattening_is_that_of_the_deepest_place_of_the_axis():
+    """Also once the axis is inside: against a fine search along links."""
+    arm = arm_among()
+    angles = jnp.asarray(np.random.default_rng(9).normal(size=(400, LINKS)) * 0.5)
+    boxes, radius = solids(SCENE), float(arm.links.diameter[0]) / 2
+    shape = (LINKS, boxes.centre.shape[1])
+    pairs = Pairs(*(jnp.asarray(index.ravel()) for index in np.indices(shape)))
+
+    def searched(q):
+        here = pose(arm, q)
+        along = jnp.linspace(0, 0.99, 4001)
+        x = here.joint[:, :, None] + here.direction[:, :, None] * along[None, None]
+        beside = x[:, :, None] - boxes.centre[:, None, :, None]
+        local = jnp.sum(boxes.frame[:, :, None, :, None] * beside[:, None], axis=0)
+        shared = jnp.asarray(boxes.shared, float)[:, :, None, :, None]
+        half = boxes.half[:, None, :, None]
+        seen = nearest(local, half, shared)
+        # What is beyond a shared face is the other box's.
+        other = (shared[1] > 0) & (local > half) | (shared[0] > 0) & (local < -half)
+        depth = jnp.where(jnp.any(other, axis=0), 0, radius - seen.distance)
+        return jnp.maximum(jnp.max(depth, axis=-1), 0).ravel()
+
+    found = jax.jit(jax.vmap(lambda q: flattening(arm, arm.contact, pose(arm, q), pairs)))(angles)
+    expected = jax.jit(jax.vmap(searched))(angles)
+    assert np.sum(expected > radius) > 100
+    assert_allclose(found, expected, atol=3e-4)
+
+
+def test_a_plane_ends_nowhere_that_an_arm_reaches():
+    """Wherever on it its point is, also far away."""
+    for centre in ([0.0, 0.0, -0.14], [5000.0, -3000.0, -0.14]):
+        arm = arm_among((Plane(centre=centre),))
+        flat = touched(arm, jnp.zeros(3), jnp.zeros(3))[0]
+        assert_allclose(flat[:, 0], 0.01, rtol=1e-10)
 
 
 def test_far_away_nothing_is_pressed():
@@ -249,3 +288,5 @@ def test_contact_needs_something_to_touch():
         Contact(obstacles=())
     with pytest.raises(InputError, match="two obstacles are called 'box': give each its own"):
         Contact(obstacles=(Box(), Box()))
+    with pytest.raises(InputError, match="friction_stiffness is 0: make it positive"):
+        Contact(obstacles=(Box(),), friction=0.3, friction_stiffness=0.0)

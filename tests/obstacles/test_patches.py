@@ -94,6 +94,10 @@ def test_inside_a_shared_face_is_no_way_out():
     seen = nearest(jnp.asarray([[0.49], [0.3], [0.0]]), half, shared)
     assert_allclose(seen.normal[:, 0], [0, 1, 0])
     assert_allclose(seen.distance, [-0.7])
+    # Nor does the distance jump on the way through the middle, towards the face that is one.
+    across = jnp.stack([jnp.linspace(-0.49, 0.49, 99), jnp.zeros(99), jnp.zeros(99)])
+    seen = nearest(across, half, shared)
+    assert_allclose(seen.distance, jnp.maximum(-across[0] - 0.5, -1.0), atol=1e-14)
 
 
 def test_a_plane_stands_as_its_normal_does():

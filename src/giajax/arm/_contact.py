@@ -7,7 +7,7 @@ from .._errors import InputError
 from .._maths import safe_norm, scaled
 from .._typing import Array, Float, Scalar
 from ..obstacles import AbstractObstacle
-from ..parameters import parameter
+from ..parameters import is_concrete, parameter
 from ..quantities import CONTACT
 
 
@@ -35,7 +35,7 @@ class Contact(eqx.Module):
         points: Gauss points of each of the three pieces of a contact of a link with a box.
 
     Raises:
-        InputError: no obstacles, or two of the same name.
+        InputError: no obstacles, two of the same name, or friction without a stiffness.
     """
 
     obstacles: tuple[AbstractObstacle, ...]
@@ -53,6 +53,9 @@ class Contact(eqx.Module):
         twice = next((name for name in names if names.count(name) > 1), None)
         if twice is not None:
             raise InputError(f"two obstacles are called '{twice}': give each its own name")
+        stiffness = self.friction_stiffness
+        if self.friction is not None and is_concrete(stiffness) and not float(stiffness) > 0:
+            raise InputError(f"contact.friction_stiffness is {float(stiffness):g}: make it positive")
 
     @property
     def rows(self) -> int:

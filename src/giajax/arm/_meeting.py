@@ -116,10 +116,22 @@ def _flat(pieces: Float[Array, "pair piece point"]) -> Numbers:
 
 
 def flattening(arm: Arm, contact: Contact, here: Pose, pairs: Pairs) -> Float[Array, " pair"]:
-    """By how much the axes of links are nearer to boxes than their radius, m, at the most."""
+    """By how much the axes of links are nearer to boxes than their radius, m, at the most.
+
+    Outside a box that is at the nearest place. Inside, where the axis is in a wall, the distance
+    is the largest of those to six planes: convex, and lowest where two of them are alike, or at
+    an end.
+    """
     lines, _ = _lines(arm, contact, here, pairs)
     found = patches(lines)
-    depth = lines.radius - _look(lines, found.nearest[:, None]).distance[:, 0]
+    faces = jnp.concatenate([lines.start, -lines.start]) - jnp.tile(lines.half, (2, 1))
+    slopes = jnp.concatenate([lines.direction, -lines.direction])
+    one, other = np.triu_indices(6, 1)
+    turning = slopes[one] - slopes[other]
+    alike = (faces[other] - faces[one]) / jnp.where(turning == 0, jnp.inf, turning)
+    begin, end = found.knots[:1], found.knots[-1:]
+    places = jnp.concatenate([begin, found.nearest[None], jnp.clip(alike, begin, end), end])
+    depth = lines.radius - jnp.min(_look(lines, places.T).distance, axis=1)
     return jnp.where(found.touching, jnp.maximum(depth, 0), 0)
 
 

@@ -9,6 +9,7 @@ import optimistix
 
 from .._program import program
 from .._typing import Array, Bool, Float, Int, Scalar
+from ..arm import bodies
 from ._bags import BagState, PerBag, bag_state
 from ._filling import Filling
 from ._orifice import Hole, mass_flow
@@ -75,11 +76,15 @@ def bags_at(filling: Filling, share: PerBag) -> BagState:
 
 
 def net_lift_of_links(filling: Filling, share: PerBag) -> Float[Array, " link"]:
-    """Mass that each link could still carry, kg: air displaced, less gas and its own mass."""
+    """Mass that each link could still carry, kg: air displaced, less gas and all that it bears."""
     arm, here = filling.arm, filling.bag_of_link
     fullness = bags_at(filling, share).fullness[here]
+    borne = bodies(arm).mass
+    if arm.buoyancy is not None:
+        # Its gas is that which is being filled in.
+        borne = borne - arm.buoyancy.helium_density * arm.links.volume
     lift = arm.air.density * fullness - filling.gas.density * share[here]
-    return lift * arm.links.volume - arm.links.mass
+    return lift * arm.links.volume - borne
 
 
 @program

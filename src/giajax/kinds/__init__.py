@@ -4,7 +4,7 @@ A kind is a file here, which declares it, one in `giajax.models`, which computes
 imports it below. Readers, commands, fits and reports ask the kind, and know none by name.
 """
 
-from ._arm import ARM as ARM
+from ._arm import ARM as ARM, check_obstacles as check_obstacles
 from ._arm_channels import DEFAULT_PRESET as DEFAULT_PRESET
 from ._arm_inputs import (
     CommandSection as CommandSection,

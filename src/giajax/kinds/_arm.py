@@ -18,6 +18,18 @@ def _recognises(rows: frozenset[str]) -> bool:
     return bool(rows & {row.name for row in CHANNELS if row.part != "surroundings"})
 
 
+def check_obstacles(section: ArmSection, source: str | None = None) -> None:
+    """Raise `InputError` where a section says how links press, but not against what."""
+    about = "" if source is None else f"{source}: "
+    for quantity in CONTACT:
+        key = "" if quantity.key is None else quantity.key.name
+        if getattr(section, key) is not None and not section.obstacles:
+            raise InputError(
+                f"{about}arm.{key} is stated, but no obstacles: add them as "
+                "[[arm.obstacles]], or remove it"
+            )
+
+
 def links_of(section: ArmSection) -> int | None:
     """The number of links of a section or of its preset; None if it is not known here."""
     if section.links is not None:
@@ -50,13 +62,7 @@ def _check(content: Content, wording: Wording) -> None:
         definition.section(CamerasSection).check_mounts(links)
     except ValueError as error:
         raise InputError(f"{wording.source}: [camera] {error}") from None
-    for quantity in CONTACT:
-        key = "" if quantity.key is None else quantity.key.name
-        if getattr(section, key) is not None and not section.obstacles:
-            raise InputError(
-                f"{wording.source}: arm.{key} is stated, but no obstacles: add them as "
-                "[[arm.obstacles]], or remove it"
-            )
+    check_obstacles(section, wording.source)
     for body in section.point_masses or ():
         if links is not None and body.link > links:
             raise InputError(

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..arm import MUSCLE_BLEND, Arm, Contact, Pneumatics, PointMasses, chain, named_axes, preset
 from ..joint import MUSCLE_LAWS as LAWS, Correction, Joint, JointPair
-from ..kinds import DEFAULT_PRESET, ArmSection, PointMass
+from ..kinds import DEFAULT_PRESET, ArmSection, PointMass, check_obstacles
 from ..parameters import declared, default_free
 from ..quantities import BUOYANCY, POINT_MASSES, Declaration
 from ..runs import Definition
@@ -38,6 +38,7 @@ def arm_from_definition(definition: Definition) -> Arm:
             link.
     """
     section = definition.section(ArmSection)
+    check_obstacles(section)
     keys, values = section.contents(), section.values()
     changes: dict[str, Any] = {name: keys[name] for name in _CHOICES if name in keys}
     others = dict(keys.get("parameters") or {})

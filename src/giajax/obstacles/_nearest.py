@@ -29,7 +29,7 @@ def nearest(
     """The nearest of the surface of boxes.
 
     Inside, it is that of the faces that are not shared. Where several are equally near, it is the
-    first of them, and the distance has a kink.
+    first of them, and the distance has a kink. Along a line the distance is convex.
 
     Arguments:
         x: points in the frames of the boxes, m.
@@ -39,16 +39,14 @@ def nearest(
     Returns:
         Distance, m, and normal.
     """
-    beyond = jnp.abs(x) - half
-    outside = jnp.maximum(beyond, 0)
+    outside = jnp.maximum(jnp.abs(x) - half, 0)
     length = safe_norm(outside)
     out = length > 0
-    # A shared face is far away from everything inside.
-    far = jnp.where(x < 0, shared[0], shared[1]) * 1e6
-    depth = beyond - far
+    # A shared face is far away from everything inside. Upper faces first, then lower ones.
+    depth = jnp.concatenate([x - half - 1e6 * shared[1], -x - half - 1e6 * shared[0]])
     face = jnp.argmax(depth, axis=0)
     inside = jnp.max(depth, axis=0)
-    sign = jnp.where(x < 0, -1.0, 1.0).astype(x.dtype)
-    axis = (np.arange(3).reshape(3, *(1,) * (x.ndim - 1)) == face[None]).astype(x.dtype)
-    pointing = jnp.where(out[None], outside / jnp.where(out, length, 1)[None], axis)
-    return Nearest(jnp.where(out, length, inside), sign * pointing)
+    faces = np.arange(3).reshape(3, *(1,) * (x.ndim - 1))
+    axis = (face[None] == faces).astype(x.dtype) - (face[None] == faces + 3).astype(x.dtype)
+    pointing = jnp.sign(x) * outside / jnp.where(out, length, 1)[None]
+    return Nearest(jnp.where(out, length, inside), jnp.where(out[None], pointing, axis))

@@ -13,13 +13,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._errors import InputError
-from .._maths import on_device, rotation_vector_to_quaternion
+from .._maths import on_device, rotate, rotation_vector_to_quaternion
 from .._typing import Array, Float
 from ..parameters import is_concrete
 
-# Half the size of the box that a plane is the face of, m: beyond what any arm reaches, and small
-# enough for single precision to resolve a micrometre.
-_HALF_OF_PLANE = 200.0
+# Half the sizes of the box that a plane is the face of, m: along it further than any arm reaches
+# from its base, and so little deep that single precision resolves a micrometre of depth.
+_PLANE = (1000.0, 1000.0, 8.0)
 
 
 class Part(eqx.Module):
@@ -130,9 +130,11 @@ class Plane(AbstractObstacle):
         return turn / jnp.sqrt(jnp.sum(turn**2))
 
     def parts(self) -> list[Part]:
-        """One box that ends at the plane."""
-        half = jnp.full(3, _HALF_OF_PLANE)
-        return [Part(jnp.zeros(3).at[2].set(-_HALF_OF_PLANE), half)]
+        """One box that ends at the plane, beside the base, wherever the plane's centre is."""
+        half = jnp.asarray(_PLANE, self.centre.dtype)
+        back = self.turn() * jnp.asarray([1, -1, -1, -1], self.centre.dtype)
+        beside = rotate(back, -self.centre)
+        return [Part(beside.at[2].set(-half[2]), half)]
 
 
 class WallWithOpening(AbstractObstacle):

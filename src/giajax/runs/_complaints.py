@@ -19,10 +19,11 @@ def complaint(cls: type[BaseModel], error: ValidationError, source: str) -> Inpu
     What a key must be is what its declaration says, not the wording of pydantic.
     """
     first = error.errors(include_url=False)[0]
-    path, owner, field = _locate(cls, first["loc"])
+    path, owner, field, entry = _locate(cls, first["loc"])
     name = key_path(path)
+    in_list = "" if entry is None else f" of entry {entry}"
     if first["type"] == "extra_forbidden":
-        return InputError(f"{source}: unknown key {name}{_remedy(cls, owner, path)}")
+        return InputError(f"{source}: unknown key {name}{in_list}{_remedy(cls, owner, path)}")
     if first["type"] == "value_error":  # raised by a validator of the vocabulary, in full
         sentence = str(first["ctx"]["error"])
         where = f"[{name}]" if field is None or sentence.startswith("key ") else name
@@ -33,9 +34,10 @@ def complaint(cls: type[BaseModel], error: ValidationError, source: str) -> Inpu
     in_table = _is_dict(field) and owner is None and len(path) > 2
     must = _declared(field, in_table=in_table)
     if first["type"] == "missing":
-        return InputError(f"{source}: {name} is missing, and must be {must}: give it")
+        return InputError(f"{source}: {name}{in_list} is missing, and must be {must}: give it")
+    value = shown(first["input"])
     return InputError(
-        f"{source}: {name} = {shown(first['input'])} must be {must}: correct or remove it"
+        f"{source}: {name} = {value}{in_list} must be {must}: correct or remove it"
     )
 
 
@@ -65,21 +67,23 @@ def plain(value: Any) -> Any:
 
 def _locate(
     cls: type[BaseModel], location: tuple[int | str, ...]
-) -> tuple[tuple[str, ...], type[BaseModel] | None, FieldInfo | None]:
+) -> tuple[tuple[str, ...], type[BaseModel] | None, FieldInfo | None, int | None]:
     """Dotted path, owning section, and field (None for a whole section) of an error's place.
 
-    What pydantic adds behind the key (the branch of a union, the place in a list) is left out.
+    And which entry of a list of sections it is in, from 1 on. What pydantic adds behind the key
+    (the branch of a union, the place in a list of numbers) is left out.
     """
     path: list[str] = []
     owner: type[BaseModel] | None = cls
     field: FieldInfo | None = None
+    entry: int | None = None
     in_dict = False
     for part in location:
         if not isinstance(part, str):
             section = None if field is None else _element_of(field)
             if section is None:
                 break
-            owner, field = section, None
+            owner, field, entry = section, None, part + 1
             continue
         if in_dict:
             path.append(part)
@@ -104,7 +108,7 @@ def _locate(
         owner = inner
         if inner is not None and not in_dict:
             field = None
-    return tuple(path), owner, field
+    return tuple(path), owner, field, entry
 
 
 def _is_dict(field: FieldInfo) -> bool:
