@@ -25,6 +25,34 @@ def on_device(values: Any, dtype: Any = None) -> Array:
     return jax.device_put(np.asarray(values, dtype))
 
 
+# In functions of their own: where one function has some ten thousand operations (contact with
+# friction, and joints that remember), XLA loses which calls of LAPACK have which arguments, and
+# refuses them: "no registered implementation for untyped custom call".
+
+
+@jax.jit
+def cholesky_factor(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """The lower Cholesky factor, from the lower triangle."""
+    return jax.lax.linalg.cholesky(matrix, symmetrize_input=False)
+
+
+@jax.jit
+def solve_factored(factor: Float[Array, "n n"], b: Float[Array, " n"]) -> Float[Array, " n"]:
+    """What a matrix takes to `b`, by its Cholesky factor."""
+    half = jax.lax.linalg.triangular_solve(factor, b[:, None], left_side=True, lower=True)
+    return jax.lax.linalg.triangular_solve(
+        factor, half, left_side=True, lower=True, transpose_a=True
+    )[:, 0]
+
+
+@jax.jit
+def inverse_of_positive(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """The inverse of a positive matrix, from its lower triangle."""
+    factor, one = cholesky_factor(matrix), jnp.eye(len(matrix), dtype=matrix.dtype)
+    half = jax.lax.linalg.triangular_solve(factor, one, left_side=True, lower=True)
+    return half.T @ half
+
+
 def dot(a: Float[Array, "3 *shape"], b: Float[Array, "3 *shape"]) -> Float[Array, "*shape"]:
     """Scalar product over the first axis."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

@@ -3,9 +3,9 @@
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 
+from .._maths import cholesky_factor, solve_factored
 from .._typing import Array, Float
 from ._air import Flow, Wind, flow
 from ._arm import Arm
@@ -139,7 +139,7 @@ def _accelerations_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> t
         (arm, here, rates, torques, wind),
         (t_arm, t_here, t_rates, t_torques, t_wind),
     )
-    return accelerations, _solve(factor, tangent)
+    return accelerations, solve_factored(factor, tangent)
 
 
 def _factor_and_solve(
@@ -149,12 +149,5 @@ def _factor_and_solve(
     carried = sum_from_tip(jnp.concatenate([load, inertia]))
     # LAPACK reads the lower triangle only, so the upper one need not be copied there.
     matrix = mass_matrix_upper(arm, here, carried[6:]).T
-    factor = jax.lax.linalg.cholesky(matrix, symmetrize_input=False)
-    return factor, _solve(factor, torques - load_torque(here, carried[:6]))
-
-
-def _solve(factor: Float[Array, "joint joint"], b: Float[Array, " joint"]) -> Array:
-    half = jax.lax.linalg.triangular_solve(factor, b[:, None], left_side=True, lower=True)
-    return jax.lax.linalg.triangular_solve(
-        factor, half, left_side=True, lower=True, transpose_a=True
-    )[:, 0]
+    factor = cholesky_factor(matrix)
+    return factor, solve_factored(factor, torques - load_torque(here, carried[:6]))

@@ -12,6 +12,7 @@ import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 
+from .._maths import inverse_of_positive
 from .._typing import Array, Bool, Scalar
 from ._interpolation import QuinticInterpolation, State
 from ._springs import Springs
@@ -145,12 +146,8 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
                 stretching = scale * contact.skin * sticking.T
                 resisting = resisting + stretching @ (scale * sticking)
             matrix = matrix + resisting
-        factor = jnp.linalg.cholesky(matrix, symmetrize_input=False)
         # Seven stages, and as many for each derivative: products are cheaper than solutions.
-        half = jax.lax.linalg.triangular_solve(
-            factor, jnp.eye(len(damper)), left_side=True, lower=True
-        )
-        inverse = half.T @ half
+        inverse = inverse_of_positive(matrix)
 
         def solve(right_side: State, pull: Array) -> State:
             angles, rates, states = right_side[0], right_side[1], right_side[2:]
