@@ -20,6 +20,9 @@ from ._solvers import solver as solver_named
 # Of a method that iterates; the one of fixed steps has no error to keep.
 _TOLERANCE = 1e-6
 
+# In one interval, where the error is controlled.
+_MOST_STEPS = 1000
+
 
 class Moment(eqx.Module):
     """An arm at one time of its motion.
@@ -52,13 +55,17 @@ class Stepper(eqx.Module):
 
     An interval is what passes between two decisions. In it the command and the wind move linearly
     from what they were to what is given; it is integrated in a number of equal steps, without any
-    control of the error: compare with `simulate` once, or halve the steps.
+    control of the error: compare with `simulate` once, or halve the steps. An arm that runs into
+    something needs shorter ones then and there: give a `tolerance`.
 
     Attributes:
         arm: the arm.
         interval: between two decisions, s.
         steps: of the integrator in an interval.
         solver: one of `giajax.SOLVERS`; "springs5" is stable with long steps.
+        tolerance: of a step, as those of `simulate`, on angles (rad) and rates (rad/s): steps are
+            made shorter where it needs that. Where no step is short enough, the state is NaN.
+            None: steps are equal.
 
     Example:
         >>> import giajax, jax.numpy as jnp
@@ -74,12 +81,17 @@ class Stepper(eqx.Module):
     interval: Scalar = eqx.field(converter=lambda x: jnp.asarray(x, dtype=jnp.result_type(float)))
     steps: int = eqx.field(static=True, default=1)
     solver: str = eqx.field(static=True, default="springs5")
+    tolerance: Scalar | None = eqx.field(
+        converter=lambda x: None if x is None else jnp.asarray(x, dtype=jnp.result_type(float)),
+        default=None,
+    )
 
     def __check_init__(self) -> None:
         """Refuse what cannot be stepped.
 
         Raises:
-            InputError: an interval that is not positive, no steps, or an unknown solver.
+            InputError: an interval or a tolerance that is not positive, no steps, or an unknown
+                solver.
         """
         if is_concrete(self.interval) and not (
             self.interval.ndim == 0 and 0 < self.interval < np.inf
@@ -87,6 +99,8 @@ class Stepper(eqx.Module):
             raise InputError(f"the interval is {self.interval} s: give one positive number")
         if self.steps < 1:
             raise InputError(f"an interval has {self.steps} steps: give at least one")
+        if is_concrete(self.tolerance) and self.tolerance is not None and not self.tolerance > 0:
+            raise InputError(f"the tolerance is {self.tolerance}: give a positive number, or none")
         solver_named(self.solver)
 
     def start(
@@ -164,6 +178,24 @@ def _advance(stepper: Stepper, moment: Moment, command: Array, wind: Array | Non
     if slides:
         method = catching_up(method, _TOLERANCE, _TOLERANCE, "forward")
     terms = diffrax.ODETerm(motion)
+    if stepper.tolerance is not None:
+        solution = diffrax.diffeqsolve(
+            terms,
+            method,
+            t0=jnp.zeros_like(interval),
+            t1=interval,
+            dt0=interval / stepper.steps,
+            y0=moment.state,
+            args=inputs,
+            stepsize_controller=diffrax.PIDController(stepper.tolerance, stepper.tolerance),
+            adjoint=diffrax.ForwardMode(),
+            max_steps=_MOST_STEPS,
+            throw=False,
+        )
+        assert solution.ys is not None
+        ended = solution.result == diffrax.RESULTS.successful
+        state = jnp.where(ended, solution.ys[-1], jnp.nan)
+        return Moment(moment.time + interval, state, command, wind)
     # Times within the interval, so that the steps of a long motion are as equal as of a short one.
     ends = jnp.arange(1, stepper.steps + 1, dtype=interval.dtype) * (interval / stepper.steps)
 
@@ -174,7 +206,7 @@ def _advance(stepper: Stepper, moment: Moment, command: Array, wind: Array | Non
 
     begin = jnp.zeros_like(interval)
     inner = method.init(terms, begin, ends[0], moment.state, inputs)
-    start = (moment.state, inner, begin, jnp.asarray(True))
+    start: Any = (moment.state, inner, begin, jnp.asarray(True))
     (state, *_), _ = jax.lax.scan(one, start, ends)
     return Moment(moment.time + interval, state, command, wind)
 
