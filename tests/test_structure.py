@@ -24,6 +24,7 @@ ROOMS = [
     ("paper",),
     ("experiments",),
     ("report",),
+    ("mission",),
     ("driving",),
     ("viewer",),
     ("sweeping",),

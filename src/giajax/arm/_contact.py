@@ -55,7 +55,9 @@ class Contact(eqx.Module):
             raise InputError(f"two obstacles are called '{twice}': give each its own name")
         stiffness = self.friction_stiffness
         if self.friction is not None and is_concrete(stiffness) and not float(stiffness) > 0:
-            raise InputError(f"contact.friction_stiffness is {float(stiffness):g}: make it positive")
+            raise InputError(
+                f"contact.friction_stiffness is {float(stiffness):g}: make it positive"
+            )
 
     @property
     def rows(self) -> int:

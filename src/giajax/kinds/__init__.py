@@ -35,6 +35,7 @@ from ._hysteresis import HYSTERESIS as HYSTERESIS, HysteresisSection as Hysteres
 from ._joint import JOINT as JOINT, JointSection as JointSection
 from ._keys import with_keys as with_keys
 from ._kind import ChannelKind as ChannelKind, Kind as Kind, Offer as Offer
+from ._mission import MissionSection as MissionSection
 from ._muscle import MUSCLE as MUSCLE, MuscleSection as MuscleSection
 from ._oscillator import OSCILLATOR as OSCILLATOR, OscillatorSection as OscillatorSection
 from ._pad import PadFile as PadFile, PadSection as PadSection

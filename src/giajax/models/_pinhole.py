@@ -181,12 +181,17 @@ class Pinhole(eqx.Module):
         Raises:
             InputError: as `view`.
         """
+        axes = self.view(arm, angles).axes
+        return (self.directions(pixels).reshape(-1, 3) @ axes.T).reshape(*pixels.shape[:-1], 3)
+
+    def directions(self, pixels: Float[Array, "*point 2"]) -> Float[Array, "*point 3"]:
+        """Unit vectors to the right, down and ahead along which pixels are seen; see `rays`."""
         flat = undistorted(
             (pixels.reshape(-1, 2) - self.centre[None]) / self._focal()[None], self.distortion
         )
         ahead = jnp.concatenate([flat, jnp.ones_like(flat[:, :1])], axis=1)
         ahead = ahead / jnp.linalg.norm(ahead, axis=1, keepdims=True)
-        return (ahead @ self.view(arm, angles).axes.T).reshape(*pixels.shape[:-1], 3)
+        return ahead.reshape(*pixels.shape[:-1], 3)
 
     def _focal(self) -> Float[Array, "2"]:
         """Focal lengths across and down, px."""

@@ -36,9 +36,7 @@ def complaint(cls: type[BaseModel], error: ValidationError, source: str) -> Inpu
     if first["type"] == "missing":
         return InputError(f"{source}: {name}{in_list} is missing, and must be {must}: give it")
     value = shown(first["input"])
-    return InputError(
-        f"{source}: {name} = {value}{in_list} must be {must}: correct or remove it"
-    )
+    return InputError(f"{source}: {name} = {value}{in_list} must be {must}: correct or remove it")
 
 
 # More keys than this are no list to read in a sentence.

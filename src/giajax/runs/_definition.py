@@ -11,7 +11,7 @@ from .._files import read_bytes
 from .._limits import TEXT_BYTES
 from .._syntax import check_size, parse_toml
 from .._text import one_of
-from ..kinds import KINDS, FillingSection, Name, Section, key
+from ..kinds import KINDS, FillingSection, MissionSection, Name, Section, key
 from ._complaints import complaint, plain
 from ._fit_sections import Figure, Fit, Noise
 from ._toml import to_toml
@@ -75,6 +75,7 @@ class Definition(_Sections):
     )
     fit: Fit = Field(default_factory=Fit)
     filling: FillingSection = Field(default_factory=FillingSection)
+    mission: MissionSection | None = key("a table of keys", "what an operator is to reach")
     figures: dict[Name, Figure] = key(
         'a table like [figures."air.drag_coefficient"]', "figures to reach", default={}
     )
