@@ -15,6 +15,7 @@ from ._influence import INFLUENCE
 from ._kills import KILLS
 from ._ladder import LADDER
 from ._ladder_friction import LADDER_FRICTION
+from ._missions import MISSIONS
 from ._noise import NOISE
 from ._page import PAGE as PAGE, page as page
 from ._posterior import POSTERIOR
@@ -44,5 +45,6 @@ _ALL = (
     SWEEP_SPEED,
     POSTERIOR,
     DESIGN,
+    MISSIONS,
 )
 STUDIES = {study.name: study for study in _ALL}

@@ -27,6 +27,7 @@ from . import (
     _influence,
     _init,
     _joint,
+    _mission,
     _paper,
     _parameters,
     _posterior,
@@ -85,6 +86,8 @@ Examples:
                             the gusts that a resting arm undulates in
   giajax fill --out DIR
                             20 balloons filled with helium: fullness, lift
+  giajax mission missions/naraha.toml
+                            an operator, a camera at the tip, a 2 m opening
   giajax hysteresis --out DIR
                             the paper's 1-link experiment, simulated
   giajax paper all --out DIR
@@ -109,6 +112,7 @@ _COMMANDS: tuple[tuple[Callable[..., None], str], ...] = (
     (_influence.influence, _influence.EXAMPLES),
     (_init.init, _init.EXAMPLES),
     (_joint.joint, _joint.EXAMPLES),
+    (_mission.mission, _mission.EXAMPLES),
     (_paper.paper, _paper.EXAMPLES),
     (_parameters.parameters, _parameters.EXAMPLES),
     (_posterior.posterior, _posterior.EXAMPLES),

@@ -43,6 +43,16 @@ from ._joint_equilibria import (
 )
 from ._joint_files import JOINT_FILES as JOINT_FILES, joint_files as joint_files
 from ._joint_shape import joint_figure as joint_figure, joint_points as joint_points
+from ._mission import (
+    MISSION_FILES as MISSION_FILES,
+    mission_files as mission_files,
+    mission_json as mission_json,
+)
+from ._missions import (
+    CASES_FILES as CASES_FILES,
+    cases_files as cases_files,
+    cases_json as cases_json,
+)
 from ._pages import (
     PAGE as PAGE,
     check_page as check_page,
@@ -65,7 +75,7 @@ from ._profiles import (
 from ._reached import Reached as Reached, check_figures as check_figures, reached as reached
 from ._recorded import recorded_figure as recorded_figure
 from ._residuals import residuals_figure as residuals_figure
-from ._scene import draw_scene as draw_scene
+from ._scene import draw_blocks as draw_blocks, draw_scene as draw_scene
 from ._sensitivity import (
     information_shares as information_shares,
     sensitivity_figure as sensitivity_figure,

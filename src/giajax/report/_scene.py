@@ -1,13 +1,14 @@
 """A scene as a picture: what a model looks like at one sample, from one side."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Polygon
+from scipy.spatial import ConvexHull
 
-from ..models import Scene
-from ._style import BLUE, GREY, INK
+from ..models import Block, Scene
+from ._style import BLUE, GREY, INK, LIGHT
 
 _SLACK = (0, (2, 2))
 _AXIS = (0, (6, 3))
@@ -48,6 +49,26 @@ def draw_scene(
     for marker in scene.markers.values():
         panel.plot(*marker[sample][seen], "o", color=INK, markersize=2.6, zorder=5)
     panel.set_aspect("equal")
+
+
+def draw_blocks(panel: Axes, blocks: Sequence[Block], *, axes: str = "xz") -> None:
+    """Draw what stands around, as it is seen from one side; the limits of the panel stay.
+
+    Arguments:
+        panel: where, with its limits set.
+        blocks: of a scene.
+        axes: which two coordinates are seen, as of `draw_scene`.
+    """
+    seen, limits = ["xyz".index(name) for name in axes], (panel.get_xlim(), panel.get_ylim())
+    signs = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3), axis=-1).reshape(-1, 3)
+    for block in blocks:
+        corners = (block.centre + (signs * block.size) @ block.axes.T)[:, seen]
+        outline = corners[ConvexHull(corners).vertices]
+        panel.add_patch(
+            Polygon(outline, closed=True, facecolor=LIGHT, edgecolor=GREY, linewidth=0.5, zorder=0)
+        )
+    panel.set_xlim(limits[0])
+    panel.set_ylim(limits[1])
 
 
 def _outline(points: np.ndarray, radii: np.ndarray) -> np.ndarray:

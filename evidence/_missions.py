@@ -1,0 +1,114 @@
+"""Missions: how often the operator brings the arm of the mock-up to its opening, in how much wind.
+
+Both readings of the 14 m that the paper gives, with arms and air that are drawn as the files say:
+`[mission.wind]` and `[mission.spread]`. An arm and its gusts are the same at each speed of the air
+but for that.
+"""
+
+import math
+from pathlib import Path
+from typing import Any
+
+from ._record import ROOT
+from ._study import Figures, Study
+
+FILES = {"on the level": "naraha.toml", "along the line": "naraha_slant.toml"}
+WINDS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3)
+
+# Of a disagreement by chance, for each of the comparisons.
+PROBABILITY = 1e-4
+
+
+def run(size: int, seed: int, names: tuple[str, ...] = tuple(FILES)) -> Figures:
+    """Figures of about `size` missions, as many of each reading and at each speed of the air."""
+    count = math.ceil(size / (len(FILES) * len(WINDS)))
+    return {name: _flown(ROOT / "missions" / FILES[name], count, seed) for name in names}
+
+
+def part(size: int, seed: int) -> Figures:
+    """One reading."""
+    return run(size, seed, ("on the level",))
+
+
+def _flown(path: Path, count: int, seed: int) -> Figures:
+    import json
+
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    from giajax.mission import Mission, fly_cases
+    from giajax.report import cases_json
+    from giajax.runs import Definition
+
+    mission = Mission.from_definition(Definition.load(path))
+    facts = json.loads(cases_json(mission, fly_cases(mission, WINDS, count, seed=1000 * seed)))
+    spread, wind = (facts["mission"][key] for key in ("spread", "wind"))
+    return {"spread": spread, "air": wind, "winds": [_short(row) for row in facts["winds"]]}
+
+
+def _short(row: dict[str, Any]) -> dict[str, Any]:
+    short = {key: round(v, 4) if isinstance(v, float) else v for key, v in row.items()}
+    for key, digits in (("interval", 4), ("quartiles_s", 1)):
+        short[key] = row[key] and [round(each, digits) for each in row[key]]
+    return short
+
+
+def disagreements(stored: Figures, new: Figures) -> list[str]:
+    """Shares of success that differ by more than chance lets them (Fisher's exact test)."""
+    from scipy import stats
+
+    sentences = []
+    for name, after in new.items():
+        for one, other in zip(stored[name]["winds"], after["winds"], strict=True):
+            table = [[row["inside"], row["cases"] - row["inside"]] for row in (one, other)]
+            if stats.fisher_exact(table).pvalue < PROBABILITY:
+                sentences.append(
+                    f"{name}, {one['wind_m_per_s']:g} m/s: {other['inside']} of {other['cases']} "
+                    f"inside, and {one['inside']} of {one['cases']} were"
+                )
+    return sentences
+
+
+def table(figures: Figures) -> list[str]:
+    """A row for each reading and speed of the air."""
+    rows = [
+        "| 14 m | air m/s | inside within 12 min | 95 % interval | median s | quartiles s "
+        "| touched | most flattened mm | most N | why not |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for name, each in figures.items():
+        for row in each["winds"]:
+            low, middle, high = row["quartiles_s"] or ("-", "-", "-")
+            least, most = row["interval"]
+            why = "; ".join(f"{count}: {reason}" for reason, count in row["reasons"].items())
+            rows.append(
+                f"| {name} | {row['wind_m_per_s']:g} | {row['inside']} of {row['cases']} | "
+                f"{100 * least:.1f} to {100 * most:.1f} % | {middle} | {low} to {high} "
+                f"| {row['touched']} | {1e3 * row['largest_flattening_m']:.0f} | "
+                f"{row['largest_force_N']:.1f} | {why or '-'} |"
+            )
+    spread = next(iter(figures.values()))["spread"]
+    drawn = ", ".join(f"`{path}` {deviation:g}" for path, deviation in spread.items())
+    return [
+        *rows,
+        "",
+        f"Drawn from case to case, by the standard deviation of their logarithm: {drawn}. The air "
+        "is a level mean flow of 0.3 of its speed in any direction, with gusts of 2 m along the "
+        "arm that make up the rest. Half a diameter of a link is 150 mm.",
+    ]
+
+
+MISSIONS = Study(
+    name="missions",
+    meaning=(
+        "How often, and how soon, the operator of `giajax mission` brings the paper's arm through "
+        "the window frame of the mock-up, against the speed of the air; what it touched on the "
+        "way, and why it failed where it did."
+    ),
+    size=1000,
+    seed=1,
+    run=run,
+    disagreements=disagreements,
+    table=table,
+    part=part,
+)

@@ -1,0 +1,139 @@
+"""`giajax mission`: an operator brings an arm to an opening, once or many times."""
+
+import math
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .._errors import InputError
+from ._flown import show, tell, tell_cases
+from ._origin import origin
+from ._values import settings, with_settings
+
+EXAMPLES = """\b
+Examples:
+  giajax mission missions/naraha.toml
+  giajax mission missions/naraha.toml --speed 0.3 --seed 4 --out flown
+  giajax mission missions/naraha.toml --page flown.html
+  giajax view flown/run.csv
+  giajax mission missions/naraha.toml --cases 100 --speeds 0,0.1,0.2,0.3
+
+\b
+It writes
+  mission.json, mission.png   when it was inside, what it touched, its way
+  run.csv, run.toml           commands, wind and tip as a run
+or of many
+  cases.json, cases.csv, cases.png
+                              how often, and how soon, against the wind
+
+The file is that of an arm with [[arm.obstacles]], a [camera.NAME] at its tip, and
+
+\b
+  [mission]
+  opening = "housetop"        # a wall
+  [mission.operator]
+  latency_s = 0.4
+  approach = {joints = [1, 3], angles_deg = [-20.0, -30.0]}
+  [mission.spread]            # of --cases, by parameter
+  "joints.damping" = 0.5"""
+
+_RUN = ("run.csv", "run.toml")
+_SPEEDS = "0,0.05,0.1,0.15,0.2,0.25,0.3"
+
+
+def mission(
+    context: typer.Context,
+    file: Annotated[Path, typer.Argument(metavar="FILE.toml", help="The mission.")],
+    speed: Annotated[
+        float | None, typer.Option(metavar="M/S", help="Of the air, in place of the file's.")
+    ] = None,
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Of air, arm and pixels.")] = 0,
+    pairs: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="PATH=VALUE", help="A parameter of the arm. Repeatable."),
+    ] = None,
+    cases: Annotated[
+        int | None, typer.Option(metavar="N", min=1, help="Fly so many at each of --speeds.")
+    ] = None,
+    speeds: Annotated[
+        str, typer.Option(metavar="M/S,...", help="Of the air, for --cases.")
+    ] = _SPEEDS,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write numbers and pictures there.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+    page: Annotated[
+        Path | None, typer.Option(metavar="FILE.html", help="Write a page that plays it.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Write over files.")] = False,
+) -> None:
+    """Have an operator bring an arm to an opening by the camera at its tip.
+
+    As in the paper's mock-up: gusts, joints that remember, a late picture, a time limit. Once, as
+    a run that `giajax view` plays, or many times: success against the speed of the air.
+    """
+    from ..runs import Definition, check_output_files, check_output_folder
+
+    numbers = _numbers(speeds)
+    if speed is not None and not 0 <= speed < math.inf:
+        raise InputError(f"--speed is {speed:g}: give a number of at least 0")
+    for option, given in (("--speed", speed), ("--page", page)):
+        if given is not None and cases is not None:
+            raise InputError(f"{option} is of one mission: leave --cases out")
+    if page is not None:
+        check_output_files([page], force=force)
+    values = settings(pairs)
+    definition = Definition.load(file)
+
+    from ._jax import configure
+
+    configure()
+    from ..mission import Mission, fly_cases
+    from ..report import CASES_FILES, MISSION_FILES
+
+    if out is not None:
+        names = (*MISSION_FILES, *_RUN) if cases is None else CASES_FILES
+        check_output_folder(out, names, force=force)
+    planned = Mission.from_definition(definition)
+    planned = planned.with_model(with_settings(planned.model, values))
+    if cases is not None:
+        done = fly_cases(planned, numbers, cases, seed=seed, on_case=_progress())
+        tell_cases(planned, done, out, as_json=as_json, force=force)
+        if len(done.cases) < cases * len(numbers):
+            raise typer.Exit(130)
+        return
+    if speed is not None:
+        planned = planned.in_wind(speed)
+    if page is not None:
+        from ..viewer import check_viser
+
+        check_viser()
+    outcome = planned.fly(seed)
+    tell(planned, outcome, out, origin(context), as_json=as_json, force=force)
+    if page is not None:
+        show(planned, outcome, page, force=force)
+
+
+def _numbers(text: str) -> list[float]:
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = [math.nan]
+    if not all(0 <= number < math.inf for number in numbers):
+        raise InputError(f"--speeds is '{text}': give numbers of at least 0, such as 0,0.1,0.2")
+    return list(dict.fromkeys(numbers))
+
+
+def _progress() -> Callable[[int, int], None] | None:
+    """Says how many were flown, where somebody watches."""
+    if not sys.stderr.isatty():
+        return None
+
+    def say(done: int, whole: int) -> None:
+        end = "\n" if done == whole else ""
+        print(f"\rflown {done} of {whole}", end=end, file=sys.stderr, flush=True)
+
+    return say
