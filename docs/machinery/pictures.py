@@ -16,6 +16,7 @@ from matplotlib.animation import FuncAnimation, PillowWriter
 import giajax
 from giajax.experiments import figure_12, one_link
 from giajax.joint import LARGEST_ANGLE
+from giajax.mission import Mission
 from giajax.paper import reproduce
 from giajax.report import (
     correction_figure,
@@ -26,6 +27,7 @@ from giajax.report import (
     equilibria_table,
     filling_figure,
     joint_figure,
+    mission_figure,
     new_figure,
     plain,
     recorded_figure,
@@ -120,6 +122,13 @@ def _filling() -> None:
     _save("filling_curve", to_png(curve_figure(giajax.filling_curve())))
 
 
+def _mission() -> None:
+    """The mock-up, once."""
+    definition = giajax.Definition.load(ROOT / "missions" / "naraha.toml")
+    mission = Mission.from_definition(definition)
+    _save("mission", to_png(mission_figure(mission, mission.fly(1))))
+
+
 def _paper() -> None:
     """A figure of the paper, made again."""
     for name, made in reproduce(["fig5"], ROOT / "data" / "paper"):
@@ -138,6 +147,7 @@ PICTURES: dict[str, Callable[[], None]] = {
     "sensitivity.png": _sensitivity,
     "fig12.png": _hysteresis,
     "filling.png filling_curve.png": _filling,
+    "mission.png": _mission,
     "fig5.png": _paper,
 }
 """What makes which files."""

@@ -166,6 +166,31 @@ def test_both_solvers_agree():
     assert_allclose(tips[0], tips[1], atol=3e-4)
 
 
+@pytest.mark.slow
+def test_joints_that_remember_and_links_that_stick_go_together():
+    """Of twenty links that was a program which XLA refused."""
+    ground = Plane(centre=[0.0, 0.0, -0.2])
+    arm = giajax.takeichi_20m(
+        contact=Contact(obstacles=(ground,), friction=0.3),
+        parameters={"joints.memory.strength": 0.05},
+    )
+    command = joint_ramps(20, {1: -0.2}, start=0.0, duration=2.0)
+    motion = simulate(arm, command, np.linspace(0.0, 12.0, 25), solver="springs5")
+    found = contacts(motion)
+    assert found.flattening.max() > 1e-4
+    assert motion.memory is not None
+    assert np.abs(motion.memory).max() > 1e-3
+    assert np.all(np.isfinite(motion.angles))
+    free = simulate(
+        dataclasses.replace(arm, contact=None), command, motion.times, solver="springs5"
+    )
+    before = ~np.any(found.flattening > 0, axis=(1, 2))
+    before &= np.cumprod(before).astype(bool)
+    assert before.sum() > 3
+    assert_allclose(motion.angles[before], free.angles[before], atol=1e-5)
+    assert not np.allclose(motion.angles[-1], free.angles[-1], atol=1e-2)
+
+
 def test_derivatives_through_an_impact_are_differences():
     arm = arm_at(WALL)
     command = joint_ramps(2, {1: 0.6}, start=0.0, duration=0.25)

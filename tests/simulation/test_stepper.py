@@ -127,3 +127,24 @@ def test_what_cannot_be_stepped_is_refused():
         stepper.advance(stepper.start(), [0.1])
     with pytest.raises(InputError, match="a wind comes up in still air"):
         stepper.advance(stepper.start(), np.zeros(3), [0.0, 1.0, 0.0])
+
+
+@pytest.mark.slow
+def test_a_tolerance_makes_steps_as_short_as_they_need_be():
+    """An interval in which equal steps would jump onto a stiff ground."""
+    contact = Contact(obstacles=(Plane(centre=[0.0, 0.0, -0.5]),), pressure=2000.0, friction=0.5)
+    arm = chain(3, contact=contact, gravity=9.81, parameters=STIFF)
+    commands, times = operated()[::3], TIMES[::3]
+    found = simulate(arm, logged(times, commands), times, solver="springs5", rtol=1e-9, atol=1e-9)
+    errors = {}
+    for tolerance in (1e-3, 1e-6):
+        stepper = Stepper(arm, 3 * INTERVAL, tolerance=tolerance)
+        errors[tolerance] = np.abs(stepped(stepper, commands)[1] - found.angles).max()
+    assert errors[1e-3] < 2e-2
+    assert errors[1e-6] < 5e-4
+    assert errors[1e-6] < 0.1 * errors[1e-3]
+
+
+def test_a_tolerance_is_positive():
+    with pytest.raises(InputError, match=r"the tolerance is 0\.0: give a positive number"):
+        Stepper(chain(2), 0.1, tolerance=0.0)

@@ -1,7 +1,7 @@
 """The obstacles: boxes, planes, and walls with an opening.
 
-Each is made of convex boxes. Where two of them share a face, neither counts beyond it: what is
-there is the other's, so that a flat wall of several boxes is one flat wall.
+Each is made of boxes. Where two of them share a face, neither counts beyond it: what is there is
+the other's, so that a flat wall of several boxes is one flat wall.
 """
 
 import abc
@@ -17,8 +17,8 @@ from .._maths import on_device, rotate, rotation_vector_to_quaternion
 from .._typing import Array, Float
 from ..parameters import is_concrete
 
-# Half the sizes of the box that a plane is the face of, m: along it further than any arm reaches
-# from its base, and so little deep that single precision resolves a micrometre of depth.
+# Half the sizes of the box of a plane, m: along it beyond all that an arm reaches, and so little
+# deep that single precision resolves a micrometre.
 _PLANE = (1000.0, 1000.0, 8.0)
 
 
@@ -132,8 +132,7 @@ class Plane(AbstractObstacle):
     def parts(self) -> list[Part]:
         """One box that ends at the plane, beside the base, wherever the plane's centre is."""
         half = jnp.asarray(_PLANE, self.centre.dtype)
-        back = self.turn() * jnp.asarray([1, -1, -1, -1], self.centre.dtype)
-        beside = rotate(back, -self.centre)
+        beside = rotate(self.turn() * jnp.asarray([-1, 1, 1, 1], half.dtype), -self.centre)
         return [Part(beside.at[2].set(-half[2]), half)]
 
 

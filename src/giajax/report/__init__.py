@@ -45,6 +45,7 @@ from ._joint_files import JOINT_FILES as JOINT_FILES, joint_files as joint_files
 from ._joint_shape import joint_figure as joint_figure, joint_points as joint_points
 from ._mission import (
     MISSION_FILES as MISSION_FILES,
+    mission_figure as mission_figure,
     mission_files as mission_files,
     mission_json as mission_json,
 )

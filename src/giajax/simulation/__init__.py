@@ -9,6 +9,7 @@ from ._disturbances import (
 )
 from ._integrate import integrate as integrate
 from ._joint_commands import joint_ramps as joint_ramps, joint_steps as joint_steps
+from ._moment import Moment as Moment
 from ._pressures import Pressures as Pressures, check_muscles as check_muscles
 from ._signal import (
     Signal as Signal,
@@ -23,7 +24,7 @@ from ._simulate import (
     simulate as simulate,
 )
 from ._solvers import SOLVERS as SOLVERS
-from ._stepper import Moment as Moment, Stepper as Stepper
+from ._stepper import Stepper as Stepper
 from ._trajectory import (
     RESULTS as RESULTS,
     SimulationError as SimulationError,

@@ -9,45 +9,17 @@ import numpy as np
 
 from .._errors import InputError
 from .._program import program
-from .._typing import Array, Float, Scalar
+from .._typing import Array, Scalar
 from ..arm import Arm
 from ..parameters import is_concrete
-from ._motion import Inputs, State, motion
+from ._moment import Moment
+from ._motion import Inputs, motion
 from ._pressures import check_muscles
 from ._signal import Signal, constant
 from ._solvers import solver as solver_named
 
-# Of a method that iterates; the one of fixed steps has no error to keep.
-_TOLERANCE = 1e-6
-
-# In one interval, where the error is controlled.
-_MOST_STEPS = 1000
-
-
-class Moment(eqx.Module):
-    """An arm at one time of its motion.
-
-    Attributes:
-        time: s.
-        state: of the joints: angles (rad), rates (rad/s), and what else the arm remembers.
-        command: commanded angles, rad.
-        wind: velocity of the air, m/s, of the whole arm or of link after link; None for still air.
-    """
-
-    time: Scalar
-    state: State
-    command: Float[Array, " joint"]
-    wind: Float[Array, " width"] | None
-
-    @property
-    def angles(self) -> Float[Array, " joint"]:
-        """Joint angles, rad."""
-        return self.state[0]
-
-    @property
-    def rates(self) -> Float[Array, " joint"]:
-        """Joint rates, rad/s."""
-        return self.state[1]
+# Of a method that iterates; and in one interval, where the error is controlled.
+_TOLERANCE, _MOST_STEPS = 1e-6, 1000
 
 
 class Stepper(eqx.Module):
@@ -63,9 +35,8 @@ class Stepper(eqx.Module):
         interval: between two decisions, s.
         steps: of the integrator in an interval.
         solver: one of `giajax.SOLVERS`; "springs5" is stable with long steps.
-        tolerance: of a step, as those of `simulate`, on angles (rad) and rates (rad/s): steps are
-            made shorter where it needs that. Where no step is short enough, the state is NaN.
-            None: steps are equal.
+        tolerance: of a step, as those of `simulate`: steps are made shorter where it needs that,
+            and where none is short enough the state is NaN. None: steps are equal.
 
     Example:
         >>> import giajax, jax.numpy as jnp
@@ -90,8 +61,8 @@ class Stepper(eqx.Module):
         """Refuse what cannot be stepped.
 
         Raises:
-            InputError: an interval or a tolerance that is not positive, no steps, or an unknown
-                solver.
+            InputError: an interval, a tolerance or a number of steps that is not positive, or an
+                unknown solver.
         """
         if is_concrete(self.interval) and not (
             self.interval.ndim == 0 and 0 < self.interval < np.inf
@@ -196,7 +167,7 @@ def _advance(stepper: Stepper, moment: Moment, command: Array, wind: Array | Non
         ended = solution.result == diffrax.RESULTS.successful
         state = jnp.where(ended, solution.ys[-1], jnp.nan)
         return Moment(moment.time + interval, state, command, wind)
-    # Times within the interval, so that the steps of a long motion are as equal as of a short one.
+    # Within the interval, so that steps of a long motion are as equal as of a short one.
     ends = jnp.arange(1, stepper.steps + 1, dtype=interval.dtype) * (interval / stepper.steps)
 
     def one(carry: Any, end: Array) -> tuple[Any, None]:

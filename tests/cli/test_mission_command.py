@@ -1,0 +1,62 @@
+"""`giajax mission` as a user runs it: what it prints and writes, and what it refuses."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from giajax.cli import main
+from giajax.runs import read_run
+
+MISSION = Path(__file__).resolve().parents[2] / "missions" / "naraha.toml"
+
+
+def short(folder, limit=4.0):
+    text = MISSION.read_text(encoding="utf-8")
+    path = folder / "short.toml"
+    path.write_text(text.replace("limit_s = 720.0", f"limit_s = {limit}"), encoding="utf-8")
+    return path
+
+
+@pytest.mark.slow
+def test_a_mission_and_many(tmp_path, capsys):
+    file, out, page = short(tmp_path), tmp_path / "out", tmp_path / "page.html"
+    words = ["mission", str(file), "--seed", "3", "--out", str(out)]
+    assert main([*words, "--page", str(page)]) == 0
+    printed = capsys.readouterr().out
+    assert "not inside after 4 s in air of 0.2 m/s: the opening never came" in printed
+    facts = json.loads((out / "mission.json").read_text(encoding="utf-8"))
+    assert facts["reached_s"] is None
+    assert facts["ended_s"] == 4.0
+    assert [each["obstacle"] for each in facts["touched"]] == ["housetop", "front", "ground"]
+    assert (out / "mission.png").read_bytes().startswith(b"\x89PNG")
+    run = read_run(out / "run.csv")
+    assert " mission " in run.definition.origin
+    assert len(run.times) == 41
+    assert run.times[0] == 0.0
+    assert page.read_bytes().lstrip().lower().startswith(b"<!doctype html")
+    assert main(words) == 2
+    assert "--force" in capsys.readouterr().err
+
+    many = tmp_path / "many"
+    words = ["mission", str(file), "--cases", "1", "--speeds", "0,0.2", "--out", str(many)]
+    assert main([*words, "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)["winds"]
+    assert [row["wind_m_per_s"] for row in rows] == [0.0, 0.2]
+    assert (many / "cases.csv").read_text(encoding="utf-8").count("\n") == 3
+    assert (many / "cases.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("--speed", "-1"), "--speed is -1: give a number of at least 0"),
+        (("--speed", "0.1", "--cases", "3"), "--speed is of one mission: leave --cases out"),
+        (("--cases", "3", "--speeds", "a,b"), "--speeds is 'a,b': give numbers of at least 0"),
+        (("--cases", "3", "--page", "x.html"), "--page is of one mission: leave --cases out"),
+    ],
+)
+def test_what_cannot_be_flown_is_refused(capsys, words, sentence):
+    assert main(["mission", str(MISSION), *words]) == 2
+    assert sentence in capsys.readouterr().err

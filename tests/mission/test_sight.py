@@ -1,0 +1,147 @@
+"""What an operator makes of pictures: against the truth, and without one."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import giajax
+from giajax import InputError
+from giajax.arm import Contact
+from giajax.mission import Tracking, opening_of
+from giajax.mission._posed import posed
+from giajax.models import Pinhole, View
+from giajax.obstacles import Box, WallWithOpening
+
+WALL = WallWithOpening(
+    centre=[14.0, 0.0, 7.4], opening=[2.0, 1.0], thickness=0.2, rotation=[0.1, -1.4, 0.2]
+)
+CAMERA = Pinhole(
+    position=[0.0, 0.0, 0.0],
+    rotation=[0.0, 0.0, 0.0],
+    focal_length=200.0,
+    centre=[319.5, 239.5],
+    distortion=[0.05, -0.01, 0.001, 0.0, 0.0],
+    mount="tip",
+    size=(640, 480),
+)
+
+
+def arm_before(*obstacles):
+    return giajax.chain(2, contact=Contact(obstacles=obstacles))
+
+
+OPENING = opening_of(arm_before(WALL))
+
+
+def looking(place, aim, roll=0.0):
+    """A view from a place (in the opening's frame) to another, rolled about its axis."""
+    here, there = (
+        np.asarray(OPENING.centre) + np.asarray(OPENING.frame) @ np.asarray(each, float)
+        for each in (place, aim)
+    )
+    ahead = (there - here) / np.linalg.norm(there - here)
+    right = np.cross(ahead, [0.3, 0.1, 1.0])
+    right /= np.linalg.norm(right)
+    down = np.cross(ahead, right)
+    right, down = (
+        np.cos(roll) * right + np.sin(roll) * down,
+        np.cos(roll) * down - np.sin(roll) * right,
+    )
+    return View(jnp.asarray(here), jnp.asarray(np.stack([right, down, ahead], axis=1)))
+
+
+def test_an_opening_is_where_its_wall_is():
+    corners = np.asarray(OPENING.local(OPENING.corners))
+    assert_allclose(np.abs(corners[:, 1:]), [[1.0, 0.5]] * 4, atol=1e-12)
+    assert_allclose(corners[:, 0], 0, atol=1e-12)
+    # The outer face is half a thickness out, where the wall's x points.
+    assert_allclose(np.linalg.norm(np.asarray(OPENING.centre) - [14.0, 0.0, 7.4]), 0.1)
+    assert_allclose(OPENING.beside(jnp.asarray([5.0, 1.3, -0.9])), 0.5, rtol=1e-12)
+    assert_allclose(OPENING.beside(jnp.asarray([5.0, 0.9, -0.4])), 0.0)
+
+
+def test_four_corners_are_a_pose():
+    """To rounding, from wherever they are seen, through a lens that distorts."""
+    random = np.random.default_rng(0)
+    seen = 0
+    for _ in range(40):
+        place = random.uniform([0.8, -4, -4], [9, 4, 4])
+        view = looking(place, random.uniform(-0.5, 0.5, 3), random.uniform(-3, 3))
+        found = CAMERA.project_from(view, OPENING.corners)
+        if not np.all(CAMERA.sees(found)):
+            continue
+        seen += 1
+        back = posed(CAMERA, OPENING, found.pixels)
+        assert_allclose(back.centre, view.centre, atol=1e-6)
+        assert_allclose(back.axes, view.axes, atol=1e-6)
+    assert seen > 15
+
+
+def followed(tracking, first, interval, path, rng, shown=4):
+    """Distances of belief from the truth along a path of views, and their standard deviations."""
+
+    def step(sight, given):
+        view, error = given
+        found = CAMERA.project_from(view, OPENING.corners)
+        seen = CAMERA.sees(found) & (jnp.arange(4) < shown)
+        sight = tracking.later(sight, interval)
+        sight = tracking.corrected(
+            sight, CAMERA, OPENING, found.pixels + error, seen, first, interval
+        )
+        return sight, (sight.view.centre, jnp.sqrt(jnp.diag(sight.covariance)[:3]))
+
+    views = View(*(jnp.stack(each) for each in zip(*path, strict=True)))
+    errors = jnp.asarray(rng.normal(size=(len(path), 4, 2)))
+    sight, (centres, sure) = jax.jit(lambda s: jax.lax.scan(step, s, (views, errors)))(
+        tracking.start(first)
+    )
+    return np.asarray(centres - views.centre), np.asarray(sure), sight
+
+
+def test_a_camera_is_followed_from_a_wrong_belief():
+    """4 m and 30 deg off where commands would have it, 6 m away, 1 px of noise, moving."""
+    rng, interval = np.random.default_rng(1), jnp.asarray(0.1)
+    times = 0.1 * np.arange(150)
+    places = np.stack([5 - 0.15 * times, 1.5 + 0.1 * times, -2 + 0.1 * times], axis=1)
+    path = [looking(place, [0, 0, 0]) for place in places]
+    commanded = looking(places[0] + [2.0, -3.0, 1.5], [0.0, 2.0, 1.0], 0.3)
+    gaps, sure, sight = followed(Tracking(pixel=1.0), commanded, interval, path, rng)
+    assert np.abs(gaps[60:]).max() < 0.3
+    pulls = gaps[60:] / sure[60:]
+    # It takes the camera for one that does not turn on purpose: a little too sure of itself.
+    assert 0.3 < np.sqrt(np.mean(pulls**2)) < 3.0
+    speed = np.asarray(OPENING.frame) @ [-0.15, 0.1, 0.1]
+    assert_allclose(sight.velocity, speed, atol=0.05)
+    ahead = np.asarray(sight.view.axes).T @ np.asarray(path[-1].axes)
+    assert_allclose(ahead, np.eye(3), atol=0.03)
+
+
+def test_two_corners_go_on_where_four_began():
+    rng, interval = np.random.default_rng(2), jnp.asarray(0.1)
+    path = [looking([2.0, 0.2, 0.1], [0, 0, 0])] * 60
+    tracking = Tracking(pixel=1.0)
+    _gaps, sure, sight = followed(tracking, path[0], interval, path, rng)
+    on = followed(tracking, path[0], interval, path, rng, shown=2)
+    assert np.abs(on[0][-1]).max() < 0.5
+    # Fewer corners say less, and none leaves it to drift.
+    assert np.all(on[1][-1] > sure[-1])
+    for _ in range(50):
+        sight = tracking.later(sight, interval)
+    assert np.all(np.sqrt(np.diag(np.asarray(sight.covariance)[:3, :3])) > 2 * sure[-1])
+    assert np.all(np.abs(np.asarray(sight.velocity)) < 0.05)
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize(
+    ("obstacles", "name", "sentence"),
+    [
+        ((Box(),), None, "the mission has no opening: add a wall"),
+        ((WALL, WallWithOpening(name="other")), None, "openings in wall, other: say which"),
+        ((WALL,), "door", "'door' is no wall with an opening: there is wall"),
+    ],
+)
+def test_a_mission_without_its_opening_is_refused(obstacles, name, sentence):
+    with pytest.raises(InputError, match=sentence):
+        opening_of(arm_before(*obstacles), name)
