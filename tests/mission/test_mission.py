@@ -122,7 +122,6 @@ def test_the_air_has_its_speed():
     assert not np.any(planned.in_wind(0.0).wind(3))
 
 
-@pytest.mark.quick
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
@@ -182,7 +181,6 @@ def test_reasons_are_those_of_the_rows():
     assert "near, and not in" in _reason(Seen(some, none), True, 0.5)
 
 
-@pytest.mark.quick
 def test_both_readings_are_14_m():
     level, slant = (mission(name) for name in ("naraha", "naraha_slant"))
     assert float(level.opening.centre[0]) == 14.0

@@ -113,7 +113,8 @@ def test_a_camera_is_followed_from_a_wrong_belief():
     # It takes the camera for one that does not turn on purpose: a little too sure of itself.
     assert 0.3 < np.sqrt(np.mean(pulls**2)) < 3.0
     speed = np.asarray(OPENING.frame) @ [-0.15, 0.1, 0.1]
-    assert_allclose(sight.velocity, speed, atol=0.05)
+    # It dies away where nothing is seen, so that it lags behind.
+    assert_allclose(sight.velocity, speed, atol=0.1)
     ahead = np.asarray(sight.view.axes).T @ np.asarray(path[-1].axes)
     assert_allclose(ahead, np.eye(3), atol=0.03)
 
