@@ -255,3 +255,20 @@ def test_a_design_halves_the_error_also_of_an_arm_that_it_did_not_know():
         assert "joints.memory.strength = 0.02 N m" in memory
     for world in ("as_foreseen", "unknown"):
         assert designed[world]["spread"] <= 0.5 * step[world]["spread"]
+
+
+@pytest.mark.quick
+def test_the_operator_reaches_the_opening():
+    """Both readings of the 14 m: at 0.2 m/s in 90 % at least; and no link is pressed flat."""
+    size, figures = figures_of("missions")
+    rows = [row for each in figures.values() for row in each["winds"]]
+    assert sum(row["cases"] for row in rows) >= size
+    for each in figures.values():
+        assert [row["wind_m_per_s"] for row in each["winds"]][-1] == 0.3
+        share = {row["wind_m_per_s"]: row["inside"] / row["cases"] for row in each["winds"]}
+        assert share[0.2] >= 0.9
+        medians = [row["quartiles_s"][1] for row in each["winds"]]
+        assert medians[-1] > medians[0]
+    for row in rows:
+        assert row["largest_flattening_m"] < 0.15
+        assert row["inside"] + sum(row["reasons"].values()) == row["cases"]

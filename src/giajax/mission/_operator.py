@@ -1,6 +1,6 @@
 """Who drives the arm: commands from what a picture shows, with limits."""
 
-from typing import Any, Self
+from typing import Self
 
 import equinox as eqx
 import jax
@@ -13,18 +13,13 @@ from .._typing import Array, Float, Scalar
 from ..arm import Arm, pose, tip_position
 from ..kinds import MissionSection
 from ._opening import Opening
-from ._tracking import Sight, Tracking
+from ._tracking import Sight, Tracking, number
 
 # How far behind the opening it looks: a place that does not pass by while the tip goes in, m.
 _AHEAD = 3.0
 
 # A turn by a radian counts as much as so many metres of the tip.
 _METRES = 2.0
-
-
-def _number(default: float) -> Any:
-    """A field that a program takes as an argument, so that another value is no other program."""
-    return eqx.field(converter=lambda x: jnp.asarray(x, jnp.result_type(float)), default=default)
 
 
 class Operator(eqx.Module):
@@ -56,20 +51,20 @@ class Operator(eqx.Module):
     """
 
     approach: Float[Array, " joint"]
-    approach_rate: Scalar = _number(np.deg2rad(1.0))
-    latency: Scalar = _number(0.4)
-    speed: Scalar = _number(0.2)
-    largest_rate: Scalar = _number(np.deg2rad(2.0))
-    largest_angle: Scalar = _number(np.deg2rad(60.0))
-    stand_off: Scalar = _number(2.0)
-    patience: Scalar = _number(20.0)
-    near: Scalar = _number(0.5)
-    deep: Scalar = _number(1.0)
-    closing: Scalar = _number(0.1)
-    push: Scalar = _number(2.0)
-    looking: Scalar = _number(0.5)
-    posture: Scalar = _number(0.02)
-    tracking: Tracking = Tracking()
+    approach_rate: Scalar = number(np.deg2rad(1.0))
+    latency: Scalar = number(0.4)
+    speed: Scalar = number(0.2)
+    largest_rate: Scalar = number(np.deg2rad(2.0))
+    largest_angle: Scalar = number(np.deg2rad(60.0))
+    stand_off: Scalar = number(2.0)
+    patience: Scalar = number(20.0)
+    near: Scalar = number(0.5)
+    deep: Scalar = number(1.0)
+    closing: Scalar = number(0.1)
+    push: Scalar = number(2.0)
+    looking: Scalar = number(0.5)
+    posture: Scalar = number(0.02)
+    tracking: Tracking = eqx.field(default_factory=Tracking)
 
     @classmethod
     def from_section(cls, section: MissionSection, joints: int) -> Self:

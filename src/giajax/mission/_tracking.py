@@ -23,7 +23,8 @@ _STILL = 0.2
 _SQUARE = np.array([[100.0, 100.0], [200.0, 100.0], [200.0, 200.0], [100.0, 200.0]])
 
 
-def _number(default: float) -> Any:
+def number(default: float) -> Any:
+    """A field that a program takes as an argument, so that another value is no other program."""
     return eqx.field(converter=lambda x: jnp.asarray(x, jnp.result_type(float)), default=default)
 
 
@@ -59,14 +60,14 @@ class Tracking(eqx.Module):
             believed is given up for what is seen.
     """
 
-    pixel: Scalar = _number(2.0)
-    acceleration: Scalar = _number(0.03)
-    persistence: Scalar = _number(8.0)
-    turning: Scalar = _number(0.01)
-    astray: Scalar = _number(3.0)
-    askew: Scalar = _number(0.5)
-    memory: Scalar = _number(300.0)
-    astonishing: Scalar = _number(12.0)
+    pixel: Scalar = number(2.0)
+    acceleration: Scalar = number(0.03)
+    persistence: Scalar = number(8.0)
+    turning: Scalar = number(0.01)
+    astray: Scalar = number(3.0)
+    askew: Scalar = number(0.5)
+    memory: Scalar = number(300.0)
+    astonishing: Scalar = number(12.0)
 
     def start(self, view: View) -> Sight:
         """At rest where commands would have the camera."""
