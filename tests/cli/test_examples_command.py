@@ -20,7 +20,8 @@ def test_everything_that_ships_is_listed(capsys):
     assert main(["examples"]) == 0
     lines = capsys.readouterr().out.splitlines()
     listed = {line.split()[0] for line in lines if line}
-    assert {*names(ROOT, "fits/*.toml"), *names(ROOT, "data/synthetic/*.csv")} <= listed
+    shipped = ("fits/*.toml", "missions/*.toml", "data/synthetic/*.csv")
+    assert {name for pattern in shipped for name in names(ROOT, pattern)} <= listed
     line = next(line for line in lines if line.startswith("fits/base_step.toml"))
     assert "air.drag_coefficient" in line
     assert "base_step.csv" in line
@@ -30,7 +31,8 @@ def test_a_copy_can_be_read_and_is_complete(tmp_path, capsys):
     target = tmp_path / "new" / "work"
     assert main(["examples", "--copy", str(target)]) == 0
     assert str(target) in capsys.readouterr().out
-    for pattern in ("fits/*.toml", "data/synthetic/*.csv", "data/synthetic/inputs/*.csv"):
+    data = ("data/synthetic/*.csv", "data/synthetic/inputs/*.csv")
+    for pattern in ("fits/*.toml", "missions/*.toml", *data):
         assert names(target, pattern) == names(ROOT, pattern) != []
     assert names(target, "data/recorded/*/LICENSE") == names(ROOT, "data/recorded/*/LICENSE") != []
     assert names(target, "**/*.py") == []
@@ -67,6 +69,6 @@ def test_an_installed_package_has_them_inside(tmp_path, monkeypatch):
     monkeypatch.setattr("importlib.resources.files", lambda _: package)
     with pytest.raises(ValueError, match="not part of this installation"):
         _examples.examples_root()
-    for folder in ("fits", "data/synthetic", "data/independent", "data/recorded"):
+    for folder in _examples._FOLDERS:
         (package / "_examples" / folder).mkdir(parents=True)
     assert _examples.examples_root() == package / "_examples"

@@ -125,7 +125,7 @@ def test_the_air_has_its_speed():
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({"mission": None}, r"no \[mission\] in it: add one"),
+        ({"mission": None}, r"the file has no \[mission\]: add one"),
         ({"camera": {}}, "no camera at the tip: give one"),
         ({"mission__camera": "other"}, "'other' is no camera at the tip"),
         ({"mission__opening": "front"}, "'front' is no wall with an opening"),

@@ -1,4 +1,4 @@
-"""`giajax examples`: the runs and fit definitions that ship with giajax."""
+"""`giajax examples`: the runs, fit definitions and missions that ship with giajax."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,7 +14,8 @@ Examples:
   giajax examples --copy work
   giajax fit work/fits/base_step.toml"""
 
-_FOLDERS = ("fits", "data/synthetic", "data/independent", "data/recorded")
+_DATA = ("data/synthetic", "data/independent", "data/recorded")
+_FOLDERS = ("fits", "missions", *_DATA)
 _MANY = 5
 # A licence has no suffix.
 _COPIED = (".csv", ".toml", ".md", "")
@@ -26,7 +27,7 @@ def examples(
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Write over files.")] = False,
 ) -> None:
-    """List the runs and fit definitions that ship with giajax, or copy them to start from."""
+    """List the runs, fits and missions that ship with giajax, or copy them to start from."""
     root = examples_root()
     if copy is None:
         _show(root)
@@ -37,7 +38,7 @@ def examples(
 
 
 def examples_root() -> Path:
-    """The folder that holds `fits/` and `data/`.
+    """The folder that holds `fits/`, `missions/` and `data/`.
 
     In an installed package it is `giajax/_examples`; in a checkout (an editable install) the
     root of the repository.
@@ -63,7 +64,10 @@ def _show(root: Path) -> None:
     fits = sorted((root / "fits").glob("*.toml"))
     print_table(["fit definition", "fits", "to"], [_fit(path, root) for path in fits], left=3)
     print()
-    tables = [path for data in _FOLDERS[1:] for path in sorted((root / data).rglob("*.csv"))]
+    missions = sorted((root / "missions").glob("*.toml"))
+    print_table(["mission", "through"], [_mission(path, root) for path in missions], left=2)
+    print()
+    tables = [path for data in _DATA for path in sorted((root / data).rglob("*.csv"))]
     # A table without a sidecar is something that a run was made from.
     runs = [path for path in tables if path.with_suffix(".toml").exists()]
     headings = ["run", "driven", "rows", "seconds", "channels", "missing %"]
@@ -79,6 +83,13 @@ def _fit(path: Path, root: Path) -> list[str | None]:
     data = ", ".join(names) if len(names) < _MANY else f"{names[0]} and {len(names) - 1} others"
     free = "the default parameters" if fit.free is None else ", ".join(fit.free)
     return [path.relative_to(root).as_posix(), free, data]
+
+
+def _mission(path: Path, root: Path) -> list[str | None]:
+    from ..runs import Definition
+
+    mission = Definition.load(path).mission
+    return [path.relative_to(root).as_posix(), None if mission is None else mission.opening]
 
 
 def _run(path: Path, root: Path) -> list[str | int | float | None]:

@@ -97,7 +97,7 @@ def mission(
     if out is not None:
         names = (*MISSION_FILES, *_RUN) if cases is None else CASES_FILES
         check_output_folder(out, names, force=force)
-    planned = Mission.from_definition(definition)
+    planned = Mission.from_definition(definition, str(file))
     planned = planned.with_model(with_settings(planned.model, values))
     if cases is not None:
         done = fly_cases(planned, numbers, cases, seed=seed, on_case=_progress())

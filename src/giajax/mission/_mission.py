@@ -47,15 +47,19 @@ class Mission:
     operator: Operator
 
     @classmethod
-    def from_definition(cls, definition: Definition) -> Self:
+    def from_definition(cls, definition: Definition, source: str = "the file") -> Self:
         """The mission of a file.
+
+        Arguments:
+            definition: what is in it.
+            source: what errors call it.
 
         Raises:
             InputError: it has no `[mission]`, no opening, or no camera at the tip of its arm.
         """
         section = definition.mission
         if section is None:
-            raise InputError("there is no [mission] in it: add one, as in missions/naraha.toml")
+            raise InputError(f"{source} has no [mission]: add one (giajax mission --help shows it)")
         arm, sensors = arm_from_definition(definition), sensors_from_definition(definition)
         opening = opening_of(arm, section.opening)
         lenses = {
