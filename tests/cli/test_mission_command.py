@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from giajax.cli import main
+from giajax.kinds import ArmSection
 from giajax.runs import read_run
 
 MISSION = Path(__file__).resolve().parents[2] / "missions" / "naraha.toml"
@@ -22,8 +23,10 @@ def short(folder, limit=4.0):
 def test_a_mission_and_many(tmp_path, capsys):
     file, out, page = short(tmp_path), tmp_path / "out", tmp_path / "page.html"
     words = ["mission", str(file), "--seed", "3", "--out", str(out)]
-    assert main([*words, "--page", str(page)]) == 0
+    assert main([*words, "--page", str(page), "--case", "2"]) == 0
     printed = capsys.readouterr().out
+    fitted = read_run(out / "run.csv").definition.section(ArmSection).values()
+    assert fitted["contact.friction"] not in (None, 0.3)
     assert "not inside after 4 s in air of 0.2 m/s: the opening never came" in printed
     facts = json.loads((out / "mission.json").read_text(encoding="utf-8"))
     assert facts["reached_s"] is None

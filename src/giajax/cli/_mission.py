@@ -20,6 +20,7 @@ Examples:
   giajax mission missions/naraha.toml --page flown.html
   giajax view flown/run.csv
   giajax mission missions/naraha.toml --cases 100 --speeds 0,0.1,0.2,0.3
+  giajax mission missions/naraha.toml --case 17 --speed 0.3 --out flown
 
 \b
 It writes
@@ -50,7 +51,13 @@ def mission(
     speed: Annotated[
         float | None, typer.Option(metavar="M/S", help="Of the air, in place of the file's.")
     ] = None,
-    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Of air, arm and pixels.")] = 0,
+    seed: Annotated[
+        int, typer.Option(metavar="N", min=0, help="Of air and pixels; of --cases the first.")
+    ] = 0,
+    case: Annotated[
+        int | None,
+        typer.Option(metavar="N", min=0, help="One of --cases again, by its seed: arm and air."),
+    ] = None,
     pairs: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="PATH=VALUE", help="A parameter of the arm. Repeatable."),
@@ -80,7 +87,7 @@ def mission(
     numbers = _numbers(speeds)
     if speed is not None and not 0 <= speed < math.inf:
         raise InputError(f"--speed is {speed:g}: give a number of at least 0")
-    for option, given in (("--speed", speed), ("--page", page)):
+    for option, given in (("--speed", speed), ("--page", page), ("--case", case)):
         if given is not None and cases is not None:
             raise InputError(f"{option} is of one mission: leave --cases out")
     if page is not None:
@@ -103,6 +110,7 @@ def mission(
         done = fly_cases(planned, numbers, cases, seed=seed, on_case=_progress())
         tell_cases(planned, done, out, as_json=as_json, force=force)
         if len(done.cases) < cases * len(numbers):
+            typer.echo(f"stopped after {len(done.cases)} of {cases * len(numbers)}", err=True)
             raise typer.Exit(130)
         return
     if speed is not None:
@@ -111,10 +119,11 @@ def mission(
         from ..viewer import check_viser
 
         check_viser()
-    outcome = planned.fly(seed)
-    tell(planned, outcome, out, origin(context), as_json=as_json, force=force)
+    flown = planned if case is None else planned.case(case)
+    outcome = flown.fly(seed if case is None else case, drawn=planned)
+    tell(flown, outcome, out, origin(context), as_json=as_json, force=force)
     if page is not None:
-        show(planned, outcome, page, force=force)
+        show(flown, outcome, page, force=force)
 
 
 def _numbers(text: str) -> list[float]:
