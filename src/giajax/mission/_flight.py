@@ -95,7 +95,7 @@ def flight(
     *,
     late: int,
 ) -> Rows:
-    """A mission until its end; rows after success are those of success.
+    """A mission until its end; rows after that are as the last one.
 
     Arguments:
         arm: as it is.
@@ -140,7 +140,9 @@ def flight(
         return _Now(moment, pictures, sight, blind, inside)
 
     def row(now: _Now, given: tuple[Array, Array]) -> tuple[_Now, Rows]:
-        done = now.inside >= task.hold
+        # A motion that is lost would be tried again with ever shorter steps, to no end.
+        lost = ~jnp.all(jnp.isfinite(now.moment.state))
+        done = (now.inside >= task.hold) | lost
         now = jax.lax.cond(done, lambda: now, lambda: advanced(now, *given))
         moment, state = now.moment, now.moment.state
         pressed = jnp.zeros_like(moment.angles)
