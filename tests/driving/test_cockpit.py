@@ -2,6 +2,11 @@
 
 import dataclasses
 import json
+import signal
+import socket
+import subprocess
+import sys
+import threading
 import time
 from urllib.error import HTTPError
 from urllib.request import urlopen
@@ -17,6 +22,7 @@ from giajax.driving import Cockpit, PadMapping, Session, TipCamera
 from giajax.driving._cockpit import TAKEN_OVER
 from giajax.models import ArmModel
 from giajax.obstacles import WallWithOpening
+from giajax.runs import read_run
 
 PAD = """
 window.pad = {id: "test pad", index: 0, connected: true, axes: [0, 0, 0, 0],
@@ -82,6 +88,17 @@ def test_the_page_drives(cockpit, browser, tmp_path):
         stands = operator.command
         time.sleep(0.3)
         assert np.array_equal(operator.command, stands)
+        # Space stops, whatever has the focus.
+        page.evaluate(
+            "(() => { const one = document.getElementById('slider3'); one.focus();"
+            " one.value = 30; one.dispatchEvent(new Event('input')); })()"
+        )
+        eventually(lambda: operator.command[2] > 0.01)
+        page.evaluate(
+            "document.activeElement.dispatchEvent(new KeyboardEvent('keydown',"
+            " {code: 'Space', bubbles: true, cancelable: true}))"
+        )
+        page.wait("document.getElementById('state').innerText == 'holds: stopped by the operator'")
         # A browser without pads, and without the function.
         page.evaluate("navigator.getGamepads = undefined")
         page.evaluate("[...document.querySelectorAll('#presets button')][0].click()")
@@ -123,12 +140,44 @@ def test_the_latest_page_drives(cockpit):
             eventually(lambda: cockpit.session.operator.command[0] > 0)
 
 
+def test_a_page_that_hangs_does_not_keep_the_next_one_waiting(cockpit):
+    """The machine of the first is gone: nothing is closed, and nothing answered."""
+    host, port = cockpit.address.split("/")[2].split(":")
+    token = cockpit.address.split("/")[3]
+    with socket.create_connection((host, int(port))) as hangs:
+        hangs.sendall(
+            f"GET /{token}/pad HTTP/1.1\r\nHost: {host}\r\nUpgrade: websocket\r\n"
+            "Connection: Upgrade\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
+            "Sec-WebSocket-Version: 13\r\n\r\n".encode()
+        )
+        assert hangs.recv(12) == b"HTTP/1.1 101"
+        began = time.monotonic()
+        with socket_of(cockpit) as page:
+            told(page, "facts")
+            page.send(json.dumps({"type": "joint", "joint": 1, "deg": 2.0}))
+            eventually(lambda: cockpit.session.operator.command[0] > 0)
+        assert time.monotonic() - began < 5.0  # closing properly has 10 s
+
+
+def test_a_drive_that_breaks_off_is_over(cockpit, monkeypatch):
+    """Whatever happens in its thread, whoever waits learns it."""
+    with socket_of(cockpit) as page:
+        told(page, "facts")
+        monkeypatch.setattr(threading, "excepthook", lambda _: None)
+        monkeypatch.setattr(cockpit.session, "tick", lambda *_, **__: 1 / 0)
+        assert "ZeroDivisionError" in told(page, "ended")["text"]
+    assert cockpit.ended
+    assert "the drive broke off" in cockpit.error
+
+
 def test_a_message_that_says_nothing_is_answered(cockpit):
     with socket_of(cockpit) as page:
         for text, said in (
             ("[]", "is no table"),
             ("{", "is no JSON"),
             ('{"type": "pad", "axes": [], "buttons": []}', "the pad has no axes"),
+            (f'{{"type": "joint", "joint": 1, "deg": {10**400}}}', "which is no angle"),
+            ("[" * 10_000, "is no JSON"),
         ):
             page.send(text)
             assert said in told(page, "error")["text"]
@@ -172,3 +221,23 @@ def test_a_port_in_use_is_one_sentence(cockpit):
     port = int(cockpit.address.split(":")[2].split("/")[0])
     with pytest.raises(InputError, match=f"port {port} .*in use.*: give another port"):
         Cockpit(Session(model), TipCamera(model), port=port)
+
+
+@pytest.mark.slow
+def test_ctrl_c_saves_the_drive(tmp_path):
+    (tmp_path / "arm.toml").write_text("[arm]\nlinks = 3\n")
+    running = subprocess.Popen(
+        [sys.executable, "-m", "giajax", "drive", "arm.toml", "--no-browser", "--out", "run.csv"],
+        cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    address = running.stdout.readline().removeprefix("open ").strip()
+    with connect(address.replace("http://", "ws://") + "pad") as page:
+        told(page, "facts", seconds=60.0)
+        page.send(json.dumps({"type": "joint", "joint": 1, "deg": 2.0}))
+        while told(page, "pose")["command"][0] < 1.0:
+            page.send(json.dumps({"type": "alive"}))
+        running.send_signal(signal.SIGINT)
+        out, err = running.communicate(timeout=60)
+    assert (running.returncode, err) == (0, "")
+    assert "wrote run.csv" in out
+    assert np.ptp(read_run(tmp_path / "run.csv").values["joint01_command"]) > np.deg2rad(0.9)

@@ -60,6 +60,12 @@ def test_it_keeps_step_with_the_clock(model):
     pose = session.tick(110.0)
     assert pose.lost == pytest.approx(110.0 - 101.6, abs=2 * session.interval)
     assert session.tick(110.5).time == pytest.approx(2.1, abs=3 * session.interval)
+    # Not all at once, where somebody watches; a page that is gone is gone by the clock.
+    before = session.tick(110.5).time
+    session.receive({"type": "joint", "joint": 1, "deg": 60.0}, 110.5)
+    pose = session.tick(111.2, most=2)
+    assert pose.time == pytest.approx(before + 2 * session.interval)
+    assert "no word" in pose.stopped
 
 
 def test_messages_hold_from_the_next_interval_on(model):

@@ -127,9 +127,9 @@ def serve(session: "Session", camera: "TipCamera", *, host: str, port: int, brow
             webbrowser.open(cockpit.address)
         while not cockpit.wait(1.0):
             pass
-        typer.echo(f"giajax: {cockpit.error}", err=True)
+        raise InputError(cockpit.error or "the drive is over")
     except KeyboardInterrupt:
-        typer.echo("")
+        typer.echo("\nsaving the drive")
     finally:
         cockpit.close()
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .._errors import InputError
-from ..models import Scene, arm_scene
+from ..models import Scene, View, arm_scene
 from ..simulation import at_rest
 from ..viewer import LOOPBACK, Gate, LiveStage
 from ._pose import Pose
@@ -27,7 +27,13 @@ if TYPE_CHECKING:
     from websockets.sync.server import ServerConnection
 
 # The page is told so many poses a second at most, and the scene is drawn so often.
-_TOLD, _DRAWN = 20.0, 12.0
+_TOLD, _DRAWN = 60.0, 12.0
+
+# Of intervals that are made up for at once: what an operator sees and does comes between them.
+_AT_ONCE = 2
+
+# Longer than anything that the page says.
+_LONGEST_MESSAGE = 1 << 16
 
 TAKEN_OVER = "another page has taken over"
 
@@ -55,17 +61,24 @@ class Cockpit:
         self.session = session
         self.camera = camera
         self.error: str | None = None
-        camera.see(session.time, session.pose.angles)  # compiled before the clock runs
         # What pages said, with the time at which it came; the arm's own thread takes it in.
         self._inbox: deque[tuple[ServerConnection, dict[str, Any], float]] = deque()
         self._answers: deque[tuple[ServerConnection, str]] = deque()
         self._ended = threading.Event()
         self._fresh = threading.Condition()
-        # The clock of the drive begins with its thread.
+        # The clock of the drive begins with its thread, and everything is compiled by then.
         self._pose: Pose = session.pose
+        self._view: View = camera.see(session.time, self._pose.angles)
         self._operator: ServerConnection | None = None
         self._stage = LiveStage(self._scene(self._pose))
-        self._server = serve(self._talk, LOOPBACK, 0, process_request=self._page, compression=None)
+        self._server = serve(
+            self._talk,
+            LOOPBACK,
+            0,
+            process_request=self._page,
+            compression=None,
+            max_size=_LONGEST_MESSAGE,
+        )
         try:
             ports = {"": self._server.socket.getsockname()[1], "view": self._stage.port}
             self._gate = Gate(ports, host=host, port=port)
@@ -113,19 +126,25 @@ class Cockpit:
     def _drive(self) -> None:
         """Advance the arm in step with the clock."""
         interval = self.session.interval
-        while not self._ended.is_set():
-            self._take_in()
-            try:
-                pose = self.session.tick(time.monotonic())
-            except InputError as error:
-                self.error = str(error)
-                self._ended.set()
-                return
-            if pose.time != self._pose.time:
+        try:
+            while not self._ended.is_set():
+                self._take_in()
+                pose = self.session.tick(time.monotonic(), most=_AT_ONCE)
+                if pose.time == self._pose.time:
+                    self._ended.wait(interval / 4)
+                    continue
+                view = self.camera.see(pose.time, pose.angles)
                 with self._fresh:
-                    self._pose = pose
+                    self._pose, self._view = pose, view
                     self._fresh.notify_all()
-            self._ended.wait(interval / 4)
+        except InputError as error:
+            self.error = str(error)
+        except Exception as error:
+            # Whoever waits for the drive must learn that nothing moves any more.
+            self.error = f"the drive broke off: {error!r}"
+            raise
+        finally:
+            self._ended.set()
 
     def _take_in(self) -> None:
         """What came since: of the page that drives."""
@@ -180,10 +199,9 @@ class Cockpit:
 
         before, self._operator = self._operator, connection
         if before is not None:
-            # A tab that was loaded again, or a second one: the latest drives.
-            with suppress(ConnectionClosed, OSError):
-                before.send(json.dumps({"type": "error", "text": TAKEN_OVER}))
-                before.close()
+            # A tab that was loaded again, or a second one: the latest drives. It does not wait for
+            # the other, whose machine may be gone.
+            threading.Thread(target=_dismiss, args=(before,), daemon=True).start()
         told = threading.Thread(target=self._tell, args=(connection,), daemon=True)
         with suppress(ConnectionClosed, OSError):
             connection.send(json.dumps(self._facts()))
@@ -196,8 +214,8 @@ class Cockpit:
     def _heard(self, connection: "ServerConnection", text: str | bytes) -> None:
         """A message; what is none is answered."""
         try:
-            message = json.loads(text)
-        except ValueError as error:
+            message = json.loads(text, parse_int=_whole)
+        except (ValueError, RecursionError) as error:
             self._answers.append((connection, f"a message of the page is no JSON: {error}"))
             return
         if isinstance(message, dict):
@@ -210,19 +228,20 @@ class Cockpit:
 
         told = -1.0
         with suppress(ConnectionClosed, OSError):
-            while not self._ended.is_set():
+            while self._operator is connection and not self._ended.is_set():
                 with self._fresh:
                     while self._pose.time == told and not self._ended.is_set():
                         self._fresh.wait(timeout=1.0)
-                    pose = self._pose
+                    pose, view = self._pose, self._view
                 told = pose.time
-                connection.send(json.dumps(self._words(pose)))
-                while self._answers and self._operator is connection:
+                connection.send(json.dumps(self._words(pose, view)))
+                while self._answers:
                     asked, answer = self._answers.popleft()
                     if asked is connection:
                         connection.send(json.dumps({"type": "error", "text": answer}))
-                if self._ended.wait(1 / _TOLD):
-                    connection.send(json.dumps({"type": "ended", "text": self.error or ""}))
+                self._ended.wait(1 / _TOLD)
+            if self._ended.is_set():
+                connection.send(json.dumps({"type": "ended", "text": self.error or ""}))
 
     def _facts(self) -> dict[str, Any]:
         """What does not change."""
@@ -246,9 +265,8 @@ class Cockpit:
             ],
         }
 
-    def _words(self, pose: Pose) -> dict[str, Any]:
+    def _words(self, pose: Pose, view: View) -> dict[str, Any]:
         """Where the arm is."""
-        view = self.camera.see(pose.time, pose.angles)
         return {
             "type": "pose",
             "time": round(pose.time, 3),
@@ -262,3 +280,17 @@ class Cockpit:
             "centre": np.asarray(view.centre).tolist(),
             "axes": np.asarray(view.axes).T.tolist(),
         }
+
+
+def _dismiss(connection: "ServerConnection") -> None:
+    """Tell a page that it drives no longer."""
+    from websockets.exceptions import ConnectionClosed
+
+    with suppress(ConnectionClosed, OSError):
+        connection.send(json.dumps({"type": "error", "text": TAKEN_OVER}))
+        connection.close()
+
+
+def _whole(digits: str) -> int | float:
+    """An integer of a message; those of a thousand digits are no joint and no angle."""
+    return int(digits) if len(digits) < 16 else float(digits)

@@ -125,8 +125,13 @@ class Session:
         else:
             self.operator.receive(message, now)
 
-    def tick(self, now: float) -> Pose:
-        """Advance to the time of the clock (s), and say where the arm is."""
+    def tick(self, now: float, most: int | None = None) -> Pose:
+        """Advance to the time of the clock, and say where the arm is.
+
+        Arguments:
+            now: time of the clock, s.
+            most: intervals at once; all that are missing by default.
+        """
         if self._began is None:
             self._began = now - self.time
         behind = now - self._began - self.time
@@ -136,12 +141,14 @@ class Session:
             self.lost += late
             self._began += late
         # A hair less than an interval is one: clocks are added up.
-        while now - self._began - self.time > self.interval * (1 - 1e-6):
-            self.advance(self._began + self.time + self.interval)
+        missing = int((now - self._began - self.time) / self.interval + 1e-6)
+        for _ in range(missing if most is None else min(missing, most)):
+            # By the clock: an arm that is behind stops no later.
+            self.advance(now)
         return self.pose
 
     def advance(self, now: float) -> None:
-        """One interval, whatever the clock says; `now` is the time at its end, s."""
+        """One interval; `now` is the time of the clock, by which a page is silent, s."""
         wanted = self.operator.advance(now, self.interval)
         command = wanted
         if self._compensation is not None:
