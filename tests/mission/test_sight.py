@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 import giajax
 from giajax import InputError
 from giajax.arm import Contact
-from giajax.mission import Tracking, opening_of
+from giajax.mission import Operator, Tracking, opening_of
 from giajax.mission._posed import posed
 from giajax.models import Pinhole, View
 from giajax.obstacles import Box, WallWithOpening
@@ -132,6 +132,23 @@ def test_two_corners_go_on_where_four_began():
         sight = tracking.later(sight, interval)
     assert np.all(np.sqrt(np.diag(np.asarray(sight.covariance)[:3, :3])) > 2 * sure[-1])
     assert np.all(np.abs(np.asarray(sight.velocity)) < 0.05)
+
+
+def test_a_camera_beside_the_tip_is_not_the_tip():
+    """It is the tip that goes through the opening: commands are those of a camera at the tip."""
+    arm, angles = giajax.takeichi_20m(), jnp.linspace(-0.3, 0.2, 20)
+    operator = Operator(approach=jnp.zeros(20))
+    wanted = []
+    for position in ([0.0, 0.0, 0.0], [-0.4, 0.1, 0.3]):
+        camera = Pinhole(
+            position=position, rotation=[0.1, 0.3, -0.2], focal_length=200.0,
+            centre=[319.5, 239.5], mount="tip", size=(640, 480),
+        )  # fmt: skip
+        sight = operator.tracking.start(camera.view(arm, angles))
+        numbers = (jnp.asarray(0.0), jnp.asarray(0.1))
+        wanted.append(operator.commands(arm, camera, OPENING, angles, sight, *numbers))
+    assert np.abs(wanted[0] - angles).max() > 1e-3
+    assert_allclose(wanted[1], wanted[0], atol=1e-12)
 
 
 @pytest.mark.quick

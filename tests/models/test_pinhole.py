@@ -166,6 +166,7 @@ def test_a_camera_on_a_bent_arm_moves_with_its_link(mount):
     view = camera.view(arm, jnp.array(angles))
     np.testing.assert_allclose(view.centre, centre, atol=1e-12)
     np.testing.assert_allclose(view.axes, axes, atol=1e-12)
+    np.testing.assert_allclose(camera.mounted_at(view), origin, atol=1e-12)
     with pytest.raises(InputError, match=f"a camera on '{mount}' needs an arm"):
         camera.project(jnp.zeros(3))
 

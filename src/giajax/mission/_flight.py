@@ -134,7 +134,7 @@ def flight(
         )  # fmt: skip
         blind = jnp.where(jnp.sum(shown.seen) >= 2, 0, now.blind + interval)
         before = now.moment.command
-        command = operator.commands(drawn, opening, before, sight, blind, interval)
+        command = operator.commands(drawn, camera, opening, before, sight, blind, interval)
         moment = stepper.advance(now.moment, jnp.where(shown.room, before, command), blowing)
         inside = jnp.where(is_inside(moment.angles), now.inside + interval, 0)
         return _Now(moment, pictures, sight, blind, inside)

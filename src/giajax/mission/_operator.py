@@ -12,6 +12,7 @@ from .._maths import cross, safe_norm
 from .._typing import Array, Float, Scalar
 from ..arm import Arm, pose, tip_position
 from ..kinds import MissionSection
+from ..models import Pinhole
 from ._opening import Opening
 from ._tracking import Sight, Tracking, number
 
@@ -101,6 +102,7 @@ class Operator(eqx.Module):
     def commands(
         self,
         arm: Arm,
+        camera: Pinhole,
         opening: Opening,
         command: Float[Array, " joint"],
         sight: Sight,
@@ -111,6 +113,7 @@ class Operator(eqx.Module):
 
         Arguments:
             arm: as it is drawn: its lengths and axes.
+            camera: at its tip.
             opening: to go through.
             command: the commands so far, rad.
             sight: where the camera is believed to be.
@@ -119,15 +122,14 @@ class Operator(eqx.Module):
         """
         back = self.approach - command
         away = jnp.maximum(jnp.max(jnp.abs(back)) / self.approach_rate, interval)
-        served = self._served(arm, opening, command, sight)
+        served = self._served(arm, command, self._task(camera, opening, sight))
         rates = jnp.where(blind > self.patience, back / away, served)
         # As slow as the slowest needs it, so that the tip goes where it shall.
         rates = rates / jnp.maximum(1, jnp.max(jnp.abs(rates)) / self.largest_rate)
         return jnp.clip(command + interval * rates, -self.largest_angle, self.largest_angle)
 
-    def _served(self, arm: Arm, opening: Opening, command: Array, sight: Sight) -> Array:
+    def _served(self, arm: Arm, command: Array, task: Float[Array, "6"]) -> Array:
         """Rates that bring the tip to where the picture says that it should be."""
-        task = self._task(opening, sight)
         axes = pose(arm, command).axis
         rows = jnp.concatenate(
             [jax.jacfwd(lambda q: tip_position(arm, q))(command), _METRES * axes]
@@ -145,10 +147,10 @@ class Operator(eqx.Module):
         beyond = (jnp.abs(command + first / 2) >= self.largest_angle) & (command * first > 0)
         return turned(jnp.where(beyond, 0, 1).astype(command.dtype))
 
-    def _task(self, opening: Opening, sight: Sight) -> Float[Array, "6"]:
+    def _task(self, camera: Pinhole, opening: Opening, sight: Sight) -> Float[Array, "6"]:
         """Velocity of the tip and turn of the camera that commands shall make, in metres."""
         velocity = sight.velocity
-        tip = sight.view.centre + self.latency * velocity
+        tip = camera.mounted_at(sight.view) + self.latency * velocity
         local = opening.local(tip)
         beside = safe_norm(local[1:])
         outside = jnp.clip(2 * (beside - self.near), -self.deep, self.stand_off)

@@ -97,9 +97,7 @@ class Pinhole(eqx.Module):
         Raises:
             InputError: the camera is on an arm, and none is given, or one with too few links.
         """
-        turn = rotation_vector_to_quaternion(self.rotation)
-        dtype = self.rotation.dtype
-        axes = rotate(jnp.broadcast_to(turn[:, None], (4, 3)), jnp.asarray(_AXES, dtype))
+        axes = self._axes()
         if self.mount == "room":
             return View(self.position, axes)
         if arm is None or angles is None:
@@ -118,6 +116,20 @@ class Pinhole(eqx.Module):
         if self.mount == "tip":
             origin = here.joint[:, -1] + arm.links.length[-1] * here.direction[:, -1]
         return View(origin + frame @ self.position, frame @ axes)
+
+    def mounted_at(self, view: View) -> Float[Array, "3"]:
+        """Where a view has the place that the camera is mounted on, m: the end of the last link.
+
+        Of a camera in the room it is the origin of the base frame, as the view believes it.
+        """
+        return view.centre - view.axes @ self._axes().T @ self.position
+
+    def _axes(self) -> Float[Array, "3 3"]:
+        """In the frame of what it is mounted on, as columns."""
+        turn = rotation_vector_to_quaternion(self.rotation)
+        return rotate(
+            jnp.broadcast_to(turn[:, None], (4, 3)), jnp.asarray(_AXES, self.rotation.dtype)
+        )
 
     def project(
         self,

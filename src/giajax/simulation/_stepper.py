@@ -36,7 +36,8 @@ class Stepper(eqx.Module):
         steps: of the integrator in an interval.
         solver: one of `giajax.SOLVERS`; "springs5" is stable with long steps.
         tolerance: of a step, as those of `simulate`: steps are made shorter where it needs that,
-            and where none is short enough the state is NaN. None: steps are equal.
+            and where none is short enough the state is NaN. Its derivatives are forward ones
+            alone then (`jax.jvp`, `jax.jacfwd`). None: steps are equal.
 
     Example:
         >>> import giajax, jax.numpy as jnp
