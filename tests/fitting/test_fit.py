@@ -138,7 +138,7 @@ def test_parameters_that_only_count_together_have_no_error_of_their_own():
     assert product == pytest.approx(2.0, rel=0.02)
     alone = fit(Decay(), run(), noise_model="white")
     assert result.parameters["decay"].standard_error == pytest.approx(
-        alone.parameters["decay"].standard_error, rel=1e-6
+        alone.parameters["decay"].standard_error, rel=1e-5
     )
 
 
@@ -325,7 +325,7 @@ def test_an_interrupted_step_keeps_the_state_before_it(monkeypatch):
 
 
 def test_a_transition_leaves_the_state_that_it_was_given():
-    begun = begin(set_up(Decay(), run(), start=START))
+    begun = begin(set_up(Decay(), run(), start={"amplitude": 1.5, "decay": 1.0}))
     first = step(begun)
     assert not begun.evaluated
     before = (first.cost, first.parameters(), first.history)

@@ -63,9 +63,10 @@ def test_a_normal_prior_is_a_ridge(noise):
     estimates = [result.parameters[path] for path in ("amplitude", "offset")]
     # The fit stops within a hundredth of a standard error.
     errors = np.sqrt(np.diag(covariance))
-    assert_allclose([e.value for e in estimates], expected, atol=0.01 * errors.min())
+    assert np.all(np.abs([e.value for e in estimates] - expected) < 0.01 * errors)
     assert_allclose([e.standard_error for e in estimates], errors, rtol=1e-4)
-    assert result.reduced_chi_square == pytest.approx(reduced, rel=1e-4)
+    # Data pull at the estimate, against the prior: to first order in what is left of the way.
+    assert result.reduced_chi_square == pytest.approx(reduced, rel=1e-3)
     assert result.cost == pytest.approx(np.sum(left**2) / 2, rel=1e-4)
     assert estimates[0].prior_share == pytest.approx(inverse[0, 0] / 0.02**2, rel=1e-4)
     assert estimates[1].prior_share is None

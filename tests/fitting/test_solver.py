@@ -86,6 +86,22 @@ def test_the_cost_never_rises():
     assert any(not accepted for *_, accepted in history)
 
 
+def test_a_step_off_a_bent_valley_is_gone_on_from():
+    """Along a circle: the tangent is refused, and where it led the way leads back to the floor."""
+
+    def fn(y, args):
+        return jnp.stack([10 * (jnp.hypot(*y) - 1), jnp.arctan2(y[1], y[0]) - 0.8]), None
+
+    history = drive(fn, jnp.array([1.0, 0.0]), Marquardt())
+    np.testing.assert_allclose(history[-1][0], [np.cos(0.8), np.sin(0.8)], atol=1e-6)
+    # Nineteen where steps only become shorter.
+    assert len(history) <= 10
+    refused = [place for place, (*_, accepted) in enumerate(history) if not accepted]
+    after = history[refused[0] + 1]
+    assert after[2]
+    assert after[1] < history[refused[0]][1] / 2
+
+
 def test_no_coordinate_leaves_the_box_of_a_step():
     history = drive(rosenbrock, jnp.array([-1.2, 1.0]), Marquardt(largest_step=0.1))
     points = np.stack([point for point, *_ in history])

@@ -12,8 +12,9 @@ import numpy.typing as npt
 from .._maths import on_device
 from .._typing import Array, Float
 
-# Part of the distance between a start and its bound within which the coordinate is linear.
-_NEAR = 0.1
+# Part of the distance between a start and its bound within which the coordinate is linear: all of
+# it, so that what was driven to its bound by mistake comes back as it went.
+_NEAR = 1.0
 
 # A start that is nearer to its bound than this part of the size of the parameter is at it.
 _AT_BOUND = 1e-6

@@ -18,7 +18,7 @@ from ._state import FitState
 from ._transitions import at_tolerance, move, reweight, step, tolerance_of
 
 # The numbers of the solver that its next step depends on, apart from what is evaluated anew.
-_SOLVER = ("damping", "growth", "scale", "step", "accepted", "sound", "evaluations")
+_SOLVER = ("damping", "growth", "scale", "step", "accepted", "detour", "sound", "evaluations")
 
 
 class FitJournal(Protocol):

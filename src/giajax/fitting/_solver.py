@@ -23,6 +23,10 @@ from ._box import boxed_step, towards
 from ._solver_state import Linearised, MarquardtState, shown_noise
 
 
+# By what a step may lower the damping at most: one after another, and after one that was refused.
+_SHRINKS = 0.05, 0.33
+
+
 class Marquardt(optx.AbstractLeastSquaresSolver):
     """Least squares by a trust region; a trial point that fails is a rejected step.
 
@@ -82,6 +86,7 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
             "growth": np.full((), 4.0, dtype),
             "step": zeros(size),
             "accepted": np.zeros((), bool),
+            "detour": zeros(size),
             "sound": np.zeros((), bool),
             "aux": jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), aux_struct),
             "evaluations": np.zeros((), jnp.result_type(int)),
@@ -112,13 +117,21 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         Arguments:
             y, options, state: as `step` has them.
         """
+        step = self._step_from(y, options, state, state.factor, state.projected)
+        step = jnp.where(jnp.any(state.detour != 0), state.detour, step)
+        # Exactly on the bound, not beside it by rounding.
+        lower, upper = _bounds(y, options)
+        return jnp.where(jnp.isinf(state.cost), y, jnp.clip(y + step, lower, upper))
+
+    def _step_from(
+        self, y: Array, options: dict[str, Any], state: MarquardtState, factor: Array, at: Array
+    ) -> Array:
+        """The damped step within the box, by a linear model of the residual at a point."""
         active = options.get("active", jnp.ones(y.shape, bool))
         lower, upper = _bounds(y, options)
         weights = jnp.sqrt(state.damping) * jnp.where(state.scale > 0, state.scale, 1)
         box = towards(lower - y, -self.largest_step), towards(upper - y, self.largest_step)
-        step = boxed_step(state.factor, state.projected, weights, box, active)
-        # Exactly on the bound, not beside it by rounding.
-        return jnp.where(jnp.isinf(state.cost), y, jnp.clip(y + step, lower, upper))
+        return boxed_step(factor, at, weights, box, active)
 
     def judge(
         self,
@@ -151,10 +164,14 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         # A step that the box has bent may promise nothing; then only a lower cost counts.
         gain = jnp.where(first, 1, state.cost - cost)
         ratio = jnp.where(first, 1, gain / jnp.where(expected > 0, expected, jnp.inf))
-        accepted = sound & (gain > 0) & ((ratio > 1e-4) | (expected <= 0))
+        # Of a detour only a lower cost counts: the linear model does not hold so far.
+        roundabout = jnp.any(state.detour != 0)
+        accepted = sound & (gain > 0) & ((ratio > 1e-4) | (expected <= 0) | roundabout)
 
         # Nielsen's rule: a good step lowers the damping smoothly, failures raise it ever faster.
-        shrink = jnp.clip(1 - (2 * ratio - 1) ** 3, 0.05, 2.0)
+        # Where they just did, a little: they would only come again.
+        least = jnp.where(state.accepted | ~state.sound, *_SHRINKS)
+        shrink = jnp.clip(1 - (2 * ratio - 1) ** 3, least, 2.0)
         moved = MarquardtState(
             residual=residual,
             jacobian=jacobian,
@@ -162,22 +179,28 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
             projected=projected,
             cost=cost,
             scale=jnp.maximum(state.scale, jnp.linalg.norm(factor, axis=0)),
-            damping=jnp.where(first, state.damping, state.damping * shrink),
+            damping=jnp.where(first | roundabout, state.damping, state.damping * shrink),
             growth=jnp.asarray(4.0, y.dtype),
             step=step,
             accepted=jnp.asarray(True),
+            detour=jnp.zeros_like(step),
             sound=sound,
             aux=aux,
             evaluations=state.evaluations + 1,
         )
+        # A step along a valley that bends leaves its floor. Before a shorter one it is tried whether
+        # the linear model where it led goes on to a lower cost than that of where it began.
+        onward = self._step_from(trial, options, state, factor, projected)
+        detours = sound & ~roundabout & ~first & (state.growth == 4)
         stayed = eqx.tree_at(
-            lambda s: (s.damping, s.growth, s.step, s.accepted, s.sound, s.evaluations),
+            lambda s: (s.damping, s.growth, s.step, s.accepted, s.detour, s.sound, s.evaluations),
             state,
             (
-                jnp.maximum(state.damping, 1e-8) * state.growth,
-                state.growth * 2,
+                jnp.where(detours, state.damping, jnp.maximum(state.damping, 1e-8) * state.growth),
+                jnp.where(detours, state.growth, state.growth * 2),
                 step,
                 jnp.asarray(False),
+                jnp.where(detours, step + onward, 0),
                 sound,
                 state.evaluations + 1,
             ),

@@ -22,6 +22,7 @@ class MarquardtState(eqx.Module):
         damping: Marquardt's lambda; `growth` is what the next rejection multiplies it by.
         step: last accepted or rejected step.
         accepted: whether the last step was accepted.
+        detour: the step to try next in place of a shorter one; 0 where there is none.
         sound: whether everything was finite where it led to.
         aux: auxiliary output at the accepted point.
         evaluations: how often value and Jacobian were computed.
@@ -37,6 +38,7 @@ class MarquardtState(eqx.Module):
     growth: Scalar
     step: Float[Array, " parameter"]
     accepted: Bool[Array, ""]
+    detour: Float[Array, " parameter"]
     sound: Bool[Array, ""]
     aux: Any
     evaluations: Array

@@ -28,7 +28,8 @@ from ._solver import Marquardt
 from ._solver_state import MarquardtState
 from ._state import FitState
 
-# In the free coordinate: a positive parameter changes by less than a factor of 4.5 in one step.
+# In the free coordinate: a positive parameter grows by less than a factor of 8 in one step, and far
+# above its start by less than 4.5.
 _LARGEST_STEP = 1.5
 
 # Above this, s, residuals without derivatives are worth a program of their own, which takes
