@@ -9,7 +9,7 @@ from benchmarks.hard import MOST_ITERATIONS, from_every_side
 EASY = (1, 1, 1, 1)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("loss", "far"), [("linear", (-1, 1, 1, -1)), ("huber", (1, -1, 1, 1))])
 def test_two_corners_lead_to_one_optimum(loss, far):
     ends = from_every_side(120.0, [EASY, far], [loss])[loss]
