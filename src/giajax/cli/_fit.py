@@ -130,6 +130,12 @@ def fit(
             metavar="S", help="Cut the runs into windows of this length, each with its own start."
         ),
     ] = None,
+    windows_first: Annotated[
+        float | None,
+        typer.Option(
+            metavar="S", help="Fit windows of this length first, and whole runs from there."
+        ),
+    ] = None,
     starts: Annotated[
         int | None,
         typer.Option(metavar="N", min=1, help="Fit from so many starts and keep the best end."),
@@ -256,6 +262,7 @@ def fit(
         channels=channels or None,
         hold_out=hold_out or None,
         window_s=window,
+        windows_first_s=windows_first,
         starts=starts,
         spread=spread,
         seed=seed,

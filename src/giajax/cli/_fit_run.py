@@ -13,7 +13,7 @@ from ._progress import Progress, stop_if_asked
 from ._time_left import TimeLeft
 
 if TYPE_CHECKING:
-    from ..fitting import FitResult
+    from ..fitting import FitResult, Setup
     from ..tasks import FitTask
 
 _STATUS = {"converged": 0, "not_converged": 1}
@@ -94,8 +94,12 @@ def run_fit(
     )
     from ..runs import write_files
     from ..study import choice_hint
-    from ..tasks import compared, stored_result, version_note
+    from ..tasks import begun, compared, stored_result, version_note
 
+    if quiet:
+        task = begun(task, lambda _: stop_if_asked)
+    else:
+        task = begun(task, _in_windows, _of_windows)
     ready = task.prepare()
     check_figures(ready.setup.model, task.definition)
     check_folder(task.out, ready.runs, ready.setup.config, force=force)
@@ -181,6 +185,18 @@ def _with_more(result: "FitResult") -> str:
     if result.status != "not_converged" or "budget_s" in result.config:
         return ""
     return f" --max-iterations {2 * result.config['max_iterations']}"
+
+
+def _in_windows(setup: "Setup") -> Progress:
+    """The progress of a fit that only says where the fit of whole runs begins."""
+    from ..fitting import column_factors
+
+    typer.echo(f"first in {len(setup.runs)} windows", err=True)
+    return Progress(column_factors(setup.model))
+
+
+def _of_windows(result: "FitResult") -> None:
+    typer.echo(f"in windows: {result.message}; whole runs from there", err=True)
 
 
 def _complain(sentence: str) -> None:

@@ -4,7 +4,7 @@ The file is longer than 200 lines because the keys of one vocabulary are read to
 """
 
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
@@ -167,6 +167,9 @@ class Fit(Section):
     window_s: Positive | None = key(
         "a positive number", "cut each run into windows of this length, each with its own start"
     )
+    windows_first_s: Positive | None = key(
+        "a positive number", "fit windows of this length first, and whole runs from where they end"
+    )
     starts: Annotated[int, Field(ge=1, le=STARTS)] | None = key(
         f"a whole number from 1 to {STARTS}", "how many starts; the best end is the result"
     )
@@ -206,6 +209,14 @@ class Fit(Section):
         # `air.drag_coefficient = 1.2` without quotes is a nested table in TOML, and means the same.
         leaves = PriorEntry.model_fields
         return flat(table, leaves=leaves) if isinstance(table, Mapping) else table
+
+    @model_validator(mode="after")
+    def _windows_or_whole_runs(self) -> Self:
+        if self.window_s is not None and self.windows_first_s is not None:
+            raise ValueError(
+                "has window_s and windows_first_s, which fits whole runs in the end: remove one"
+            )
+        return self
 
     @field_validator("ties")
     @classmethod

@@ -10,3 +10,4 @@ from ._stored import (
     repeatable as repeatable,
     stored_result as stored_result,
 )
+from ._windows_first import begun as begun

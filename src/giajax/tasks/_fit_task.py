@@ -17,6 +17,7 @@ from ._journal import read_journal
 from ._record import differences, plain_of, record_of, unchanged
 from ._settings import Paths, contents_with, paths_of
 from ._stored import check_config, reached_by, repeatable, without
+from ._windows_first import begun
 
 if TYPE_CHECKING:
     from ..fitting import FitResult, Iteration
@@ -46,7 +47,6 @@ class FitTask:
         >>> task = giajax.FitTask.load("fits/base_step.toml").on_top(loss="huber")
         >>> task.definition.fit.loss
         'huber'
-        >>> result = task.run()  # doctest: +SKIP
     """
 
     definition: Definition
@@ -64,9 +64,6 @@ class FitTask:
 
         Arguments:
             path: a TOML file; the files that it names are relative to it.
-
-        Returns:
-            The task; none of its runs is read yet.
 
         Raises:
             InputError: the file is missing, is no TOML, or has a key or a value that it may not.
@@ -86,9 +83,6 @@ class FitTask:
 
         Arguments:
             data: file or files of the runs to fit.
-
-        Returns:
-            The task; none of its runs is read yet.
         """
         return cls(Definition(), data=paths_of(data))
 
@@ -151,6 +145,7 @@ class FitTask:
         channels: Sequence[str] | None = None,
         hold_out: Sequence[str] | None = None,
         window_s: float | None = None,
+        windows_first_s: float | None = None,
         starts: int | None = None,
         spread: float | None = None,
         seed: int | None = None,
@@ -182,6 +177,7 @@ class FitTask:
             hold_out: what is not fitted, and must be predicted: names of runs or of channels, or
                 `last`, the last fifth of each recording by time (`last:0.3`); in place of before.
             window_s: cut each run into windows of this length, s, each with its own start.
+            windows_first_s: do so first, and fit whole runs from where that ends.
             starts: how many starts (1 by default); the best end is the result.
             spread, seed: of the other starts: relative distance from the first (0.3), and 0.
             loss: "linear" (the default), "huber" or "soft_l1".
@@ -205,6 +201,7 @@ class FitTask:
             "channels": None if channels is None else list(channels),
             "hold_out": None if hold_out is None else list(hold_out),
             "window_s": window_s,
+            "windows_first_s": windows_first_s,
             "starts": starts,
             "spread": spread,
             "seed": seed,
@@ -243,7 +240,7 @@ class FitTask:
         return _OUT / named.stem
 
     def prepare(self) -> "Preparation":
-        """Read the runs, build their model and resolve the settings; nothing is evaluated.
+        """Read the runs and resolve settings; nothing but windows (`windows_first_s`) is evaluated.
 
         Returns:
             What `run` fits; its `setup` has the model and the free parameters.
@@ -253,6 +250,8 @@ class FitTask:
         """
         if not self.data:
             raise InputError("the task has no data: give at least one run")
+        if (task := begun(self)) is not self:
+            return task.prepare()
         runs = read_runs(self.data, self.definition, rename=self.rename)
         validation = read_runs(self.validation, self.definition, rename=self.rename, beside=runs)
         record = record_of(self)

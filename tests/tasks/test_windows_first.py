@@ -1,0 +1,65 @@
+"""A long swing of a pendulum whose frequency is not known: whole from where windows end."""
+
+import numpy as np
+import pytest
+
+from giajax import FitTask, InputError, Run, model_for, predict
+from giajax.cli import main
+from giajax.fitting import load_result
+from giajax.runs import write_run
+
+TRUTH, NOISE_DEG = 0.6, 0.05
+ARM = {"preset": "pendulum", "links": 1, "parameters": {"links.mass": 0.3}}
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    """Forty seconds of some thirty periods, from another angle than its straight rest."""
+    path = tmp_path_factory.mktemp("swing") / "swing.csv"
+    times = np.arange(1001) / 25
+    parameters = ARM["parameters"] | {"links.centre_of_mass": TRUTH}
+    released = {"arm": {**ARM, "parameters": parameters}, "initial": {"angle_deg": [20.0]}}
+    plan = Run.from_arrays(times, {"joint01_angle": np.zeros_like(times)}, definition=released)
+    noise = np.deg2rad(NOISE_DEG) * np.random.default_rng(1).normal(size=len(times))
+    seen = predict(model_for([plan]), plan)["joint01_angle"] + noise
+    about = {"initial": {"free": True, "first_row": True}, "noise": {"angle_deg": NOISE_DEG}}
+    run = Run.from_arrays(times, {"joint01_angle": seen}, definition={"arm": ARM, **about})
+    write_run(path, run.times, run.values, definition=run.definition, digits=9)
+    return path
+
+
+FREE, START = ["links.centre_of_mass"], {"links.centre_of_mass": 0.9}
+
+
+@pytest.mark.slow
+def test_a_frequency_that_is_far_off_is_found(recording, tmp_path, capsys):
+    task = FitTask.of(recording).on_top(free=FREE, start=START)
+    assert task.run(check=False).reduced_chi_square > 100
+    # A file says what is free, a person sees the windows, and it comes again without them.
+    definition, out = tmp_path / "fit.toml", tmp_path / "out"
+    definition.write_text(
+        f'[fit]\ndata = ["{recording.as_posix()}"]\nfree = ["links.centre_of_mass"]\n'
+        '[fit.start]\n"links.centre_of_mass" = 0.9\n'
+    )
+    words = ["fit", str(definition), "--windows-first", "3", "--no-figures", "--out", str(out)]
+    assert main(words) == 0
+    said = capsys.readouterr().err
+    assert "first in 13 windows" in said
+    assert "in windows: converged in" in said
+    found = load_result(out)
+    estimate = found.parameters["links.centre_of_mass[0]"]
+    assert abs(estimate.value - TRUTH) < 3 * estimate.standard_error
+    assert found.reduced_chi_square == pytest.approx(1, abs=0.15)
+    # Of the whole run, in which a state of the first window was a start.
+    assert [run.name for run in found.runs] == ["swing"]
+    assert found.task["begin"]["own"].keys() == {"swing"}
+    assert main(["fit", "--again", str(out), "--no-figures"]) == 0
+    again = capsys.readouterr()
+    assert "windows" not in again.err
+    assert "the numbers are the same, bit for bit" in again.out
+
+
+@pytest.mark.quick
+def test_either_windows_or_whole_runs():
+    with pytest.raises(InputError, match="has window_s and windows_first_s, which fits whole"):
+        FitTask.of("swing.csv").on_top(window_s=2.0, windows_first_s=3.0)
