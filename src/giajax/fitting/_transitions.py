@@ -28,7 +28,7 @@ from ._solver import Marquardt
 from ._solver_state import MarquardtState
 from ._state import FitState
 
-# In the free coordinate: a positive parameter grows by less than a factor of 8 in one step, and far
+# In the free coordinate: a positive parameter grows by less than a factor of 6 in one step, and far
 # above its start by less than 4.5.
 _LARGEST_STEP = 1.5
 
