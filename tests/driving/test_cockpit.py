@@ -63,7 +63,7 @@ def eventually(true, seconds=10.0):
         time.sleep(0.02)
 
 
-@pytest.mark.parametrize("cockpit", [10.0], indirect=True)
+@pytest.mark.parametrize("cockpit", [60.0], indirect=True)
 def test_the_page_drives(cockpit, browser, tmp_path):
     with opened(browser, tmp_path / "profile") as page:
         # Without a GPU the scene would leave no time for the pad.
