@@ -67,9 +67,7 @@ def fit(
     ] = None,
     free: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="PATH", help="Fit this parameter; replaces the default list. Repeatable."
-        ),
+        typer.Option(metavar="PATH", help="Fit it, and not the default list. Repeatable."),
     ] = None,
     fix: Annotated[
         list[str] | None,
@@ -126,15 +124,11 @@ def fit(
     ] = None,
     window: Annotated[
         float | None,
-        typer.Option(
-            metavar="S", help="Cut the runs into windows of this length, each with its own start."
-        ),
+        typer.Option(metavar="S", help="Cut runs into windows, each with its own start."),
     ] = None,
     windows_first: Annotated[
         float | None,
-        typer.Option(
-            metavar="S", help="Fit windows of this length first, and whole runs from there."
-        ),
+        typer.Option(metavar="S", help="Fit such windows first, and whole runs from there."),
     ] = None,
     starts: Annotated[
         int | None,

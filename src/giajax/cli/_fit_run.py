@@ -96,10 +96,8 @@ def run_fit(
     from ..study import choice_hint
     from ..tasks import begun, compared, stored_result, version_note
 
-    if quiet:
-        task = begun(task, lambda _: stop_if_asked)
-    else:
-        task = begun(task, _in_windows, _of_windows)
+    shown = (lambda _: stop_if_asked,) if quiet else (_in_windows, _of_windows)
+    task = begun(task, *shown)
     ready = task.prepare()
     check_figures(ready.setup.model, task.definition)
     check_folder(task.out, ready.runs, ready.setup.config, force=force)

@@ -13,8 +13,8 @@ from .._maths import on_device
 from .._typing import Array, Float
 
 # Part of the distance between a start and its bound within which the coordinate is linear: so much
-# that what was driven to its bound by mistake comes back as it went. With all of it a first step may
-# lead to the bound, which costs kinked operators their optimum.
+# that what was driven to its bound by mistake comes back as it went. With all of it a first step
+# may lead to the bound, which costs kinked operators their optimum.
 _NEAR = 0.5
 
 # A start that is nearer to its bound than this part of the size of the parameter is at it.

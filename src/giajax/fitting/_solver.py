@@ -22,7 +22,6 @@ from .._typing import Array, Bool, Scalar
 from ._box import boxed_step, towards
 from ._solver_state import Linearised, MarquardtState, shown_noise
 
-
 # By what a step may lower the damping at most: one after another, and after one that was refused.
 _SHRINKS = 0.05, 0.33
 
@@ -188,8 +187,8 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
             aux=aux,
             evaluations=state.evaluations + 1,
         )
-        # A step along a valley that bends leaves its floor. Before a shorter one it is tried whether
-        # the linear model where it led goes on to a lower cost than that of where it began.
+        # A step along a valley that bends leaves its floor. Before a shorter one it is tried
+        # whether the linear model where it led goes on to a cost that is lower than at first.
         onward = self._step_from(trial, options, state, factor, projected)
         detours = sound & ~roundabout & ~first & (state.growth == 4)
         stayed = eqx.tree_at(
