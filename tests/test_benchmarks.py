@@ -191,6 +191,18 @@ def test_hard_fits_end_and_say_why(tmp_path):
         assert each["iterations"] < 50  # it ended by itself, not because its steps were used up
 
 
+@pytest.mark.long
+def test_all_corners_lead_to_the_optimum_in_few_steps(tmp_path):
+    """What a second is counts for nothing here."""
+    out = tmp_path / "hard.json"
+    benchmark("hard", "--out", out)
+    swings = json.loads(out.read_text())["pendulum"]
+    ends = [end for each in swings.values() for end in each]
+    assert len(ends) == 32
+    assert all(end["optimum"] for end in ends)
+    assert max(end["iterations"] for end in ends) <= 25
+
+
 @pytest.mark.slow
 def test_the_benchmark_of_the_start_runs():
     assert re.search(r"ratio +[0-9.]+, at most 1.5", benchmark("startup", "--quick"))
