@@ -9,11 +9,11 @@ from .._signals import stopped_status
 from ._bootstrap import self_test as repeated_fit
 from ._fit_output import show_diagnosis, show_files, show_result, write_or_print
 from ._many import forget_starts, workers_of_starts
-from ._progress import Progress, stop_if_asked
+from ._progress import Progress, in_windows, of_windows, stop_if_asked
 from ._time_left import TimeLeft
 
 if TYPE_CHECKING:
-    from ..fitting import FitResult, Setup
+    from ..fitting import FitResult
     from ..tasks import FitTask
 
 _STATUS = {"converged": 0, "not_converged": 1}
@@ -96,7 +96,7 @@ def run_fit(
     from ..study import choice_hint
     from ..tasks import begun, compared, stored_result, version_note
 
-    shown = (lambda _: stop_if_asked,) if quiet else (_in_windows, _of_windows)
+    shown = (lambda _: stop_if_asked,) if quiet else (in_windows, of_windows)
     task = begun(task, *shown)
     ready = task.prepare()
     check_figures(ready.setup.model, task.definition)
@@ -183,18 +183,6 @@ def _with_more(result: "FitResult") -> str:
     if result.status != "not_converged" or "budget_s" in result.config:
         return ""
     return f" --max-iterations {2 * result.config['max_iterations']}"
-
-
-def _in_windows(setup: "Setup") -> Progress:
-    """The progress of a fit that only says where the fit of whole runs begins."""
-    from ..fitting import column_factors
-
-    typer.echo(f"first in {len(setup.runs)} windows", err=True)
-    return Progress(column_factors(setup.model))
-
-
-def _of_windows(result: "FitResult") -> None:
-    typer.echo(f"in windows: {result.message}; whole runs from there", err=True)
 
 
 def _complain(sentence: str) -> None:

@@ -11,7 +11,7 @@ from .._signals import is_stopped
 from ._time_left import TimeLeft
 
 if TYPE_CHECKING:
-    from ..fitting import Iteration
+    from ..fitting import FitResult, Iteration, Setup
 
 
 def stop_if_asked(iteration: "Iteration") -> None:
@@ -83,3 +83,16 @@ class Progress:
 
     def _say(self, line: str) -> None:
         typer.echo(line, err=True)
+
+
+def in_windows(setup: "Setup") -> Progress:
+    """The progress of a fit in windows, which only says where that of whole runs begins."""
+    from ..fitting import column_factors
+
+    typer.echo(f"first in {len(setup.runs)} windows", err=True)
+    return Progress(column_factors(setup.model))
+
+
+def of_windows(result: "FitResult") -> None:
+    """Say how a fit in windows ended."""
+    typer.echo(f"in windows: {result.message}; whole runs from there", err=True)

@@ -2,6 +2,8 @@
 
 Its own axes are those of OpenCV: x to the right of the picture, y down, z into it. A camera that
 is not turned looks along the x axis of what it is mounted on, whose z axis is up in the picture.
+
+Longer than 200 lines because the way to a pixel and the way back are read together.
 """
 
 from typing import NamedTuple
