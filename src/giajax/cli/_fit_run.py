@@ -1,5 +1,6 @@
 """`giajax fit` once its options are read: fit with a journal, write, show."""
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -96,8 +97,7 @@ def run_fit(
     from ..study import choice_hint
     from ..tasks import begun, compared, stored_result, version_note
 
-    shown = (lambda _: stop_if_asked,) if quiet else (in_windows, of_windows)
-    task = begun(task, *shown)
+    task = begun(task, *((lambda _: stop_if_asked,) if quiet else (in_windows, of_windows)))
     ready = task.prepare()
     check_figures(ready.setup.model, task.definition)
     check_folder(task.out, ready.runs, ready.setup.config, force=force)
@@ -173,8 +173,6 @@ def run_fit(
 
 def _go_on(task: "FitTask") -> str:
     """How a fit that was stopped is gone on with."""
-    import shlex
-
     return f"to go on with it: giajax fit --resume {shlex.quote(str(task.out))}"
 
 
