@@ -91,6 +91,8 @@ def fitted(checkout: Path, cache: Path, out: Path, options: list[str]) -> dict[s
         "XDG_CACHE_HOME": str(cache),
     }
     environment.pop("JAX_COMPILATION_CACHE_DIR", None)
+    # An installed package has its bytecode.
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
     command = ["fit", str(ROOT / FIT), "--out", str(out), "--force", *options]
     done = subprocess.run(
         [sys.executable, "-c", _PROCESS, *command],

@@ -11,8 +11,10 @@ import pytest
 
 import giajax
 from giajax import InputError, Run
-from giajax.fitting import fit, set_up
+from giajax.fitting import _checks, fit, set_up
+from giajax.fitting._tolerance import FINER
 from giajax.fitting._transitions import begin, step, trial
+from giajax.models import Integration
 from giajax.report import summary
 from toy_model import TRUTH, Decay, height, run
 
@@ -221,6 +223,36 @@ class Misled(Decay):
     def predict(self, inputs, channels):
         slow = (self.decay + jax.lax.stop_gradient(self.decay)) / 2
         return super(Misled, dataclasses.replace(self, decay=slow)).predict(inputs, channels)
+
+
+@pytest.mark.parametrize(("model", "wrong"), [(Decay, False), (Misled, True)])
+def test_of_many_rows_the_gradient_is_checked_where_it_is_known(monkeypatch, model, wrong):
+    """At the tolerance of the fit, with no further Jacobian; a wrong derivative shows as well."""
+    refined, jacobians = [], []
+
+    class Integrated(model):
+        def integration(self):
+            return Integration("exact", 1e-5)
+
+        def with_integration(self, *, solver, tolerance):
+            return self
+
+        def refined(self, factor):
+            refined.append(factor)
+            return self
+
+    def counted(*args, **options):
+        jacobians.append(args)
+        return evaluate(*args, **options)
+
+    evaluate = _checks.evaluate
+    monkeypatch.setattr("giajax.fitting._transitions._MANY_ROWS", 10)
+    monkeypatch.setattr(_checks, "evaluate", counted)
+    check = fit(Integrated(), run(), max_iterations=3, tolerance=1e-5).gradient_check
+    assert (check.relative_difference > 0.1) == wrong
+    # The effect of the tolerance asks for a finer one, the gradient does not.
+    assert set(refined) == {FINER}
+    assert not jacobians
 
 
 def test_the_same_recording_twice_is_refused(tmp_path):

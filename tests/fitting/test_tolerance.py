@@ -89,6 +89,22 @@ def test_it_is_the_coarsest_that_moves_nothing_by_much():
     assert (stated.integration.tolerance, stated.integration.chosen) == (1e-5, False)
 
 
+def test_what_a_tenth_leaves_is_known_without_a_finer_simulation():
+    """At the optimum 1e-5 will not do, and 1e-6 is compared with 1e-8 once, where the fit ends."""
+    compared = []
+
+    class Counted(Approximate):
+        def refined(self, factor):
+            compared.append(float(self.tolerance))
+            return super().refined(factor)
+
+    result = fit(Counted(bias=3.0), run(), start=BEGIN, check=False)
+    assert result.status == "converged"
+    assert compared == pytest.approx([1e-5, 1e-5, 1e-6])
+    assert result.integration.tolerance == compared[-1]
+    assert off(result, exact()) < 0.01
+
+
 def test_a_refit_and_what_is_held_out_have_a_tolerance_that_suits_them():
     recorded, settings = run(), {"start": BEGIN}
     (part,) = hold_out([recorded], ["last"])

@@ -4,8 +4,9 @@ import dataclasses
 
 import pytest
 
+from giajax._text import format_estimate
 from giajax.fitting import ChannelFit, Correlation, Estimate, RunFit
-from giajax.report import format_estimate, parameter_table, reached, summary
+from giajax.report import parameter_table, reached, summary
 from giajax.runs import Definition
 from small_arm import START
 

@@ -10,7 +10,7 @@ from ._records import GradientCheck, Shift, ToleranceEffect, finite_or_none
 from ._state import FitState
 from ._statistics import Statistics
 from ._tolerance import FINER, residual_change
-from ._transitions import evaluate, residuals_at, tolerance_of
+from ._transitions import evaluate, has_many_rows, residuals_at, tolerance_of
 
 # Central differences in the free coordinate, at a tolerance where the steps of the integrator
 # do not show: truncation and noise are then both near 1e-8.
@@ -51,7 +51,9 @@ def gradient_check(state: FitState, statistics: Statistics) -> GradientCheck | N
     One direction in which every parameter has the same weight in the residual: a wrong column
     of any of them shows. Parameters at a bound take no part, because there is nothing beyond it
     to take a difference with, nor do those that nothing responds to where they ended. Of many runs
-    with the same channels, whose derivatives are one program, a few are looked at.
+    with the same channels, whose derivatives are one program, a few are looked at. Of recordings
+    with many rows the tolerance is that of the fit: the steps of the integrator then show, by some
+    1e-4, but a wrong column still does, and the finer Jacobian would take as long as the fit.
 
     Arguments:
         state: the last one.
@@ -61,11 +63,15 @@ def gradient_check(state: FitState, statistics: Statistics) -> GradientCheck | N
         None where no parameter is left, or a simulation beside the optimum failed.
     """
     tolerance = tolerance_of(state)
-    finer = _FINER if tolerance is None else min(_FINER, _FINE / tolerance)
-    problem = dataclasses.replace(state.problem, model=state.problem.model.refined(finer))
-    centre = np.asarray(state.coordinate)
+    known_here = tolerance is not None and has_many_rows(state)
+    centre, problem = np.asarray(state.coordinate), state.problem
     offset = _DIFFERENCE if centre.dtype == np.float64 else _DIFFERENCE_32
-    jacobian = state.jacobian(evaluate(state, centre, problem, sample=True))
+    if known_here:
+        jacobian = state.jacobian()
+    else:
+        finer = _FINER if tolerance is None else min(_FINER, _FINE / tolerance)
+        problem = dataclasses.replace(problem, model=problem.model.refined(finer))
+        jacobian = state.jacobian(evaluate(state, centre, problem, sample=True))
     norms = jacobian.norms()
     takes_part = np.zeros(problem.size, bool)
     takes_part[statistics.alive] = True
@@ -81,7 +87,7 @@ def gradient_check(state: FitState, statistics: Statistics) -> GradientCheck | N
     # The strongest response gets the smallest offset; the weakest parameter moves by the step.
     direction = np.divide(weakest, norms, out=np.zeros_like(norms), where=takes_part)
     ahead, behind = (
-        residuals_at(state, centre + sign * offset * direction, problem, sample=True)
+        residuals_at(state, centre + sign * offset * direction, problem, sample=not known_here)
         for sign in (1, -1)
     )
     by_difference = (ahead - behind) / (2 * offset)

@@ -117,7 +117,9 @@ class FitState:
 
     def shown_noise(self) -> float:
         """The size of the residuals in units of their noise: the root of the reduced chi-square."""
-        return float(shown_noise(self.inner))
+        # By numpy: each operation of JAX here would be a program of its own.
+        cost: Any = np.asarray(self.inner.cost)
+        return float(shown_noise(dataclasses.replace(self.inner, cost=cost)))
 
     def recorded(self, *, accepted: bool) -> Self:
         """With the present point as the last entry of the history."""

@@ -20,6 +20,9 @@ FINER = 0.01
 # What it may move, in standard errors: five times less than a converged fit may be off.
 _ALLOWED = 0.002
 _TIGHTER = 0.1
+# Where a tenth of a tolerance leaves no more than this part of that, a hundredth need not be tried
+# before the optimum.
+_ENOUGH = 0.5
 # Against a finer one there is nothing but rounding to compare with.
 _FINEST = 1e-10
 
@@ -51,6 +54,10 @@ def resolved(state: FitState) -> FitState:
         tighter = _tightened(state)
         if tighter is None:
             return dataclasses.replace(state, finer=change)
+        # All that is left but a hundredth of it is known by now, without a finer simulation yet.
+        left = change + np.asarray(state.inner.residual) - np.asarray(tighter.inner.residual)
+        if np.linalg.norm(_explained(tighter, left)) <= _ENOUGH * _allowed(tighter):
+            return tighter
         state = tighter
     return state
 

@@ -36,6 +36,9 @@ _LARGEST_STEP = 1.5
 # seconds to compile: at the end of a fit they are asked for several times, and more finely.
 _LONG_STEP = 0.25
 
+# With so many rows a step is known to be long before any was timed.
+_MANY_ROWS = 5_000
+
 # Where a fit begins that chooses its tolerance.
 _COARSEST = 1e-5
 
@@ -201,9 +204,14 @@ def residuals_at(
     Returns:
         As `evaluate(...).residual`; NaN where the model cannot be evaluated.
     """
-    if min(state.step_seconds[1:], default=0.0) < _LONG_STEP:
+    if min(state.step_seconds[1:], default=0.0) < _LONG_STEP and not has_many_rows(state):
         inner = evaluate(state, coordinate, problem, sample=sample)
         row = np.asarray(inner.residual)
         return row if np.isfinite(inner.cost) else np.full(row.shape, np.nan)
     coordinate = on_device(coordinate, state.coordinate.dtype)
     return residuals(coordinate, state.problem if problem is None else problem, sample=sample)
+
+
+def has_many_rows(state: FitState) -> bool:
+    """Whether one of the recordings is so long that each evaluation counts."""
+    return any(group.observed.shape[1] > _MANY_ROWS for group in state.problem.groups)

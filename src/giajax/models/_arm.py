@@ -200,7 +200,8 @@ class ArmModel(AbstractModel):
 
     def refined(self, factor: float) -> Self:
         """The same model with the integrator's tolerances multiplied by a factor."""
-        return dataclasses.replace(self, tolerance=self._tolerance() * factor)
+        # By the host: the product would be a program of its own.
+        return dataclasses.replace(self, tolerance=_array(float(self._tolerance()) * factor))
 
     def for_derivatives(self, paths: Sequence[str]) -> Self:
         """With the steps that a parameter needs which may set moving what is at rest."""

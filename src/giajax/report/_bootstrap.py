@@ -2,7 +2,6 @@
 
 import numpy as np
 from matplotlib.figure import Figure
-from scipy.stats import norm
 
 from .._text import format_estimate
 from ..repetitions import Bootstrap, Repeated
@@ -78,6 +77,9 @@ def bootstrap_figure(found: Bootstrap, title: str = "") -> Figure:
     Returns:
         The picture.
     """
+    # Slow to import, and asked for by this picture alone.
+    from scipy.stats import norm
+
     drawn = [(path, one) for path, one in found.parameters.items() if len(one.values) > 1][:_MOST]
     across = min(_ACROSS, max(len(drawn), 1))
     down = -(-max(len(drawn), 1) // across)

@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.special import ndtri
-from scipy.stats import rankdata
 
 from .._typing import Float
 
@@ -59,6 +58,9 @@ def _halves(draws: Draws) -> Draws:
 
 
 def _normal_scores(draws: Draws) -> Draws:
+    # Slow to import, and asked for by posteriors alone.
+    from scipy.stats import rankdata
+
     ranks = rankdata(draws, method="average").reshape(draws.shape)
     return np.asarray(ndtri((ranks - 3 / 8) / (draws.size + 1 / 4)))
 

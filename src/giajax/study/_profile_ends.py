@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 from ._profile_records import Ending, ProfilePoint
 
@@ -33,6 +32,9 @@ def interval_end(points: Sequence[ProfilePoint], side: int, reach: float) -> flo
     crossing = next((index for index, root in enumerate(roots) if root >= reach), None)
     if crossing is None or crossing == 0:
         return None
+    # Slow to import, and needed for profiles alone.
+    from scipy.interpolate import PchipInterpolator
+
     # From the first crossing inwards, without what a rough cost makes rise there; and one beyond.
     kept = [crossing]
     for index in range(crossing - 1, -1, -1):
