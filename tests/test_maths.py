@@ -69,3 +69,27 @@ def test_no_rotation_still_has_a_derivative(transform):
     derivative = transform(_maths.rotation_vector_to_quaternion)(jnp.zeros(3))
     # q = (cos(|r|/2), r sin(|r|/2)/|r|) = (1, r/2) to first order.
     assert_allclose(derivative, np.vstack([np.zeros(3), np.eye(3) / 2]), atol=1e-16)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("size", [1, 20, 70])
+def test_a_factor_and_a_solution_come_out_of_one_factorisation(dtype, size):
+    """Also for a large right side, and from the lower triangle alone."""
+    random = np.random.default_rng(0)
+    root = random.normal(size=(size, size)) + 2 * np.sqrt(size) * np.eye(size)
+    matrix = (root @ root.T).astype(dtype)
+    for b in random.normal(size=(3, size)) * np.array([[1.0], [1e6], [1e-6]]):
+        lower = jnp.asarray(np.tril(matrix))
+        factor, solution = _maths.factor_and_solve(lower, jnp.asarray(b, dtype))
+        assert factor.dtype == solution.dtype == dtype
+        rounding = 200 * size * np.finfo(dtype).eps
+        assert_allclose(factor @ factor.T, matrix, rtol=0, atol=rounding * np.abs(matrix).max())
+        expected = np.linalg.solve(matrix.astype(float), b)
+        assert_allclose(solution, expected, rtol=0, atol=rounding * np.abs(expected).max())
+
+
+def test_what_has_no_factor_has_no_solution():
+    factor, solution = _maths.factor_and_solve(-jnp.eye(3), jnp.ones(3))
+    assert np.all(np.isnan(factor[np.tril_indices(3)]))
+    assert np.all(np.isnan(solution))
+    assert np.all(np.isnan(_maths.factor_and_solve(jnp.eye(3), jnp.full(3, jnp.nan))[1]))

@@ -5,7 +5,7 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 
-from .._maths import cholesky_factor, solve_factored
+from .._maths import factor_and_solve, solve_factored
 from .._typing import Array, Float
 from ._air import Flow, Wind, flow
 from ._arm import Arm
@@ -149,5 +149,4 @@ def _factor_and_solve(
     carried = sum_from_tip(jnp.concatenate([load, inertia]))
     # LAPACK reads the lower triangle only, so the upper one need not be copied there.
     matrix = mass_matrix_upper(arm, here, carried[6:]).T
-    factor = cholesky_factor(matrix)
-    return factor, solve_factored(factor, torques - load_torque(here, carried[:6]))
+    return factor_and_solve(matrix, torques - load_torque(here, carried[:6]))
