@@ -3,8 +3,9 @@
 A cold process begins with an empty cache, which the warm ones after it find filled. Beside another
 checkout of giajax the two take turns, each with a cache of its own, and the least of each counts:
 processor time, which another program beside them lengthens less than the time on the clock.
+With `--steps` also the least time of a step (value and Jacobian) of four definitions.
 
-    python -m benchmarks.fit_process [--quick] [--beside CHECKOUT] [--out FILE]
+    python -m benchmarks.fit_process [--quick] [--steps] [--beside CHECKOUT] [--out FILE]
 """
 
 import json
@@ -22,13 +23,14 @@ from benchmarks.measuring import RESULTS, command_line, store
 
 ROOT = Path(__file__).resolve().parents[1]
 FIT = "fits/base_step.toml"
+STEPS = ("base_step", "pitch_yaw", "wind", "full_air")
 
 # What a process runs, in place of the command: it counts what JAX compiles, reads from the cache
 # (which JAX counts as compiled, too) and traces.
 _PROCESS = """
 import json, sys, time
 began = time.process_time(), time.perf_counter()
-counts = {"compiled": 0, "cached": 0, "first_iteration_s": None}
+counts = {"compiled": 0, "cached": 0, "first_iteration_s": None, "step_s": None}
 
 def listen():
     from jax import monitoring
@@ -46,10 +48,16 @@ class Lines:
     # Progress goes to standard error; the row of the start is numbered 0.
     def __init__(self, stream):
         self.stream = stream
+        self.last = None
 
     def write(self, text):
-        if text.split()[:1] == ["0"] and counts["first_iteration_s"] is None:
-            counts["first_iteration_s"] = time.process_time() - began[0]
+        row, now = (text.split() or [""])[0], time.process_time()
+        if row == "0" and counts["first_iteration_s"] is None:
+            counts["first_iteration_s"] = now - began[0]
+        if row.isdigit():
+            if self.last is not None:
+                counts["step_s"] = min(now - self.last, counts["step_s"] or now)
+            self.last = now
         return self.stream.write(text)
 
     def __getattr__(self, name):
@@ -71,7 +79,9 @@ print(json.dumps({"status": status, "processor_s": processor, "clock_s": clock, 
 """
 
 
-def fitted(checkout: Path, cache: Path, out: Path, options: list[str]) -> dict[str, Any]:
+def fitted(
+    checkout: Path, cache: Path, out: Path, options: list[str], fit: Path | None = None
+) -> dict[str, Any]:
     """Run a fit by the source of a checkout in a process of its own.
 
     Arguments:
@@ -79,6 +89,7 @@ def fitted(checkout: Path, cache: Path, out: Path, options: list[str]) -> dict[s
         cache: of the user.
         out: folder of the result.
         options: further ones of `giajax fit`.
+        fit: its definition; by default that of this checkout.
 
     Returns:
         Its times in s, what it compiled, and its estimates by path.
@@ -93,7 +104,7 @@ def fitted(checkout: Path, cache: Path, out: Path, options: list[str]) -> dict[s
     environment.pop("JAX_COMPILATION_CACHE_DIR", None)
     # An installed package has its bytecode.
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
-    command = ["fit", str(ROOT / FIT), "--out", str(out), "--force", *options]
+    command = ["fit", str(fit or ROOT / FIT), "--out", str(out), "--force", *options]
     done = subprocess.run(
         [sys.executable, "-c", _PROCESS, *command],
         capture_output=True,
@@ -138,6 +149,26 @@ def measure(checkouts: dict[str, Path], cold: int, warm: int, options: list[str]
     }
 
 
+def steps(checkouts: dict[str, Path], options: list[str]) -> dict[str, dict[str, float]]:
+    """Least processor time of a step of the fits of each checkout, s, by definition.
+
+    Arguments:
+        checkouts: by name.
+        options: further ones of `giajax fit`.
+    """
+    found: dict[str, dict[str, float]] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        root = Path(folder)
+        for each in STEPS:
+            found[each] = {}
+            for name, path in checkouts.items():
+                # Each version reads its own definitions.
+                file = path / "fits" / f"{each}.toml"
+                process = fitted(path, root / f"cache {name}", root / name, options, file)
+                found[each][name] = process["step_s"]
+    return found
+
+
 def _least(processes: list[dict[str, Any]]) -> dict[str, Any]:
     times = {
         key: min(process[key] for process in processes)
@@ -165,11 +196,17 @@ def show(found: dict[str, Any], console: Console) -> None:
     console.print(table)
     for kind, ratio in found.get("ratios", {}).items():
         console.print(f"{kind}: {ratio:.2f} of the processor time of the other")
+    for fit, times in found.get("steps", {}).items():
+        here, other = times["here"], times.get("beside")
+        ratio = "" if other is None else f", {here / other:.2f} of that of the other"
+        console.print(f"a step of {fit}: {1e3 * here:.0f} ms{ratio}")
 
 
 def main() -> None:
     paths = {"beside": "another checkout of giajax"}
-    arguments = command_line(__doc__, RESULTS / "fit_process.json", paths=paths)
+    switches = {"steps": "measure a step of four definitions, too"}
+    out = RESULTS / "fit_process.json"
+    arguments = command_line(__doc__, out, paths=paths, switches=switches)
     checkouts = {"here": ROOT}
     if arguments.beside is not None:
         checkouts["beside"] = arguments.beside.resolve()
@@ -178,6 +215,8 @@ def main() -> None:
     found: dict[str, Any] = {"processes": measure(checkouts, cold, warm, options)}
     if arguments.beside is not None:
         found["ratios"] = ratios(found["processes"])
+    if arguments.steps:
+        found["steps"] = steps(checkouts, ["--no-figures"] if arguments.beside is None else [])
     console = Console()
     show(found, console)
     store(found, arguments.out)

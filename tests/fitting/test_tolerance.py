@@ -90,7 +90,7 @@ def test_it_is_the_coarsest_that_moves_nothing_by_much():
 
 
 def test_what_a_tenth_leaves_is_known_without_a_finer_simulation():
-    """At the optimum 1e-5 will not do, and 1e-6 is compared with 1e-8 once, where the fit ends."""
+    """At the optimum 1e-5 will not quite do; what does is compared once, where the fit ends."""
     compared = []
 
     class Counted(Approximate):
@@ -98,9 +98,9 @@ def test_what_a_tenth_leaves_is_known_without_a_finer_simulation():
             compared.append(float(self.tolerance))
             return super().refined(factor)
 
-    result = fit(Counted(bias=3.0), run(), start=BEGIN, check=False)
+    result = fit(Counted(bias=2.0), run(), start=BEGIN, check=False)
     assert result.status == "converged"
-    assert compared == pytest.approx([1e-5, 1e-5, 1e-6])
+    assert compared == pytest.approx([1e-5, 1e-5, 1e-5 / np.sqrt(10)])
     assert result.integration.tolerance == compared[-1]
     assert off(result, exact()) < 0.01
 

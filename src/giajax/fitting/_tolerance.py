@@ -20,9 +20,11 @@ FINER = 0.01
 # What it may move, in standard errors: five times less than a converged fit may be off.
 _ALLOWED = 0.002
 _TIGHTER = 0.1
+# Where it moves them by no more than this many times that, half as many digits are enough.
+_LITTLE = 5.0
 # Where a tenth of a tolerance leaves no more than this part of that, a hundredth need not be tried
 # before the optimum.
-_ENOUGH = 0.5
+_ENOUGH = 0.8
 # Against a finer one there is nothing but rounding to compare with.
 _FINEST = 1e-10
 
@@ -43,18 +45,19 @@ def resolved(state: FitState) -> FitState:
 
     Returns:
         The same state, where its tolerance will do; else the point with the coarsest that does,
-        in steps of ten, evaluated anew.
+        in steps of ten or of its root, evaluated anew.
     """
     while state.setup.chooses_tolerance:
         change = residual_change(state)
         moved = np.linalg.norm(_explained(state, change))
         # Of a finer simulation that fails nothing is known.
-        if not moved > _allowed(state):
+        allowed = _allowed(state)
+        if not moved > allowed:
             return dataclasses.replace(state, finer=change)
-        tighter = _tightened(state)
+        tighter = _tightened(state, _TIGHTER if moved > _LITTLE * allowed else _TIGHTER**0.5)
         if tighter is None:
             return dataclasses.replace(state, finer=change)
-        # All that is left but a hundredth of it is known by now, without a finer simulation yet.
+        # What is left is known by now, but for a tenth, without a finer simulation yet.
         left = change + np.asarray(state.inner.residual) - np.asarray(tighter.inner.residual)
         if np.linalg.norm(_explained(tighter, left)) <= _ENOUGH * _allowed(tighter):
             return tighter
@@ -110,11 +113,11 @@ def residual_change(state: FitState, factor: float = FINER) -> Float[np.ndarray,
     return residuals_at(state, state.coordinate, problem) - np.asarray(state.inner.residual)
 
 
-def _tightened(state: FitState) -> FitState | None:
+def _tightened(state: FitState, factor: float = _TIGHTER) -> FitState | None:
     tolerance = tolerance_of(state)
     if tolerance is None or tolerance < _FINEST * 1.5:
         return None
-    tighter = step(at_tolerance(state, tolerance * _TIGHTER))
+    tighter = step(at_tolerance(state, tolerance * factor))
     return tighter if tighter.evaluated else None
 
 
