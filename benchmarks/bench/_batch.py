@@ -1,6 +1,7 @@
 """Many evaluations at once, on two cores: processes of giajax beside threads of MuJoCo."""
 
 import multiprocessing
+import os
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from multiprocessing.connection import Connection
@@ -79,6 +80,11 @@ def _workers(links: int, layout: str, loop: int) -> Iterator[Callable[[], object
 
 
 def _work(asked: Connection, links: int, share: int, layout: str, loop: int) -> None:
+    # On a core of its own: XLA and BLAS then have one thread in each process, as MuJoCo has.
+    if hasattr(os, "sched_setaffinity"):
+        cores = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {cores[share % len(cores)]})
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"
     jax.config.update("jax_enable_x64", True)
     arm, _ = driven_arm(links)
     states = arranged(_states(links, share, CORES), layout)
