@@ -69,7 +69,7 @@ def residuals(weights, order):
     """How far every condition up to an order is from being met."""
     combine, _, _, gamma = tableau()
     size = len(combine) - 1
-    A, B = combine[:-1, :size], combine[:-1, size + 1 : -1]
+    A, B = np.moveaxis(combine[:-1, :size], 2, 0)
     B = B + gamma * np.diag([0, *[1] * (size - 1)])
     return [
         weights @ stages(tree, A, B) - (0 if has_matrix(tree) else 1 / density(tree))
@@ -89,7 +89,7 @@ def test_there_are_as_many_trees_as_there_are():
 
 def test_the_conditions_hold_for_any_matrix():
     combine, _, error, _ = tableau()
-    weights = combine[-1, : len(error) - 1]
+    weights = combine[-1, : len(error) - 1, 0]
     # The coefficients are quotients of integers of thirteen digits.
     assert_allclose(residuals(weights, 5), 0, atol=1e-11)
     embedded = weights - error[:-1]

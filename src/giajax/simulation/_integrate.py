@@ -75,7 +75,7 @@ def integrate(
     corners, bends = jax.lax.stop_gradient(tuple(map(jnp.concatenate, zip(*knots, strict=True))))
     if derivatives == "forward":
         rtol = rtol + refuse_disturbances(steps_for, arm, (inputs, state))
-    method = solver_named(solver)
+    method = solver_named(solver, reverse=derivatives == "reverse")
     hysteresis = arm.joints.hysteresis
     fastest = None
     if steps_for == "derivatives":

@@ -21,6 +21,9 @@ from ._tableau import tableau
 # Whether the slope at the start of the next step is known, and the slope.
 Carried = tuple[Bool[Array, ""], State]
 
+# Slopes of all stages, and state and slope of the last one.
+Stages = tuple[Array, State, State]
+
 # The embedded method is so near to the method itself that its difference understates the error;
 # with this a tolerance means about the same error of an arm's motion as with Tsit5.
 _CAUTION = 10.0
@@ -51,10 +54,13 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
             from time, state and arguments.
         pull: torque of the joints (N m) from time, state and arguments; where the state is that
             at the start of a step, its change is that of commands and drives alone.
+        reverse: whether a step can be differentiated in reverse mode, which compiles the equation
+            of motion twice.
     """
 
     springs: Callable[[Any, State, Any], Springs]
     pull: Callable[[Any, State, Any], Array]
+    reverse: bool = False
 
     term_structure: ClassVar[Any] = diffrax.AbstractTerm
     interpolation_cls: ClassVar[Any] = QuinticInterpolation
@@ -91,33 +97,35 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
         solve = self._solver(gamma * step, t0, y0, args)
         pull_before = self.pull(t0, y0, args)
         known, slope = solver_state
-        anew = made_jump | ~known
-        # Of a batch, one evaluates for all.
-        slope = jax.lax.cond(
-            eqxi.unvmap_any(anew),
-            lambda: jnp.where(anew, terms.vf(t0, y0, args), slope),
-            lambda: slope,
-        )
+        # The slope at the start, which is that at the end of the step before as a rule, is that of
+        # stage 0: in the loop of all stages the equation of motion is compiled once. A loop whose
+        # length is not known cannot be differentiated in reverse mode.
+        anew = eqxi.unvmap_any(made_jump | ~known)  # of a batch, one evaluates for all
+        begin: Any = jnp.where(anew, 0, 1)
+        if self.reverse:
+            begin = 1
+            slope = jax.lax.cond(anew, lambda: terms.vf(t0, y0, args), lambda: slope)
 
-        def advance(parts: Array, stage: Array) -> tuple[Array, tuple[State, State]]:
-            known_part = jnp.sum(combine[stage][:, None, None] * parts, axis=0)
+        def advance(stage: Any, carried: Stages) -> Stages:
+            parts, *_ = carried
+            known_part = jnp.sum(combine[stage][..., None, None] * parts, axis=(0, 1))
             # Not beyond the end by rounding, where the next piece of the command may start.
             time = jnp.minimum(t0 + times[stage] * step, t1)
             pull = self.pull(time, y0, args) - pull_before
             # The end of the step is a sum, not a stage.
             change = jnp.where(stage == end, known_part, solve(known_part, pull))
             slope = terms.vf(time, y0 + change, args)
-            parts = parts.at[stage].set(step * slope)
-            # h (J (Y - y0) + g)
-            parts = parts.at[end + 1 + stage].set((change - known_part) / gamma)
-            return parts, (y0 + change, slope)
+            # h f(Y) and h (J (Y - y0) + g)
+            part = jnp.stack([step * slope, (change - known_part) / gamma])
+            return jax.lax.dynamic_update_index_in_dim(parts, part, stage, 0), y0 + change, slope
 
-        # In a loop the equation of motion is compiled once.
-        parts = jnp.zeros((2 * (end + 1), *y0.shape), y0.dtype).at[0].set(step * slope)
-        parts, (states, slopes) = jax.lax.scan(advance, parts, jnp.arange(1, end + 1))
-        y1, f1 = states[-1], slopes[-1]
-        dense = {"y0": y0, "y1": y1, "f0": slope, "f1": f1}
-        y_error = _CAUTION * jnp.tensordot(error, parts[: end + 1], 1)
+        first = jnp.stack([step * slope, jnp.zeros_like(y0)])[None]
+        parts = jnp.concatenate([first, jnp.zeros((end, *first.shape[1:]), y0.dtype)])
+        parts, y1, f1 = jax.lax.fori_loop(begin, end + 1, advance, (parts, y0, slope))
+        # A step of no length occurs between corners that differ by rounding.
+        f0 = parts[0, 0] / jnp.where(step == 0, 1, step)
+        dense = {"y0": y0, "y1": y1, "f0": f0, "f1": f1}
+        y_error = _CAUTION * jnp.tensordot(error, parts[:, 0], 1)
         return y1, y_error, dense, (jnp.asarray(True), f1), diffrax.RESULTS.successful
 
     def _solver(

@@ -19,10 +19,10 @@ def _of_diffrax(name: str) -> "AbstractAdaptiveSolver":
     return solver
 
 
-def _springs5() -> "AbstractAdaptiveSolver":
+def _springs5(reverse: bool = False) -> "AbstractAdaptiveSolver":
     from ._linearly_implicit import LinearlyImplicit
 
-    return LinearlyImplicit(springs, pull)
+    return LinearlyImplicit(springs, pull, reverse)
 
 
 SOLVERS: dict[str, Callable[[], "AbstractAdaptiveSolver"]] = {
@@ -39,12 +39,16 @@ SOLVERS: dict[str, Callable[[], "AbstractAdaptiveSolver"]] = {
 fastest of all where they are stiff, then fully implicit ones."""
 
 
-def solver(name: str) -> "AbstractAdaptiveSolver":
+def solver(name: str, *, reverse: bool = False) -> "AbstractAdaptiveSolver":
     """The solver of a name.
+
+    Arguments:
+        name: one of `SOLVERS`.
+        reverse: whether its steps are to be differentiated in reverse mode.
 
     Raises:
         InputError: there is no such solver.
     """
     if name not in SOLVERS:
         raise InputError(f"there is no solver '{name}': use one of {', '.join(SOLVERS)}")
-    return SOLVERS[name]()
+    return _springs5(reverse) if name == "springs5" else SOLVERS[name]()

@@ -143,7 +143,7 @@ def _advance(stepper: Stepper, moment: Moment, command: Array, wind: Array | Non
         None,
         interval,
     )
-    method = solver_named(stepper.solver)
+    method = solver_named(stepper.solver, reverse=stepper.tolerance is None)
     slides = arm.joints.hysteresis.stops.rows > 0 or (
         arm.contact is not None and arm.contact.rows > 0
     )

@@ -10,8 +10,8 @@ class Tableau(NamedTuple):
     """The coefficients of an additive Runge-Kutta method as a W-method.
 
     Attributes:
-        combine: of which slopes h f(Y) and of which h J (Y - y0) each stage is made, the first
-            stage being the start and the last row the end of the step.
+        combine: of which slopes h f(Y) and h J (Y - y0) of each stage a stage is made, shape
+            (stage, stage, 2), the first being the start and the last the end of the step.
         times: of the stages, as fractions of the step.
         error: of which slopes the error of the step is made.
         gamma: the diagonal of the implicit method.
@@ -32,7 +32,7 @@ def tableau() -> Tableau:
     gamma = float(springs[1, 1])
     np.fill_diagonal(springs, 0)
     return Tableau(
-        np.concatenate([combine, springs], axis=1),
+        np.stack([combine, springs], axis=2),
         np.concatenate([[0], explicit.c, [1]]),
         np.append(explicit.b_error, 0),
         gamma,
