@@ -70,7 +70,8 @@ def solve_factored(factor: Float[Array, "n n"], b: Float[Array, " n"]) -> Float[
 def inverse_of_positive(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
     """The inverse of a positive matrix, from its lower triangle."""
     factor, one = cholesky_factor(matrix), jnp.eye(len(matrix), dtype=matrix.dtype)
-    half = jax.lax.linalg.triangular_solve(factor, one, left_side=True, lower=True)
+    # From the right, rows stay rows for LAPACK, and nothing is transposed.
+    half = jax.lax.linalg.triangular_solve(factor, one, left_side=False, lower=True)
     return half.T @ half
 
 

@@ -4,6 +4,7 @@ With every vector in one frame, each recursion along the chain is a cumulative s
 rotations need a scan. Rows are `(3, link)` inside and `(link, 3)` in public functions.
 """
 
+import functools
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -12,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._maths import cross, quaternion_product, rotate, rotation_vector_to_quaternion, scaled
+from .._running_sum import running_sum
 from .._typing import Array, Float
 from ._arm import Arm
 from ._axes import Axis
@@ -47,17 +49,13 @@ class Pose(NamedTuple):
 
 
 def sum_from_base(x: Float[Array, "*row link"]) -> Float[Array, "*row link"]:
-    """Sum over this link and all links before it.
-
-    A product with a constant triangle: for tens of links one small matrix product is faster
-    than the tree of slices that a cumulative sum compiles to.
-    """
-    return x @ np.triu(np.ones((x.shape[-1],) * 2, x.dtype))
+    """Sum over this link and all links before it."""
+    return running_sum(x)
 
 
 def sum_from_tip(x: Float[Array, "*row link"]) -> Float[Array, "*row link"]:
     """Sum over this link and all links after it."""
-    return x @ np.tril(np.ones((x.shape[-1],) * 2, x.dtype))
+    return running_sum(x, backwards=True)
 
 
 @eqx.filter_custom_jvp
@@ -70,16 +68,20 @@ def _orient(
     """
     fixed = jnp.asarray(axes, dtype=angles.dtype).T
     turns = jnp.concatenate([jnp.cos(angles / 2)[None], scaled(jnp.sin(angles / 2), fixed)])
+    first = quaternion_product(base[:, None], turns[:, :1])
 
-    def compose(before: Array, turn: Array) -> tuple[Array, Array]:
-        after = quaternion_product(before, turn)
-        return after, after
+    def compose(k: Array, turned: Array) -> Array:
+        column = functools.partial(jax.lax.dynamic_slice_in_dim, turned, slice_size=1, axis=1)
+        after = quaternion_product(column(k - 1), column(k))
+        return jax.lax.dynamic_update_slice_in_dim(turned, after, k, 1)
 
-    _, orientations = jax.lax.scan(compose, base, turns.T)
-    w, x, y, z = orientations.T
+    # In their own places: a scan would copy what it reads and what it writes.
+    whole = jnp.concatenate([first, turns[:, 1:]], axis=1)
+    orientations = jax.lax.fori_loop(1, angles.size, compose, whole)
+    w, x, y, z = orientations
     direction = jnp.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)])
     left = jnp.stack([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)])
-    return direction, rotate(orientations.T, fixed), left if sideways else None
+    return direction, rotate(orientations, fixed), left if sideways else None
 
 
 @_orient.def_jvp
