@@ -1,14 +1,13 @@
 """Sums along a chain, as a CPU computes them quickly.
 
 `jax.numpy.cumsum` becomes a tree of slices, a product with a triangle a call of a library: for the
-few hundred additions of a chain both take several times as long as these. Of a small loop, though,
-XLA makes one kernel. What a sum is made of depends on how many rows it has in the end, with all
-directions of a derivative and all members of a batch, and is chosen when a program is lowered; so
-it is a primitive.
+few hundred additions of a chain both take several times as long as these, and a small loop does
+not. What a sum is made of depends on how many rows it has in the end, with all directions of a
+derivative and all members of a batch, and is chosen when a program is lowered; so it is a
+primitive.
 """
 
 import functools
-import itertools
 from typing import Any
 
 import jax
@@ -17,14 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.interpreters import ad, batching, mlir
 
+from ._small_loops import in_small_loops
 from ._typing import Array, Float
-
-# XLA makes a kernel of a loop that touches less than 1024 bytes each time round
-# (`SmallWhileLoopHoistingPass`): two columns of so many numbers, and what counts them.
-_ROWS = 18
-
-# More loops than this take as long as one product.
-_LOOPS = 8
 
 
 def running_sum(x: Float[Array, "*row n"], *, backwards: bool = False) -> Float[Array, "*row n"]:
@@ -56,16 +49,14 @@ def _product(x: Array, *, backwards: bool) -> Array:
 
 
 def _on_cpu(x: Array, *, backwards: bool) -> Array:
-    rows = x.reshape(-1, x.shape[-1])
-    loops = -(-len(rows) // _ROWS)
-    if not 0 < loops <= _LOOPS or x.shape[-1] == 0:
-        return _product(x, backwards=backwards)
-    ends = [len(rows) * loop // loops for loop in range(loops + 1)]
-    parts = [_loop(rows[begin:end], backwards) for begin, end in itertools.pairwise(ends)]
-    return jnp.concatenate(parts).reshape(x.shape)
+    return in_small_loops(
+        x,
+        functools.partial(_loop, backwards=backwards),
+        functools.partial(_product, backwards=backwards),
+    )
 
 
-def _loop(rows: Array, backwards: bool) -> Array:
+def _loop(rows: Array, *, backwards: bool) -> Array:
     last = rows.shape[1] - 1
 
     def add(k: Array, rows: Array) -> Array:

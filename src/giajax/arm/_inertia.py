@@ -96,6 +96,17 @@ def inertia_times(body: Bodies, here: Pose, vector: Rows) -> Rows:
     return product if uneven is None else product + _tensor_times(uneven, vector)
 
 
+def gyroscopic(body: Bodies, here: Pose, omega: Rows, leaning: Rows) -> Rows:
+    """The couple omega x (I omega) of each link; `leaning` is the rate of its direction.
+
+    Of a body that is round about its axis, only what it turns about that counts.
+    """
+    axial = (body.axial - body.transverse) * dot(here.direction, omega)
+    couple = scaled(axial, leaning)
+    uneven = _uneven(body, here)
+    return couple if uneven is None else couple + cross(omega, _tensor_times(uneven, omega))
+
+
 def _uneven(body: Bodies, here: Pose) -> Float[Array, "3 3 link"] | None:
     """What off-axis masses add to the inertia, in the base frame."""
     if body.uneven is None:

@@ -17,7 +17,7 @@ from .._running_sum import running_sum
 from .._typing import Array, Float
 from ._arm import Arm
 from ._axes import Axis
-from ._bodies import bodies
+from ._bodies import Bodies, bodies
 
 Rows = Float[Array, "3 link"]
 
@@ -120,12 +120,17 @@ def pose(arm: Arm, angles: Float[Array, " joint"], *, sideways: bool = False) ->
     direction, axis, left = _orient(base, angles, arm.joints.axes, sideways)
     span = scaled(arm.links.length, direction)
     joint = sum_from_base(span) - span
-    mass_centre = joint + scaled(body.along, direction)
-    if body.across is not None:
-        assert left is not None
-        mass_centre += scaled(body.across[0], left)
-        mass_centre += scaled(body.across[1], cross(direction, left))
-    return Pose(direction, axis, joint, joint + span / 2, mass_centre, left)
+    here = Pose(direction, axis, joint, joint + span / 2, joint, left)
+    beside, mass_centre = beside_axis(body, here), joint + scaled(body.along, direction)
+    return here._replace(mass_centre=mass_centre if beside is None else mass_centre + beside)
+
+
+def beside_axis(body: Bodies, here: Pose) -> Rows | None:
+    """From each link's axis to its centre of mass, m; None where all lie on their axes."""
+    if body.across is None:
+        return None
+    assert here.left is not None
+    return scaled(body.across[0], here.left) + scaled(body.across[1], here.up)
 
 
 def angular_velocities(pose: Pose, rates: Float[Array, " joint"]) -> Rows:

@@ -2,14 +2,23 @@
 
 import jax.numpy as jnp
 
+from .._computed_once import derivatives_once
 from .._maths import cross, dot, scaled
 from .._typing import Array, Float
 from ._added_mass import added_mass, added_mass_load
 from ._air import Flow, Wind, drag, flow, lift_force, relative_velocity
 from ._arm import Arm
 from ._bodies import bodies
-from ._inertia import inertia_times
-from ._kinematics import Pose, Rows, angular_velocities, pose, sum_from_base, sum_from_tip
+from ._inertia import gyroscopic, inertia_times
+from ._kinematics import (
+    Pose,
+    Rows,
+    angular_velocities,
+    beside_axis,
+    pose,
+    sum_from_base,
+    sum_from_tip,
+)
 
 
 def inverse_dynamics(
@@ -72,7 +81,6 @@ def carried_load(
     Accelerations of None count as zero.
     """
     links, body, e = arm.links, bodies(arm), here.direction
-    span = scaled(links.length, e)
 
     turning = scaled(rates, here.axis)
     omega = angular_velocities(here, rates)
@@ -80,24 +88,26 @@ def carried_load(
     gain = cross(omega, turning)
     if accelerations is not None:
         gain = gain + scaled(accelerations, here.axis)
-    span_velocity = cross(omega, span)
+    # First and second rate of the directions, of which those of all points on the axes are made:
+    # XLA computes what a cross product takes anew for each of its components.
+    leaning = cross(omega, e)
+    span_velocity = scaled(links.length, leaning)
     # Sums along the chain are what an evaluation spends its time on, few rows or many.
     summed = sum_from_base(jnp.concatenate([gain, span_velocity]))
     alpha, end_velocity = summed[:3], summed[3:]
-
-    def acceleration_of(offset: Rows) -> Rows:
-        return cross(alpha, offset) + cross(omega, cross(omega, offset))
-
-    span_acceleration = cross(alpha, span) + cross(omega, span_velocity)
+    swinging = cross(alpha, e) + cross(omega, leaning)
+    span_acceleration = scaled(links.length, swinging)
     centre_velocity = end_velocity - span_velocity / 2
     joint_acceleration = sum_from_base(span_acceleration) - span_acceleration
-    mass_acceleration = joint_acceleration + acceleration_of(here.mass_centre - here.joint)
-    upwards = jnp.zeros((3, 1), span.dtype).at[2, 0].set(1) * arm.gravity
+    mass_acceleration = joint_acceleration + scaled(body.along, swinging)
+    beside = beside_axis(body, here)
+    if beside is not None:
+        mass_acceleration += cross(alpha, beside) + cross(omega, cross(omega, beside))
+    upwards = jnp.zeros((3, 1), e.dtype).at[2, 0].set(1) * arm.gravity
     inertial = scaled(body.mass, mass_acceleration + upwards)
-    spin = inertia_times(body, here, alpha) + cross(omega, inertia_times(body, here, omega))
+    spin = inertia_times(body, here, alpha) + gyroscopic(body, here, omega, leaning)
 
     relative = relative_velocity(arm, centre_velocity, wind)
-    leaning = cross(omega, e)
     load = drag(arm, here, relative, omega)
     force = load.force
     if load.couple is not None:
@@ -110,23 +120,25 @@ def carried_load(
         centre_acceleration = joint_acceleration + span_acceleration / 2
         if arm.air.added_mass == "inertia":
             relative, leaning, omega, alpha, centre_acceleration = _from_rest(
-                here, span, accelerations
+                arm, here, accelerations
             )
         push, couple = added_mass_load(
             arm, rod, here, relative, leaning, omega, alpha, centre_acceleration, wind
         )
         force, spin = force + push, spin - couple
+    both = derivatives_once(jnp.concatenate([inertial, force]))
+    inertial, force = both[:3], both[3:]
     moment = spin + cross(here.mass_centre, inertial) - cross(here.centre, force)
     return jnp.concatenate([inertial - force, moment])
 
 
 def _from_rest(
-    here: Pose, span: Rows, accelerations: Float[Array, " joint"] | None
+    arm: Arm, here: Pose, accelerations: Float[Array, " joint"] | None
 ) -> tuple[Rows, Rows, Rows, Rows, Rows]:
     """What moves the links without any velocity, in the order of `added_mass_load`."""
-    still = jnp.zeros_like(span)
+    still = jnp.zeros_like(here.direction)
     if accelerations is None:
         return still, still, still, still, still
     alpha = sum_from_base(scaled(accelerations, here.axis))
-    leap = cross(alpha, span)
+    leap = scaled(arm.links.length, cross(alpha, here.direction))
     return still, still, still, alpha, sum_from_base(leap) - leap / 2
