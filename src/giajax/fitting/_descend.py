@@ -170,10 +170,11 @@ def _next_round(state: FitState) -> FitState:
 
 
 def _settled(state: FitState) -> FitState:
-    """The end at an optimum; one step more where the tolerance moves it, or a step would."""
+    """The end at an optimum; one step more where a step would move it."""
     finer = resolved(state)
     if tolerance_of(finer) != tolerance_of(state):
-        return dataclasses.replace(finer, done=False, converged=True)
+        # The optimum has followed it; where no step is left, the noise may have done so, too.
+        return dataclasses.replace(finer, done=not is_promising(finer), converged=True)
     if is_promising(finer):
         # So near to the optimum the noise is settled: it is not estimated once more.
         return dataclasses.replace(finer, done=False, converged=True, rounds_left=0)
