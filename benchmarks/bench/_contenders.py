@@ -137,7 +137,7 @@ def _scipy(problem: Problem, method: str) -> Contender:
         # Below a hundredth the steps that the solver takes otherwise are seen, not the parameter.
         return differences(lambda x: tip(tolerance, x), problem.values, 1e-2)
 
-    return Contender(tip, TOLERANCES[::2], jacobian)
+    return Contender(tip, TOLERANCES[::4], jacobian)
 
 
 def differences(

@@ -17,7 +17,8 @@ from peers.scipy_chain import ScipyChain
 
 ACCURACY = 1e-4  # m, at the tip
 SAMPLE = 0.5  # s; divides the corners of the command, so that every step SAMPLE / n fits
-TOLERANCES = [10.0 ** (-exponent / 4) for exponent in range(8, 33)]
+# Neighbours differ by about as much as steps do: of order 5, by 6 % in the steps that they lead to.
+TOLERANCES = [10.0 ** (-exponent / 8) for exponent in range(16, 65)]
 STEPS = [SAMPLE / n for n in range(8, 200)]
 
 

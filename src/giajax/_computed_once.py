@@ -11,9 +11,9 @@ from typing import Any
 import jax
 import jax.extend
 import jax.numpy as jnp
-from jax.interpreters import ad, batching, mlir
+from jax.interpreters import ad, batching
 
-from ._small_loops import in_small_loops
+from ._small_loops import in_small_loops, lower_by_platform
 from ._typing import Array, Float
 
 
@@ -68,6 +68,4 @@ _once_p.def_impl(_same)
 ad.primitive_jvps[_once_p] = _jvp
 ad.primitive_transposes[_once_p] = lambda cotangent, x, **_: [cotangent]
 batching.primitive_batchers[_once_p] = _batched
-for function, platform in (_same, None), (_on_cpu, "cpu"):
-    lowered = mlir.lower_fun(function, multiple_results=False)
-    mlir.register_lowering(_once_p, lowered, platform=platform)
+lower_by_platform(_once_p, _on_cpu, _same)

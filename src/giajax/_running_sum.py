@@ -14,9 +14,9 @@ import jax
 import jax.extend
 import jax.numpy as jnp
 import numpy as np
-from jax.interpreters import ad, batching, mlir
+from jax.interpreters import ad, batching
 
-from ._small_loops import in_small_loops
+from ._small_loops import in_small_loops, lower_by_platform
 from ._typing import Array, Float
 
 
@@ -80,6 +80,4 @@ def _batched(args: Any, axes: Any, *, backwards: bool) -> tuple[Array, int]:
 _running_sum_p.def_impl(_product)
 ad.deflinear2(_running_sum_p, _transposed)
 batching.primitive_batchers[_running_sum_p] = _batched
-for function, platform in (_product, None), (_on_cpu, "cpu"):
-    lowered = mlir.lower_fun(function, multiple_results=False)
-    mlir.register_lowering(_running_sum_p, lowered, platform=platform)
+lower_by_platform(_running_sum_p, _on_cpu, _product)

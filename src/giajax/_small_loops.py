@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 import jax.numpy as jnp
+from jax.interpreters import mlir
 
 from ._typing import Array
 
@@ -36,3 +37,12 @@ def in_small_loops(
     ends = [len(rows) * each // loops for each in range(loops + 1)]
     parts = [loop(rows[begin:end]) for begin, end in itertools.pairwise(ends)]
     return jnp.concatenate(parts).reshape(x.shape)
+
+
+def lower_by_platform(
+    primitive: Any, on_cpu: Callable[..., Any], elsewhere: Callable[..., Any]
+) -> None:
+    """Say what a primitive with one result is made of, on a CPU and elsewhere."""
+    mlir.register_lowering(primitive, mlir.lower_fun(elsewhere, multiple_results=False))
+    lowered = mlir.lower_fun(on_cpu, multiple_results=False)
+    mlir.register_lowering(primitive, lowered, platform="cpu")

@@ -105,6 +105,41 @@ def test_what_a_tenth_leaves_is_known_without_a_finer_simulation():
     assert off(result, exact()) < 0.01
 
 
+@pytest.mark.parametrize("bias", [2.0, 8.0])
+def test_an_optimum_follows_its_tolerance_without_a_step(bias):
+    result = fit(Approximate(bias=bias), run(), start=BEGIN, check=False)
+    assert result.status == "converged"
+    assert result.integration.tolerance < 1e-5
+    *_, before, last = result.history
+    # The same iteration, by another tolerance.
+    assert before.number == last.number == result.iterations
+    assert last.parameters == {path: result.parameters[path].value for path in last.parameters}
+    assert last.parameters != before.parameters
+    assert off(result, exact()) < 0.01
+
+
+def test_an_optimum_at_a_bound_stays_there():
+    held = {"start": BEGIN, "bounds": {"amplitude": (0.0, 0.6)}, "check": False}
+    result = fit(Approximate(bias=30.0), run(), **held)
+    assert result.integration.tolerance < 1e-5
+    assert result.parameters["amplitude"].value == pytest.approx(0.6)
+    reference = fit(Decay(), run(), **held)
+    one, other = (each.parameters["decay"] for each in (result, reference))
+    assert abs(one.value - other.value) < 0.01 * other.standard_error
+
+
+def test_many_rows_ask_for_less_and_say_the_same(monkeypatch):
+    few = fit(Approximate(bias=8.0), run(), start=BEGIN)
+    monkeypatch.setattr("giajax.fitting._transitions._MANY_ROWS", 5)
+    many = fit(Approximate(bias=8.0), run(), start=BEGIN)
+    assert off(many, few) < 0.005
+    assert many.integration == few.integration
+    assert (few.tolerance_effect.factor, many.tolerance_effect.factor) == (0.01, 0.1)
+    assert few.gradient_check.relative_difference < 1e-6
+    assert many.gradient_check.relative_difference < 1e-3
+    assert [each.code for each in many.findings] == [each.code for each in few.findings]
+
+
 def test_a_refit_and_what_is_held_out_have_a_tolerance_that_suits_them():
     recorded, settings = run(), {"start": BEGIN}
     (part,) = hold_out([recorded], ["last"])

@@ -120,6 +120,11 @@ def pushed(stiffness, steps, solver=None):
     ).ys
 
 
+def test_a_step_is_the_same_whichever_way_it_can_be_differentiated():
+    forward = pushed(30.0, 64, LinearlyImplicit(springs, pull, reverse=False))
+    assert_allclose(forward, pushed(30.0, 64), atol=1e-12)
+
+
 def observed_orders(stiffness, steps):
     """Of the angles and the rates at 41 times, from coarse to fine."""
     exact = pushed(stiffness, 4096)

@@ -1,7 +1,7 @@
 """Where the links are and how they move, all in the base frame.
 
 With every vector in one frame, each recursion along the chain is a cumulative sum; only the
-rotations need a scan. Rows are `(3, link)` inside and `(link, 3)` in public functions.
+rotations need a loop of their own. Rows are `(3, link)` inside and `(link, 3)` in public functions.
 """
 
 import functools
@@ -88,7 +88,7 @@ def _orient(
 def _orient_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Any, Any]:
     """A change of the angles turns each link by a small rotation, which is a sum along the chain.
 
-    The scan then stays out of every derivative, and with it most of their cost.
+    The loop then stays out of every derivative, and with it most of their cost.
     """
     base, angles, axes, sideways = primals
     t_base, t_angles, *_ = tangents

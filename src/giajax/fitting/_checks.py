@@ -9,11 +9,11 @@ from ._curvature import Curvature, curvatures
 from ._records import GradientCheck, Shift, ToleranceEffect, finite_or_none
 from ._state import FitState
 from ._statistics import Statistics
-from ._tolerance import FINER, residual_change
+from ._tolerance import finer_factor, residual_change
 from ._transitions import evaluate, has_many_rows, residuals_at, tolerance_of
 
-# Central differences in the free coordinate, at a tolerance where the steps of the integrator
-# do not show: truncation and noise are then both near 1e-8.
+# Differences in the free coordinate, central where not said otherwise, at a tolerance where the
+# steps of the integrator do not show: truncation and noise are then both near 1e-8.
 _DIFFERENCE = 1e-4
 _DIFFERENCE_32 = 3e-2
 _FINER = 1e-3
@@ -46,15 +46,15 @@ def checks(state: FitState, statistics: Statistics) -> Checks:
 
 
 def gradient_check(state: FitState, statistics: Statistics) -> GradientCheck | None:
-    """The Jacobian against a central difference at the optimum, at a finer tolerance.
+    """The Jacobian against a difference at the optimum, at a finer tolerance.
 
     One direction in which every parameter has the same weight in the residual: a wrong column
     of any of them shows. Parameters at a bound take no part, because there is nothing beyond it
     to take a difference with, nor do those that nothing responds to where they ended. Of many runs
     with the same channels, whose derivatives are one program, a few are looked at. Of recordings
-    with many rows the tolerance is that of the fit, and the difference is to one side: the steps
-    of the integrator then show, by some 1e-4, but a wrong column still does, and the finer
-    Jacobian would take as long as the fit.
+    with many rows the tolerance is that of the fit, and in 64 bit the difference is to one side:
+    the steps of the integrator then show, by some 1e-4, but a wrong column still does, and the
+    finer Jacobian would take as long as the fit.
 
     Arguments:
         state: the last one.
@@ -91,7 +91,7 @@ def gradient_check(state: FitState, statistics: Statistics) -> GradientCheck | N
     def at(shift: float) -> np.ndarray:
         return residuals_at(state, centre + shift * direction, problem, sample=not known_here)
 
-    if known_here:
+    if known_here and centre.dtype == np.float64:
         by_difference = (at(offset) - np.asarray(state.inner.residual)) / offset
     else:
         by_difference = (at(offset) - at(-offset)) / (2 * offset)
@@ -116,7 +116,8 @@ def gradient_check(state: FitState, statistics: Statistics) -> GradientCheck | N
 def tolerance_effect(state: FitState, statistics: Statistics) -> ToleranceEffect | None:
     """How far the optimum moves, to first order, with a finer solver tolerance.
 
-    A hundredth of it; of a model that has no tolerance, but steps of its own, half of those.
+    A hundredth of it, or a tenth for recordings with many rows; of a model that has no tolerance,
+    but steps of its own, half of those.
 
     Arguments:
         state: the last one.
@@ -128,8 +129,7 @@ def tolerance_effect(state: FitState, statistics: Statistics) -> ToleranceEffect
     determined = list(statistics.determined)
     if not determined:
         return None
-    factor = 0.5 if tolerance_of(state) is None else FINER
-    change = residual_change(state, factor)
+    change = residual_change(state)
     if not np.all(np.isfinite(change)):
         return None
     jacobian = state.natural_jacobian()
@@ -144,4 +144,4 @@ def tolerance_effect(state: FitState, statistics: Statistics) -> ToleranceEffect
         by_parameter[statistics.labels[index]] = Shift(
             finite_or_none(shift), finite_or_none(relative)
         )
-    return ToleranceEffect(factor, finite_or_none(largest), by_parameter)
+    return ToleranceEffect(finer_factor(state), finite_or_none(largest), by_parameter)

@@ -21,9 +21,9 @@ from ._uncertainty import inverse_gram
 # and far below where the third derivative counts.
 _STEP = 0.1
 
-# And of recordings with many rows, where residuals are differenced: their bend, and not its
-# change, is to be seen beside the integrator's error.
-_LONG_STEP = 0.5
+# And of recordings with many rows, where residuals are differenced, twice: their bend is to be seen
+# beside the integrator's error, which a shorter step, beside a bound, would not do.
+_STEP_OF_RESIDUALS = 0.5
 
 # Each takes an evaluation. Of more parameters those with the largest relative errors are asked, and
 # none that is known this well: a power of it bends by no more than that within its error.
@@ -74,14 +74,14 @@ def _curvature(state: FitState, statistics: Statistics, index: int) -> Curvature
     room = np.where(direction > 0, np.asarray(bijector.upper) - values, values - bijector.lower)
     with np.errstate(divide="ignore", invalid="ignore"):
         most = np.nanmin(np.where(direction == 0, np.inf, room / np.abs(direction)))
-    many_rows = has_many_rows(state)
-    step = min(_LONG_STEP if many_rows else _STEP, 0.5 * float(most))
+    bends = has_many_rows(state) and 0.5 * float(most) >= _STEP_OF_RESIDUALS
+    step = _STEP_OF_RESIDUALS if bends else min(_STEP, 0.5 * float(most))
     if not step > 0:
         return None
     there = bijector.inverse(values + step * direction)
     here = state.natural_jacobian().times(direction)
     residual = np.asarray(state.inner.residual, dtype=float)
-    if many_rows:
+    if bends:
         # Without derivatives, which take most of the time.
         second = 2 * (residuals_at(state, there) - residual - step * here) / step**2
     else:

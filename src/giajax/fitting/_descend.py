@@ -174,6 +174,7 @@ def _settled(state: FitState) -> FitState:
     finer = resolved(state)
     if tolerance_of(finer) != tolerance_of(state):
         # The optimum has followed it; where no step is left, the noise may have done so, too.
+        finer = finer.recorded(accepted=True)
         return dataclasses.replace(finer, done=not is_promising(finer), converged=True)
     if is_promising(finer):
         # So near to the optimum the noise is settled: it is not estimated once more.

@@ -60,7 +60,7 @@ class FitResult:
         cost: half the sum of the loss over the weighted residuals.
         reduced_chi_square: squared weighted residuals per degree of freedom.
         iterations: trial steps after the evaluation of the start.
-        gradient_check: derivatives by autodiff against central differences at the optimum.
+        gradient_check: derivatives by autodiff against differences at the optimum.
         tolerance_effect: shift of the parameters with a finer solver tolerance.
         conditions: sentences on what the values are conditional on.
         seconds: wall time, compiling apart.

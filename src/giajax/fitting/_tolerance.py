@@ -24,6 +24,9 @@ from ._transitions import (
 FINER = 0.01
 """What a tolerance is multiplied by to see what it moves; half of it would understate that."""
 
+# And of recordings with many rows, in two thirds of the time: the rest is extrapolated.
+_FINER_OF_MANY = 0.1
+
 # What it may move, in standard errors: five times less than a converged fit may be off.
 _ALLOWED = 0.002
 _TIGHTER = 0.1
@@ -32,10 +35,8 @@ _LITTLE = 5.0
 # Where a tenth of a tolerance leaves no more than this part of that, a hundredth need not be tried
 # before the optimum.
 _ENOUGH = 0.8
-# A change against a tolerance that is this part of another is that against a hundredth of it.
-_PART = 0.05
-# Beyond this, in standard errors, the optimum does not follow a change of the residuals linearly.
-_NEAR = 1.0
+# Beyond this, in standard errors, an optimum is not said to follow a change of the residuals.
+_NEAR = 0.1
 # Against a finer one there is nothing but rounding to compare with.
 _FINEST = 1e-10
 
@@ -59,10 +60,8 @@ def resolved(state: FitState) -> FitState:
         in steps of ten or of its root, evaluated anew.
     """
     while state.setup.chooses_tolerance:
-        # On the way to an optimum of many rows a tenth says enough, in half of the time.
-        on_the_way = not state.converged and state.finer is None and has_many_rows(state)
-        asked = _TIGHTER if on_the_way else FINER
-        change = residual_change(state, asked) * (1 - FINER) / (1 - asked)
+        compared = residual_change(state)
+        change = compared * (1 - FINER) / (1 - finer_factor(state))
         moved = np.linalg.norm(_explained(state, change))
         # Of a finer simulation that fails nothing is known.
         allowed = _allowed(state)
@@ -71,14 +70,13 @@ def resolved(state: FitState) -> FitState:
         if moved > allowed:
             tighter = _tightened(state, factor, _followed(state, change * (1 - factor)))
         if tighter is None:
-            return state if on_the_way else dataclasses.replace(state, finer=change)
+            return dataclasses.replace(state, finer=compared)
         # What is left is known by now, but for a part, without a finer simulation yet.
         went = np.asarray(tighter.coordinate) - np.asarray(state.coordinate)
         before = np.asarray(state.inner.residual) + state.jacobian().times(went)
         left = change + before - np.asarray(tighter.inner.residual)
         if np.linalg.norm(_explained(tighter, left)) <= _ENOUGH * _allowed(tighter):
-            known = FINER / factor < _PART and not on_the_way
-            return dataclasses.replace(tighter, finer=left if known else None)
+            return tighter
         state = dataclasses.replace(tighter, converged=state.converged)
     return state
 
@@ -118,16 +116,19 @@ def is_promising(state: FitState) -> bool:
     return bool(np.sqrt(2 * state.promised()) > _allowed(state))
 
 
-def residual_change(state: FitState, factor: float = FINER) -> Float[np.ndarray, " residual"]:
-    """What a finer tolerance changes of the residuals; NaN where the finer simulation fails.
+def finer_factor(state: FitState) -> float:
+    """What a tolerance, or what the model has in its place, is multiplied by to be compared."""
+    if tolerance_of(state) is None:
+        return 0.5
+    return _FINER_OF_MANY if has_many_rows(state) else FINER
 
-    Arguments:
-        state: evaluated.
-        factor: on the tolerance, or on what the model has in its place.
-    """
-    if state.finer is not None and factor == FINER:
+
+def residual_change(state: FitState) -> Float[np.ndarray, " residual"]:
+    """What a finer tolerance changes of the residuals; NaN where the finer simulation fails."""
+    if state.finer is not None:
         return state.finer
-    problem = dataclasses.replace(state.problem, model=state.problem.model.refined(factor))
+    model = state.problem.model.refined(finer_factor(state))
+    problem = dataclasses.replace(state.problem, model=model)
     return residuals_at(state, state.coordinate, problem) - np.asarray(state.inner.residual)
 
 
@@ -141,7 +142,9 @@ def _tightened(
     tighter = at_tolerance(state, tolerance * factor)
     if np.any(shift):
         lower, upper = (np.asarray(each) for each in state.problem.bijector.ends())
-        tighter = move(tighter, np.clip(np.asarray(state.coordinate) + shift, lower, upper))
+        there = step(move(tighter, np.clip(np.asarray(state.coordinate) + shift, lower, upper)))
+        if there.evaluated:
+            return there
     tighter = step(tighter)
     return tighter if tighter.evaluated else None
 
@@ -158,25 +161,36 @@ def _explained(state: FitState, row: np.ndarray) -> Float[np.ndarray, " directio
 
 
 def _followed(state: FitState, row: np.ndarray) -> Float[np.ndarray, " parameter"]:
-    """How far an optimum moves, to first order, where the residuals change by a row.
+    """Where an optimum lies, to first order, where the residuals change by a row, from here.
 
-    No step has to find it there then. Nothing where the state is none, or it would be too far.
+    No step has to find it there then. Nothing where the state is none, or it would be too far; what
+    is at a bound stays there.
     """
-    singular, directions = _told(state)
-    moved = _explained(state, row)
-    near = state.converged and np.linalg.norm(moved) < _NEAR
-    return -(moved / singular) @ directions if near else np.zeros(state.problem.size)
+    stays = np.zeros(state.problem.size)
+    if not (state.converged and np.linalg.norm(_explained(state, row)) < _NEAR):
+        return stays
+    lower, upper = (np.asarray(each) for each in state.problem.bijector.ends())
+    here = np.asarray(state.coordinate)
+    singular, directions = _told(state, (here > lower) & (here < upper))
+    gradient = state.jacobian().transposed_times(np.asarray(state.inner.residual) + row)
+    moved = directions @ gradient / singular
+    return -(moved / singular) @ directions if np.linalg.norm(moved) < _NEAR else stays
 
 
-def _told(state: FitState) -> tuple[np.ndarray, np.ndarray]:
+def _told(state: FitState, free: np.ndarray | bool = True) -> tuple[np.ndarray, np.ndarray]:
     """How much the residuals change along each direction that the data tell, and the directions.
+
+    Arguments:
+        state: evaluated.
+        free: which coordinates directions may have, shape (parameter,).
 
     Returns:
         Arrays of shape (direction,) and (direction, parameter), the latter in coordinates.
     """
     jacobian = state.jacobian()
     norms = jacobian.norms()
-    sizes = np.divide(1, norms, out=np.zeros_like(norms), where=norms > _RESPONSE)
+    has_size = (norms > _RESPONSE) & free
+    sizes = np.divide(1, norms, out=np.zeros_like(norms), where=has_size)
     _, singular, directions = np.linalg.svd(jacobian.scaled(sizes).reduced(), full_matrices=False)
     told = singular > _SINGULAR * np.max(singular, initial=0.0)
     return singular[told], directions[told] * sizes

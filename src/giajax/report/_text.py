@@ -221,6 +221,6 @@ def _tolerance(result: FitResult) -> str:
         which = f"{integration.tolerance:.0e} of {integration.solver}{chosen}; "
     if effect is None or effect.largest_in_standard_errors is None:
         return f"{which}effect not known"
-    finer = "half" if effect.factor == 0.5 else "a hundredth"
+    finer = {0.5: "half", 0.1: "a tenth"}.get(effect.factor, "a hundredth")
     largest = effect.largest_in_standard_errors
     return f"{which}{finer} of it moves no parameter by more than {largest:.1e} standard errors"

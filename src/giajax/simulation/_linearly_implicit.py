@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any, ClassVar
 
 import diffrax
+import equinox as eqx
 import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
@@ -60,7 +61,7 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
 
     springs: Callable[[Any, State, Any], Springs]
     pull: Callable[[Any, State, Any], Array]
-    reverse: bool = False
+    reverse: bool = eqx.field(static=True, default=True)
 
     term_structure: ClassVar[Any] = diffrax.AbstractTerm
     interpolation_cls: ClassVar[Any] = QuinticInterpolation
@@ -100,7 +101,7 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
         # The slope at the start, which is that at the end of the step before as a rule, is that of
         # stage 0: in the loop of all stages the equation of motion is compiled once. A loop whose
         # length is not known cannot be differentiated in reverse mode.
-        anew = eqxi.unvmap_any(made_jump | ~known)  # of a batch, one evaluates for all
+        anew = eqxi.unvmap_any(made_jump | ~known)  # of a batch, all do, if one has to
         begin: Any = jnp.where(anew, 0, 1)
         if self.reverse:
             begin = 1

@@ -19,7 +19,7 @@ def _of_diffrax(name: str) -> "AbstractAdaptiveSolver":
     return solver
 
 
-def _springs5(reverse: bool = False) -> "AbstractAdaptiveSolver":
+def _springs5(reverse: bool = True) -> "AbstractAdaptiveSolver":
     from ._linearly_implicit import LinearlyImplicit
 
     return LinearlyImplicit(springs, pull, reverse)
@@ -39,7 +39,7 @@ SOLVERS: dict[str, Callable[[], "AbstractAdaptiveSolver"]] = {
 fastest of all where they are stiff, then fully implicit ones."""
 
 
-def solver(name: str, *, reverse: bool = False) -> "AbstractAdaptiveSolver":
+def solver(name: str, *, reverse: bool = True) -> "AbstractAdaptiveSolver":
     """The solver of a name.
 
     Arguments:
