@@ -12,7 +12,6 @@ import pytest
 import giajax
 from giajax import InputError, Run
 from giajax.fitting import _checks, fit, set_up
-from giajax.fitting._tolerance import FINER
 from giajax.fitting._transitions import begin, step, trial
 from giajax.models import Integration
 from giajax.report import summary
@@ -251,7 +250,7 @@ def test_of_many_rows_the_gradient_is_checked_where_it_is_known(monkeypatch, mod
     check = fit(Integrated(), run(), max_iterations=3, tolerance=1e-5).gradient_check
     assert (check.relative_difference > 0.1) == wrong
     # The effect of the tolerance asks for a finer one, the gradient does not.
-    assert set(refined) == {FINER}
+    assert set(refined) == {0.1}
     assert not jacobians
 
 
