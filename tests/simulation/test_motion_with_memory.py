@@ -118,8 +118,9 @@ def test_derivatives_are_slopes(solver):
         step = 1e-3 * start[index]
         off = jnp.zeros_like(start).at[index].set(step)
         slope = (angles(start + off) - angles(start - off)) / (2 * step)
-        # Differences of a motion with corners are no better.
-        assert_allclose(found[..., index], slope, atol=0.03 * np.max(np.abs(slope)))
+        # Differences of a motion with corners are no better: by other options of XLA, whose last
+        # bits are others, they and the derivatives are 1 % apart, or 3 %.
+        assert_allclose(found[..., index], slope, atol=0.05 * np.max(np.abs(slope)))
 
 
 @pytest.mark.long
