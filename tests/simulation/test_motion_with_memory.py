@@ -115,12 +115,12 @@ def test_derivatives_are_slopes(solver):
     found = jax.jit(jax.jacfwd(angles))(start)
     assert np.all(np.isfinite(found))
     for index in range(len(paths)):
-        step = 1e-3 * start[index]
+        # Over a longer difference other steps end at the corners.
+        step = 2e-4 * start[index]
         off = jnp.zeros_like(start).at[index].set(step)
         slope = (angles(start + off) - angles(start - off)) / (2 * step)
-        # Differences of a motion with corners are no better: by other options of XLA, whose last
-        # bits are others, they and the derivatives are 1 % apart, or 3 %.
-        assert_allclose(found[..., index], slope, atol=0.05 * np.max(np.abs(slope)))
+        # Differences of a motion with corners are no better.
+        assert_allclose(found[..., index], slope, atol=0.03 * np.max(np.abs(slope)))
 
 
 @pytest.mark.long
