@@ -11,14 +11,18 @@ from browsing import opened
 from giajax.driving import Cockpit, Session, TipCamera
 from giajax.models import ArmModel
 
-# A stick that is pressed, let go, pressed the other way, and let go; and what the page then shows.
-SWUNG = """
+# What the page shows, and when.
+SEEN = """
 window.seen = []; window.pressed = [];
 const shownBefore = show;
 show = (pose) => {
     shownBefore(pose);
     window.seen.push([performance.now(), pose.time, pose.command[0], pose.lost]);
 };
+"""
+
+# A stick that is pressed, let go, pressed the other way, and let go.
+SWUNG = """
 let turn = 0;
 setInterval(() => {
     const deflection = [1, 0, -1, 0][turn++ % 4];
@@ -44,6 +48,9 @@ def test_the_page_is_in_step_with_the_clock(seconds, share, within, rate, browse
             page.open(cockpit.address + "?view=off")
             page.wait("document.querySelectorAll('#joints .row').length == 20")
             page.evaluate(PAD)
+            page.evaluate(SEEN)
+            # The first pose may be a while in coming on a machine that does much else.
+            page.wait("window.seen.length > 0")
             page.evaluate(SWUNG)
             time.sleep(seconds)
             seen = np.array(page.evaluate("window.seen"))
