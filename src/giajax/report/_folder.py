@@ -10,7 +10,7 @@ from .._files import read_bytes
 from .._limits import RESULT_BYTES
 from .._syntax import parse_json
 from ..runs import Run, check_output_folder
-from ._files import RESULT
+from ._names import RESULT
 
 # What makes two fits the same fit; the iterations allowed and the folder do not.
 _SAME = (

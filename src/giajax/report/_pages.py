@@ -10,8 +10,7 @@ from .._limits import RESULT_BYTES
 from ..fitting import FitResult
 from ..runs import Run
 from ..study import Contrast
-from ._files import PAGE as PAGE
-from ._style import SIGNATURE
+from ._names import PAGE as PAGE, SIGNATURE
 
 _NEEDED = ("bokeh", "jinja2")
 

@@ -6,6 +6,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ..fitting import FitResult
+from ._names import SIGNATURE
 
 # Okabe and Ito's colours, which people who see red and green alike can tell apart.
 BLUE, VERMILLION, GREEN = "#0072B2", "#D55E00", "#009E73"
@@ -15,8 +16,6 @@ INK, GREY, LIGHT = "#222222", "#767676", "#E3E3E3"
 MINUS = "\N{MINUS SIGN}"
 DEGREE = "\N{DEGREE SIGN}"
 
-# Written into each file: how a later fit knows a picture of an earlier one from a person's.
-SIGNATURE = "giajax fit"
 _DPI = 130
 
 

@@ -13,8 +13,8 @@ from bokeh.transform import dodge
 from ...fitting import RunFit
 from ...runs import Channel, Run
 from .._abscissa import abscissa, channel_label, channels_together, sweep_starts
-from .._files import times_noise
 from .._style import BLUE, GREY, INK, VERMILLION
+from .._worst import times_noise
 from ._figures import colour_of, memory_plot, new_plot, small
 from ._thin import thinned
 

@@ -14,9 +14,9 @@ from ...fitting import FitResult, matching_runs
 from ...runs import Run
 from ...study import begun_where_it_ended, profiles_beside
 from ...tasks import repeatable
-from .._files import worth_drawing
 from .._suspects import SUSPECT_HEADINGS, first_suspects, systematic_table
 from .._text import summary_rows
+from .._worst import worth_drawing
 from ._arm import Arm, animation
 from ._band import can_have_bands, prediction_errors_of_parameters
 from ._correlations import correlation_cells
