@@ -26,8 +26,13 @@ Carried = tuple[Bool[Array, ""], State]
 Stages = tuple[Array, State, State]
 
 # The embedded method is so near to the method itself that its difference understates the error;
-# with this a tolerance means about the same error of an arm's motion as with Tsit5.
-_CAUTION = 100.0
+# with these a tolerance means about the same error of an arm's motion as with Tsit5.
+_CAUTION, _CAUTION_IN_CONTACT = 100.0, 10.0
+
+# The error of a rate counts as the angle that it makes within a stage, or at least within a frame
+# of a camera (s). By itself it would decide the step alone: fast joints at the tip swing at rates
+# that hardly move the arm. Of an impact it is what stays.
+_FRAME = 0.03
 
 
 class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
@@ -95,7 +100,10 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
         *arrays, gamma = tableau()
         combine, times, error = (jnp.asarray(array, y0.dtype) for array in arrays)
         end = len(times) - 1
-        solve = self._solver(gamma * step, t0, y0, args)
+        # The order holds for every J, so that of the equation for a derivative holds with J
+        # taken for a constant, too: that equation has J again, and terms that are not stiff.
+        scale, springs = jax.lax.stop_gradient((gamma * step, self.springs(t0, y0, args)))
+        solve = self._solver(scale, springs)
         pull_before = self.pull(t0, y0, args)
         known, slope = solver_state
         # The slope at the start, which is that at the end of the step before as a rule, is that of
@@ -126,21 +134,18 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
         # A step of no length occurs between corners that differ by rounding.
         f0 = parts[0, 0] / jnp.where(step == 0, 1, step)
         dense = {"y0": y0, "y1": y1, "f0": f0, "f1": f1}
-        # The error of a rate counts as the angle that it makes within a stage. By itself it would
-        # decide the step alone: fast joints at the tip swing at rates that hardly move the arm.
-        weight = jnp.where(jnp.arange(len(y0)) == 1, gamma * step, 1)[:, None]
-        y_error = _CAUTION * weight * jnp.tensordot(error, parts[:, 0], 1)
+        y_error = jnp.tensordot(error, parts[:, 0], 1)
+        if springs.contact is None:
+            is_rate = jnp.arange(len(y0))[:, None] == 1
+            y_error = _CAUTION * jnp.where(is_rate, jnp.maximum(scale, _FRAME), 1) * y_error
+        else:
+            y_error = _CAUTION_IN_CONTACT * y_error
         return y1, y_error, dense, (jnp.asarray(True), f1), diffrax.RESULTS.successful
 
-    def _solver(
-        self, scale: Scalar, time: Any, state: State, args: Any
-    ) -> Callable[[State, Array], State]:
+    @staticmethod
+    def _solver(scale: Scalar, springs: Springs) -> Callable[[State, Array], State]:
         """What solves (1 - scale J) x = b + scale g, of b and the torque in g."""
-        # The order holds for every J, so that of the equation for a derivative holds with J
-        # taken for a constant, too: that equation has J again, and terms that are not stiff.
-        scale, (mass, stiffness, damping, strain, contact) = jax.lax.stop_gradient(
-            (scale, self.springs(time, state, args))
-        )
+        mass, stiffness, damping, strain, contact = springs
         spring = scale * stiffness
         damper = scale * (damping + spring)
         if strain is not None:
