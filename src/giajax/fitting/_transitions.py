@@ -34,7 +34,7 @@ _LARGEST_STEP = 1.5
 
 # Above this, s, residuals without derivatives are worth a program of their own, which takes
 # seconds to compile: at the end of a fit they are asked for several times, and more finely.
-_LONG_STEP = 0.25
+_LONG_STEP = 0.5
 
 # With so many rows a step is known to be long before any was timed.
 _MANY_ROWS = 5_000
