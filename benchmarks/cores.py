@@ -109,8 +109,8 @@ def farthest(one: FitResult, two: FitResult) -> float:
 def measure(quick: bool) -> dict[str, Any]:
     """Figures by what was computed."""
     count, repeats = (2, 1) if quick else (22, 3)
-    runs = {name: recordings(name, count) for name in (SHORT, LONG)}
-    models = {name: model_for(each) for name, each in runs.items()}
+    runs = {each: recordings(each, count) for each in ((SHORT,) if quick else (SHORT, LONG))}
+    models = {motion: model_for(each) for motion, each in runs.items()}
     options: dict[str, Any] = {}
     if quick:
         options = {"max_iterations": 1, "check": False, "noise_model": "white"}
@@ -128,7 +128,7 @@ def measure(quick: bool) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for name, call, times in (
         ("short runs", lambda: fitted(SHORT), repeats),
-        ("runs", lambda: fitted(LONG), 1),
+        ("runs", lambda: fitted(LONG), 2),
         ("starts", from_starts, repeats),
     ):
         found[name], (one, two) = compared(call, times)

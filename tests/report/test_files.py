@@ -137,7 +137,7 @@ def test_an_interruption_of_the_drawing_keeps_the_result(result, run, tmp_path, 
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("giajax.report._files.residuals_figure", interrupt)
+    monkeypatch.setattr("giajax.report._pictures.residuals_figure", interrupt)
     with pytest.raises(KeyboardInterrupt):
         write_result(result, run, tmp_path)
     assert sorted(os.listdir(tmp_path)) == ["prediction.csv", "prediction.toml", "result.json"]

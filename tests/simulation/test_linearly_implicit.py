@@ -291,16 +291,16 @@ def test_a_stiff_joint_follows_its_command_in_long_steps():
 
 @pytest.mark.slow
 def test_a_tolerance_means_the_error_that_it_means_with_an_explicit_method():
-    """With errors of rates that count fully, a tolerance of 1e-8 meant five times less."""
+    """With errors of rates that count fully, a tolerance of 1e-8 meant a fifth of the error."""
     arm, command = driven_arm()
     times = np.linspace(0.0, 25.0, 51)
 
-    def tip(solver, tolerance):
+    def moved(solver, tolerance):
         return simulate(arm, command, times, solver=solver, rtol=tolerance, atol=tolerance)
 
-    exact = tip("dopri8", 1e-11).tip
+    exact = moved("dopri8", 1e-11).tip
     for tolerance, most in [(1e-4, 98), (1e-6, 290), (1e-8, 840)]:
-        implicit, explicit = tip("springs5", tolerance), tip("tsit5", tolerance)
+        implicit, explicit = moved("springs5", tolerance), moved("tsit5", tolerance)
         error, usual = (np.abs(motion.tip - exact).max() for motion in (implicit, explicit))
         assert usual / 3 < error < 3 * usual
         assert implicit.steps.sum() < most

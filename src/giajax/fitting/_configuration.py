@@ -232,10 +232,8 @@ def _check_determined(asked: Free, runs: Sequence[Run]) -> None:
     """Refuse a fit of nothing, and one of more parameters than there are values and priors."""
     paths = [p.path for p in asked.parameters for _ in asked.groups.get(p.path, [runs])]
     for run in runs:
-        if not (own := asked.model.free_inputs(run)):
-            continue
         inputs = asked.model.prepare(run)
-        for path in own:
+        for path in asked.model.free_inputs(run):
             size = get(inputs, path).size
             paths += [f"{path}[{index}]" for index in range(size)] if size > 1 else [path]
     if not paths:

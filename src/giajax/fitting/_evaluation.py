@@ -48,7 +48,7 @@ def stepped(
         problem: what is minimised.
         state: of the solver there.
         active: parameters that may move, shape (parameter,).
-        sample: where runs are dealt out, evaluate a few, and have zeros for the others.
+        sample: where runs are dealt out, evaluate one or a few, and have zeros for the others.
     """
     if not _several(problem):
         return step(solver, coordinate, problem, state, active)
@@ -65,7 +65,7 @@ def residuals(
     Arguments:
         coordinate: the point, shape (parameter,).
         problem: what is minimised.
-        sample: of many runs evaluate a few, and have zeros for the others.
+        sample: of several runs evaluate one or a few, and have zeros for the others.
     """
     if not _several(problem):
         return np.asarray(residual_row(coordinate, problem))

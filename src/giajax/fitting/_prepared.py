@@ -24,9 +24,9 @@ def sharing_a_program(model: AbstractModel, runs: Sequence[Run]) -> list[list[in
 def in_a_share(count: int) -> int:
     """How many of some runs that share a program a core takes at once.
 
-    Of many a few, because to begin costs half a millisecond, and so many that none is left over;
-    and few enough for many cores, of which none should wait for another's last one. It does not
-    depend on the machine, so that programs are the same everywhere.
+    Several of many, because to begin costs half a millisecond; a divisor, so that none is left
+    over; few, so that no core waits for another's last ones. It does not depend on the machine, so
+    that programs are the same everywhere.
     """
     return next(n for n in (4, 3, 2, 1) if n == 1 or (count % n == 0 and count >= 16 * n))
 

@@ -178,7 +178,7 @@ def evaluate(
         state: gives problem, solver and the parameters that may move.
         coordinate: the point, shape (parameter,).
         problem: in place of that of the state.
-        sample: of many runs evaluate a few, and have zeros for the others.
+        sample: of several runs evaluate one or a few, and have zeros for the others.
 
     Returns:
         The solver's state there.

@@ -58,7 +58,7 @@ def write_result(
     _remove_stale_pictures(folder)
     files += _written(folder, prediction_files(result, runs, names, predictions))
     if figures:
-        files += write_figures(result, runs, folder, held_out=held_out)
+        files += _drawn(folder, result, runs, names, predictions, held_out)
     return files
 
 
@@ -86,11 +86,22 @@ def write_figures(
     Raises:
         InputError: other runs than those of the result, or the folder cannot be written.
     """
-    # matplotlib takes as long to import as a small fit to run.
+    runs, names, predictions = _parts(result, runs)
+    return _drawn(Path(folder), result, runs, names, predictions, held_out)
+
+
+def _drawn(
+    folder: Path,
+    result: FitResult,
+    runs: Sequence[Run],
+    names: Sequence[str],
+    predictions: Sequence[Mapping[str, np.ndarray]],
+    held_out: Sequence[Run],
+) -> list[Path]:
+    # Who wants no pictures need not wait for matplotlib.
     from ._pictures import picture_files
 
-    runs, names, predictions = _parts(result, runs)
-    return _written(Path(folder), picture_files(result, runs, names, predictions, held_out))
+    return _written(folder, picture_files(result, runs, names, predictions, held_out))
 
 
 def _parts(

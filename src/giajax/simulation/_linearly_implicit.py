@@ -26,12 +26,14 @@ Carried = tuple[Bool[Array, ""], State]
 Stages = tuple[Array, State, State]
 
 # The embedded method is so near to the method itself that its difference understates the error;
-# with these a tolerance means about the same error of an arm's motion as with Tsit5.
-_CAUTION, _CAUTION_IN_CONTACT = 100.0, 10.0
+# with these a tolerance means about the same error of an arm's motion as with Tsit5. The second is
+# that of further states, which have corners, and of all that moves among obstacles.
+_CAUTION, _CAUTION_AT_CORNERS = 100.0, 10.0
 
 # The error of a rate counts as the angle that it makes within a stage, or at least within a frame
 # of a camera (s). By itself it would decide the step alone: fast joints at the tip swing at rates
-# that hardly move the arm. Of an impact it is what stays.
+# that hardly move the arm. After an impact the rate is what is wrong: among obstacles it counts as
+# much as the angle.
 _FRAME = 0.03
 
 
@@ -135,11 +137,12 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
         f0 = parts[0, 0] / jnp.where(step == 0, 1, step)
         dense = {"y0": y0, "y1": y1, "f0": f0, "f1": f1}
         y_error = jnp.tensordot(error, parts[:, 0], 1)
+        weight: Any = _CAUTION_AT_CORNERS
         if springs.contact is None:
-            is_rate = jnp.arange(len(y0))[:, None] == 1
-            y_error = _CAUTION * jnp.where(is_rate, jnp.maximum(scale, _FRAME), 1) * y_error
-        else:
-            y_error = _CAUTION_IN_CONTACT * y_error
+            row = jnp.arange(len(y0))[:, None]
+            of_rate = jnp.maximum(scale, _FRAME)
+            weight = jnp.where(row == 1, _CAUTION * of_rate, jnp.where(row == 0, _CAUTION, weight))
+        y_error = weight * y_error
         return y1, y_error, dense, (jnp.asarray(True), f1), diffrax.RESULTS.successful
 
     @staticmethod

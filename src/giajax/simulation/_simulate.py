@@ -57,7 +57,8 @@ def simulate(
         initial: angles (rad) and rates (rad/s) at the first time, each of shape (joint,).
         solver: one of `giajax.SOLVERS`; "springs5" is the fastest wherever springs, not accuracy,
             limit the steps of the default.
-        rtol, atol: relative and absolute tolerance of a step, on angles (rad) and rates (rad/s).
+        rtol, atol: relative and absolute tolerance of a step, on angles (rad) and rates (rad/s);
+            "springs5" weighs those (docs/solvers.md).
             The default keeps the tip of the 20 m arm within about 1e-4 m.
         max_steps: step limit.
         derivatives: "forward" for few parameters (`jax.jvp`, `jax.jacfwd`); "reverse" for many
