@@ -184,6 +184,17 @@ def test_a_figure_is_the_same_file_each_time(result):
     assert b"giajax" in first[:200]
 
 
+def test_a_fit_without_figures_does_not_import_matplotlib():
+    code = (
+        "import sys\n"
+        "from giajax.report import PAGE, check_figures, check_folder, check_page, report_page\n"
+        "from giajax.report import parameter_table, reached, summary, write_figures, write_result\n"
+        "sys.exit('matplotlib' if 'matplotlib' in sys.modules else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.stderr, done.returncode) == ("", 0)
+
+
 @pytest.mark.slow
 def test_nothing_global_of_matplotlib_is_touched(result, run):
     before = dict(mpl.rcParams)
