@@ -226,11 +226,11 @@ def test_a_fit_of_several_runs_has_the_same_numbers_on_any_number_of_cores(monke
 
 
 def test_a_sample_of_runs_has_their_rows_and_zeros_for_the_others():
-    runs = [run(seed=seed, samples=20) for seed in range(48)]
+    runs = [run(seed=seed, samples=20) for seed in range(24)]
     state = begin(set_up(Decay(), runs, start={"decay": 1.5}))
     whole = evaluate(state, state.coordinate)
     part = evaluate(state, state.coordinate, sample=True)
-    rows, some = (np.asarray(each.residual).reshape(48, 20) for each in (whole, part))
+    rows, some = (np.asarray(each.residual).reshape(24, 20) for each in (whole, part))
     evaluated = np.any(some != 0, axis=1)
     assert np.count_nonzero(evaluated) == 3
     np.testing.assert_array_equal(some[evaluated], rows[evaluated])

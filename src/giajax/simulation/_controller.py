@@ -140,7 +140,7 @@ class _Careful(diffrax.AbstractAdaptiveStepSizeController):
         # as exact as the motion: an oscillation of size 1 would ask for about this.
         tolerance = jnp.maximum(self.rtol, self.atol)
         exact = 25 * tolerance ** (1 / error_order) * self.slowness
-        resting = jnp.all(jnp.abs(y_error) <= 1e-5 * tolerance)  # rounding
+        resting = jnp.all(jnp.abs(y_error) <= 1e-5 * tolerance)  # but for rounding
         longest = jnp.where(resting, jnp.minimum(exact, self.longest), self.longest)
         next_t1 = jnp.minimum(next_t1, next_t0 + longest)
         # Steps from bend to bend have their bends at the same places however the last bits of the
