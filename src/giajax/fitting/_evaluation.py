@@ -13,7 +13,7 @@ import numpy as np
 
 from .._shares import Batch, dealt, on_all_cores
 from .._typing import Array, Float
-from ._prepared import in_a_share
+from ._prepared import in_a_sample, in_a_share
 from ._problem import Prediction, Problem
 from ._programs import (
     Stepped,
@@ -108,7 +108,9 @@ def _of_runs(
         length = in_a_share(len(measured))
         runs = dataclasses.replace(group, members=(), first=0, shared=())
         items = whole[group.columns()], runs
-        places.append((place := dealt(measured, length)[0], len(measured)))
+        # Those that tell most, as few as check a derivative.
+        place = np.concatenate(dealt(measured, 1)[: in_a_sample(len(measured))])
+        places.append((place, len(measured)))
         if sample:
             items = jax.tree.map(lambda leaf, at=place: np.asarray(leaf)[at], items)
             measured = measured[place]

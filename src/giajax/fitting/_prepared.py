@@ -28,7 +28,12 @@ def in_a_share(count: int) -> int:
     over; few, so that no core waits for another's last ones. It does not depend on the machine, so
     that programs are the same everywhere.
     """
-    return next(n for n in (4, 3, 2, 1) if n == 1 or (count % n == 0 and count >= 8 * n))
+    return next(n for n in (4, 3, 2, 1) if n == 1 or (count % n == 0 and count >= 16 * n))
+
+
+def in_a_sample(count: int) -> int:
+    """How many of some runs that share a program say whether its derivatives are right."""
+    return min(4, max(1, count // 8))
 
 
 def prepared_with(model: AbstractModel, run: Run, own: Mapping[str, float]) -> Any:
