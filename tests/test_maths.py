@@ -80,7 +80,8 @@ def test_a_factor_and_a_solution_come_out_of_one_factorisation(dtype, size):
     matrix = (root @ root.T).astype(dtype)
     for b in random.normal(size=(3, size)) * np.array([[1.0], [1e6], [1e-6]]):
         lower = jnp.asarray(np.tril(matrix))
-        factor, solution = _maths.factor_and_solve(lower, jnp.asarray(b, dtype))
+        factor, half = _maths.factor_with_rows(lower, jnp.asarray(b, dtype)[None])
+        solution = _maths.solve_upper(factor, half.T)[:, 0]
         assert factor.dtype == solution.dtype == dtype
         rounding = 200 * size * np.finfo(dtype).eps
         assert_allclose(factor @ factor.T, matrix, rtol=0, atol=rounding * np.abs(matrix).max())
@@ -89,7 +90,7 @@ def test_a_factor_and_a_solution_come_out_of_one_factorisation(dtype, size):
 
 
 def test_what_has_no_factor_has_no_solution():
-    factor, solution = _maths.factor_and_solve(-jnp.eye(3), jnp.ones(3))
+    factor, half = _maths.factor_with_rows(-jnp.eye(3), jnp.ones((1, 3)))
     assert np.all(np.isnan(factor[np.tril_indices(3)]))
-    assert np.all(np.isnan(solution))
-    assert np.all(np.isnan(_maths.factor_and_solve(jnp.eye(3), jnp.full(3, jnp.nan))[1]))
+    assert np.all(np.isnan(half))
+    assert np.all(np.isnan(_maths.factor_with_rows(jnp.eye(3), jnp.full((1, 3), jnp.nan))[1]))

@@ -5,11 +5,11 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 
-from .._maths import factor_and_solve, solve_factored
 from .._typing import Array, Float
 from ._air import Flow, Wind, flow
 from ._arm import Arm
-from ._inertia import carried_inertia, mass_matrix_upper
+from ._elimination import Piece, eliminate_and_solve, solve_eliminated
+from ._inertia import carried_inertia, motion_and_momentum
 from ._kinematics import Pose, pose, sum_from_tip
 from ._load import carried_load, load_torque, required_torque
 from ._touch import touch
@@ -117,19 +117,19 @@ def forward_dynamics(
 
 @eqx.filter_custom_jvp
 def _accelerations(arm: Arm, angles: Array, rates: Array, torques: Array, wind: Flow) -> Array:
-    return _factor_and_solve(arm, pose(arm, angles), rates, torques, wind)[1]
+    return _eliminate_and_solve(arm, pose(arm, angles), rates, torques, wind)[1]
 
 
 @_accelerations.def_jvp
 def _accelerations_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Array, Array]:
-    """Differentiate M a + h = tau at fixed a, and reuse the factor of M.
+    """Differentiate M a + h = tau at fixed a, and reuse the factors of M.
 
     Differentiating the Cholesky factorisation itself costs twice as much.
     """
     arm, angles, rates, torques, wind = primals
     t_arm, t_angles, t_rates, t_torques, t_wind = tangents
     here, t_here = eqx.filter_jvp(pose, (arm, angles), (t_arm, t_angles))
-    factor, accelerations = _factor_and_solve(arm, here, rates, torques, wind)
+    pieces, accelerations = _eliminate_and_solve(arm, here, rates, torques, wind)
 
     def unbalanced(arm: Arm, here: Pose, rates: Array, torques: Array, wind: Flow) -> Array:
         return torques - required_torque(arm, here, rates, accelerations, wind)
@@ -139,14 +139,14 @@ def _accelerations_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> t
         (arm, here, rates, torques, wind),
         (t_arm, t_here, t_rates, t_torques, t_wind),
     )
-    return accelerations, solve_factored(factor, tangent)
+    return accelerations, solve_eliminated(pieces, tangent)
 
 
-def _factor_and_solve(
+def _eliminate_and_solve(
     arm: Arm, here: Pose, rates: Array, torques: Array, wind: Flow
-) -> tuple[Array, Array]:
+) -> tuple[tuple[Piece, ...], Array]:
     load, inertia = carried_load(arm, here, rates, None, wind), carried_inertia(arm, here)
     carried = sum_from_tip(jnp.concatenate([load, inertia]))
-    # LAPACK reads the lower triangle only, so the upper one need not be copied there.
-    matrix = mass_matrix_upper(arm, here, carried[6:]).T
-    return factor_and_solve(matrix, torques - load_torque(here, carried[:6]))
+    motion, momentum = motion_and_momentum(arm, here, carried[6:])
+    torque = torques - load_torque(here, carried[:6])
+    return eliminate_and_solve(motion, momentum, arm.joints.armature, torque)

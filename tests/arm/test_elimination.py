@@ -1,0 +1,82 @@
+"""Accelerations of arms so long that their joints are eliminated in several pieces."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import giajax.parameters
+from giajax.arm import acceleration, forward_dynamics, inverse_dynamics, mass_matrix
+from giajax.arm._elimination import eliminate_and_solve, solve_eliminated
+from giajax.arm._inertia import carried_inertia, motion_and_momentum
+from giajax.arm._kinematics import pose, sum_from_tip
+from peers.arms import driven_arm, full_arm, general_arm, random_states
+
+# One piece, two, and four.
+LINKS = [48, 49, 130, 160]
+
+
+def factors(arm, angles):
+    here = pose(arm, angles)
+    return motion_and_momentum(arm, here, sum_from_tip(carried_inertia(arm, here)))
+
+
+def states(links, seed=0):
+    return {name: value[0] for name, value in random_states(links, 1, seed=seed).items()}
+
+
+@pytest.mark.parametrize("links", LINKS)
+@pytest.mark.parametrize("armature", [None, "one", "each"])
+def test_pieces_solve_with_the_whole_mass_matrix(links, armature):
+    random = np.random.default_rng(links)
+    arm, _ = driven_arm(links)
+    angles = jnp.asarray(random.normal(size=links) * 0.1)
+    torques = jnp.asarray(random.normal(size=(2, links)))
+    more = {None: None, "one": 0.3, "each": random.uniform(0.1, 1.0, links)}[armature]
+    matrix = np.asarray(mass_matrix(arm, angles))
+    if more is not None:
+        matrix = matrix + np.diag(np.broadcast_to(more, links))
+        more = jnp.asarray(more)
+    pieces, solution = jax.jit(eliminate_and_solve)(*factors(arm, angles), more, torques[0])
+    assert len(pieces) == -(-links // 48)
+    another = solve_eliminated(pieces, torques[1])
+    for torque, found in zip(torques, (solution, another), strict=True):
+        # As exactly as a solution that is stable backwards.
+        rounding = np.finfo(float).eps * np.abs(matrix).sum(axis=1).max() * np.abs(found).max()
+        assert_allclose(matrix @ found, torque, rtol=0, atol=4 * rounding)
+
+
+@pytest.mark.parametrize("make", [general_arm, full_arm])
+def test_inverse_dynamics_undoes_forward_dynamics_of_a_long_arm(make):
+    arm, state = make(100), states(100)
+    torques = state["command"]
+    options = state["angles"], state["rates"]
+    back = inverse_dynamics(arm, *options, forward_dynamics(arm, *options, torques))
+    assert_allclose(back, torques, atol=1e-8)
+
+
+@pytest.mark.parametrize("transform", [jax.jacfwd, jax.jacrev])
+def test_derivatives_of_a_long_arm_are_its_differences(transform):
+    arm, _ = driven_arm(60)
+    state = states(60)
+    paths = ("air.drag_coefficient", "joints.pitch_stiffness", "joints.damping")
+
+    def accelerations(values):
+        changed = giajax.parameters.replace(arm, dict(zip(paths, values, strict=True)))
+        return acceleration(changed, state["angles"], state["rates"], state["command"])
+
+    at = jnp.asarray([1.2, 3.0, 0.05])
+    slopes = jax.jit(transform(accelerations))(at)
+    ahead = jax.jit(jax.vmap(accelerations))
+    step = np.diag(1e-3 * at)
+    # Accelerations are straight in all three.
+    by_difference = (ahead(at[None] + step) - ahead(at[None] - step)).T / (2 * np.diag(step))[None]
+    assert_allclose(slopes, by_difference, rtol=1e-6, atol=1e-6 * np.abs(slopes).max())
+
+
+def test_what_no_inertia_has_fails_in_every_joint():
+    arm, _ = driven_arm(100)
+    motion, momentum = factors(arm, jnp.zeros(100))
+    _, solution = eliminate_and_solve(motion, -momentum, None, jnp.ones(100))
+    assert np.all(np.isnan(solution))
