@@ -1,0 +1,114 @@
+"""One evaluation of the accelerations by the number of links, up to 160: at most 110 us.
+
+Beside another checkout of giajax the two take turns, each in processes of their own, and the least
+of each counts. The limit was set where d753237 took 243 us: beside it, 160 links are to take at
+most 110 / 243 of its time, whatever the machine and the hour; the exit status says whether they do.
+
+    python -m benchmarks.links [--quick] [--beside CHECKOUT] [--out FILE]
+"""
+
+import functools
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from benchmarks.measuring import RESULTS, command_line, fastest, store
+from giajax.arm import Arm, acceleration
+from peers.arms import driven_arm, random_states
+
+try:
+    from giajax._program import program
+except ImportError:  # Of the first versions, which have no options of XLA.
+    program: Callable[..., Any] = jax.jit  # type: ignore[no-redef]
+
+ROOT = Path(__file__).resolve().parents[1]
+MOST_MICROSECONDS, MOST_BESIDE = 110.0, 110 / 243
+LONGEST = "160"
+
+
+def by_links(quick: bool) -> dict[str, float]:
+    """Microseconds of one evaluation, by the number of links."""
+    counts, times = ((3, 6), 10) if quick else ((20, 40, 80, 160), 500)
+    found = {}
+    for links in counts:
+        arm, _ = driven_arm(links)
+        state = {name: value[0] for name, value in random_states(links, 1).items()}
+        taken = fastest(functools.partial(_evaluated, arm, state, times), 7)
+        found[str(links)] = 1e6 * taken / times
+    return found
+
+
+def _evaluated(arm: Arm, state: dict[str, Any], count: int) -> None:
+    """So many evaluations, each of which needs the one before."""
+    jax.block_until_ready(_again(arm, state, np.asarray(count)))
+
+
+@program
+def _again(arm: Arm, state: dict[str, Any], count: Any) -> Any:
+    def again(_: Any, angles: Any) -> Any:
+        return angles + 1e-9 * acceleration(arm, angles, state["rates"], state["command"])
+
+    return jax.lax.fori_loop(0, count, again, state["angles"])
+
+
+def alone(checkout: Path, quick: bool) -> dict[str, float]:
+    """`by_links` in a process of its own, by the source of a checkout."""
+    command = [sys.executable, "-m", "benchmarks.links", "here", *(["--quick"] if quick else [])]
+    # One thread, as the command line has: two take twice as long over the matrices of 160 links.
+    environment = {
+        **os.environ,
+        "OPENBLAS_NUM_THREADS": "1",
+        "PYTHONPATH": os.pathsep.join(
+            filter(None, [str(checkout / "src"), os.environ.get("PYTHONPATH")])
+        ),
+    }
+    ended = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=environment)
+    if ended.returncode:
+        raise SystemExit(f"{checkout} ended with {ended.returncode}: {ended.stderr[-500:]}")
+    return dict(json.loads(ended.stdout.splitlines()[-1]))
+
+
+def measure(checkouts: dict[str, Path], quick: bool) -> dict[str, dict[str, float]]:
+    """Least microseconds of each checkout by the number of links, in turns."""
+    turns = [
+        {name: alone(path, quick) for name, path in checkouts.items()}
+        for _ in range(1 if quick else 3)
+    ]
+    return {
+        name: {links: min(turn[name][links] for turn in turns) for links in turns[0][name]}
+        for name in checkouts
+    }
+
+
+def main() -> int:
+    """Measure, print, store, and say by the exit status whether the limit is held."""
+    jax.config.update("jax_enable_x64", True)
+    if sys.argv[1:2] == ["here"]:
+        print(json.dumps(by_links("--quick" in sys.argv)))
+        return 0
+    paths = {"beside": "another checkout of giajax"}
+    options = command_line(__doc__, RESULTS / "links.json", paths=paths)
+    checkouts = {"here": ROOT}
+    if options.beside is not None:
+        checkouts["beside"] = options.beside.resolve()
+    found = measure(checkouts, options.quick)
+    for links, taken in found["here"].items():
+        other = found.get("beside", {}).get(links)
+        ratio = "" if other is None else f", {taken / other:.2f} of the {other:.1f} of the other"
+        print(f"{links} links: {taken:.1f} us{ratio}")
+    store(found, options.out)
+    if options.quick:
+        return 0
+    most = MOST_MICROSECONDS if options.beside is None else MOST_BESIDE * found["beside"][LONGEST]
+    return int(not found["here"][LONGEST] <= most)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
