@@ -13,7 +13,7 @@ from giajax.arm import takeichi_20m
 from giajax.simulation import joint_ramps, simulate
 
 PROGRAM = """
-import json
+import json, sys
 import jax, jax.numpy as jnp, numpy as np
 from giajax.arm import takeichi_20m
 from giajax.parameters import replace
@@ -27,7 +27,7 @@ times = np.linspace(0.0, 5.0, 26)
 def move(vector):
     by_name = dict(zip(["air.drag_coefficient", "joints.damping"], vector[:2]))
     options = {"wind": vector[2:], "steps_for": "derivatives", "throw": False}
-    motion = simulate(replace(arm, by_name), command, times, **options)
+    motion = simulate(replace(arm, by_name), command, times, solver=sys.argv[1], **options)
     return motion.tip, motion.successful
 
 tip, successful = move(jnp.array([1.2, 0.05, 0.0, 0.0, 0.0]))
@@ -42,10 +42,11 @@ print(json.dumps({
 
 
 @pytest.mark.slow
-def test_a_simulation_in_32_bit_is_near_that_in_64_bit():
+@pytest.mark.parametrize("solver", ["tsit5", "springs5"])
+def test_a_simulation_in_32_bit_is_near_that_in_64_bit(solver):
     environment = os.environ | {"JAX_ENABLE_X64": "0", "PYTHONWARNINGS": "error"}
     ended = subprocess.run(
-        [sys.executable, "-c", PROGRAM], capture_output=True, text=True, env=environment
+        [sys.executable, "-c", PROGRAM, solver], capture_output=True, text=True, env=environment
     )
     assert ended.returncode == 0, ended.stderr
     found = json.loads(ended.stdout)
