@@ -8,6 +8,7 @@ Longer than 200 lines because whatever changes a state is read together.
 
 import dataclasses
 import time
+from collections.abc import Iterable
 from typing import Any
 
 import equinox as eqx
@@ -19,7 +20,7 @@ from .._typing import Float
 from ._bijector import Bijector
 from ._configuration import Setup
 from ._evaluation import blank, residuals, stepped
-from ._group import build_groups, own_begun
+from ._group import Group, build_groups, own_begun
 from ._labels import coordinate_paths
 from ._noise import Noise
 from ._priors import Priors
@@ -39,18 +40,20 @@ _LONG_STEP = 0.5
 # With so many rows a step is known to be long before any was timed.
 _MANY_ROWS = 5_000
 
-# Where a fit begins that chooses its tolerance.
-_COARSEST = 1e-5
+# Where a fit begins that chooses its tolerance; of recordings with many rows, which tell more,
+# at the next finer one, because it would only find out that this is too coarse.
+_COARSEST, _COARSEST_OF_MANY = 1e-5, 1e-5 * 0.1**0.5
 
 
 def begin(setup: Setup) -> FitState:
     """The state before anything is evaluated."""
     setup = setup.at_start()
     model, parameters, layout = setup.model, setup.parameters, setup.layout
-    if setup.chooses_tolerance:
-        model = model.with_integration(solver=None, tolerance=setup.suited or _COARSEST)
     noise = Noise.of(setup.runs, setup.noise_model, per_run=setup.noise_per_run)
     groups = build_groups(model, setup.runs, noise, layout)
+    if setup.chooses_tolerance:
+        coarsest = _COARSEST_OF_MANY if _have_many_rows(groups) else _COARSEST
+        model = model.with_integration(solver=None, tolerance=setup.suited or coarsest)
     own = own_begun(groups, setup.runs, setup.own)
     # Each value of a parameter, of which there is one for all runs or one for each group of them.
     each = [p for p, places in zip(parameters, layout.places, strict=True) for _ in places]
@@ -214,4 +217,8 @@ def residuals_at(
 
 def has_many_rows(state: FitState) -> bool:
     """Whether one of the recordings is so long that each evaluation counts."""
-    return any(group.observed.shape[1] > _MANY_ROWS for group in state.problem.groups)
+    return _have_many_rows(state.problem.groups)
+
+
+def _have_many_rows(groups: Iterable[Group]) -> bool:
+    return any(group.observed.shape[1] > _MANY_ROWS for group in groups)
