@@ -19,6 +19,7 @@ from typing import Any
 import jax
 import numpy as np
 
+import giajax
 from benchmarks.measuring import RESULTS, command_line, fastest, store
 from giajax.arm import Arm, acceleration
 from peers.arms import driven_arm, random_states
@@ -72,7 +73,10 @@ def alone(checkout: Path, quick: bool) -> dict[str, float]:
     ended = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=environment)
     if ended.returncode:
         raise SystemExit(f"{checkout} ended with {ended.returncode}: {ended.stderr[-500:]}")
-    return dict(json.loads(ended.stdout.splitlines()[-1]))
+    found = json.loads(ended.stdout.splitlines()[-1])
+    if not Path(found["source"]).is_relative_to(checkout):
+        raise SystemExit(f"{checkout} has no giajax of its own in src")
+    return dict(found["by links"])
 
 
 def measure(checkouts: dict[str, Path], quick: bool) -> dict[str, dict[str, float]]:
@@ -91,7 +95,7 @@ def main() -> int:
     """Measure, print, store, and say by the exit status whether the limit is held."""
     jax.config.update("jax_enable_x64", True)
     if sys.argv[1:2] == ["here"]:
-        print(json.dumps(by_links("--quick" in sys.argv)))
+        print(json.dumps({"source": giajax.__file__, "by links": by_links("--quick" in sys.argv)}))
         return 0
     paths = {"beside": "another checkout of giajax"}
     options = command_line(__doc__, RESULTS / "links.json", paths=paths)

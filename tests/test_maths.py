@@ -73,15 +73,17 @@ def test_no_rotation_still_has_a_derivative(transform):
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize("size", [1, 20, 70])
-def test_a_factor_and_a_solution_come_out_of_one_factorisation(dtype, size):
-    """Also for a large right side, and from the lower triangle alone."""
+@pytest.mark.parametrize("more", [1, 7])
+def test_a_factor_and_a_solution_come_out_of_one_factorisation(dtype, size, more):
+    """Also for a large right side, among others, and from the lower triangle alone."""
     random = np.random.default_rng(0)
     root = random.normal(size=(size, size)) + 2 * np.sqrt(size) * np.eye(size)
     matrix = (root @ root.T).astype(dtype)
     for b in random.normal(size=(3, size)) * np.array([[1.0], [1e6], [1e-6]]):
         lower = jnp.asarray(np.tril(matrix))
-        factor, half = _maths.factor_with_rows(lower, jnp.asarray(b, dtype)[None])
-        solution = _maths.solve_upper(factor, half.T)[:, 0]
+        rows = np.concatenate([random.normal(size=(more - 1, size)), b[None]])
+        factor, half = _maths.factor_with_rows(lower, jnp.asarray(rows, dtype))
+        solution = _maths.solve_upper(factor, half[-1:].T)[:, 0]
         assert factor.dtype == solution.dtype == dtype
         rounding = 200 * size * np.finfo(dtype).eps
         assert_allclose(factor @ factor.T, matrix, rtol=0, atol=rounding * np.abs(matrix).max())

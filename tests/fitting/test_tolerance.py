@@ -133,11 +133,19 @@ def test_many_rows_ask_for_less_and_say_the_same(monkeypatch):
     monkeypatch.setattr("giajax.fitting._transitions._MANY_ROWS", 5)
     many = fit(Approximate(bias=8.0), run(), start=BEGIN)
     assert off(many, few) < 0.005
-    assert many.integration == few.integration
+    # They begin at 3e-6 and 1e-5, which is nearly one step of a root of ten.
+    assert many.integration.tolerance == pytest.approx(few.integration.tolerance, rel=0.06)
     assert (few.tolerance_effect.factor, many.tolerance_effect.factor) == (0.01, 0.1)
     assert few.gradient_check.relative_difference < 1e-6
     assert many.gradient_check.relative_difference < 1e-3
     assert [each.code for each in many.findings] == [each.code for each in few.findings]
+
+
+def test_a_fit_of_many_rows_begins_at_a_finer_tolerance(monkeypatch):
+    few = fit(Approximate(bias=1.0), run(), start=BEGIN)
+    monkeypatch.setattr("giajax.fitting._transitions._MANY_ROWS", 5)
+    many = fit(Approximate(bias=1.0), run(), start=BEGIN)
+    assert (few.integration.tolerance, many.integration.tolerance) == (1e-5, 3e-6)
 
 
 def test_a_refit_and_what_is_held_out_have_a_tolerance_that_suits_them():

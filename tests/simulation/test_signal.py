@@ -155,7 +155,7 @@ def test_rows_of_a_wave_are_no_corners_to_a_tolerance_that_cannot_see_them():
     assert counts[2] == len(ROWS)
 
 
-def test_between_two_corners_a_signal_is_a_cubic_to_within_ten_tolerances():
+def test_between_two_corners_a_signal_is_a_cubic_to_within_twenty_tolerances():
     signal = ramps(ROWS, waving(ROWS) + np.exp(-(((ROWS - 9) / 0.3) ** 2))[:, None])
     times, values = np.asarray(signal.times), np.asarray(signal.values)
     corners = corner_times(signal, 1e-4)
@@ -165,7 +165,7 @@ def test_between_two_corners_a_signal_is_a_cubic_to_within_ten_tolerances():
         if row.sum() > 4:
             x = times[row] - times[row].mean()
             fitted = np.vander(x, 4) @ np.linalg.lstsq(np.vander(x, 4), values[row])[0]
-            assert np.abs(values[row] - fitted).max() <= 1e-3 * np.abs(values).max()
+            assert np.abs(values[row] - fitted).max() <= 2e-3 * np.abs(values).max()
 
 
 @pytest.mark.parametrize(

@@ -97,8 +97,8 @@ def test_the_page_plays_and_hides(show, page):
 
 
 def test_sliders_move_the_arm(page):
-    arm = Posable(ArmModel(giajax.chain(2)), "arm")
-    viewer = Viewer([arm])
+    chain = giajax.chain(2)
+    viewer = Viewer([Posable(ArmModel(chain), "arm")])
     try:
         page.open(viewer.address)
         page.wait("document.querySelectorAll('[role=slider]').length == 2")
@@ -109,7 +109,9 @@ def test_sliders_move_the_arm(page):
                     "Input.dispatchKeyEvent", type=kind, key="ArrowRight", code="ArrowRight",
                     windowsVirtualKeyCode=39,
                 )  # fmt: skip
-        page.wait("document.body.innerText.match(/tip at [0-9.]+, 0.000, 0.0[0-9]*[1-9]/)")
+        # All four, of half a degree each, have come.
+        height = float(np.sum(chain.links.length)) * np.sin(np.deg2rad(2.0))
+        page.wait(f"document.body.innerText.match(/tip at [0-9.]+, 0.000, {height:.3f}/)")
         link = viewer.stages[0].show.scene.lines[0].points[0]
         assert_allclose(np.rad2deg(np.arctan2(link[1, 2], link[1, 0])), 2.0, atol=1e-6)
         assert not page.complaints

@@ -1,12 +1,12 @@
 """Accelerations from the mass matrix, some joints at a time, from the tip to the base.
 
-The matrix is that of products, M[k, j] = a_k . b_j for k <= j, of the motion a and the momentum b
-that go with each joint. Where the joints from some place to the tip are free to follow, what is
-left for those before it is of the same form, with b_j - Q a_j for b_j: Q is the part of the
-composite inertia that follows, and what remains is the articulated one (Featherstone, Rigid Body
-Dynamics Algorithms, ch. 7). Joint by joint that is his algorithm. Here LAPACK eliminates many
-joints at once, as a call of it takes as long as some thousand operations, but not all of a long
-arm, whose matrix takes n^3.
+The matrix is that of products, M[k, j] = a_k . b_j for k <= j, of the motion a = S_k and the
+momentum b = I_j S_j that go with each joint. Where the joints from some place to the tip are free
+to follow, what is left for those before it is of the same form, with b_j - Q a_j for b_j: Q is the
+part of the composite inertia that follows, and what remains is the articulated one (Featherstone,
+Rigid Body Dynamics Algorithms, ch. 7). Joint by joint that is his algorithm. Here LAPACK eliminates
+many joints at once, as a call of it takes as long as some thousand operations, but not all of a
+long arm, whose matrix takes n^3.
 """
 
 import itertools
@@ -53,24 +53,24 @@ def eliminate_and_solve(
     count = len(torque)
     pieces, halves = [], []
     taken: Array | None = None
-    for begin, end in reversed(list(itertools.pairwise(_ends(count)))):
-        a, b, rows = motion[:, begin:end], momentum[:, begin:end], torque[None, begin:end]
+    for begin, end in _from_tip(count):
+        a, b, pull = motion[:, begin:end], momentum[:, begin:end], torque[None, begin:end]
         if taken is not None:
             both = taken @ a
-            b, rows = b - both[:6], rows - both[6:]
+            b, pull = b - both[:6], pull - both[6:]
         # LAPACK reads the lower triangle alone.
         matrix = mass_matrix_upper(a, b).T
         if armature is not None:
             matrix = matrix + jnp.diag(jnp.broadcast_to(armature, (count,))[begin:end])
-        if begin:
-            rows = jnp.concatenate([b, rows])
-        factor, rows = factor_with_rows(matrix, rows)
-        reach = rows[:6] if begin else None
+        # For the first joints there is nobody to follow.
+        rows = jnp.concatenate([b, pull]) if begin else pull
+        factor, solved = factor_with_rows(matrix, rows)
+        reach = solved[:6] if begin else None
         if reach is not None:
-            followed = rows @ reach.T
+            followed = solved @ reach.T
             taken = followed if taken is None else taken + followed
         pieces.append(Piece(a, factor, reach))
-        halves.append(rows[-1][:, None])
+        halves.append(solved[-1][:, None])
     return tuple(pieces), _back(pieces, halves)
 
 
@@ -84,16 +84,15 @@ def solve_eliminated(
         torque: of the joints, N m.
     """
     halves = []
-    pull: Array | None = None
-    ends = reversed(list(itertools.pairwise(_ends(len(torque)))))
-    for piece, (begin, end) in zip(pieces, ends, strict=True):
-        own = torque[begin:end, None]
-        if pull is not None:
-            own = own - piece.motion.T @ pull
-        half = solve_lower(piece.factor, own)
+    taken: Array | None = None
+    for piece, (begin, end) in zip(pieces, _from_tip(len(torque)), strict=True):
+        pull = torque[begin:end, None]
+        if taken is not None:
+            pull = pull - piece.motion.T @ taken
+        half = solve_lower(piece.factor, pull)
         if piece.reach is not None:
             followed = piece.reach @ half
-            pull = followed if pull is None else pull + followed
+            taken = followed if taken is None else taken + followed
         halves.append(half)
     return _back(pieces, halves)
 
@@ -103,7 +102,8 @@ def _back(pieces: Sequence[Piece], halves: Sequence[Array]) -> Array:
     found = []
     carried: Array | None = None
     for piece, half in zip(reversed(pieces), reversed(halves), strict=True):
-        if carried is not None and piece.reach is not None:
+        if carried is not None:
+            assert piece.reach is not None
             half = half - piece.reach.T @ carried
         found.append(solve_upper(piece.factor, half))
         if len(found) < len(pieces):
@@ -112,7 +112,8 @@ def _back(pieces: Sequence[Piece], halves: Sequence[Array]) -> Array:
     return jnp.concatenate(found)[:, 0]
 
 
-def _ends(count: int) -> list[int]:
-    """Where pieces of about the same number of joints begin and end."""
+def _from_tip(count: int) -> list[tuple[int, int]]:
+    """Where pieces of about the same number of joints begin and end, the last ones first."""
     pieces = -(-count // _TOGETHER)
-    return [count * each // pieces for each in range(pieces + 1)]
+    ends = [count * each // pieces for each in range(pieces, -1, -1)]
+    return [(begin, end) for end, begin in itertools.pairwise(ends)]

@@ -72,7 +72,11 @@ def mass_matrix_upper(
 
 
 def carried_inertia(arm: Arm, here: Pose) -> Float[Array, "row link"]:
-    """Moments of mass of each link and of the air that it moves, to be summed from the tip."""
+    """Moments of mass of each link and of the air that it moves, to be summed from the tip.
+
+    Three first moments and nine of inertia, as of `_about_origin`; with added mass 36 more rows,
+    6 x 6, of the mass that a link does not move along itself, by its motion about the origin.
+    """
     body, e = bodies(arm), here.direction
     ring = body.axial - body.transverse
     spatial = _about_origin(body.mass, here.mass_centre, e, body.transverse, ring)
@@ -83,6 +87,7 @@ def carried_inertia(arm: Arm, here: Pose) -> Float[Array, "row link"]:
     if rod is not None:
         # A rod that had its mass along itself, too; `motion_and_momentum` takes it away again.
         spatial = spatial + _about_origin(rod.mass, here.centre, e, rod.inertia, -rod.inertia)
+        # Velocity of the link's centre along itself is this times the motion of the link.
         slip = jnp.concatenate([cross(here.centre, e), e])
         along = scaled(rod.mass, slip)[:, None] * slip[None]
         spatial = jnp.concatenate([spatial, along.reshape(36, -1)])

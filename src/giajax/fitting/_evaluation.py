@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable
 import jax
 import numpy as np
 
-from .._shares import Batch, dealt, on_all_cores
+from .._shares import Batch, on_all_cores
 from .._typing import Array, Float
 from ._prepared import in_a_sample, in_a_share
 from ._problem import Prediction, Problem
@@ -109,7 +109,7 @@ def _of_runs(
         runs = dataclasses.replace(group, members=(), first=0, shared=())
         items = whole[group.columns()], runs
         # Those that tell most, as few as check a derivative.
-        place = np.concatenate(dealt(measured, 1)[: in_a_sample(len(measured))])
+        place = np.argsort(-measured, kind="stable")[: in_a_sample(len(measured))]
         places.append((place, len(measured)))
         if sample:
             items = jax.tree.map(lambda leaf, at=place: np.asarray(leaf)[at], items)

@@ -69,8 +69,8 @@ def fit(
         noise_per_run: estimate the noise of a channel in each run by itself, not in all together.
         solver: of the simulation, one of `giajax.SOLVERS`; by default that of the model.
         tolerance: relative and absolute tolerance of the simulation; by default the model's, or
-            where that leaves it open, 1e-5 or as much finer as it takes to move no estimate by
-            a noticeable part of its standard error.
+            where that leaves it open, 1e-5 (3e-6 of more than 5,000 rows) or as much finer as it
+            takes to move no estimate by a noticeable part of its standard error.
         priors: what is known of free parameters before, by path; where one has no start, the
             fit starts there.
         bounds: lower and upper bounds of free parameters, by path, within those that they have.

@@ -25,8 +25,8 @@ def in_a_share(count: int) -> int:
     """How many of some runs that share a program a core takes at once.
 
     Several of many, because to begin costs half a millisecond; a divisor, so that none is left
-    over; few, so that no core waits for another's last ones. It does not depend on the machine, so
-    that programs are the same everywhere.
+    over; few, so that no core waits for another's last ones: there are at least 16 shares, or as
+    many as runs. It does not depend on the machine, so that programs are the same everywhere.
     """
     return next(n for n in (4, 3, 2, 1) if n == 1 or (count % n == 0 and count >= 16 * n))
 

@@ -40,9 +40,9 @@ _LONG_STEP = 0.5
 # With so many rows a step is known to be long before any was timed.
 _MANY_ROWS = 5_000
 
-# Where a fit begins that chooses its tolerance; of recordings with many rows, which tell more,
-# at the next finer one, because it would only find out that this is too coarse.
-_COARSEST, _COARSEST_OF_MANY = 1e-5, 1e-5 * 0.1**0.5
+# Where a fit begins that chooses its tolerance. Recordings with many rows tell more: a fit of them
+# would only find out, by two evaluations, that the first one is too coarse.
+_COARSEST, _COARSEST_OF_MANY = 1e-5, 3e-6
 
 
 def begin(setup: Setup) -> FitState:
