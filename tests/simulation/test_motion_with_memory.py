@@ -109,7 +109,9 @@ def test_derivatives_are_slopes(solver):
     @jax.jit
     def angles(values):
         own = replace(arm, dict(zip(paths, values, strict=True)))
-        motion = simulate(own, command, times, solver=solver, rtol=1e-8, atol=1e-8, throw=False)
+        # Ten times more loosely the corners, a few bits of which decide what ends at them, leave a
+        # derivative 5 % off.
+        motion = simulate(own, command, times, solver=solver, rtol=1e-9, atol=1e-9, throw=False)
         return motion.angles
 
     found = jax.jit(jax.jacfwd(angles))(start)
@@ -120,7 +122,7 @@ def test_derivatives_are_slopes(solver):
         off = jnp.zeros_like(start).at[index].set(step)
         slope = (angles(start + off) - angles(start - off)) / (2 * step)
         # Differences of a motion with corners are no better.
-        assert_allclose(found[..., index], slope, atol=0.03 * np.max(np.abs(slope)))
+        assert_allclose(found[..., index], slope, atol=0.02 * np.max(np.abs(slope)))
 
 
 @pytest.mark.long
