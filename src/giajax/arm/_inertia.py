@@ -37,7 +37,7 @@ def mass_matrix(arm: Arm, angles: Float[Array, " joint"]) -> Float[Array, "joint
 
 
 def motion_and_momentum(
-    arm: Arm, here: Pose, carried: Float[Array, "row link"]
+    arm: Arm, here: Pose, carried: Float[Array, "12 link"]
 ) -> tuple[Float[Array, "6 joint"], Float[Array, "6 joint"]]:
     """Of each joint's unit rate: the motion S, and the momentum I S of all links that it carries.
 
@@ -50,7 +50,7 @@ def motion_and_momentum(
     """
     rod = added_mass(arm)
     mass = bodies(arm).mass if rod is None else bodies(arm).mass + rod.mass
-    first, inertia = carried[:3], carried[3:12].reshape(3, 3, -1)
+    first, inertia = carried[:3], carried[3:].reshape(3, 3, -1)
     w = here.axis
     v = cross(here.joint, w)  # velocity, at the origin, of a body turning about the joint
     linear = scaled(sum_from_tip(mass[None])[0], v) + cross(w, first)
@@ -58,7 +58,9 @@ def motion_and_momentum(
     motion = jnp.concatenate([w, v])
     momentum = jnp.concatenate([turn + cross(first, v), linear])
     if rod is not None:
-        along = carried[12:].reshape(6, 6, -1)
+        # Velocity of a link's centre along itself is this times the motion of the link.
+        slip = jnp.concatenate([cross(here.centre, here.direction), here.direction])
+        along = sum_from_tip(scaled(rod.mass, slip)[:, None] * slip[None])
         momentum = momentum - jnp.sum(along * motion[None], axis=1)
     return motion, momentum
 
@@ -71,12 +73,8 @@ def mass_matrix_upper(
     return motion[:3].T @ momentum[:3] + motion[3:].T @ momentum[3:]
 
 
-def carried_inertia(arm: Arm, here: Pose) -> Float[Array, "row link"]:
-    """Moments of mass of each link and of the air that it moves, to be summed from the tip.
-
-    Three first moments and nine of inertia, as of `_about_origin`; with added mass 36 more rows,
-    6 x 6, of the mass that a link does not move along itself, by its motion about the origin.
-    """
+def carried_inertia(arm: Arm, here: Pose) -> Float[Array, "12 link"]:
+    """Moments of mass of each link and of the air that it moves, to be summed from the tip."""
     body, e = bodies(arm), here.direction
     ring = body.axial - body.transverse
     spatial = _about_origin(body.mass, here.mass_centre, e, body.transverse, ring)
@@ -87,10 +85,6 @@ def carried_inertia(arm: Arm, here: Pose) -> Float[Array, "row link"]:
     if rod is not None:
         # A rod that had its mass along itself, too; `motion_and_momentum` takes it away again.
         spatial = spatial + _about_origin(rod.mass, here.centre, e, rod.inertia, -rod.inertia)
-        # Velocity of the link's centre along itself is this times the motion of the link.
-        slip = jnp.concatenate([cross(here.centre, e), e])
-        along = scaled(rod.mass, slip)[:, None] * slip[None]
-        spatial = jnp.concatenate([spatial, along.reshape(36, -1)])
     return spatial
 
 

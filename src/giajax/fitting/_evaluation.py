@@ -108,10 +108,10 @@ def _of_runs(
         length = in_a_share(len(measured))
         runs = dataclasses.replace(group, members=(), first=0, shared=())
         items = whole[group.columns()], runs
-        # Those that tell most, as few as check a derivative.
-        place = np.argsort(-measured, kind="stable")[: in_a_sample(len(measured))]
-        places.append((place, len(measured)))
         if sample:
+            # Those that tell most, as few as check a derivative.
+            place = np.argsort(-measured, kind="stable")[: in_a_sample(len(measured))]
+            places.append((place, len(measured)))
             items = jax.tree.map(lambda leaf, at=place: np.asarray(leaf)[at], items)
             measured = measured[place]
         batches.append(Batch(call, items, (common,), measured, length))
