@@ -14,7 +14,6 @@ import os
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -22,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import giajax.parameters
-from benchmarks.measuring import RESULTS, command_line, store
+from benchmarks.measuring import RESULTS, ROOT, command_line, store
 from giajax import (
     FitResult,
     FitTask,
@@ -38,7 +37,6 @@ from giajax.arm import Arm
 from giajax.simulation import Signal, simulate
 from peers.arms import driven_arm
 
-ROOT = Path(__file__).resolve().parents[1]
 SHORT, LONG = "base_step", "pitch_yaw"
 PARAMETERS = ("air.drag_coefficient", "joints.pitch_stiffness", "joints.damping")
 LEAST, SAME = 1.6, 1e-6

@@ -11,7 +11,6 @@ and 0.5 for a step; the exit status says whether they are held.
 """
 
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -21,9 +20,15 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.measuring import RESULTS, command_line, store
+from benchmarks.measuring import (
+    RESULTS,
+    ROOT,
+    checkouts_of,
+    command_line,
+    source_of,
+    store,
+)
 
-ROOT = Path(__file__).resolve().parents[1]
 FIT = "fits/base_step.toml"
 STEPS = ("base_step", "pitch_yaw", "wind", "full_air")
 MOST = {"cold": 0.75, "warm": 0.45}
@@ -98,13 +103,7 @@ def fitted(
     Returns:
         Its times in s, what it compiled, and its estimates by path.
     """
-    environment = {
-        **os.environ,
-        "PYTHONPATH": os.pathsep.join(
-            filter(None, [str(checkout / "src"), os.environ.get("PYTHONPATH")])
-        ),
-        "XDG_CACHE_HOME": str(cache),
-    }
+    environment = source_of(checkout) | {"XDG_CACHE_HOME": str(cache)}
     environment.pop("JAX_COMPILATION_CACHE_DIR", None)
     # An installed package has its bytecode.
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -220,9 +219,7 @@ def main() -> int:
     switches = {"steps": "measure a step of four definitions, too"}
     out = RESULTS / "fit_process.json"
     arguments = command_line(__doc__, out, paths=paths, switches=switches)
-    checkouts = {"here": ROOT}
-    if arguments.beside is not None:
-        checkouts["beside"] = arguments.beside.resolve()
+    checkouts = checkouts_of(arguments.beside)
     options = ["--max-iterations", "1", "--no-figures"] if arguments.quick else []
     cold, warm = (1, 1) if arguments.quick else (2, 7)
     found: dict[str, Any] = {"processes": measure(checkouts, cold, warm, options)}

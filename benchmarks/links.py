@@ -9,7 +9,6 @@ most 110 / 243 of its time, whatever the machine and the hour; the exit status s
 
 import functools
 import json
-import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -19,8 +18,15 @@ from typing import Any
 import jax
 import numpy as np
 
-import giajax
-from benchmarks.measuring import RESULTS, command_line, fastest, store
+from benchmarks.measuring import (
+    RESULTS,
+    ROOT,
+    checkouts_of,
+    command_line,
+    fastest,
+    source_of,
+    store,
+)
 from giajax.arm import Arm, acceleration
 from peers.arms import driven_arm, random_states
 
@@ -29,7 +35,6 @@ try:
 except ImportError:  # Of the first versions, which have no options of XLA.
     program: Callable[..., Any] = jax.jit  # type: ignore[no-redef]
 
-ROOT = Path(__file__).resolve().parents[1]
 MOST_MICROSECONDS, MOST_BESIDE = 110.0, 110 / 243
 LONGEST = "160"
 
@@ -63,20 +68,11 @@ def alone(checkout: Path, quick: bool) -> dict[str, float]:
     """`by_links` in a process of its own, by the source of a checkout."""
     command = [sys.executable, "-m", "benchmarks.links", "here", *(["--quick"] if quick else [])]
     # One thread, as the command line has: two take twice as long over the matrices of 160 links.
-    environment = {
-        **os.environ,
-        "OPENBLAS_NUM_THREADS": "1",
-        "PYTHONPATH": os.pathsep.join(
-            filter(None, [str(checkout / "src"), os.environ.get("PYTHONPATH")])
-        ),
-    }
+    environment = source_of(checkout) | {"OPENBLAS_NUM_THREADS": "1"}
     ended = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=environment)
     if ended.returncode:
         raise SystemExit(f"{checkout} ended with {ended.returncode}: {ended.stderr[-500:]}")
-    found = json.loads(ended.stdout.splitlines()[-1])
-    if not Path(found["source"]).is_relative_to(checkout):
-        raise SystemExit(f"{checkout} has no giajax of its own in src")
-    return dict(found["by links"])
+    return dict(json.loads(ended.stdout.splitlines()[-1]))
 
 
 def measure(checkouts: dict[str, Path], quick: bool) -> dict[str, dict[str, float]]:
@@ -95,14 +91,11 @@ def main() -> int:
     """Measure, print, store, and say by the exit status whether the limit is held."""
     jax.config.update("jax_enable_x64", True)
     if sys.argv[1:2] == ["here"]:
-        print(json.dumps({"source": giajax.__file__, "by links": by_links("--quick" in sys.argv)}))
+        print(json.dumps(by_links("--quick" in sys.argv)))
         return 0
     paths = {"beside": "another checkout of giajax"}
     options = command_line(__doc__, RESULTS / "links.json", paths=paths)
-    checkouts = {"here": ROOT}
-    if options.beside is not None:
-        checkouts["beside"] = options.beside.resolve()
-    found = measure(checkouts, options.quick)
+    found = measure(checkouts_of(options.beside), options.quick)
     for links, taken in found["here"].items():
         other = found.get("beside", {}).get(links)
         ratio = "" if other is None else f", {taken / other:.2f} of the {other:.1f} of the other"

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import os
 import statistics
 import time
 from collections.abc import Callable, Mapping
@@ -11,7 +12,8 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-RESULTS = Path(__file__).resolve().parent / "results"
+ROOT = Path(__file__).resolve().parents[1]
+RESULTS = ROOT / "benchmarks" / "results"
 
 
 def command_line(
@@ -43,6 +45,25 @@ def command_line(
     for name, default in numbers.items():
         parser.add_argument(f"--{name}", type=int, default=default)
     return parser.parse_args()
+
+
+def checkouts_of(beside: Path | None) -> dict[str, Path]:
+    """This checkout as "here" and, where one is given, another as "beside".
+
+    Raises:
+        SystemExit: the other has no giajax, so that the installed one would be measured.
+    """
+    if beside is None:
+        return {"here": ROOT}
+    if not (beside / "src" / "giajax").is_dir():
+        raise SystemExit(f"{beside} has no giajax in src: give the root of a checkout")
+    return {"here": ROOT, "beside": beside.resolve()}
+
+
+def source_of(checkout: Path) -> dict[str, str]:
+    """The environment of a process that imports the giajax of a checkout."""
+    paths = filter(None, [str(checkout / "src"), os.environ.get("PYTHONPATH")])
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
 
 
 def fastest(call: Callable[[], object], repeats: int) -> float:

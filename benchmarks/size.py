@@ -14,16 +14,14 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
-from benchmarks.measuring import RESULTS, command_line, store
+from benchmarks.measuring import RESULTS, ROOT, command_line, store
 from giajax import FitResult, Run, fit, model_for, predict
 
-ROOT = Path(__file__).resolve().parents[1]
 START = {"air.drag_coefficient": 0.6, "joints.pitch_stiffness": 2.0, "joints.damping": 0.1}
 MOST_SECONDS, MOST_MEGABYTES = 60.0, 1500.0
 

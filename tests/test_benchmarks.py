@@ -144,6 +144,15 @@ def test_the_benchmark_of_links_runs_beside_another_checkout(tmp_path):
     assert "of the other" in printed
 
 
+@pytest.mark.parametrize("name", ["links", "fit_process"])
+def test_a_folder_without_source_is_not_measured(name, tmp_path):
+    """It would be the installed package that is measured, beside itself."""
+    command = [sys.executable, "-m", f"benchmarks.{name}", "--quick", "--beside", str(tmp_path)]
+    ended = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+    assert ended.returncode == 1
+    assert ended.stderr.splitlines()[-1].startswith(f"{tmp_path} has no giajax in src")
+
+
 @pytest.mark.long
 def test_the_benchmark_of_cores_runs(tmp_path):
     out = tmp_path / "cores.json"
