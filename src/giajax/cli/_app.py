@@ -1,4 +1,4 @@
-"""The commands of `giajax`, one line each.
+"""The commands of `giajax`.
 
 A command lives in its own file and imports what is heavy inside its function: `giajax --help`
 and `giajax check` start without JAX.
@@ -10,39 +10,8 @@ from typing import Annotated
 
 import typer
 
-from . import (
-    _bootstrap,
-    _cache,
-    _check,
-    _choose,
-    _compare,
-    _compensate,
-    _design,
-    _drive,
-    _examples,
-    _fill,
-    _fit,
-    _hysteresis,
-    _import,
-    _influence,
-    _init,
-    _joint,
-    _mission,
-    _paper,
-    _parameters,
-    _posterior,
-    _predict,
-    _profile,
-    _report,
-    _sensitivity,
-    _simulate,
-    _suspects,
-    _sweep,
-    _synth,
-    _view,
-    _wind,
-)
 from ._errors import Commands, run
+from ._registry import COMMANDS
 from ._words import command_of
 
 _EXAMPLES = """\b
@@ -96,39 +65,16 @@ Examples:
 A run is a CSV file with one column a channel (time_s, joint01_command_deg,
 link06_z_m, ...) and, beside it, an optional sidecar of the same name ending .toml."""
 
-# In the order of the help. A function's first sentence is its line there.
-_COMMANDS: tuple[tuple[Callable[..., None], str], ...] = (
-    (_check.check, _check.EXAMPLES),
-    (_fit.fit, _fit.EXAMPLES),
-    (_bootstrap.bootstrap, _bootstrap.EXAMPLES),
-    (_choose.choose, _choose.EXAMPLES),
-    (_compare.compare, _compare.EXAMPLES),
-    (_compensate.compensate, _compensate.EXAMPLES),
-    (_design.design, _design.EXAMPLES),
-    (_drive.drive, _drive.EXAMPLES),
-    (_fill.fill, _fill.EXAMPLES),
-    (_hysteresis.hysteresis, _hysteresis.EXAMPLES),
-    (_import.import_, _import.EXAMPLES),
-    (_influence.influence, _influence.EXAMPLES),
-    (_init.init, _init.EXAMPLES),
-    (_joint.joint, _joint.EXAMPLES),
-    (_mission.mission, _mission.EXAMPLES),
-    (_paper.paper, _paper.EXAMPLES),
-    (_parameters.parameters, _parameters.EXAMPLES),
-    (_posterior.posterior, _posterior.EXAMPLES),
-    (_predict.predict, _predict.EXAMPLES),
-    (_profile.profile, _profile.EXAMPLES),
-    (_report.report, _report.EXAMPLES),
-    (_sensitivity.sensitivity, _sensitivity.EXAMPLES),
-    (_simulate.simulate, _simulate.EXAMPLES),
-    (_suspects.suspects, _suspects.EXAMPLES),
-    (_sweep.sweep, _sweep.EXAMPLES),
-    (_synth.synth, _synth.EXAMPLES),
-    (_view.view, _view.EXAMPLES),
-    (_wind.wind, _wind.EXAMPLES),
-    (_examples.examples, _examples.EXAMPLES),
-    (_cache.cache, _cache.EXAMPLES),
-)
+# Of the help: the commands of a first day, then by name.
+_FIRST, _LAST = ("check", "fit"), ("examples", "cache")
+
+
+def _order(name: str) -> tuple[int, str]:
+    """Where a command stands in the help."""
+    if name in _FIRST:
+        return _FIRST.index(name), ""
+    return len(_FIRST) + (name in _LAST) + (name == "cache"), name
+
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -159,16 +105,11 @@ def _app_for(words: Sequence[str]) -> typer.Typer:
         pretty_exceptions_enable=False,
     )
     app.callback(invoke_without_command=True)(_giajax)
-    for function, examples in _COMMANDS:
-        name = _named(function)
+    for name in sorted(COMMANDS, key=_order):
+        function, examples = COMMANDS[name]
         full = function if name in words else _without_options(function)
         app.command(name, epilog=examples, cls=command_of(full))(full)
     return app
-
-
-def _named(function: Callable[..., None]) -> str:
-    # `import` is a word of Python: its function is called import_.
-    return function.__name__.rstrip("_")
 
 
 def _without_options(function: Callable[..., None]) -> Callable[..., None]:

@@ -9,6 +9,7 @@ import typer
 from .._errors import InputError
 from ._many import ManyProgress, Scheduler, Workers, end_if_stopped
 from ._options import Renamed
+from ._registry import command
 
 if TYPE_CHECKING:
     from ..fitting import FitResult
@@ -18,7 +19,8 @@ if TYPE_CHECKING:
 # Repetitions of a self-test: the spread within 7 %, in about a minute for a fit of some seconds.
 _SELF_TEST = 96
 
-EXAMPLES = """\b
+
+@command("""\b
 Examples:
   giajax bootstrap giajax-out/run
   giajax bootstrap giajax-out/run --size 400 --workers 2
@@ -29,9 +31,7 @@ Examples:
 RESULT is the folder of a fit, or its result.json. The runs are read again from
 where they were. Writes bootstrap.json and bootstrap.png beside the result, where
 giajax report finds them. Ctrl-C keeps what was done; with --folder DIR the same
-command and --force go on from there."""
-
-
+command and --force go on from there.""")
 def bootstrap(
     result: Annotated[Path, typer.Argument(metavar="RESULT", help="A fit; see below.")],
     size: Annotated[int, typer.Option(metavar="N", min=2, help="Repetitions.")] = 200,

@@ -4,13 +4,13 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from ._registry import command
 
-EXAMPLES = """\b
+
+@command("""\b
 Examples:
   giajax cache              where it is, how many programs it holds, and their size
-  giajax cache --clear      removes them; the next fit traces and compiles again"""
-
-
+  giajax cache --clear      removes them; the next fit traces and compiles again""")
 def cache(
     clear: Annotated[bool, typer.Option("--clear", help="Remove what is there.")] = False,
 ) -> None:

@@ -6,14 +6,14 @@ from typing import Annotated, Any
 import typer
 
 from ._options import Renamed
+from ._registry import command
 
-EXAMPLES = """\b
+
+@command("""\b
 Examples:
   giajax check run.csv
   giajax check camera.csv --rename t=time_s --rename "z 6"=link06_z_m
-  giajax check run.csv --json"""
-
-
+  giajax check run.csv --json""")
 def check(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="The run, a .csv or .parquet file.")],
     rename: Renamed = None,

@@ -6,8 +6,13 @@ from typing import Annotated
 import typer
 
 from ._options import Renamed
+from ._registry import command
 
-EXAMPLES = """\b
+
+_ENDS = {"not_converged": "NOT CONVERGED"}
+
+
+@command("""\b
 Examples:
   giajax choose --data loops.csv
   giajax choose --data loops.csv --held-out other.csv
@@ -16,11 +21,7 @@ Examples:
 The best model on the held-out loops comes first; fits that did not converge come last,
 whatever their errors. AIC and BIC are of the fitted part, each less
 that of the best; a large difference on the held-out part and a small one here means a model that
-describes what it saw and no more."""
-
-_ENDS = {"not_converged": "NOT CONVERGED"}
-
-
+describes what it saw and no more.""")
 def choose(
     data: Annotated[
         list[Path], typer.Option(metavar="RUN.csv", help="A run to fit to. Repeatable.")

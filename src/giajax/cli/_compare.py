@@ -4,8 +4,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from ._registry import command
 
-EXAMPLES = """\b
+
+@command("""\b
 Examples:
   giajax compare giajax-out/monday giajax-out/tuesday
   giajax compare giajax-out/white giajax-out/correlated --json
@@ -14,9 +16,7 @@ Examples:
 \b
 RESULT is the folder of a fit, or its result.json. Differences are from the first
 result, in joint standard errors. BIC is shown where all were fitted to the same
-values with the same noise and loss; where not, a line says so."""
-
-
+values with the same noise and loss; where not, a line says so.""")
 def compare(
     results: Annotated[
         list[Path], typer.Argument(metavar="RESULT...", help="At least two fits; see below.")

@@ -9,17 +9,17 @@ from typing import Annotated
 import typer
 
 from ._options import Renamed
+from ._registry import command
 
-EXAMPLES = """\b
+
+@command("""\b
 Examples:
   giajax fit --data loop.csv --out loop
   giajax compensate --model loop/result.json --target target.csv --out command.csv
   giajax compensate --loop loop.csv --travel 40 --target target.csv --out command.csv
 
 target.csv has one column, the angle (angle_deg) or output that is the target, and the time if
-there is one. What the fitted model predicts for the commands is written beside them."""
-
-
+there is one. What the fitted model predicts for the commands is written beside them.""")
 def compensate(
     target: Annotated[Path, typer.Option(metavar="RUN.csv", help="The target outputs.")],
     out: Annotated[Path, typer.Option(metavar="RUN.csv", help="The commands to write.")],

@@ -16,11 +16,17 @@ from ._channel_names import channel_names
 from ._design_source import source_of
 from ._model import is_result
 from ._values import deviations, noise_section
+from ._registry import command
 
 if TYPE_CHECKING:
     from ..design import Design, Evaluation
 
-EXAMPLES = """\b
+
+_FILES = ("command.csv", "command.toml", "design.json", "design.png")
+_DIGITS = 12
+
+
+@command("""\b
 Examples:
   giajax design giajax-out/run --for air.drag_coefficient --out next
   giajax design --for air.drag_coefficient --joints 1,3 --angle 30 --angle-rate 30
@@ -33,12 +39,7 @@ Examples:
 \b
 SOURCE is the folder of a fit or its result.json, a fit definition, or a TOML file whose
 [arm] states an arm; without it the preset. Writes command.csv, which an operator can
-run, with its sidecar, design.json and design.png."""
-
-_FILES = ("command.csv", "command.toml", "design.json", "design.png")
-_DIGITS = 12
-
-
+run, with its sidecar, design.json and design.png.""")
 def design(
     wanted: Annotated[
         list[str], typer.Option("--for", metavar="PATH", help="A parameter to find. Repeatable.")

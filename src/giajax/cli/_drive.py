@@ -19,8 +19,10 @@ from ._driving import (
 )
 from ._origin import origin
 from ._values import noise_section, settings, with_settings
+from ._registry import command
 
-EXAMPLES = """\b
+
+@command("""\b
 Examples:
   giajax drive                          the paper's arm, in a browser
   giajax drive giajax-out/run           the arm of a fit
@@ -44,9 +46,7 @@ giajax fit reads. A pad file says what sticks and buttons do:
 
 \b
 A table of a pad has the columns time_s, axis0, axis1, ..., button0, ...; a row
-holds until the next one."""
-
-
+holds until the next one.""")
 def drive(
     context: typer.Context,
     what: Annotated[Path | None, typer.Argument(metavar="WHAT", help="See below.")] = None,

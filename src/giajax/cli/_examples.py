@@ -7,12 +7,8 @@ from typing import Annotated
 import typer
 
 from .._errors import InputError
+from ._registry import command
 
-EXAMPLES = """\b
-Examples:
-  giajax examples
-  giajax examples --copy work
-  giajax fit work/fits/base_step.toml"""
 
 _DATA = ("data/synthetic", "data/independent", "data/recorded")
 _FOLDERS = ("fits", "missions", *_DATA)
@@ -21,6 +17,11 @@ _MANY = 5
 _COPIED = (".csv", ".toml", ".md", "")
 
 
+@command("""\b
+Examples:
+  giajax examples
+  giajax examples --copy work
+  giajax fit work/fits/base_step.toml""")
 def examples(
     copy: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Copy them all to this folder.")

@@ -9,11 +9,13 @@ import typer
 
 from .._errors import InputError
 from ._values import settings, with_settings
+from ._registry import command
 
 if TYPE_CHECKING:
     from ..filling import Filled, FillingCurve
 
-EXAMPLES = """\b
+
+@command("""\b
 Examples:
   giajax fill
   giajax fill --out filling
@@ -34,9 +36,7 @@ A definition is a TOML file with an [arm] and a [filling], such as
   supply = "regulator"       # or "flow", or "bottle"
   supply_pressure_bar = 2.0
   port_diameter_mm = 8.0
-  shared = [[1, 2], [3, 4]]  # links that are not welded apart"""
-
-
+  shared = [[1, 2], [3, 4]]  # links that are not welded apart""")
 def fill(
     definition: Annotated[
         Path | None,

@@ -16,8 +16,10 @@ from ._fit_values import bounds as limits, groups, priors, ties
 from ._many import Scheduler, Workers
 from ._options import Cores, Renamed
 from ._values import plain_settings
+from ._registry import command
 
-EXAMPLES = """\b
+
+@command("""\b
 Examples:
   giajax fit --data run.csv
   giajax fit --data run.csv --start air.drag_coefficient=0.8 --loss huber
@@ -49,9 +51,7 @@ far is written). A second Ctrl-C ends at once.
 While it runs, DIR/journal.jsonl has every step. After a crash, Ctrl-C or the
 end of a budget, --resume DIR goes on from there to the same numbers.
 With --workers or --scheduler other processes fit the starts after the first
-that converges."""
-
-
+that converges.""")
 def fit(
     definition: Annotated[
         Path | None,

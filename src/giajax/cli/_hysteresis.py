@@ -5,8 +5,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from ._registry import command
 
-EXAMPLES = """\b
+
+@command("""\b
 Examples:
   giajax hysteresis --out fig12
   giajax hysteresis --out fig12 --travel 20 --force
@@ -14,9 +16,7 @@ Examples:
   giajax compensate --model fig12/result.json --target target.csv --out command.csv
 
 The folder gets fig12.png, its numbers in fig12.csv, errors.csv, the recording that both
-compensations were made from, and the fit of the inverse one."""
-
-
+compensations were made from, and the fit of the inverse one.""")
 def hysteresis(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the files go.")],
     travel: Annotated[

@@ -4,16 +4,16 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from ._registry import command
 
-EXAMPLES = """\b
+
+@command("""\b
 Examples:
   giajax import filmDLC_resnet50.csv --rate 60 --camera side --out run.csv \\
          --point elbow=link03 --point tip=tip --commands log.csv
   giajax import trajectories.csv --kinovea-origin 0,1079 --camera side --out run.csv \\
          --point "Marker 1"=link03
-Then: giajax init run.csv, which offers the camera's section, and giajax fit --data run.csv."""
-
-
+Then: giajax init run.csv, which offers the camera's section, and giajax fit --data run.csv.""")
 def import_(
     tracked: Annotated[
         Path, typer.Argument(metavar="FILE", help="A CSV file of DeepLabCut or of Kinovea.")

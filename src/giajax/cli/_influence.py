@@ -8,8 +8,10 @@ import typer
 from .._errors import InputError
 from ._many import ManyProgress, Scheduler, Workers, end_if_stopped
 from ._options import Renamed
+from ._registry import command
 
-EXAMPLES = """\b
+
+@command("""\b
 Examples:
   giajax influence giajax-out/run
   giajax influence giajax-out/both --exact --workers 2
@@ -18,9 +20,7 @@ Examples:
 \b
 RESULT is the folder of a fit, or its result.json. The runs are read again from
 where they were. Writes influence.json and influence.png beside the result, where
-giajax report finds them."""
-
-
+giajax report finds them.""")
 def influence(
     result: Annotated[Path, typer.Argument(metavar="RESULT", help="A fit; see below.")],
     exact: Annotated[

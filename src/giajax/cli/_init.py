@@ -6,12 +6,12 @@ from typing import Annotated
 import typer
 
 from ._options import Renamed
+from ._registry import command
 
-EXAMPLES = """\b
+
+@command("""\b
 Example:
-  giajax init run.csv       writes run.toml; then edit it, and: giajax check run.csv"""
-
-
+  giajax init run.csv       writes run.toml; then edit it, and: giajax check run.csv""")
 def init(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="The run, a .csv or .parquet file.")],
     rename: Renamed = None,

@@ -8,11 +8,16 @@ import typer
 
 from .._errors import InputError
 from ._values import Values, settings, with_settings
+from ._registry import command
 
 if TYPE_CHECKING:
     from ..runs import Definition
 
-EXAMPLES = """\b
+
+_ANGLES = (60.0, 30.0, 10.0, 2.0, -2.0, -10.0, -30.0, -60.0)
+
+
+@command("""\b
 Examples:
   giajax joint --out joint
   giajax joint --out joint --torque 0.5 --angle 45 --angle 0 --angle -45
@@ -27,11 +32,7 @@ It writes
   joint.png, points.csv   the joint itself at a few angles, and its lettered points
   equilibria.png, .csv    where the pressures for an angle hold the joint, and how stiffly
 
-A definition is a TOML file with [joint] and [muscle] sections, such as the sidecar of a run."""
-
-_ANGLES = (60.0, 30.0, 10.0, 2.0, -2.0, -10.0, -30.0, -60.0)
-
-
+A definition is a TOML file with [joint] and [muscle] sections, such as the sidecar of a run.""")
 def joint(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for pictures and numbers.")],
     definition: Annotated[

@@ -12,8 +12,14 @@ from .._errors import InputError
 from ._flown import show, tell, tell_cases
 from ._origin import origin
 from ._values import settings, with_settings
+from ._registry import command
 
-EXAMPLES = """\b
+
+_RUN = ("run.csv", "run.toml")
+_SPEEDS = "0,0.05,0.1,0.15,0.2,0.25,0.3"
+
+
+@command("""\b
 Examples:
   giajax mission missions/naraha.toml
   giajax mission missions/naraha.toml --speed 0.3 --seed 4 --out flown
@@ -39,12 +45,7 @@ The file is that of an arm with [[arm.obstacles]], a [camera.NAME] at its tip, a
   latency_s = 0.4
   approach = {joints = [1, 3], angles_deg = [-20.0, -30.0]}
   [mission.spread]            # of --cases, by parameter
-  "joints.damping" = 0.5"""
-
-_RUN = ("run.csv", "run.toml")
-_SPEEDS = "0,0.05,0.1,0.15,0.2,0.25,0.3"
-
-
+  "joints.damping" = 0.5""")
 def mission(
     context: typer.Context,
     file: Annotated[Path, typer.Argument(metavar="FILE.toml", help="The mission.")],

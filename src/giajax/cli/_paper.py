@@ -9,6 +9,7 @@ import typer
 from .._errors import InputError
 from .._signals import is_stopped, stopped_status
 from ._errors import Ended
+from ._registry import command
 
 # As `giajax.paper` has them, which would import JAX for a help text.
 NAMES = ("fig5", "fig6", "fig9", "fig10", "fig12", "fig19", "table3")
@@ -16,7 +17,8 @@ _ALL = "all"
 INVERSE = "table3_inverse"
 _PAGE = "index.html"
 
-EXAMPLES = """\b
+
+@command("""\b
 Examples:
   giajax paper fig5 --out paper
   giajax paper all --out paper          everything, and index.html; once more after it was
@@ -35,9 +37,7 @@ NAME is
             --inverse arms for which it would be as the paper prints it (many minutes)
 
 Each writes NAME.png, NAME.csv and NAME.json, and says what is printed in the paper, assumed, or
-reconstructed."""
-
-
+reconstructed.""")
 def paper(
     name: Annotated[str, typer.Argument(metavar="NAME", help="See below, or 'all'.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for pictures and numbers.")],

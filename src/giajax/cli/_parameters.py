@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from .._errors import InputError
+from ._registry import command
 
 if TYPE_CHECKING:
     from ..parameters import Parameter
@@ -14,7 +15,8 @@ if TYPE_CHECKING:
 # An array of more elements is shown by its range.
 _FEW = 3
 
-EXAMPLES = """\b
+
+@command("""\b
 Examples:
   giajax parameters
   giajax parameters joint.csv
@@ -28,9 +30,7 @@ value: what the preset, the file or the sidecar of the run says, or else the def
 'off': left out of the model, at no cost; --start or --free of a fit switches it on,
 with the value listed.
 An array has one element for each link or joint; links.mass[0] is its first one.
-'assumed': the paper gives no figure, and a fit should find one."""
-
-
+'assumed': the paper gives no figure, and a fit should find one.""")
 def parameters(
     run: Annotated[
         Path | None,

@@ -11,12 +11,17 @@ from .._text import time_in_words
 from ._errors import Ended
 from ._many import Scheduler, Workers
 from ._options import Renamed
+from ._registry import command
 
 if TYPE_CHECKING:
     from ..fitting import FitResult
     from ..study import PosteriorSummary
 
-EXAMPLES = """\b
+
+_BETWEEN_S = 5.0
+
+
+@command("""\b
 Examples:
   giajax posterior giajax-out/run
   giajax posterior giajax-out/run --draws 2000 --workers 4
@@ -27,11 +32,7 @@ Examples:
 RESULT is the folder of a fit, or its result.json. Writes posterior.json, the
 draws for ArviZ (posterior.nc), pictures, and bands of every channel as CSV.
 Each chain has a file in posterior_chains: the same command goes on after Ctrl-C,
-and with more --chains keeps those that are there. Needs pip install 'giajax[posterior]'."""
-
-_BETWEEN_S = 5.0
-
-
+and with more --chains keeps those that are there. Needs pip install 'giajax[posterior]'.""")
 def posterior(
     result: Annotated[Path, typer.Argument(metavar="RESULT", help="A fit; see below.")],
     data: Annotated[

@@ -7,11 +7,13 @@ import typer
 
 from ._model import definition_of, model_of
 from ._options import Renamed
+from ._registry import command
 
 if TYPE_CHECKING:
     from ..runs import Run
 
-EXAMPLES = """\b
+
+@command("""\b
 Examples:
   giajax predict --model giajax-out/run --data other.csv
   giajax predict --model giajax-out/triple_pendulum --against published.toml
@@ -20,9 +22,7 @@ Examples:
 
 \b
 MODEL is the folder of a fit, its result.json, or a TOML file whose [arm] (or
-other section) states a model with all its parameters."""
-
-
+other section) states a model with all its parameters.""")
 def predict(
     model: Annotated[
         Path, typer.Option(metavar="MODEL", help="What predicts; see below.", show_default=False)

@@ -11,12 +11,17 @@ from .._errors import InputError
 from .._signals import stopped_status
 from ._many import ManyProgress, Scheduler, Workers
 from ._options import Renamed
+from ._registry import command
 
 if TYPE_CHECKING:
     from ..fitting import FitResult
     from ..study import Profiles
 
-EXAMPLES = """\b
+
+_PICTURE = "profiles.png"
+
+
+@command("""\b
 Examples:
   giajax profile giajax-out/run
   giajax profile giajax-out/run air.drag_coefficient
@@ -30,11 +35,7 @@ values ever farther from its estimate while all others are fitted; without a
 PATH, all free parameters of the model.
 Writes profiles.json and profiles.png beside the result, where 'giajax report'
 finds them. What is there of the same fit is kept: further paths are added, and
-after Ctrl-C the same command goes on."""
-
-_PICTURE = "profiles.png"
-
-
+after Ctrl-C the same command goes on.""")
 def profile(
     result: Annotated[Path, typer.Argument(metavar="RESULT", help="A fit; see below.")],
     paths: Annotated[

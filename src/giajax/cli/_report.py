@@ -6,8 +6,10 @@ from typing import Annotated
 import typer
 
 from ._options import Renamed
+from ._registry import command
 
-EXAMPLES = """\b
+
+@command("""\b
 Examples:
   giajax report giajax-out/run
   giajax report giajax-out/run --out for_the_group.html
@@ -16,9 +18,7 @@ Examples:
 \b
 RESULT is the folder of a fit, or its result.json. The page is one file that
 opens without a network: the verdict, the parameters, what limits them, recorded
-against fitted values, the arm as it moves, and where all of it comes from."""
-
-
+against fitted values, the arm as it moves, and where all of it comes from.""")
 def report(
     result: Annotated[Path, typer.Argument(metavar="RESULT", help="A fit; see below.")],
     data: Annotated[

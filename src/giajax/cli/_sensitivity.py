@@ -21,6 +21,7 @@ from ._driven import (
     replayed_run,
 )
 from ._values import deviations, noise_section, settings, with_settings
+from ._registry import command
 
 if TYPE_CHECKING:
     import numpy as np
@@ -29,7 +30,16 @@ if TYPE_CHECKING:
     from ..runs import Run
     from ..study import Sensitivity
 
-EXAMPLES = """\b
+
+_RATE = 10.0
+_NOISE = 0.01
+_NOISE_PIXEL = 2.0
+_NOISE_ANGLE = 0.5
+_DEFAULT_RAMP = "1=30"
+_FILES = ("sensitivity.png", "sensitivity.csv", "information.csv")
+
+
+@command("""\b
 Examples:
   giajax sensitivity --parameter air.drag_coefficient --out drag
   giajax sensitivity --parameter air.drag_coefficient --parameter joints.pitch_stiffness
@@ -40,16 +50,7 @@ Examples:
 \b
 Without a run: the base joint to 30 deg within a second, all links filmed.
 Writes sensitivity.png, sensitivity.csv (derivatives over time) and information.csv
-(share of each link, and the standard error with it alone)."""
-
-_RATE = 10.0
-_NOISE = 0.01
-_NOISE_PIXEL = 2.0
-_NOISE_ANGLE = 0.5
-_DEFAULT_RAMP = "1=30"
-_FILES = ("sensitivity.png", "sensitivity.csv", "information.csv")
-
-
+(share of each link, and the standard error with it alone).""")
 def sensitivity(
     parameter: Annotated[
         list[str], typer.Option(metavar="PATH", help="A parameter ('giajax parameters').")

@@ -23,11 +23,13 @@ from ._driven import (
 from ._gusts import gusts_of
 from ._origin import origin
 from ._values import deviations, noise_section
+from ._registry import command
 
 if TYPE_CHECKING:
     from ..runs import Run
 
-EXAMPLES = """\b
+
+@command("""\b
 Examples:
   giajax simulate --out run.csv --ramp 1=30
   giajax simulate --out run.csv --step 1=30@0.5 --step 1=0@10 --missing 10
@@ -40,9 +42,7 @@ Examples:
 \b
 CHANNELS is link06 (its x, y and z), link06_z, tip, joint03_angle, joint03_rate,
 'joints' (all angles) or 'all' (every link). A row is added at each corner of a
-command that no sample falls on."""
-
-
+command that no sample falls on.""")
 def simulate(
     context: typer.Context,
     out: Annotated[Path, typer.Option(metavar="RUN.csv", help="The run to write.")],

@@ -9,12 +9,14 @@ import typer
 
 from ._options import Renamed
 from ._values import plain_settings
+from ._registry import command
 
 if TYPE_CHECKING:
     from ..diagnosis import Ladder, Rung, Suspects
     from ..fitting import FitResult
 
-EXAMPLES = """\b
+
+@command("""\b
 Examples:
   giajax suspects giajax-out/run
   giajax suspects giajax-out/run --ladder
@@ -28,9 +30,7 @@ RESULT is the folder of a fit, or its result.json. The runs are read again from
 where they were. The most promising suspect comes first: what lowers chi-square most.
 --ladder fits the first few, takes the one whose fit has the lowest BIC, asks again,
 and so on, as long as BIC falls: minutes for each step of a long arm, and fewer with
---tries 1, which takes the first one at its word."""
-
-
+--tries 1, which takes the first one at its word.""")
 def suspects(
     result: Annotated[Path, typer.Argument(metavar="RESULT", help="A fit; see below.")],
     data: Annotated[

@@ -7,13 +7,19 @@ import typer
 
 from .._signals import stopped_status
 from ._many import ManyProgress, Scheduler, Workers
+from ._registry import command
 
 if TYPE_CHECKING:
     import polars as pl
 
     from ..sweeping import Plan
 
-EXAMPLES = """\b
+
+_ROWS = 20
+_ENDINGS = ("converged", "not_converged", "failed", "stopped")
+
+
+@command("""\b
 Examples:
   giajax sweep plan.toml --dry-run
   giajax sweep plan.toml --workers 4
@@ -33,12 +39,7 @@ has grown. DIR/sweep.parquet has one row a fit, DIR/fits a file of each.
 
 \b
 Exit status: 0 each fit was done; 1 one could not be (its row says why);
-2 bad input or usage; 130 interrupted, 143 by SIGTERM."""
-
-_ROWS = 20
-_ENDINGS = ("converged", "not_converged", "failed", "stopped")
-
-
+2 bad input or usage; 130 interrupted, 143 by SIGTERM.""")
 def sweep(
     plan: Annotated[Path, typer.Argument(metavar="PLAN.toml", help="What to fit; see below.")],
     out: Annotated[

@@ -8,8 +8,10 @@ import typer
 
 from ._model import definition_of, model_of
 from ._values import deviations, noise_section, settings, with_settings
+from ._registry import command
 
-EXAMPLES = """\b
+
+@command("""\b
 Examples:
   giajax synth run.csv --out new.csv --noise position_m=0.01
   giajax synth run.csv --out new.csv --model giajax-out/run --correlated position_m=0.02
@@ -24,9 +26,7 @@ stands in [truth] of the new sidecar alone, so that a fit has something to find.
 KEY is one of the keys of [noise]: position_m, angle_deg, or a column such as link06_z_mm.
 MODEL is the folder of a fit, its result.json, or a TOML file whose [arm] (or other
 section) states a model with all its parameters.
-'giajax simulate' makes a first run from steps and ramps."""
-
-
+'giajax simulate' makes a first run from steps and ramps.""")
 def synth(
     run: Annotated[Path, typer.Argument(metavar="RUN.csv", help="The run to record again.")],
     out: Annotated[Path, typer.Option(metavar="NEW.csv", help="The run to write.")],

@@ -9,11 +9,13 @@ import typer
 
 from .._errors import InputError
 from ._options import Renamed
+from ._registry import command
 
 if TYPE_CHECKING:
     from ..viewer import Posable, Show
 
-EXAMPLES = """\b
+
+@command("""\b
 Examples:
   giajax view giajax-out/run            a fit: the arm as fitted, and what was seen
   giajax view giajax-out/a giajax-out/b two fits, side by side
@@ -25,9 +27,7 @@ Examples:
 \b
 WHAT is a recorded or simulated run, the folder of a fit (or its result.json), or
 the TOML file of an arm. The page listens on this machine alone unless --host says
-otherwise, and opens only by its whole address, which has a token in it."""
-
-
+otherwise, and opens only by its whole address, which has a token in it.""")
 def view(
     what: Annotated[list[Path], typer.Argument(metavar="WHAT...", help="See below.")],
     data: Annotated[

@@ -11,12 +11,17 @@ from ._gusts import gust_numbers
 from ._model import definition_of, model_of
 from ._options import Renamed
 from ._values import velocity
+from ._registry import command
 
 if TYPE_CHECKING:
     from ..models import ArmModel
     from ..wind import WindFit
 
-EXAMPLES = """\b
+
+_FILES = ("wind.json", "wind.png")
+
+
+@command("""\b
 Examples:
   giajax wind --data resting.csv --wind 0,0.2,0
   giajax wind --data resting.csv --model giajax-out/run --gusts 0.3:5 --out wind
@@ -25,11 +30,7 @@ Examples:
 \b
 MODEL is the folder of a fit, its result.json, or a TOML file whose [arm] states an
 arm; without it the sidecar's is taken. NAME is speed, deviation, length_scale
-(which are free), decay, heading or climb (which are held)."""
-
-_FILES = ("wind.json", "wind.png")
-
-
+(which are free), decay, heading or climb (which are held).""")
 def wind(
     data: Annotated[Path, typer.Option(metavar="RUN.csv", help="A run under constant commands.")],
     model: Annotated[Path | None, typer.Option(metavar="MODEL", help="The arm; see below.")] = None,

@@ -14,7 +14,8 @@ from .._errors import InputError
 from ..quantities import Prior
 from ..runs import Definition, read_runs
 from ._journal import read_journal
-from ._record import differences, plain_of, record_of, unchanged
+from ._record import differences, unchanged
+from ._plain import plain_of, record_of
 from ._settings import Paths, contents_with, paths_of
 from ._stored import check_config, reached_by, repeatable, without
 from ._windows_first import begun

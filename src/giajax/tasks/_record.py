@@ -5,41 +5,15 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from .._errors import InputError
 from .._files import read_bytes
 from .._limits import RUN_BYTES
 from ..runs import Definition, sidecar_path
 
-if TYPE_CHECKING:
-    from ._fit_task import FitTask
-
 # What ends a fit or says where it goes, and not which fit it is.
 _ASIDE = ("out", "budget", "max_iterations")
-
-
-def record_of(task: "FitTask") -> dict[str, Any]:
-    """A task as plain data, with the checksums of its files.
-
-    Raises:
-        InputError: a file cannot be read.
-    """
-    inputs = checksums_of((*task.data, *task.validation), task.source)
-    return {**plain_of(task), "inputs": inputs}
-
-
-def plain_of(task: "FitTask") -> dict[str, Any]:
-    """A task as plain data; nothing is read."""
-    return {
-        "data": [str(path) for path in task.data],
-        "validation": [str(path) for path in task.validation],
-        "rename": dict(task.rename),
-        "source": None if task.source is None else str(task.source),
-        "out": str(task.out),
-        "definition": json.loads(json.dumps(task.definition.contents())),
-        "begin": None if task.begin is None else dict(task.begin),
-    }
 
 
 def checksums_of(files: Sequence[Path], source: Path | None = None) -> dict[str, str | None]:
