@@ -20,9 +20,9 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.measuring import RESULTS, command_line, fastest, store
-from giajax._program import program
-from giajax.arm import Arm, acceleration
-from giajax.parameters import replace
+from giajax.mechanics.arm import Arm, acceleration
+from giajax.runtime.programs import program
+from giajax.schema.parameters import replace
 from giajax.simulation import Signal, simulate
 from peers.arms import driven_arm, random_states
 

@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-import giajax.parameters
+import giajax.schema.parameters
 from benchmarks.measuring import RESULTS, ROOT, command_line, store
 from giajax import (
     FitResult,
@@ -33,7 +33,7 @@ from giajax import (
     predict,
     read_run,
 )
-from giajax.arm import Arm
+from giajax.mechanics.arm import Arm
 from giajax.simulation import Signal, simulate
 from peers.arms import driven_arm
 
@@ -64,7 +64,7 @@ def recordings(name: str, count: int) -> list[Run]:
 
 def tip(values: Any, arm: Arm, command: Signal, times: Any) -> Any:
     """Path of the tip of an arm with other values of `PARAMETERS`."""
-    changed = giajax.parameters.replace(arm, dict(zip(PARAMETERS, values, strict=True)))
+    changed = giajax.schema.parameters.replace(arm, dict(zip(PARAMETERS, values, strict=True)))
     options: dict[str, Any] = {"solver": "springs5", "rtol": 1e-5, "atol": 1e-5, "throw": False}
     return simulate(changed, command, times, **options).tip
 

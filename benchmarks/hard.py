@@ -21,7 +21,7 @@ import numpy as np
 
 from benchmarks.measuring import RESULTS, command_line, store
 from giajax import FitResult, Run, fit, model_for, predict
-from giajax.runs import windows
+from giajax.recordings import windows
 
 MOST_ITERATIONS, MOST_SECONDS = 25, 60.0
 

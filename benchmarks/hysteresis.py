@@ -68,7 +68,7 @@ def measure(method: str, samples: int, thresholds: int, repeats: int) -> dict[st
         jax.config.update("jax_enable_x64", True)
         import jax.numpy as jnp
 
-        from giajax.hysteresis import play
+        from giajax.mechanics.hysteresis import play
 
         u, r = jnp.asarray(inputs), jnp.asarray(widths)
 

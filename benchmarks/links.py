@@ -27,11 +27,11 @@ from benchmarks.measuring import (
     source_of,
     store,
 )
-from giajax.arm import Arm, acceleration
+from giajax.mechanics.arm import Arm, acceleration
 from peers.arms import driven_arm, random_states
 
 try:
-    from giajax._program import program
+    from giajax.runtime.programs import program
 except ImportError:  # Of the first versions, which have no options of XLA.
     program: Callable[..., Any] = jax.jit  # type: ignore[no-redef]
 

@@ -15,7 +15,7 @@ import numpy as np
 from rich.table import Table
 
 from benchmarks.measuring import columns, in_turns, report, spread
-from giajax.arm import Arm, takeichi_20m
+from giajax.mechanics.arm import Arm, takeichi_20m
 from giajax.simulation import Pressures, Trajectory, joint_ramps, logged, simulate
 
 SOLVERS = ("tsit5", "springs5")

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from rich.table import Table
 
 from benchmarks.measuring import columns, in_turns, report, spread
-from giajax.arm import Arm, PointMasses, acceleration, takeichi_20m, takeichi_20m_full
+from giajax.mechanics.arm import Arm, PointMasses, acceleration, takeichi_20m, takeichi_20m_full
 from peers.arms import random_states
 
 

@@ -21,12 +21,12 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.measuring import RESULTS, command_line, store
-from giajax.arm import Arm, takeichi_20m
-from giajax.parameters import replace
-from giajax.report._style import new_figure, plain
+from giajax.mechanics.arm import Arm, takeichi_20m
+from giajax.report import new_figure, plain
+from giajax.schema.parameters import replace
 from giajax.simulation import Signal, constant, simulate
+from giajax.simulation._linearly_implicit import solver as solver_named
 from giajax.simulation._motion import Inputs, motion
-from giajax.simulation._solvers import solver as solver_named
 from peers.arms import driven_arm
 
 STIFFNESSES = (30.0, 300.0, 3000.0)  # N m/rad

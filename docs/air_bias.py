@@ -18,9 +18,9 @@ import jax
 import numpy as np
 
 from giajax import FitResult, Run, fit, read_run, replace, takeichi_20m
-from giajax.arm import Arm
+from giajax.apps.synthetic import synthesise
+from giajax.mechanics.arm import Arm
 from giajax.models import ArmModel, model_for
-from giajax.synthetic import synthesise
 
 ROOT = Path(__file__).resolve().parents[1]
 CALM = read_run(ROOT / "data" / "synthetic" / "full_air.csv")

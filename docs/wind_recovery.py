@@ -16,8 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from giajax import ArmModel, Run, fit_wind, gusts, link_centres, takeichi_20m
-from giajax.synthetic import synthesise
-from giajax.wind import WindFit
+from giajax.apps.synthetic import synthesise
+from giajax.apps.wind import WindFit
 
 PAGE = Path(__file__).with_name("wind.md")
 BEGIN, END = "<!-- wind_recovery.py writes from here -->\n", "<!-- to here -->\n"

@@ -5,10 +5,10 @@ from typing import Any, ClassVar, Self
 
 import jax.numpy as jnp
 
-from giajax._typing import Array, Scalar
 from giajax.models import AbstractDirectModel, Channels, Derived
-from giajax.parameters import parameter
-from giajax.runs import Run
+from giajax.recordings import Run
+from giajax.runtime.arrays import Array, Scalar
+from giajax.schema.parameters import parameter
 
 
 class Growth(AbstractDirectModel):

@@ -16,7 +16,7 @@ from ._study import Figures, Study
 
 if TYPE_CHECKING:
     from giajax import FitResult, Run
-    from giajax.diagnosis import Ladder, Rung
+    from giajax.studies import Ladder, Rung
 
 START = {
     "air.drag_coefficient": 0.6,
@@ -62,9 +62,9 @@ def _recording() -> "Run":
 
 def _moving_mass(model: Any) -> float:
     """What a link moves with, apart from the air across it, kg; it is that of all links."""
-    import giajax.arm
+    import giajax.mechanics.arm
 
-    return float(np.mean(giajax.arm.bodies(model.arm).mass))
+    return float(np.mean(giajax.mechanics.arm.bodies(model.arm).mass))
 
 
 def _figures(steps: "Ladder") -> Figures:

@@ -36,9 +36,8 @@ def _flown(path: Path, count: int, seed: int) -> Figures:
     import jax
 
     jax.config.update("jax_enable_x64", True)
-    from giajax.mission import Mission, fly_cases
-    from giajax.report import cases_json
-    from giajax.runs import Definition
+    from giajax.apps.mission import Mission, cases_json, fly_cases
+    from giajax.recordings import Definition
 
     mission = Mission.from_definition(Definition.load(path))
     facts = json.loads(cases_json(mission, fly_cases(mission, WINDS, count, seed=1000 * seed)))

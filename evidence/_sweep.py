@@ -192,8 +192,8 @@ def _cluster(folder: Path) -> Iterator[str]:
 
 def _speed(folder: Path, count: int) -> Figures:
     """Time of the same fits by one worker and by two, in turn, with all that is compiled."""
-    from giajax.execution import Processes, run_tasks
-    from giajax.sweeping import Plan
+    from giajax.runtime.execution import Processes, run_tasks
+    from giajax.tasks import Plan
 
     tasks = Plan.load(folder / "plan.toml").tasks()[:count]
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".jax_cache"))

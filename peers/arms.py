@@ -3,8 +3,8 @@
 import jax.numpy as jnp
 import numpy as np
 
-import giajax.parameters
-from giajax.arm import Arm, PointMasses, chain, takeichi_20m
+import giajax.schema.parameters
+from giajax.mechanics.arm import Arm, PointMasses, chain, takeichi_20m
 from giajax.simulation import Signal, joint_ramps
 
 
@@ -38,7 +38,7 @@ def general_arm(links: int, seed: int = 0) -> Arm:
         gravity=1.7,
         air_density=1.1,
     )
-    return giajax.parameters.replace(
+    return giajax.schema.parameters.replace(
         arm,
         {
             "air.drag_coefficient": 0.9,
@@ -97,7 +97,7 @@ def full_arm(links: int, seed: int = 0) -> Arm:
         "buoyancy.trim_depth": 0.15,
         "buoyancy.imbalance": 0.005,
     }
-    return giajax.parameters.replace(arm, options)
+    return giajax.schema.parameters.replace(arm, options)
 
 
 def random_states(links: int, count: int, seed: int = 1) -> dict[str, jnp.ndarray]:

@@ -8,7 +8,7 @@ from typing import Any
 import casadi
 import numpy as np
 
-from giajax.arm import Arm
+from giajax.mechanics.arm import Arm
 from giajax.simulation import Signal
 from peers.casadi_chain import CasadiChain
 from peers.compiling import SOURCES, address, compiled

@@ -12,7 +12,7 @@ import casadi
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from giajax.arm import Arm
+from giajax.mechanics.arm import Arm
 from peers.plain_arm import PARAMETERS, PlainArm
 
 Array = np.ndarray

@@ -17,7 +17,7 @@ import dataclasses
 import mujoco
 import numpy as np
 
-from giajax.arm import Arm
+from giajax.mechanics.arm import Arm
 from giajax.simulation import Signal
 from peers.mujoco_chain import MujocoChain
 from peers.scipy_chain import NumpySignal, cross

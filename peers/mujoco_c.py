@@ -14,7 +14,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from giajax.arm import Arm
+from giajax.mechanics.arm import Arm
 from giajax.simulation import Signal
 from peers.compiling import SOURCES, CompilerError, address, compiled
 from peers.mujoco_chain import mjcf

@@ -15,8 +15,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from giajax.arm import Arm
-from giajax.arm._bodies import lift
+from giajax.mechanics.arm import Arm, lift
 from giajax.simulation import Signal
 from peers.scipy_chain import NumpySignal, cross
 

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from giajax.arm import Arm
+from giajax.mechanics.arm import Arm
 from giajax.simulation import Signal
 from peers.mujoco_chain import Array, MujocoChain
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from giajax.arm import Arm
+from giajax.mechanics.arm import Arm
 from giajax.simulation import Signal
 
 Array = np.ndarray

@@ -17,7 +17,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import solve
 from scipy.spatial.transform import Rotation
 
-from giajax.arm import Arm
+from giajax.mechanics.arm import Arm
 from giajax.simulation import Signal
 
 Array = np.ndarray

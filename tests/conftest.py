@@ -13,7 +13,7 @@ from pathlib import Path
 # of the time of compiling; and the compiler optimises less, because most programs of a test run
 # once. XLA ends the process at a name that it does not know, and names change with its versions.
 if version("jaxlib").startswith("0.10."):
-    from giajax._program import CPU_OPTIONS
+    from giajax.runtime.programs import CPU_OPTIONS
 
     flags = [
         f"--{name}={str(value).lower() if isinstance(value, bool) else value}"

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from giajax.arm import chain
 from giajax.fitting import predict
+from giajax.mechanics.arm import chain
 from giajax.models import ArmModel
-from giajax.parameters import replace
-from giajax.runs import Run, read_run, write_run
+from giajax.recordings import Run, read_run, write_run
+from giajax.schema.parameters import replace
 
 LINKS = 4
 TRUTH = {

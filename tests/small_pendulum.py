@@ -12,10 +12,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from giajax._typing import Array, Scalar
 from giajax.models import Channels
-from giajax.parameters import parameter
-from giajax.runs import Run, windows
+from giajax.recordings import Run, windows
+from giajax.runtime.arrays import Array, Scalar
+from giajax.schema.parameters import parameter
 from toy_model import Plain
 
 TRUTH = {"friction": 5e-4, "drag": 1.2, "length": 1.0, "centre": 0.6}

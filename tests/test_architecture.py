@@ -151,7 +151,7 @@ def test_a_parameter_is_its_declaration_and_what_computes_with_it(tree, giajax):
     text = section("To add a parameter")
     new, edited = done_to(tree, text)
     assert new == []
-    assert edited == ["src/giajax/quantities/_joints.py", "src/giajax/arm/_joints.py"]
+    assert edited == ["src/giajax/schema/_quantities_arm.py", "src/giajax/mechanics/arm/_parts.py"]
     check_style(tree, edited)
     (arm,) = [block for language, block in blocks(text) if language == "toml"]
     (tree / "arm.toml").write_text(arm, encoding="utf-8")
@@ -168,7 +168,7 @@ def test_a_channel_is_two_files(tree, giajax):
     text = section("To add a channel")
     new, edited = done_to(tree, text)
     assert new == []
-    assert edited == ["src/giajax/kinds/_joint.py", "src/giajax/models/_joint.py"]
+    assert edited == ["src/giajax/schema/_joint.py", "src/giajax/models/_joint.py"]
     check_style(tree, edited)
     write_table(text, tree / "wire.csv")
     check, fit = printed(giajax, text)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from giajax._computed_once import derivatives_once
+from giajax.runtime.chain_loops import derivatives_once
 
 X, DIRECTIONS = np.random.default_rng(0).normal(size=(2, 3, 20))
 

@@ -12,14 +12,12 @@ import pytest
 from threadpoolctl import ThreadpoolController
 
 from giajax import InputError, fit, map_on_cores
-from giajax._blas import one_blas_thread
-from giajax._cores import _quota, cores, enable_x64
-from giajax._shares import Batch, dealt, on_all_cores
-from giajax._threads import side_by_side
 from giajax.fitting import set_up
-from giajax.fitting._evaluation import residuals
-from giajax.fitting._prepared import in_a_share
+from giajax.fitting._linearise import residuals
+from giajax.fitting._problem import in_a_share
 from giajax.fitting._transitions import begin, evaluate
+from giajax.runtime.parallel import Batch, dealt, on_all_cores, side_by_side
+from giajax.runtime.process import _quota, cores, enable_x64, one_blas_thread
 from toy_model import Decay, run
 
 
@@ -246,8 +244,9 @@ def test_a_sample_of_runs_has_their_rows_and_zeros_for_the_others(count, looked_
 ON_TWO_DEVICES = """
 import jax, jax.numpy as jnp, numpy as np
 jax.config.update("jax_enable_x64", True)
-from giajax import _shares, map_on_cores
-from giajax._devices import over_devices
+from giajax.runtime import parallel as _shares
+from giajax import map_on_cores
+from giajax.runtime.parallel import over_devices
 
 used = []
 _shares.over_devices = lambda *words: used.append(words) or over_devices(*words)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from giajax import FitTask, model_for
-from giajax.parameters import elements, switched_on
+from giajax.recordings import Definition
 from giajax.report import reached
-from giajax.runs import Definition
+from giajax.schema.parameters import elements, switched_on
 
 # Fits of real recordings have no truth; tests/test_recordings.py looks at what they predict.
 FITS = [

@@ -17,10 +17,10 @@ import polars as pl
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
-from giajax._errors import InputError
-from giajax._syntax import parse_json
-from giajax.runs import Definition, describe, read_run
-from giajax.runs._table import read_table
+from giajax.recordings import Definition, describe, read_run
+from giajax.recordings._table import read_table
+from giajax.runtime.files import parse_json
+from giajax.runtime.text import InputError
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-import giajax._kept
-from giajax._kept import KeptProgram, keep_programs
-from giajax._program import program
-from giajax._structure import NoStructureError, structure
+import giajax.runtime.programs
+from giajax.runtime.programs import KeptProgram, NoStructureError, keep_programs, program, structure
 
 TRACED = []
 
@@ -39,7 +37,7 @@ def narrower(spring, angle):
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path, monkeypatch):
-    monkeypatch.setattr(giajax._kept, "_folder", None)
+    monkeypatch.setattr(giajax.runtime.programs, "_folder", None)
     TRACED.clear()
     keep_programs(tmp_path / "programs")
     return tmp_path / "programs"
@@ -102,7 +100,7 @@ def test_nothing_is_kept_where_jax_is_to_look_into_programs(folder):
 
 def test_a_changed_source_is_traced_again(monkeypatch):
     in_a_process(SPRING, ANGLE)
-    monkeypatch.setattr(giajax._kept, "origin", lambda: "another")
+    monkeypatch.setattr(giajax.runtime.programs, "origin", lambda: "another")
     in_a_process(SPRING, ANGLE)
     assert len(TRACED) == 2
 

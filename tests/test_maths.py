@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from giajax import _maths
+from giajax.runtime import arrays as _maths
 
 RANDOM = np.random.default_rng(0)
 A, B = RANDOM.normal(size=(2, 3, 5))

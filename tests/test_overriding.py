@@ -37,7 +37,7 @@ def test_no_concrete_method_is_overridden():
 
 
 def test_an_overridden_method_would_be_seen():
-    from giajax.hysteresis import Play
+    from giajax.mechanics.hysteresis import Play
 
     class Loose(Play):
         def reset(self):

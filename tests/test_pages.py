@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from docs.machinery import tables
-from giajax.runs import parse_column
+from giajax.recordings import parse_column
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from giajax._errors import InputError
-from giajax.arm import Air, takeichi_20m
-from giajax.parameters import (
+from giajax.mechanics.arm import Air, takeichi_20m
+from giajax.runtime.text import InputError
+from giajax.schema.parameters import (
     Parameter,
     check_within_bounds,
     declaration,

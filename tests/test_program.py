@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import pytest
 from numpy.testing import assert_allclose
 
-import giajax._program
-from giajax._program import CPU_OPTIONS, program
+import giajax.runtime.programs
+from giajax.runtime.programs import CPU_OPTIONS, program
 
 
 @program
@@ -18,19 +18,19 @@ def cube(x, *, shift=0.0):
 
 @pytest.fixture
 def unknown_option(monkeypatch):
-    giajax._program._options.cache_clear()
-    monkeypatch.setattr(giajax._program, "CPU_OPTIONS", {"xla_no_such_option": True})
+    giajax.runtime.programs._options.cache_clear()
+    monkeypatch.setattr(giajax.runtime.programs, "CPU_OPTIONS", {"xla_no_such_option": True})
     yield
-    giajax._program._options.cache_clear()
+    giajax.runtime.programs._options.cache_clear()
 
 
 @pytest.mark.skipif(not version("jaxlib").startswith("0.10."), reason="names of other versions")
 def test_the_installed_compiler_knows_the_options():
-    assert giajax._program._options() == {"compiler_options": CPU_OPTIONS}
+    assert giajax.runtime.programs._options() == {"compiler_options": CPU_OPTIONS}
 
 
 def test_a_compiler_that_does_not_know_them_does_without(unknown_option):
-    assert giajax._program._options() == {}
+    assert giajax.runtime.programs._options() == {}
     assert_allclose(program(lambda x: 2 * x)(3.0), 6.0)
 
 

@@ -96,10 +96,10 @@ def test_names_load_when_they_are_used():
     """And none before: neither JAX nor a room."""
     code = (
         "import giajax, sys\n"
-        "assert not {'jax', 'numpy', 'giajax.arm'} & set(sys.modules)\n"
+        "assert not {'jax', 'numpy', 'giajax.mechanics.arm'} & set(sys.modules)\n"
         "giajax.InputError\n"
         "assert 'jax' not in sys.modules\n"
-        "giajax.arm.chain\n"
+        "giajax.mechanics.arm.chain\n"
         "assert 'jax' in sys.modules"
     )
     environment = {key: value for key, value in os.environ.items() if key != "EAGER_IMPORT"}

@@ -10,13 +10,21 @@ import numpy as np
 import pytest
 
 import giajax
-from giajax import InputError, Run, quantities
-from giajax.kinds import KINDS, FillingSection, Section, with_keys
+from giajax import InputError, Run, schema as quantities
 from giajax.models import ArmModel, model_for
-from giajax.parameters import declared, left_out, parameter, replace
-from giajax.quantities import Declaration, Group, Key, key_factor
-from giajax.runs._complaints import complaint
-from giajax.runs._template import _line
+from giajax.recordings import complaint
+from giajax.recordings._definition import _line
+from giajax.schema import (
+    KINDS,
+    Declaration,
+    FillingSection,
+    Group,
+    Key,
+    Section,
+    key_factor,
+    with_keys,
+)
+from giajax.schema.parameters import declared, left_out, parameter, replace
 
 GROUPS = {name: group for name, group in vars(quantities).items() if isinstance(group, Group)}
 ROOT = Path(__file__).resolve().parents[1]
@@ -98,7 +106,7 @@ def test_a_declaration_knows_its_path_in_the_model(run):
 
 
 def test_an_arm_with_everything_is_declared_by_path():
-    check_paths(ArmModel(giajax.arm.preset("takeichi_20m_full", 2)))
+    check_paths(ArmModel(giajax.mechanics.arm.preset("takeichi_20m_full", 2)))
 
 
 def paths_of(group):

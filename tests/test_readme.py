@@ -13,8 +13,8 @@ import typer
 
 import giajax
 from giajax.cli import _app
-from giajax.kinds import PadFile
-from giajax.sweeping import Plan
+from giajax.schema import PadFile
+from giajax.tasks import Plan
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from giajax import FitTask, model_for
-from giajax.runs import Definition, read_runs
-from giajax.study import compare
+from giajax.recordings import Definition, read_runs
+from giajax.studies import compare
 
 ROOT = Path(__file__).parents[1]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from docs.machinery import browse, commands, docstrings, files, notebooks, pictures
-from giajax.kinds import KINDS
+from giajax.schema import KINDS
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from giajax import read_run, takeichi_20m
-from giajax.arm import acceleration
-from giajax.paper import concordance
-from giajax.paper._concordance import compared
-from giajax.parameters import replace
+from giajax.apps.paper import concordance
+from giajax.apps.paper._contenders import compared
+from giajax.mechanics.arm import acceleration
+from giajax.schema.parameters import replace
 from giajax.simulation import ramps, simulate
 
 FOLDER = Path(__file__).parents[1] / "data" / "paper"

@@ -6,10 +6,10 @@ from typing import Any, ClassVar, Self
 import jax.numpy as jnp
 import numpy as np
 
-from giajax._typing import Array, Scalar
 from giajax.models import AbstractDirectModel, Channels, Derived
-from giajax.parameters import parameter
-from giajax.runs import Run
+from giajax.recordings import Run
+from giajax.runtime.arrays import Array, Scalar
+from giajax.schema.parameters import parameter
 
 TRUTH = {"amplitude": 2.0, "decay": 0.7, "offset": 0.3}
 

@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-import giajax.parameters
+import giajax.schema.parameters
 from benchmarks.bench._problem import STEPS, TOLERANCES, Problem
-from giajax._program import program
+from giajax.runtime.programs import program
 from giajax.simulation import simulate
 from peers.mujoco_chain import MujocoChain
 from peers.plain_arm import PARAMETERS
@@ -44,7 +44,7 @@ class Contender:
 @program
 def giajax_tip(values: Any, problem: Any, tolerance: Any, solver: str) -> Any:
     arm, command, times = problem
-    arm = giajax.parameters.replace(arm, dict(zip(PARAMETERS, values, strict=True)))
+    arm = giajax.schema.parameters.replace(arm, dict(zip(PARAMETERS, values, strict=True)))
     options: dict[str, Any] = {"rtol": tolerance, "atol": tolerance, "throw": False}
     return simulate(arm, command, times, solver=solver, **options).tip
 

@@ -7,8 +7,8 @@ import mujoco
 import numpy as np
 
 from benchmarks.measuring import in_turns
-from giajax._program import program
-from giajax.arm import Arm, acceleration
+from giajax.mechanics.arm import Arm, acceleration
+from giajax.runtime.programs import program
 from peers.arms import driven_arm, random_states
 from peers.compiling import CompilerError
 from peers.mujoco_c import MujocoInC

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-import giajax.parameters
-from giajax.arm import Arm
+import giajax.schema.parameters
+from giajax.mechanics.arm import Arm
 from giajax.simulation import simulate
 from peers.arms import driven_arm
 from peers.compiling import CompilerError
@@ -38,7 +38,9 @@ class Problem:
     @property
     def values(self) -> np.ndarray:
         """Of the parameters that derivatives are by."""
-        return np.array([float(giajax.parameters.get(self.arm, path)) for path in PARAMETERS])
+        return np.array(
+            [float(giajax.schema.parameters.get(self.arm, path)) for path in PARAMETERS]
+        )
 
     @cached_property
     def mujoco(self) -> MujocoInC | None:
@@ -68,7 +70,9 @@ class Problem:
 
     def with_parameters(self, values: Iterable[float]) -> Arm:
         """The arm with other values of the four parameters."""
-        return giajax.parameters.replace(self.arm, dict(zip(PARAMETERS, values, strict=True)))
+        return giajax.schema.parameters.replace(
+            self.arm, dict(zip(PARAMETERS, values, strict=True))
+        )
 
     def coarsest(
         self, tip: Callable[[float], Any], settings: Iterable[float]

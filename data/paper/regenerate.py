@@ -20,17 +20,17 @@ HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parents[1]))
 
 from giajax import Definition, Run, read_run, takeichi_20m, write_run  # noqa: E402
-from giajax.arm import Arm  # noqa: E402
-from giajax.runs import sidecar_path  # noqa: E402
+from giajax.apps.synthetic import gusts  # noqa: E402
+from giajax.mechanics.arm import Arm  # noqa: E402
+from giajax.recordings import sidecar_path  # noqa: E402
 from giajax.simulation import Signal, ramps  # noqa: E402
-from giajax.synthetic import gusts  # noqa: E402
 from peers.mujoco_air import MujocoInAir  # noqa: E402
 
 # The last one is fitted by a model that is compared with the others.
 SEEDS = range(1, 22)
 
 # What is fixed by the description of the stand-in. Fits of the paper's model are told none of it;
-# giajax's own model is told of trim weights and added mass (`giajax.paper`).
+# giajax's own model is told of trim weights and added mass (`giajax.apps.paper`).
 TRUTH = {
     "air.drag_coefficient": 1.1,
     "air.added_mass_coefficient": 1.0,

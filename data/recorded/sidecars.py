@@ -6,7 +6,7 @@
 import hashlib
 from pathlib import Path
 
-from giajax.runs import Definition
+from giajax.recordings import Definition
 
 HERE = Path(__file__).parent
 

@@ -25,7 +25,7 @@ import numpy as np
 
 from giajax import Definition, InputError, Run, read_run, write_run
 from giajax.cli import main as giajax
-from giajax.runs import sidecar_path
+from giajax.recordings import sidecar_path
 
 HERE = Path(__file__).resolve().parent
 
@@ -160,7 +160,7 @@ def joint_loops(name: str, truth: dict[str, float]) -> Run:
 
 def bouc_wen_multisine(name: str) -> Run:
     """The estimation run of the Bouc-Wen benchmark, in its usual units."""
-    from giajax.experiments import bouc_wen_benchmark
+    from giajax.apps.experiments import bouc_wen_benchmark
 
     run = bouc_wen_benchmark(seed=6).multisine
     stated = run.definition.contents()
@@ -170,7 +170,7 @@ def bouc_wen_multisine(name: str) -> Run:
 
 def one_link(name: str) -> Run:
     """What `giajax hysteresis` identifies the simulated joint from."""
-    from giajax.experiments import record_joint
+    from giajax.apps.experiments import record_joint
 
     return record_joint()
 
@@ -178,7 +178,7 @@ def one_link(name: str) -> Run:
 def turned_camera_run(name: str) -> Run:
     """The motion of pitch_yaw before a camera turned by 5 deg and 0.1 m off, as nobody knows."""
     from giajax import model_for, replace
-    from giajax.synthetic import RecordingErrors, recorded_again
+    from giajax.apps.synthetic import RecordingErrors, recorded_again
 
     first = read_run(HERE / "pitch_yaw.csv")
     frame = {

@@ -20,7 +20,7 @@ def page() -> str:
     # Rich, which typer may print with, asks the terminal.
     os.environ["COLUMNS"] = str(_WIDTH)
     parts = [_INTRODUCTION, _block("giajax", ())]
-    names = [_app._named(function) for function, _ in _app._COMMANDS]
+    names = _app.command_names()
     parts += [f"## giajax {name}\n\n{_block('giajax', (name,))}" for name in names]
     return "\n".join(parts)
 

@@ -5,8 +5,8 @@ import json
 from collections.abc import Iterator
 from typing import Any, get_args
 
-from giajax.kinds import Section
-from giajax.runs import Definition
+from giajax.recordings import Definition
+from giajax.schema import Section
 
 _INTRODUCTION = """\
 # Sections and keys

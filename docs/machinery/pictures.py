@@ -14,20 +14,15 @@ import numpy as np
 from matplotlib.animation import FuncAnimation, PillowWriter
 
 import giajax
-from giajax.experiments import figure_12, one_link
-from giajax.joint import LARGEST_ANGLE
-from giajax.mission import Mission
-from giajax.paper import reproduce
+from giajax.apps.experiments import figure_12, one_link
+from giajax.apps.filling import curve_figure, filling_figure
+from giajax.apps.joint import correction_figure, equilibria_figure, equilibria_table, joint_figure
+from giajax.apps.mission import Mission, mission_figure
+from giajax.apps.paper import reproduce
+from giajax.mechanics.joint import LARGEST_ANGLE
 from giajax.report import (
-    correction_figure,
     correlation_figure,
-    curve_figure,
     draw_scene,
-    equilibria_figure,
-    equilibria_table,
-    filling_figure,
-    joint_figure,
-    mission_figure,
     new_figure,
     plain,
     recorded_figure,

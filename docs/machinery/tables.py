@@ -14,8 +14,8 @@ from pathlib import Path
 import equinox as eqx
 
 import giajax
-from giajax.joint import Friction
-from giajax.kinds import KINDS, FillingSection
+from giajax.mechanics.joint import Friction
+from giajax.schema import KINDS, FillingSection
 
 DOCS = Path(__file__).resolve().parents[1]
 _TABLE = re.compile(r"(<!-- table: ([\w ]+) -->\n\n).*?(<!-- end of table -->)", re.DOTALL)

@@ -1,40 +1,55 @@
-"""The public names, each once: what is imported here is what `giajax` offers.
-
-The file is longer than 200 lines because all public names are in one place.
-"""
+"""The public names, each once: what is imported here is what `giajax` offers."""
 
 from . import (
-    arm as arm,
-    control as control,
-    design as design,
-    diagnosis as diagnosis,
-    execution as execution,
-    experiments as experiments,
-    filling as filling,
+    apps as apps,
     fitting as fitting,
-    hysteresis as hysteresis,
-    joint as joint,
-    kinds as kinds,
+    mechanics as mechanics,
     models as models,
     noise as noise,
-    paper as paper,
-    parameters as parameters,
-    quantities as quantities,
-    repetitions as repetitions,
+    recordings as recordings,
     report as report,
-    runs as runs,
+    runtime as runtime,
+    schema as schema,
     simulation as simulation,
-    study as study,
-    sweeping as sweeping,
-    synthetic as synthetic,
+    studies as studies,
     tasks as tasks,
-    verdict as verdict,
-    wind as wind,
 )
-from ._errors import InputError as InputError
-from ._shares import map_on_cores as map_on_cores
-from ._version import __version__ as __version__
-from .arm import (
+from .apps.control import (
+    Compensator as Compensator,
+    compensator_for_loop as compensator_for_loop,
+    compensator_for_model as compensator_for_model,
+)
+from .apps.design import Design as Design, Limits as Limits, design_experiment as design_experiment
+from .apps.filling import (
+    Filled as Filled,
+    FillingCurve as FillingCurve,
+    fill as fill,
+    filling_curve as filling_curve,
+)
+from .apps.synthetic import (
+    RecordingErrors as RecordingErrors,
+    gusts as gusts,
+    recorded_again as recorded_again,
+    synthesise as synthesise,
+    with_errors as with_errors,
+)
+from .apps.wind import WindFit as WindFit, fit_wind as fit_wind
+from .fitting import (
+    ChannelFit as ChannelFit,
+    Estimate as Estimate,
+    Finding as Finding,
+    FitResult as FitResult,
+    GradientCheck as GradientCheck,
+    Marquardt as Marquardt,
+    PredictionErrors as PredictionErrors,
+    RunFit as RunFit,
+    Suspect as Suspect,
+    fit as fit,
+    load_result as load_result,
+    predict as predict,
+    prediction_errors as prediction_errors,
+)
+from .mechanics.arm import (
     Air as Air,
     Arm as Arm,
     Buoyancy as Buoyancy,
@@ -65,52 +80,15 @@ from .arm import (
     tip_position as tip_position,
     trimmed as trimmed,
 )
-from .control import (
-    Compensator as Compensator,
-    compensator_for_loop as compensator_for_loop,
-    compensator_for_model as compensator_for_model,
-)
-from .design import (
-    Design as Design,
-    Limits as Limits,
-    design_experiment as design_experiment,
-)
-from .diagnosis import (
-    Suspects as Suspects,
-    ladder as ladder,
-    suspects as suspects,
-    systematic_errors as systematic_errors,
-)
-from .filling import (
-    Filled as Filled,
-    Filling as Filling,
-    FillingCurve as FillingCurve,
-    fill as fill,
-    filling_curve as filling_curve,
-)
-from .fitting import (
-    ChannelFit as ChannelFit,
-    Estimate as Estimate,
-    Finding as Finding,
-    FitResult as FitResult,
-    GradientCheck as GradientCheck,
-    Marquardt as Marquardt,
-    PredictionErrors as PredictionErrors,
-    RunFit as RunFit,
-    Suspect as Suspect,
-    fit as fit,
-    load_result as load_result,
-    predict as predict,
-    prediction_errors as prediction_errors,
-)
-from .hysteresis import (
+from .mechanics.hysteresis import (
     BoucWen as BoucWen,
     BoucWenOscillator as BoucWenOscillator,
     ModifiedPrandtlIshlinskii as ModifiedPrandtlIshlinskii,
     PrandtlIshlinskii as PrandtlIshlinskii,
     Preisach as Preisach,
 )
-from .joint import (
+from .mechanics.inflation import Filling as Filling
+from .mechanics.joint import (
     BraidedMuscle as BraidedMuscle,
     Correction as Correction,
     EmpiricalMuscle as EmpiricalMuscle,
@@ -128,7 +106,6 @@ from .joint import (
     muscle_state as muscle_state,
     pair_command as pair_command,
 )
-from .kinds import KINDS as KINDS
 from .models import (
     AbstractDirectModel as AbstractDirectModel,
     AbstractModel as AbstractModel,
@@ -146,13 +123,14 @@ from .models import (
     joint_scene as joint_scene,
     model_for as model_for,
 )
-from .parameters import declared as declared, get as get, replace as replace
-from .quantities import Prior as Prior
-from .repetitions import (
-    Bootstrap as Bootstrap,
-    Influence as Influence,
-    bootstrap as bootstrap,
-    influence as influence,
+from .noise import Reason as Reason, Verdict as Verdict
+from .recordings import (
+    Definition as Definition,
+    Run as Run,
+    describe as describe,
+    read_run as read_run,
+    read_runs as read_runs,
+    write_run as write_run,
 )
 from .report import (
     draw_scene as draw_scene,
@@ -161,14 +139,10 @@ from .report import (
     write_figures as write_figures,
     write_result as write_result,
 )
-from .runs import (
-    Definition as Definition,
-    Run as Run,
-    describe as describe,
-    read_run as read_run,
-    read_runs as read_runs,
-    write_run as write_run,
-)
+from .runtime.parallel import map_on_cores as map_on_cores
+from .runtime.text import InputError as InputError, __version__ as __version__
+from .schema import KINDS as KINDS, Prior as Prior
+from .schema.parameters import declared as declared, get as get, replace as replace
 from .simulation import (
     RESULTS as RESULTS,
     SOLVERS as SOLVERS,
@@ -185,29 +159,27 @@ from .simulation import (
     logged as logged,
     simulate as simulate,
 )
-from .study import (
+from .studies import (
+    Bootstrap as Bootstrap,
     Comparison as Comparison,
+    Influence as Influence,
     Posterior as Posterior,
     Profile as Profile,
     Profiles as Profiles,
     Sensitivity as Sensitivity,
+    Suspects as Suspects,
+    bootstrap as bootstrap,
     choose_hysteresis as choose_hysteresis,
     compare as compare,
+    influence as influence,
+    ladder as ladder,
     load_profiles as load_profiles,
     multi_start as multi_start,
     planned as planned,
     posterior as posterior,
     profile as profile,
     sensitivity as sensitivity,
+    suspects as suspects,
+    systematic_errors as systematic_errors,
 )
-from .sweeping import sweep as sweep
-from .synthetic import (
-    RecordingErrors as RecordingErrors,
-    gusts as gusts,
-    recorded_again as recorded_again,
-    synthesise as synthesise,
-    with_errors as with_errors,
-)
-from .tasks import FitTask as FitTask
-from .verdict import Reason as Reason, Verdict as Verdict
-from .wind import WindFit as WindFit, fit_wind as fit_wind
+from .tasks import FitTask as FitTask, sweep as sweep

@@ -4,7 +4,7 @@ import gc
 import os
 import sys
 
-from ._signals import listen, stopped_status
+from .runtime.signals import listen, stopped_status
 
 # Imports and tracing make millions of objects that stay: to look through them for cycles as often
 # as Python does by default takes a tenth of a fit's time.
@@ -23,7 +23,8 @@ def main() -> int:
     # keeping the cores busy; read when NumPy is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
-        from .cli import main as command_line, own_process
+        from .cli import main as command_line
+        from .runtime.process import own_process
 
         own_process()
         return command_line()

@@ -13,17 +13,17 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-import giajax.arm
-from giajax.arm import _cylinder, chain, cylinder_drag_coefficient, takeichi_20m
-from giajax.parameters import replace
+import giajax.mechanics.arm
+from giajax.mechanics.arm import _air as _cylinder, chain, cylinder_drag_coefficient, takeichi_20m
+from giajax.schema.parameters import replace
 from peers.arms import full_arm, random_states
 
-acceleration = eqx.filter_jit(giajax.arm.acceleration)
-drag_force = eqx.filter_jit(giajax.arm.drag_force)
-drag_power = eqx.filter_jit(giajax.arm.drag_power)
-inverse_dynamics = eqx.filter_jit(giajax.arm.inverse_dynamics)
-kinetic_energy = eqx.filter_jit(giajax.arm.kinetic_energy)
-mass_matrix = eqx.filter_jit(giajax.arm.mass_matrix)
+acceleration = eqx.filter_jit(giajax.mechanics.arm.acceleration)
+drag_force = eqx.filter_jit(giajax.mechanics.arm.drag_force)
+drag_power = eqx.filter_jit(giajax.mechanics.arm.drag_power)
+inverse_dynamics = eqx.filter_jit(giajax.mechanics.arm.inverse_dynamics)
+kinetic_energy = eqx.filter_jit(giajax.mechanics.arm.kinetic_energy)
+mass_matrix = eqx.filter_jit(giajax.mechanics.arm.mass_matrix)
 
 DENSITY, LENGTH, DIAMETER = 1.204, 0.99, 0.3
 DISPLACED = DENSITY * np.pi / 4 * DIAMETER**2 * LENGTH
@@ -80,7 +80,9 @@ def test_drag_along_the_link_converges_with_the_number_of_points():
         air = dataclasses.replace(general.air, drag_curve="constant", strip_points=count)
         arm = dataclasses.replace(general, air=air)
         rows = (states[name] for name in ("angles", "rates", "wind"))
-        return eqx.filter_jit(jax.vmap(giajax.arm.drag_power, (None, 0, 0, 0)))(arm, *rows)
+        return eqx.filter_jit(jax.vmap(giajax.mechanics.arm.drag_power, (None, 0, 0, 0)))(
+            arm, *rows
+        )
 
     exact = power(100)
     errors = [np.abs(power(count) / exact - 1).max() for count in (1, 2, 3, 6, 12)]
@@ -278,5 +280,5 @@ def test_an_option_at_nothing_is_an_option_left_out():
     state = {name: value[0] for name, value in random_states(4, 1).items()}
     rows = [state[name] for name in ("angles", "rates", "command", "wind")]
     plain, switched = takeichi_20m(4), takeichi_20m(4, parameters=zeros)
-    accelerate = eqx.filter_jit(giajax.arm.acceleration)
+    accelerate = eqx.filter_jit(giajax.mechanics.arm.acceleration)
     assert_allclose(accelerate(switched, *rows), accelerate(plain, *rows), rtol=1e-10)

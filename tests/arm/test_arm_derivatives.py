@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-import giajax.arm as mechanics
-from giajax.arm import takeichi_20m
-from giajax.parameters import replace
+import giajax.mechanics.arm as mechanics
+from giajax.mechanics.arm import takeichi_20m
+from giajax.schema.parameters import replace
 from peers.arms import full_arm, general_arm, random_states
 
 LINKS = 3

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from giajax.arm import acceleration, takeichi_20m
+from giajax.mechanics.arm import acceleration, takeichi_20m
 from peers.arms import full_arm, general_arm, random_states
 from peers.mujoco_chain import MujocoChain
 from peers.scipy_chain import ScipyChain

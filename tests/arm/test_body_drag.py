@@ -12,10 +12,16 @@ from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 
 from giajax import ArmModel, Definition, InputError, fit, model_for, replace
-from giajax.arm import PointMasses, drag_power, forward_dynamics, inverse_dynamics, pendulum
+from giajax.apps.synthetic import synthesise
+from giajax.mechanics.arm import (
+    PointMasses,
+    drag_power,
+    forward_dynamics,
+    inverse_dynamics,
+    pendulum,
+)
 from giajax.models import arm_from_definition, arm_to_definition
 from giajax.simulation import constant, simulate
-from giajax.synthetic import synthesise
 
 GRAVITY, LENGTH, MASS, AREA, DENSITY = 9.80665, 1.3, 0.05, 0.004, 1.204
 THREAD = 1e-6  # kg: it has nearly no mass, and no drag

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from giajax._errors import InputError
-from giajax.arm import Arm, Joints, Links, chain, preset, takeichi_20m
+from giajax.mechanics.arm import Arm, Joints, Links, chain, preset, takeichi_20m
+from giajax.runtime.text import InputError
 
 PITCH, YAW = (0.0, -1.0, 0.0), (0.0, 0.0, 1.0)
 

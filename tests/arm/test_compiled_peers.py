@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from giajax.arm import acceleration
-from giajax.parameters import replace
+from giajax.mechanics.arm import acceleration
+from giajax.schema.parameters import replace
 from giajax.simulation import joint_ramps
 from peers import compiling
 from peers.arms import driven_arm, full_arm, general_arm, random_states

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from giajax import InputError, arm as mechanics
-from giajax.arm import Contact, chain, mass_matrix, pose
-from giajax.arm._meeting import Pairs, flattening
-from giajax.obstacles import Box, Plane, WallWithOpening, nearest, solids
+from giajax import InputError
+from giajax.mechanics import arm as mechanics
+from giajax.mechanics.arm import Contact, chain, mass_matrix, pose
+from giajax.mechanics.arm._contact import Pairs, flattening
+from giajax.mechanics.obstacles import Box, Plane, WallWithOpening, nearest, solids
 
 touch, touched = jax.jit(mechanics.touch), jax.jit(mechanics.touched)
 contact_energy = jax.jit(mechanics.contact_energy)

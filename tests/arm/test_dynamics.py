@@ -7,26 +7,26 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-import giajax.arm
-from giajax.arm import chain, takeichi_20m
-from giajax.parameters import get, replace
+import giajax.mechanics.arm
+from giajax.mechanics.arm import chain, takeichi_20m
+from giajax.schema.parameters import get, replace
 from peers.arms import general_arm, random_states
 from peers.scipy_chain import ScipyChain
 
 # Compiled as a whole: one by one, the operations of a function compile for a second.
-acceleration = eqx.filter_jit(giajax.arm.acceleration)
-damping_power = eqx.filter_jit(giajax.arm.damping_power)
-drag_force = eqx.filter_jit(giajax.arm.drag_force)
-drag_power = eqx.filter_jit(giajax.arm.drag_power)
-forward_dynamics = eqx.filter_jit(giajax.arm.forward_dynamics)
-inverse_dynamics = eqx.filter_jit(giajax.arm.inverse_dynamics)
-joint_torque = eqx.filter_jit(giajax.arm.joint_torque)
-kinetic_energy = eqx.filter_jit(giajax.arm.kinetic_energy)
-link_centres = eqx.filter_jit(giajax.arm.link_centres)
-link_velocities = eqx.filter_jit(giajax.arm.link_velocities)
-mass_matrix = eqx.filter_jit(giajax.arm.mass_matrix)
-potential_energy = eqx.filter_jit(giajax.arm.potential_energy)
-tip_position = eqx.filter_jit(giajax.arm.tip_position)
+acceleration = eqx.filter_jit(giajax.mechanics.arm.acceleration)
+damping_power = eqx.filter_jit(giajax.mechanics.arm.damping_power)
+drag_force = eqx.filter_jit(giajax.mechanics.arm.drag_force)
+drag_power = eqx.filter_jit(giajax.mechanics.arm.drag_power)
+forward_dynamics = eqx.filter_jit(giajax.mechanics.arm.forward_dynamics)
+inverse_dynamics = eqx.filter_jit(giajax.mechanics.arm.inverse_dynamics)
+joint_torque = eqx.filter_jit(giajax.mechanics.arm.joint_torque)
+kinetic_energy = eqx.filter_jit(giajax.mechanics.arm.kinetic_energy)
+link_centres = eqx.filter_jit(giajax.mechanics.arm.link_centres)
+link_velocities = eqx.filter_jit(giajax.mechanics.arm.link_velocities)
+mass_matrix = eqx.filter_jit(giajax.mechanics.arm.mass_matrix)
+potential_energy = eqx.filter_jit(giajax.mechanics.arm.potential_energy)
+tip_position = eqx.filter_jit(giajax.mechanics.arm.tip_position)
 
 LINKS = 6
 STATES = random_states(LINKS, 10)

@@ -6,11 +6,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-import giajax.parameters
-from giajax.arm import acceleration, forward_dynamics, inverse_dynamics, mass_matrix
-from giajax.arm._elimination import eliminate_and_solve, solve_eliminated
-from giajax.arm._inertia import carried_inertia, motion_and_momentum
-from giajax.arm._kinematics import pose, sum_from_tip
+import giajax.schema.parameters
+from giajax.mechanics.arm import acceleration, forward_dynamics, inverse_dynamics, mass_matrix, pose
+from giajax.mechanics.arm._inverse_dynamics import (
+    carried_inertia,
+    eliminate_and_solve,
+    motion_and_momentum,
+    solve_eliminated,
+)
+from giajax.mechanics.arm._kinematics import sum_from_tip
 from peers.arms import driven_arm, full_arm, general_arm, random_states
 
 # One piece, two, three and four.
@@ -65,7 +69,7 @@ def test_derivatives_of_a_long_arm_are_its_differences(transform):
     bent = np.random.default_rng(1).normal(size=100)
 
     def accelerations(values):
-        changed = giajax.parameters.replace(arm, dict(zip(paths, values[:3], strict=True)))
+        changed = giajax.schema.parameters.replace(arm, dict(zip(paths, values[:3], strict=True)))
         angles = state["angles"] + values[3] * bent
         return acceleration(changed, angles, state["rates"], state["command"])
 

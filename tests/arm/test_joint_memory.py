@@ -8,7 +8,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from giajax import InputError
-from giajax.arm import (
+from giajax.cli._values import with_settings
+from giajax.mechanics.arm import (
     JointHysteresis,
     Memory,
     Stops,
@@ -20,11 +21,10 @@ from giajax.arm import (
     mass_matrix,
     potential_energy,
 )
-from giajax.cli._values import with_settings
-from giajax.hysteresis import Stop
+from giajax.mechanics.hysteresis import Stop
 from giajax.models import arm_from_definition, arm_to_definition
-from giajax.parameters import replace
-from giajax.runs import Definition
+from giajax.recordings import Definition
+from giajax.schema.parameters import replace
 
 
 def along(element, angles):

@@ -8,14 +8,14 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-import giajax.arm
-from giajax.arm import chain, takeichi_20m
+import giajax.mechanics.arm
+from giajax.mechanics.arm import chain, takeichi_20m
 from peers.arms import general_arm, random_states
 from peers.scipy_chain import ScipyChain
 
-link_centres = eqx.filter_jit(giajax.arm.link_centres)
-link_velocities = eqx.filter_jit(giajax.arm.link_velocities)
-tip_position = eqx.filter_jit(giajax.arm.tip_position)
+link_centres = eqx.filter_jit(giajax.mechanics.arm.link_centres)
+link_velocities = eqx.filter_jit(giajax.mechanics.arm.link_velocities)
+tip_position = eqx.filter_jit(giajax.mechanics.arm.tip_position)
 
 
 def test_the_straight_arm_lies_along_x():

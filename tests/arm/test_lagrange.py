@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from giajax.arm import (
+from giajax.mechanics.arm import (
     cylinder_drag_coefficient,
     forward_dynamics,
     inverse_dynamics,
     kinetic_energy,
     mass_matrix,
 )
-from giajax.parameters import replace
+from giajax.schema.parameters import replace
 from peers.arms import full_arm, random_states
 
 LINKS = 3

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-import giajax.arm
-from giajax._errors import InputError
-from giajax.arm import (
+import giajax.mechanics.arm
+from giajax.mechanics.arm import (
     PointMasses,
     chain,
     net_lift,
@@ -20,13 +19,14 @@ from giajax.arm import (
     takeichi_20m_full,
     trimmed,
 )
-from giajax.parameters import replace
+from giajax.runtime.text import InputError
+from giajax.schema.parameters import replace
 from peers.arms import full_arm, random_states
 
-acceleration = eqx.filter_jit(giajax.arm.acceleration)
-inverse_dynamics = eqx.filter_jit(giajax.arm.inverse_dynamics)
-mass_matrix = eqx.filter_jit(giajax.arm.mass_matrix)
-accelerations_by_angles = eqx.filter_jit(jax.jacfwd(giajax.arm.acceleration, argnums=1))
+acceleration = eqx.filter_jit(giajax.mechanics.arm.acceleration)
+inverse_dynamics = eqx.filter_jit(giajax.mechanics.arm.inverse_dynamics)
+mass_matrix = eqx.filter_jit(giajax.mechanics.arm.mass_matrix)
+accelerations_by_angles = eqx.filter_jit(jax.jacfwd(giajax.mechanics.arm.acceleration, argnums=1))
 
 # What a link of the paper's arm displaces, kg.
 DISPLACED = 1.204 * np.pi / 4 * 0.3**2 * 0.99
@@ -150,7 +150,9 @@ def test_a_pendulum_hangs_down_and_swings_as_a_rod():
     g = 9.80665
     slope = accelerations_by_angles(pendulum(), *[jnp.zeros(1)] * 3)
     assert_allclose(-slope, [[3 * g / 2 / (1 + 1.5 * 0.01**2)]], rtol=1e-12)
-    assert_allclose(giajax.arm.tip_position(pendulum(2), jnp.zeros(2)), [0, 0, -2], atol=1e-15)
+    assert_allclose(
+        giajax.mechanics.arm.tip_position(pendulum(2), jnp.zeros(2)), [0, 0, -2], atol=1e-15
+    )
 
 
 def test_a_double_pendulum_swings_in_its_two_modes():

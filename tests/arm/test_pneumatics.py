@@ -1,4 +1,4 @@
-"""Muscles in joints of an arm: the statics of `giajax.joint`, in place, finite and with slopes."""
+"""Muscles in joints of an arm: the statics of a joint in place, finite and with slopes."""
 
 import equinox as eqx
 import jax
@@ -9,7 +9,7 @@ from jax.flatten_util import ravel_pytree
 from numpy.testing import assert_allclose
 
 from giajax import InputError
-from giajax.arm import (
+from giajax.mechanics.arm import (
     Pneumatics,
     acceleration,
     chain,
@@ -17,7 +17,7 @@ from giajax.arm import (
     muscle_power,
     potential_energy,
 )
-from giajax.joint import (
+from giajax.mechanics.joint import (
     Correction,
     EmpiricalMuscle,
     Joint,

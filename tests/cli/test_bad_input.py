@@ -2,9 +2,9 @@
 
 import pytest
 
-from giajax._errors import InputError
 from giajax.cli import main
-from giajax.runs import read_run
+from giajax.recordings import read_run
+from giajax.runtime.text import InputError
 
 pytestmark = pytest.mark.quick
 

@@ -96,7 +96,7 @@ def test_an_interruption_has_its_own_status(run, capsys, monkeypatch):
     def interrupt(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("giajax.runs.read_run", interrupt)
+    monkeypatch.setattr("giajax.recordings.read_run", interrupt)
     assert main(["check", str(run)]) == 130
     assert capsys.readouterr().err == "giajax: interrupted\n"
 
@@ -105,7 +105,7 @@ def test_a_bug_is_not_dressed_as_bad_input(run, monkeypatch):
     def fail(*_, **__):
         raise ZeroDivisionError
 
-    monkeypatch.setattr("giajax.runs.read_run", fail)
+    monkeypatch.setattr("giajax.recordings.read_run", fail)
     with pytest.raises(ZeroDivisionError):
         main(["check", str(run)])
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from giajax.cli import _examples, main
-from giajax.runs import Definition, read_run
+from giajax.cli import _data as _examples, main
+from giajax.recordings import Definition, read_run
 
 pytestmark = pytest.mark.quick
 

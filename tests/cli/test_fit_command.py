@@ -16,7 +16,7 @@ from evidence._kills import SLOWLY
 from giajax import InputError
 from giajax.cli import main
 from giajax.fitting import load_result
-from giajax.runs import read_run
+from giajax.recordings import read_run
 from small_arm import NOISE, START, STARTS, TRUTH, make_run
 
 FILES = {
@@ -322,7 +322,7 @@ def test_a_channel_is_renamed_on_the_way(data):
 
 
 def test_an_interruption_in_the_loop_writes_the_best_so_far(data, tmp_path, monkeypatch):
-    import giajax.cli._progress as command
+    import giajax.cli._fit_run as command
 
     shown = command.Progress.__call__
 

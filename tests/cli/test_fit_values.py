@@ -3,7 +3,7 @@
 import pytest
 
 from giajax import InputError, Prior
-from giajax.cli import _fit_values as words
+from giajax.cli import _values as words
 
 pytestmark = pytest.mark.quick
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from giajax import fit, model_for, predict, read_run
+from giajax.apps.control import compensator_for_loop
 from giajax.cli import main
-from giajax.control import compensator_for_loop
 
 LOOPS = "data/synthetic/joint_loops.csv"
 

@@ -3,7 +3,7 @@
 import pytest
 
 from giajax.cli import main
-from giajax.runs import Definition, read_run
+from giajax.recordings import Definition, read_run
 
 pytestmark = pytest.mark.quick
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from giajax import _limits
-from giajax._errors import InputError
 from giajax.cli import main
-from giajax.runs import Definition, Run, read_run, windows, write_files
+from giajax.recordings import Definition, Run, read_run, windows, write_files
+from giajax.runtime import limits as _limits
+from giajax.runtime.text import InputError
 
 pytestmark = pytest.mark.quick
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from giajax.cli import main
-from giajax.kinds import ArmSection
-from giajax.runs import read_run
+from giajax.recordings import read_run
+from giajax.schema import ArmSection
 
 MISSION = Path(__file__).resolve().parents[2] / "missions" / "naraha.toml"
 

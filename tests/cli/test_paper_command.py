@@ -4,10 +4,10 @@ import json
 
 import pytest
 
-import giajax.paper
+import giajax.apps.paper
+from giajax.apps.paper import Reproduced, Sources
 from giajax.cli import main
 from giajax.cli._paper import NAMES
-from giajax.paper import Reproduced, Sources
 from giajax.report import new_figure
 
 
@@ -50,7 +50,7 @@ def made(monkeypatch):
     def reproduce(asked, recordings, *, progress):
         return ((name, make(name)) for name in asked)
 
-    monkeypatch.setattr(giajax.paper, "reproduce", reproduce)
+    monkeypatch.setattr(giajax.apps.paper, "reproduce", reproduce)
     return names
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from giajax import ArmModel, declared, takeichi_20m
 from giajax.cli import main
-from giajax.parameters import default_free, left_out
+from giajax.schema.parameters import default_free, left_out
 
 MODEL = ArmModel(takeichi_20m())
 

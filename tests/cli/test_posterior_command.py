@@ -10,8 +10,8 @@ import pytest
 from giajax import load_result
 from giajax.cli import main
 from giajax.cli._posterior import _is_unfinished
-from giajax.report.page._posterior import posterior_part
-from giajax.study import PosteriorSummary
+from giajax.report.page._tables import posterior_part
+from giajax.studies import PosteriorSummary
 from page_reader import Page
 
 DATA = Path(__file__).resolve().parents[2] / "data" / "synthetic"

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from giajax.cli import main
-from giajax.study import load_profiles
+from giajax.studies import load_profiles
 from page_reader import Page, loaded_from_elsewhere
 
 DATA = Path(__file__).resolve().parents[2] / "data" / "synthetic"

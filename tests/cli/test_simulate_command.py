@@ -11,10 +11,10 @@ import pytest
 
 from giajax import ArmModel, arm_from_definition, read_run
 from giajax.cli import main
-from giajax.cli._gusts import gusts_of
+from giajax.cli._simulate import gusts_of
 from giajax.fitting import predict
-from giajax.parameters import replace
-from giajax.runs import Definition
+from giajax.recordings import Definition
+from giajax.schema.parameters import replace
 
 SHORT = ["--links", "3", "--duration", "2"]
 

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from giajax import InputError, Limits
-from giajax.design import Criterion, covariance_of
-from giajax.design._command import CommandSeries, base_step
-from giajax.design._markers import chosen_markers
-from giajax.design._search import Search, starts_of
-from giajax.study import expected_errors
+from giajax.apps.design import Criterion, covariance_of
+from giajax.apps.design._experiment import chosen_markers
+from giajax.apps.design._search import CommandSeries, Search, base_step, starts_of
+from giajax.studies import expected_errors
 
 pytestmark = pytest.mark.quick
 

@@ -9,18 +9,14 @@ import pytest
 
 import giajax
 from giajax import ArmModel, InputError, Limits, design_experiment, read_run
+from giajax.apps.design import Criterion, Design, Expected, design_json
+from giajax.apps.design._experiment import RobustError
+from giajax.apps.design._question import draws, question_of
+from giajax.apps.design._search import CommandSeries, Informed, base_step, informed
 from giajax.cli import main
-from giajax.cli._design_source import source_of
-from giajax.design import Design, Expected
-from giajax.design._command import CommandSeries, base_step
-from giajax.design._criterion import Criterion
-from giajax.design._information import Informed, informed
-from giajax.design._objective import RobustError
-from giajax.design._question import question_of
-from giajax.design._uncertainty import draws
-from giajax.parameters import get
-from giajax.report import design_json
-from giajax.study import expected_errors
+from giajax.cli._design import source_of
+from giajax.schema.parameters import get
+from giajax.studies import expected_errors
 
 EARLIER = Path(__file__).parents[1] / "earlier" / "arm"
 C = Criterion("c", (1.2, 0.0))

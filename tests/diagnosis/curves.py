@@ -7,10 +7,10 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from giajax._typing import Array, Float, Scalar
 from giajax.models import AbstractModel, Channels
-from giajax.parameters import inline, parameter, replace
-from giajax.runs import Run
+from giajax.recordings import Run
+from giajax.runtime.arrays import Array, Float, Scalar
+from giajax.schema.parameters import inline, parameter, replace
 from toy_model import Decay
 
 NOISE = 0.01

@@ -12,9 +12,9 @@ import pytest
 
 import giajax
 import small_arm
-from giajax.diagnosis._candidates import inquiry
 from giajax.models import ArmModel
-from giajax.parameters import left_out, replace
+from giajax.schema.parameters import left_out, replace
+from giajax.studies._candidates import inquiry
 
 CHANNELS = [f"link{link:02d}_{axis}" for link in (2, 4) for axis in "xyz"]
 TIMES = np.linspace(0.0, 4.0, 41)
@@ -101,7 +101,7 @@ def test_an_arm_that_is_to_float_keeps_all_forces_per_mass():
     model = arm()
     floating = model.variants()["arm.trim = true"]
     ratio = float(floating.arm.air.drag_coefficient / model.arm.air.drag_coefficient)
-    moving = giajax.arm.bodies(floating.arm).mass
+    moving = giajax.mechanics.arm.bodies(floating.arm).mass
     assert ratio == pytest.approx(float(jnp.sum(moving) / jnp.sum(model.arm.links.mass)))
     assert ratio == pytest.approx(0.0843 / 0.047, rel=1e-3)
     for path in ("joints.pitch_stiffness", "joints.yaw_stiffness", "joints.damping"):

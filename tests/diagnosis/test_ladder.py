@@ -8,13 +8,11 @@ from curves import curve, recorded
 from test_suspects import FREE, fitted
 
 from giajax import InputError, fit, ladder, suspects
-from giajax.diagnosis import Rung
-from giajax.diagnosis._axes import all_axes, name_of, turned_back
-from giajax.diagnosis._ladder import _spare
-from giajax.diagnosis._step import best_step
 from giajax.noise import by_second_differences
-from giajax.runs import parted
-from giajax.study import refit
+from giajax.recordings import parted
+from giajax.studies import Rung, refit
+from giajax.studies._ladder import _spare, best_step
+from giajax.studies._suspects import all_axes, name_of, turned_back
 
 TIGHT = 4
 

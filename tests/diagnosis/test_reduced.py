@@ -7,7 +7,7 @@ import pytest
 from curves import curve, recorded
 
 from giajax import InputError, Prior, fit, ladder, suspects, systematic_errors
-from giajax.study import refit
+from giajax.studies import refit
 
 START = {"amplitude": 1.5, "decay": 0.9}
 # amplitude 2 and offset 0.1 are those of the recordings.

@@ -8,10 +8,9 @@ import pytest
 from curves import NOISE, TRUTH, OwnHeights, curve, recorded
 
 from giajax import InputError, fit, suspects
-from giajax.diagnosis import with_suspects
-from giajax.diagnosis._candidates import inquiry
-from giajax.diagnosis._neutral import is_disturbed
-from giajax.diagnosis._suspects import linearised
+from giajax.studies import with_suspects
+from giajax.studies._candidates import inquiry, is_disturbed
+from giajax.studies._suspects import linearised
 from toy_model import Decay, run
 
 FREE = ["amplitude", "decay"]

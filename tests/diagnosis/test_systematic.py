@@ -8,12 +8,7 @@ from curves import curve, recorded
 from test_suspects import fitted
 
 from giajax import InputError, fit, systematic_errors
-from giajax.diagnosis import (
-    deciding_conditions,
-    together,
-    with_suspects,
-    with_systematic_errors,
-)
+from giajax.studies import deciding_conditions, together, with_suspects, with_systematic_errors
 
 
 def moved(recording, path, change, **options):

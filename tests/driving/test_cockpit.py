@@ -17,12 +17,12 @@ from websockets.sync.client import connect
 
 from browsing import opened
 from giajax import InputError
-from giajax.arm import Contact, chain
-from giajax.driving import Cockpit, PadMapping, Session, TipCamera
-from giajax.driving._cockpit import TAKEN_OVER
+from giajax.apps.driving import Cockpit, PadMapping, Session, TipCamera
+from giajax.apps.driving._cockpit import TAKEN_OVER
+from giajax.mechanics.arm import Contact, chain
+from giajax.mechanics.obstacles import WallWithOpening
 from giajax.models import ArmModel
-from giajax.obstacles import WallWithOpening
-from giajax.runs import read_run
+from giajax.recordings import read_run
 
 PAD = """
 window.pad = {id: "test pad", index: 0, connected: true, axes: [0, 0, 0, 0],

@@ -5,9 +5,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from giajax import InputError
-from giajax.driving import Operator, PadMapping, read_pad
-from giajax.driving._mapping import shaped
-from giajax.driving._operator import LET_GO, NO_PAD, NOT_YET, SILENT, STOPPED
+from giajax.apps.driving import Operator, PadMapping, read_pad
+from giajax.apps.driving._operator import LET_GO, NO_PAD, NOT_YET, SILENT, STOPPED, shaped
 
 pytestmark = pytest.mark.quick
 

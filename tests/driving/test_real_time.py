@@ -8,7 +8,7 @@ from test_cockpit import PAD
 
 import giajax
 from browsing import opened
-from giajax.driving import Cockpit, Session, TipCamera
+from giajax.apps.driving import Cockpit, Session, TipCamera
 from giajax.models import ArmModel
 
 # What the page shows, and when.

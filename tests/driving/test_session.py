@@ -7,15 +7,15 @@ from numpy.testing import assert_allclose
 
 import giajax
 from giajax import InputError
-from giajax.arm import chain, tip_position
+from giajax.apps.control import Compensator
+from giajax.apps.driving import Compensation, PadMapping, Session, TipCamera, replay
+from giajax.apps.synthetic import gusts
 from giajax.cli import main
-from giajax.control import Compensator
-from giajax.driving import Compensation, PadMapping, Session, TipCamera, replay
-from giajax.hysteresis import PrandtlIshlinskii
+from giajax.mechanics.arm import chain, tip_position
+from giajax.mechanics.hysteresis import PrandtlIshlinskii
 from giajax.models import ArmModel
-from giajax.runs import Channel, read_run
+from giajax.recordings import Channel, read_run
 from giajax.simulation import ramps, simulate
-from giajax.synthetic import gusts
 
 STIFF = {"joints.pitch_stiffness": 6.0, "joints.yaw_stiffness": 6.0, "joints.damping": 0.3}
 

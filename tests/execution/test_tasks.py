@@ -12,7 +12,8 @@ import pytest
 
 import small_jobs
 from giajax import InputError
-from giajax.execution import InProcess, Task, prepared, read_outcome, run_tasks
+from giajax.runtime.execution import InProcess, prepared, run_tasks
+from giajax.runtime.tasks import Task, read_outcome
 
 pytestmark = pytest.mark.quick
 
@@ -151,7 +152,7 @@ def test_a_full_disk_ends_the_study(tmp_path, monkeypatch):
     def full(path, data):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("giajax._files.write_durably", full)
+    monkeypatch.setattr("giajax.runtime.files.write_durably", full)
     kept, heard = tmp_path / "kept", []
     with pytest.raises(InputError, match=r"cannot be written \(No space left on device\): free"):
         run_tasks(
@@ -192,7 +193,7 @@ class Gone(InProcess):
 
 
 def test_a_scheduler_that_is_gone_is_told(monkeypatch):
-    monkeypatch.setattr("giajax.execution._run._BETWEEN_S", 0.01)
+    monkeypatch.setattr("giajax.runtime.execution._BETWEEN_S", 0.01)
     with pytest.raises(InputError, match="the scheduler is gone: start it again"):
         run_tasks(tasks_of(small_jobs.double, [1]), executor=Gone())
 

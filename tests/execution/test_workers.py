@@ -10,7 +10,8 @@ import pytest
 
 import small_jobs
 from giajax import InputError
-from giajax.execution import Task, open_executor, run_tasks
+from giajax.runtime.execution import open_executor, run_tasks
+from giajax.runtime.tasks import Task
 
 
 @pytest.mark.slow

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from giajax import fit, model_for, predict
-from giajax.experiments import bouc_wen_benchmark, decibels
-from giajax.experiments._bouc_wen_benchmark import NOISE, multisine
+from giajax.apps.experiments import bouc_wen_benchmark, decibels
+from giajax.apps.experiments._files import NOISE, multisine
 
 # 30 % off, upwards and downwards.
 START = {

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from giajax.experiments import (
+from giajax.apps.experiments import (
     SimulatedJoint,
     _one_link,
     figure_12,

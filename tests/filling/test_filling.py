@@ -10,9 +10,9 @@ from scipy.linalg import expm
 
 import giajax
 from giajax import Filling, InputError, chain, fill, filling_curve, replace
-from giajax.filling import Ports, Supply
-from giajax.filling._integrate import State, rates
-from giajax.kinds import FillingSection
+from giajax.apps.filling._fill import State, rates
+from giajax.mechanics.inflation import Ports, Supply
+from giajax.schema import FillingSection
 
 ROOM, DENSITY, AIR = 101325.0, 0.1664, 1.204
 LINK = np.pi * 0.15**2 * 0.99
@@ -172,7 +172,7 @@ def test_what_cannot_be_followed_is_said():
 @pytest.mark.parametrize("kind", ["flow", "regulator", "bottle"])
 def test_every_pair_of_the_curve_fills_in_its_time(kind):
     curve = filling_curve(small(kind), duration=300, diameters=(0.004, 0.006, 0.01))
-    assert curve.path == giajax.filling.STRENGTHS[kind]
+    assert curve.path == giajax.mechanics.inflation.STRENGTHS[kind]
     assert np.all(np.diff(curve.flows) < 0)
     assert np.all(np.diff(curve.pressures) < 0)
     for diameter, strength in zip(curve.diameters, curve.strengths, strict=True):

@@ -11,7 +11,8 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from giajax import chain, replace
-from giajax.filling import (
+from giajax.apps.filling._fill import State, rates
+from giajax.mechanics.inflation import (
     Filling,
     Gas,
     Hole,
@@ -23,7 +24,6 @@ from giajax.filling import (
     mass_flow,
     stiff_share,
 )
-from giajax.filling._integrate import State, rates
 
 HELIUM = Gas()
 ROOM = float(HELIUM.ambient_pressure)

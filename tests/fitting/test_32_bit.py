@@ -10,7 +10,7 @@ SCRIPT = """
 import json, warnings
 import numpy as np
 import giajax
-from giajax.synthetic import synthesise
+from giajax.apps.synthetic import synthesise
 
 arm = giajax.replace(giajax.takeichi_20m(3), {"air.drag_coefficient": 1.5})
 times = np.linspace(0.0, 6.0, 61)

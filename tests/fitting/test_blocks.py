@@ -13,18 +13,14 @@ import pytest
 from numpy.testing import assert_allclose
 
 from giajax import Run, fit, pendulum
-from giajax.fitting._bijector import Bijector
-from giajax.fitting._group import build_groups, own_start
-from giajax.fitting._jacobian import BlockJacobian
-from giajax.fitting._layout import Layout
+from giajax.fitting import BlockJacobian
+from giajax.fitting._coordinates import Bijector, Layout
 from giajax.fitting._linearise import linearise
-from giajax.fitting._loss import curvature_ratio
-from giajax.fitting._noise import Noise
-from giajax.fitting._problem import Problem
-from giajax.fitting._residual import residual
-from giajax.kinds import InitialSection
+from giajax.fitting._problem import Problem, build_groups, own_start, residual
+from giajax.fitting._weights import Noise, curvature_ratio
 from giajax.models import AbstractModel, ArmModel
-from giajax.parameters import parameter
+from giajax.schema import InitialSection
+from giajax.schema.parameters import parameter
 from toy_model import Decay
 
 SIGMA = 0.01

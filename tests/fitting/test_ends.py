@@ -9,10 +9,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from giajax.fitting import Iteration, fit, set_up
-from giajax.fitting._descend import descend
-from giajax.fitting._ends import stopped_by
+from giajax.fitting._descend import descend, stopped_by
 from giajax.fitting._transitions import begin, residuals_at, step
-from giajax.runs import Run
+from giajax.recordings import Run
 from small_pendulum import Pendulum, start, swing
 from toy_model import Decay, run
 

@@ -9,9 +9,8 @@ from scipy.optimize import brentq, least_squares, minimize_scalar
 from test_blocks import OwnHeights, recording
 
 from giajax import Prior, Run, fit, pendulum, predict
-from giajax.fitting import Finding, _findings
-from giajax.fitting._combinations import combinations
-from giajax.fitting._statistics import Statistics
+from giajax.fitting import Finding, Statistics, _estimates as _findings
+from giajax.fitting._statistics import combinations
 from giajax.fitting._uncertainty import inverse_gram
 from giajax.models import ArmModel
 from toy_model import Decay, height, run

@@ -10,8 +10,8 @@ from numpy.testing import assert_allclose
 
 from giajax import InputError, Prior, RunFit, fit
 from giajax.fitting import set_up
-from giajax.fitting._layout import Layout, members, sharing
-from giajax.study._refit import refit
+from giajax.fitting._coordinates import Layout, members, sharing
+from giajax.studies import refit
 from toy_model import TRUTH, Decay, height, run
 
 DECAY, SIGMA = TRUTH["decay"], 0.01

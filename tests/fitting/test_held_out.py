@@ -11,9 +11,9 @@ import pytest
 
 from giajax import Prior, Run
 from giajax.fitting import HeldOut, set_up, solve, with_held_out
-from giajax.parameters import parameter
-from giajax.runs import hold_out
-from giajax.verdict import Reason, Verdict
+from giajax.noise import Reason, Verdict
+from giajax.recordings import hold_out
+from giajax.schema.parameters import parameter
 from toy_model import Decay, height, run
 
 START = {"amplitude": 1.5, "decay": 1.0}

@@ -9,7 +9,7 @@ import pytest
 
 from giajax import InputError
 from giajax.fitting import Budget, _fit, fit, set_up, solve
-from giajax.study import _multi_start, multi_start, solve_from_starts
+from giajax.studies import _multi_start, multi_start, solve_from_starts
 from giajax.tasks import JOURNAL, Journal, read_journal
 from toy_model import Decay, run
 
@@ -203,7 +203,7 @@ def test_a_budget_ends_a_fit_with_the_best_so_far(tmp_path):
 
 def test_a_budget_ends_before_a_step_that_it_has_no_time_for(monkeypatch):
     """Steps of 2 s by a clock of our own, and 7 s for them: three and the one that compiles."""
-    from giajax.fitting import _budget, _descend
+    from giajax.fitting import _descend, _descend as _budget
 
     clock = [100.0]
     monkeypatch.setattr(_budget.time, "monotonic", lambda: clock[0])
@@ -223,7 +223,7 @@ def test_a_budget_ends_before_a_step_that_it_has_no_time_for(monkeypatch):
 @pytest.mark.parametrize("ended_at", [2, 3])
 def test_a_budget_ends_several_starts(monkeypatch, ended_at):
     """The best of the starts so far is the result, and says that there were to be more."""
-    from giajax.fitting import _budget
+    from giajax.fitting import _descend as _budget
 
     clock, begun = [0.0], []
     monkeypatch.setenv("GIAJAX_CORES", "1")

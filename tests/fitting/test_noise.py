@@ -8,10 +8,10 @@ import pytest
 
 from giajax import InputError
 from giajax.fitting import Estimate, NoiseFit, RunFit, fit
-from giajax.fitting._noise import Noise
+from giajax.fitting._weights import Noise
+from giajax.noise import Verdict
+from giajax.recordings import Run
 from giajax.report import summary
-from giajax.runs import Run
-from giajax.verdict import Verdict
 from toy_model import TRUTH, Decay, height, run
 
 START = {"amplitude": 1.0, "decay": 1.2, "offset": 0.1}

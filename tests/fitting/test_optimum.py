@@ -7,7 +7,7 @@ import pytest
 
 import giajax
 from giajax import InputError
-from giajax.study import optimum_of
+from giajax.studies import optimum_of
 from toy_model import Decay, run
 
 FREE = ["amplitude", "decay", "offset"]

@@ -6,19 +6,10 @@ import numpy as np
 import pytest
 
 from giajax import InputError
-from giajax.fitting import between
-from giajax.fitting._bijector import Bijector
-from giajax.fitting._identifiability import responds, undetermined_groups
-from giajax.fitting._jacobian import BlockJacobian
-from giajax.fitting._loss import (
-    LOSSES,
-    check_loss,
-    curvature_ratio,
-    rho as counts_as,
-    scores,
-    transform,
-)
-from giajax.fitting._uncertainty import uncertainty
+from giajax.fitting import BlockJacobian, between, rho as counts_as, scores
+from giajax.fitting._coordinates import Bijector
+from giajax.fitting._uncertainty import responds, uncertainty, undetermined_groups
+from giajax.fitting._weights import LOSSES, check_loss, curvature_ratio, transform
 from giajax.noise import from_differences, robust_deviation
 
 INF = float("inf")

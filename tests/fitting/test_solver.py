@@ -10,7 +10,7 @@ import pytest
 import scipy.optimize
 
 from giajax.fitting import Marquardt
-from giajax.fitting._box import boxed_step
+from giajax.fitting._solver import boxed_step
 
 
 def rosenbrock(y, args):

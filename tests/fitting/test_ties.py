@@ -7,11 +7,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 from giajax import InputError, Run, chain, fit, predict
-from giajax.fitting import set_up
-from giajax.fitting._ties import resolved_ties, tied, within_bounds
+from giajax.fitting import resolved_ties, set_up, tied
+from giajax.fitting._free import within_bounds
 from giajax.models import ArmModel
-from giajax.parameters import replace
-from giajax.quantities import Expression
+from giajax.schema import Expression
+from giajax.schema.parameters import replace
 from toy_model import Decay, run
 
 NOISE = 0.02

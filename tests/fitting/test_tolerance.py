@@ -11,11 +11,11 @@ import pytest
 
 import giajax
 from giajax.fitting import fit, set_up, solve
-from giajax.fitting._held_state import where_it_ended
+from giajax.fitting._hold_out import where_it_ended
 from giajax.fitting._transitions import tolerance_of
 from giajax.models import ArmModel, Integration
-from giajax.runs import hold_out
-from giajax.study import refit
+from giajax.recordings import hold_out
+from giajax.studies import refit
 from giajax.tasks import JOURNAL, Journal, read_journal
 from small_arm import NOISE, START, small_run
 from toy_model import TRUTH, Decay, run

@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from giajax import InputError
-from giajax.hysteresis import BoucWen, BoucWenOscillator, bouc_wen_rate
+from giajax.mechanics.hysteresis import BoucWen, BoucWenOscillator, bouc_wen_rate
 
 
 def operator(**changed):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from giajax import InputError
-from giajax.hysteresis import (
+from giajax.mechanics.hysteresis import (
     BoucWen,
     BranchCompensator,
     InverseByBisection,
@@ -17,7 +17,7 @@ from giajax.hysteresis import (
     branches_from_loop,
     isotonic,
 )
-from giajax.hysteresis._operator import history_by_steps
+from giajax.mechanics.hysteresis._operator import history_by_steps
 
 
 def compensator(travel=0.5):

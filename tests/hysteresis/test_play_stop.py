@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from giajax import InputError
-from giajax.hysteresis import Play, Stop, play, stop
+from giajax.mechanics.hysteresis import Play, Stop, play, stop
 
 
 def definition(inputs, thresholds, state=None):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import giajax
-from giajax.joint import Alpha, Beta, Correction
+from giajax.mechanics.joint import Alpha, Beta, Correction
 
 
 def at(correction, degrees, inner):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import giajax
-from giajax.joint import (
+from giajax.mechanics.joint import (
     BraidedMuscle,
     Correction,
     EmpiricalMuscle,

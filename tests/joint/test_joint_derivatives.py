@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import giajax
-from giajax.joint import Correction, Joint, branch_angles, muscle_state
+from giajax.mechanics.joint import Correction, Joint, branch_angles, muscle_state
 
 OUTPUTS = ("contraction", "force", "wire_tension", "push_x", "push_y")
 # Where the corrections bend, in deg; the branch points are added.

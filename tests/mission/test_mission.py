@@ -13,11 +13,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 from giajax import Definition, InputError
+from giajax.apps.mission import Case, Cases, Mission, Tally, fly_cases, recorded
+from giajax.apps.mission._mission import _reason
 from giajax.fitting import predict
-from giajax.mission import Case, Cases, Mission, Tally, fly_cases, recorded
-from giajax.mission._outcome import _reason
 from giajax.models import model_for
-from giajax.parameters import replace
+from giajax.schema.parameters import replace
 
 FOLDER = Path(__file__).resolve().parents[2] / "missions"
 

@@ -8,11 +8,11 @@ from numpy.testing import assert_allclose
 
 import giajax
 from giajax import InputError
-from giajax.arm import Contact
-from giajax.mission import Operator, Tracking, opening_of
-from giajax.mission._posed import posed
+from giajax.apps.mission import Operator, Tracking, opening_of
+from giajax.apps.mission._operator import posed
+from giajax.mechanics.arm import Contact
+from giajax.mechanics.obstacles import Box, WallWithOpening
 from giajax.models import Pinhole, View
-from giajax.obstacles import Box, WallWithOpening
 
 WALL = WallWithOpening(
     centre=[14.0, 0.0, 7.4], opening=[2.0, 1.0], thickness=0.2, rotation=[0.1, -1.4, 0.2]

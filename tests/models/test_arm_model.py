@@ -11,12 +11,9 @@ import pytest
 import giajax
 from giajax import InputError, Run
 from giajax.fitting import fit
-from giajax.fitting._bijector import Bijector
-from giajax.fitting._group import build_groups
-from giajax.fitting._layout import Layout
-from giajax.fitting._noise import Noise
-from giajax.fitting._problem import Problem
-from giajax.fitting._residual import residual
+from giajax.fitting._coordinates import Bijector, Layout
+from giajax.fitting._problem import Problem, build_groups, residual
+from giajax.fitting._weights import Noise
 from giajax.models import ArmModel, arm_to_definition, build_model, model_for, parameter_values
 
 TIMES = np.linspace(0.0, 6.0, 61)

@@ -14,7 +14,7 @@ from giajax.models import (
     build_model,
     parameter_values,
 )
-from giajax.runs import Definition
+from giajax.recordings import Definition
 from peers.arms import full_arm
 
 TIMES = np.linspace(0.0, 3.0, 31)
@@ -121,7 +121,7 @@ def test_options_are_fitted(fitted):
     truth, _, result = fitted
     assert result.status == "converged", result.message
     for path, estimate in result.free.items():
-        value = float(giajax.parameters.find(truth, path).value(truth))
+        value = float(giajax.schema.parameters.find(truth, path).value(truth))
         assert abs(estimate.value - value) < 3 * estimate.standard_error, path
         assert estimate.standard_error < 0.2 * abs(value), path
     assert result.gradient_check.relative_difference < 1e-5

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from giajax import InputError, Run, SimulationError, fit, load_result, model_for, read_run, replace
-from giajax.control import compensator_for_loop, compensator_for_model
+from giajax.apps.control import compensator_for_loop, compensator_for_model
+from giajax.apps.synthetic import synthesise
 from giajax.fitting import predict, set_up
 from giajax.models import HysteresisModel, build_model, parameter_values
-from giajax.parameters import declared, get
-from giajax.study import multi_start
-from giajax.synthetic import synthesise
+from giajax.schema.parameters import declared, get
+from giajax.studies import multi_start
 
 
 def turning(turns, samples=40):

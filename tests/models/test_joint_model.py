@@ -6,7 +6,7 @@ import pytest
 
 import giajax
 from giajax import InputError, JointModel, Run, fit, model_for, predict, synthesise
-from giajax.joint import Correction, Joint, JointGeometry, muscle_state
+from giajax.mechanics.joint import Correction, Joint, JointGeometry, muscle_state
 
 
 def run_of(degrees, sides, **more):

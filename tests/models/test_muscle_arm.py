@@ -8,9 +8,9 @@ from numpy.testing import assert_allclose
 
 import giajax
 from giajax import InputError, Run
-from giajax.arm import acceleration
 from giajax.cli import main
 from giajax.fitting import fit
+from giajax.mechanics.arm import acceleration
 from giajax.models import (
     ArmModel,
     JointModel,
@@ -21,10 +21,9 @@ from giajax.models import (
     model_for,
     parameter_values,
 )
-from giajax.models._arm_conditions import SCALE
-from giajax.models._arm_variants import arm_variants
-from giajax.parameters import declared, default_free, get, replace
-from giajax.runs import Definition
+from giajax.models._arm_conditions import SCALE, arm_variants
+from giajax.recordings import Definition
+from giajax.schema.parameters import declared, default_free, get, replace
 
 LINKS = 3
 TIMES = np.linspace(0.0, 16.0, 161)

@@ -7,7 +7,7 @@ import pytest
 
 import giajax
 from giajax import InputError, MuscleModel, Run, fit, model_for, predict, read_run
-from giajax.joint import BraidedMuscle, EmpiricalMuscle, Friction, Piston, muscle_force
+from giajax.mechanics.joint import BraidedMuscle, EmpiricalMuscle, Friction, Piston, muscle_force
 
 PISTON = Path(__file__).parents[2] / "data" / "recorded" / "pneumatic_piston_friction"
 

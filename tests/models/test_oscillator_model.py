@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from giajax import Definition, InputError, Run, fit, model_for, read_run, replace
+from giajax.apps.synthetic import synthesise
 from giajax.fitting import predict
 from giajax.models import OscillatorModel, build_model, parameter_values
-from giajax.synthetic import synthesise
 
 STILL = {"input": [0.0, 1.0, 0.0], "output": [0.0, 0.0, 0.0]}
 

@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 
 import giajax
 from giajax import Definition, InputError, Run
+from giajax.apps.synthetic import recorded_again
 from giajax.models import NEAR, Pinhole, build_model, model_for
-from giajax.parameters import declared, left_out
-from giajax.synthetic import recorded_again
+from giajax.schema.parameters import declared, left_out
 
 OPENCV = json.loads(Path(__file__).with_name("opencv_projections.json").read_text())
 # The camera's own axes, right, down and forwards, seen from an unturned camera: along -y, -z, x.

@@ -8,11 +8,11 @@ import pytest
 
 import giajax
 from giajax import ArmModel, InputError, Run
-from giajax.arm import link_centres, tip_position
-from giajax.models import build_model, model_for, parameter_values
-from giajax.models._sensors import Camera, Marker, Sensors
-from giajax.study import sensitivity
-from giajax.synthetic import RecordingErrors, synthesise, with_errors
+from giajax.apps.synthetic import RecordingErrors, synthesise, with_errors
+from giajax.mechanics.arm import link_centres, tip_position
+from giajax.models import Sensors, build_model, model_for, parameter_values
+from giajax.models._arm_sensors import Camera, Marker
+from giajax.studies import sensitivity
 
 LINKS = 3
 TIMES = np.linspace(0.0, 4.0, 41)
@@ -153,7 +153,7 @@ def test_before_the_run_a_moving_arm_moves_on(plain):
 
 NEUTRAL = {
     path: np.broadcast_to(off.declaration.default, np.shape(EACH[path])).astype(float)
-    for path, off in giajax.parameters.left_out(model()).items()
+    for path, off in giajax.schema.parameters.left_out(model()).items()
     if path in EACH
 }
 ELEMENTS = [(path, i) for path in EACH for i in range(np.size(EACH[path]))]

@@ -9,12 +9,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 from giajax import Definition, FitTask, InputError, Run, fit, predict, replace
-from giajax._typing import Scalar
 from giajax.fitting import set_up
 from giajax.models import SeveralModels, model_for
-from giajax.parameters import declared, parameter
+from giajax.recordings import read_runs, write_run
 from giajax.report import summary
-from giajax.runs import read_runs, write_run
+from giajax.runtime.arrays import Scalar
+from giajax.schema.parameters import declared, parameter
 from toy_model import Plain
 
 SIGMA = 0.01

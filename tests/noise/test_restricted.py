@@ -13,7 +13,7 @@ from giajax.noise import (
     outlier_weights,
     small_sample,
 )
-from giajax.noise._cells import grams
+from giajax.noise._restricted import grams
 
 
 def memory(times, time_s, rng):

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from giajax.fitting._whitening import Whitening
+from giajax.fitting._weights import Whitening
 from giajax.noise import ChannelNoise, gains, whitened
-from giajax.noise._segment import solve
+from giajax.noise._model import solve
 
 NOISE = ChannelNoise(white=0.7, correlated=1.3, time_s=2.0)
 

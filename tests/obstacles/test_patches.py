@@ -6,7 +6,16 @@ import pytest
 from numpy.testing import assert_allclose
 
 from giajax import InputError
-from giajax.obstacles import Box, Lines, Plane, WallWithOpening, nearest, owners, patches, solids
+from giajax.mechanics.obstacles import (
+    Box,
+    Lines,
+    Plane,
+    WallWithOpening,
+    nearest,
+    owners,
+    patches,
+    solids,
+)
 
 OBSTACLES = [
     Box(centre=[1.0, 0.0, 0.0], size=[1.0, 2.0, 0.5], rotation=[0.1, 0.2, 0.3]),

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from giajax import InputError
-from giajax.paper import concordance, relative_error
-from giajax.paper._concordance import compared
+from giajax.apps.paper import concordance, relative_error
+from giajax.apps.paper._contenders import compared
 
 pytestmark = pytest.mark.quick
 

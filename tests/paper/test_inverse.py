@@ -6,13 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from giajax.arm import takeichi_20m
-from giajax.paper import _inverse, _inverse_search, concordance, reproduced_files
-from giajax.paper._inverse import shown
-from giajax.paper._inverse_drawn import directions
-from giajax.paper._inverse_search import CELLS, SearchEnd, search
-from giajax.paper._readings import READINGS
-from giajax.paper._unknown_experiment import UNKNOWNS, Compared, evaluated
+from giajax.apps.paper import _inverse, _inverse as _inverse_search, concordance, reproduced_files
+from giajax.apps.paper._arm_figures import READINGS, UNKNOWNS, Compared, evaluated
+from giajax.apps.paper._inverse import CELLS, SearchEnd, directions, search, shown
+from giajax.mechanics.arm import takeichi_20m
 from giajax.simulation import ramps, simulate
 
 COUNT = len(UNKNOWNS)

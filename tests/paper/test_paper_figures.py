@@ -8,9 +8,7 @@ import re
 import numpy as np
 import pytest
 
-from giajax.arm import takeichi_20m
-from giajax.cli._paper import INVERSE, NAMES
-from giajax.paper import (
+from giajax.apps.paper import (
     FIGURES,
     Reproduced,
     Sources,
@@ -19,9 +17,17 @@ from giajax.paper import (
     reproduction_page,
     stored_record,
 )
-from giajax.paper._fig05 import LINKS, STEP_AT, STEP_DEG, TOLERANCE, heights
-from giajax.parameters import replace
+from giajax.apps.paper._arm_figures import (
+    SHOWN_LINKS as LINKS,
+    STEP_AT,
+    STEP_DEG,
+    TOLERANCE,
+    heights,
+)
+from giajax.cli._paper import INVERSE, NAMES
+from giajax.mechanics.arm import takeichi_20m
 from giajax.report import new_figure
+from giajax.schema.parameters import replace
 from giajax.simulation import joint_steps
 from peers.compiling import NoCompilerError
 

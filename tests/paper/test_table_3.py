@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from giajax import InputError, Run
-from giajax.paper import _contenders, reproduced_files
-from giajax.paper._contenders import CONTENDERS, HEIGHTS, Fits, stand_in
-from giajax.paper._fig19 import fig19
-from giajax.paper._table3 import PRINTED, table3
+from giajax.apps.paper import _contenders, reproduced_files
+from giajax.apps.paper._arm_figures import PRINTED, fig19, table3
+from giajax.apps.paper._contenders import CONTENDERS, HEIGHTS, Fits, stand_in
 
 pytestmark = pytest.mark.quick
 

@@ -6,10 +6,10 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 import numpy as np
 
-from giajax._typing import Array, Scalar
 from giajax.models import Channels
-from giajax.parameters import parameter
-from giajax.runs import Run
+from giajax.recordings import Run
+from giajax.runtime.arrays import Array, Scalar
+from giajax.schema.parameters import parameter
 from toy_model import Plain
 
 SIGMA = 0.02

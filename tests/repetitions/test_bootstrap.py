@@ -10,9 +10,8 @@ from line import FREE, SIGMA, Line, columns
 import giajax
 from giajax import Bootstrap, InputError
 from giajax.noise import ChannelNoise
-from giajax.repetitions import _bootstrap, _replicates
-from giajax.repetitions._blocks import Residuals, block_length
-from giajax.repetitions._summary import binomial_interval, repeated
+from giajax.studies import _bootstrap, _bootstrap as _replicates
+from giajax.studies._bootstrap import Residuals, binomial_interval, block_length, repeated
 
 SIZE = 96
 
@@ -68,7 +67,7 @@ def test_what_is_known_before_is_drawn_anew(result, runs):
 
 def test_a_repetition_is_the_least_squares_of_its_data(result, runs, found):
     """The first one, by numpy; cells that were not measured are not in it."""
-    optimum = giajax.study.optimum_of(result, runs)
+    optimum = giajax.studies.optimum_of(result, runs)
     recorded = _replicates.noisy(optimum, np.random.default_rng([3, 0]))
     x, y = [], []
     for run, again in zip(runs, recorded, strict=True):

@@ -10,10 +10,9 @@ import giajax
 from giajax import Influence, InputError
 from giajax.fitting import CellEquations
 from giajax.noise import whitened
-from giajax.repetitions import _influence
-from giajax.repetitions._parts import parts_of
 from giajax.report import influence_table
-from giajax.study import optimum_of
+from giajax.studies import _influence, optimum_of
+from giajax.studies._influence import parts_of
 
 DRIFTING = {"position_m": SIGMA, "position_correlated_m": 0.015, "position_correlation_s": 0.4}
 

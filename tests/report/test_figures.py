@@ -12,9 +12,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from giajax.fitting import ChannelFit, Correlation, RunFit
 from giajax.models import model_for
-from giajax.report import correlation_figure, recorded_figure, residuals_figure
-from giajax.report._style import to_png
-from giajax.runs import Run
+from giajax.recordings import Run
+from giajax.report import correlation_figure, recorded_figure, residuals_figure, to_png
 
 PNG = b"\x89PNG\r\n\x1a\n"
 

@@ -7,12 +7,12 @@ import os
 import numpy as np
 import pytest
 
-from giajax._errors import InputError
 from giajax.fitting import fit, load_result, set_up
-from giajax.kinds import InitialSection
 from giajax.models import model_for
+from giajax.recordings import Run, read_run
 from giajax.report import _files, check_folder, write_figures, write_result
-from giajax.runs import Run, read_run
+from giajax.runtime.text import InputError
+from giajax.schema import InitialSection
 from small_arm import START, make_run, small_run
 
 NAMES = [

@@ -6,17 +6,16 @@ import json
 import numpy as np
 import pytest
 
-from giajax._errors import InputError
 from giajax.fitting import Correlation, Finding, SystematicError
-from giajax.repetitions import Bootstrap, Influence, LeftOut
-from giajax.repetitions._summary import repeated
+from giajax.recordings import Run
 from giajax.report import report_page
 from giajax.report.page import _report
-from giajax.report.page._autocorrelation import autocorrelation
-from giajax.report.page._opening import opening
-from giajax.report.page._repetitions import influence_part, repeated_part
-from giajax.report.page._thin import thinned
-from giajax.runs import Run
+from giajax.report.page._plots import autocorrelation, thinned
+from giajax.report.page._report import opening
+from giajax.report.page._tables import influence_part, repeated_part
+from giajax.runtime.text import InputError
+from giajax.studies import Bootstrap, Influence, LeftOut
+from giajax.studies._bootstrap import repeated
 from page_reader import Page, loaded_from_elsewhere
 
 SECTIONS = [

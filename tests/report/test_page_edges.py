@@ -6,19 +6,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from giajax._errors import InputError
 from giajax.fitting import Correlation, GradientCheck, OwnEstimate, load_result
 from giajax.models import ArmModel
+from giajax.noise import Verdict
+from giajax.recordings import Definition
 from giajax.report import check_page, report_page
 from giajax.report.page import _report
-from giajax.report.page._arm import animation
-from giajax.report.page._correlations import correlation_cells
-from giajax.report.page._opening import opening
-from giajax.report.page._render import some_of
-from giajax.runs import Definition
+from giajax.report.page._render import animation, some_of
+from giajax.report.page._report import opening
+from giajax.report.page._tables import correlation_cells
+from giajax.runtime.text import InputError
 from giajax.simulation import SimulationError
-from giajax.study import begun_where_it_ended
-from giajax.verdict import Verdict
+from giajax.studies import begun_where_it_ended
 from page_reader import Page
 
 EARLIER = Path(__file__).resolve().parents[1] / "earlier"

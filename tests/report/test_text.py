@@ -4,10 +4,10 @@ import dataclasses
 
 import pytest
 
-from giajax._text import format_estimate
 from giajax.fitting import ChannelFit, Correlation, Estimate, RunFit
+from giajax.recordings import Definition
 from giajax.report import parameter_table, reached, summary
-from giajax.runs import Definition
+from giajax.runtime.text import format_estimate
 from small_arm import START
 
 

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from giajax._errors import InputError
-from giajax.runs import Channel, parse_column
-from giajax.runs._channels import parse_columns
+from giajax.recordings import Channel, parse_column
+from giajax.recordings._channels import parse_columns
+from giajax.runtime.text import InputError
 
 pytestmark = pytest.mark.quick
 

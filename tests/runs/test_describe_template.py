@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from giajax.runs import Definition, Run, describe, read_run, sidecar_template
+from giajax.recordings import Definition, Run, describe, read_run, sidecar_template
 
 pytestmark = pytest.mark.quick
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from giajax import InputError, Run
-from giajax.runs import Parted, hold_out, observing, parted, windows
+from giajax.recordings import Parted, hold_out, observing, parted, windows
 
 pytestmark = pytest.mark.quick
 

@@ -7,8 +7,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-from giajax._errors import InputError
-from giajax.runs import Definition, Run, read_run, write_run
+from giajax.recordings import Definition, Run, read_run, write_run
+from giajax.runtime.text import InputError
 
 pytestmark = pytest.mark.quick
 

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from giajax._errors import InputError
-from giajax.runs import Definition, Run
+from giajax.recordings import Definition, Run
+from giajax.runtime.text import InputError
 
 pytestmark = pytest.mark.quick
 

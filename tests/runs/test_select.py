@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from giajax import InputError, Run
-from giajax.runs import observing, windows
+from giajax.recordings import observing, windows
 
 pytestmark = pytest.mark.quick
 

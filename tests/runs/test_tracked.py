@@ -5,7 +5,7 @@ import pytest
 
 from giajax import InputError, read_run
 from giajax.cli import main
-from giajax.runs import read_deeplabcut, read_kinovea
+from giajax.recordings import read_deeplabcut, read_kinovea
 
 SCORER = "DLC_resnet50_armSep1shuffle1_100000"
 # As pandas writes it: the scorer's name, the body parts and x, y, likelihood for each.

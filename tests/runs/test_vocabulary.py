@@ -6,9 +6,9 @@ import tomllib
 import numpy as np
 import pytest
 
-from giajax._errors import InputError
-from giajax.runs import Definition
-from giajax.runs._toml import to_toml
+from giajax.recordings import Definition
+from giajax.recordings._definition import to_toml
+from giajax.runtime.text import InputError
 
 pytestmark = pytest.mark.quick
 

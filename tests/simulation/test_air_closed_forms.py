@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from giajax._errors import InputError
-from giajax.arm import chain, kinetic_energy, potential_energy, takeichi_20m
-from giajax.parameters import replace
+from giajax.mechanics.arm import chain, kinetic_energy, potential_energy, takeichi_20m
+from giajax.runtime.text import InputError
+from giajax.schema.parameters import replace
 from giajax.simulation import constant, ramps, simulate, steps
 
 DENSITY, LENGTH, DIAMETER, DRAG = 1.204, 0.99, 0.3, 1.2

@@ -7,8 +7,8 @@ from numpy.testing import assert_allclose
 from scipy.linalg import eigh
 from scipy.special import ellipj
 
-from giajax.arm import chain
-from giajax.parameters import replace
+from giajax.mechanics.arm import chain
+from giajax.schema.parameters import replace
 from giajax.simulation import SOLVERS, constant, joint_ramps, joint_steps, simulate
 
 TIGHT = {"rtol": 1e-9, "atol": 1e-9}

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from giajax.arm import (
+from giajax.mechanics.arm import (
     damping_power,
     drag_power,
     kinetic_energy,
     potential_energy,
     takeichi_20m,
 )
-from giajax.parameters import replace
+from giajax.schema.parameters import replace
 from giajax.simulation import constant, joint_ramps, simulate
 from peers.arms import full_arm, general_arm
 

@@ -8,11 +8,11 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.linalg import eigh
 
-from giajax.arm import mass_matrix, pendulum
-from giajax.parameters import replace
+from giajax.mechanics.arm import mass_matrix, pendulum
+from giajax.schema.parameters import replace
 from giajax.simulation import constant, simulate
 from giajax.simulation._controller import step_size_controller
-from giajax.simulation._rates import fastest_rate
+from giajax.simulation._motion import fastest_rate
 from peers.arms import general_arm, random_states
 
 

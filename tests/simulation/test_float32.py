@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from giajax.arm import takeichi_20m
+from giajax.mechanics.arm import takeichi_20m
 from giajax.simulation import joint_ramps, simulate
 
 PROGRAM = """
 import json, sys
 import jax, jax.numpy as jnp, numpy as np
-from giajax.arm import takeichi_20m
-from giajax.parameters import replace
+from giajax.mechanics.arm import takeichi_20m
+from giajax.schema.parameters import replace
 from giajax.simulation import joint_ramps, simulate
 
 arm = takeichi_20m(4)

@@ -11,13 +11,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from giajax.arm import takeichi_20m
-from giajax.parameters import replace
+from giajax.mechanics.arm import takeichi_20m
+from giajax.schema.parameters import replace
 from giajax.simulation import constant, joint_ramps, joint_steps, ramps, simulate
-from giajax.simulation._linearly_implicit import LinearlyImplicit
-from giajax.simulation._motion import Inputs, motion
-from giajax.simulation._springs import pull, springs
-from giajax.simulation._tableau import tableau
+from giajax.simulation._linearly_implicit import LinearlyImplicit, tableau
+from giajax.simulation._motion import Inputs, motion, pull, springs
 from peers.arms import driven_arm
 
 # Order conditions of W-methods (Hairer and Wanner, Solving ODEs II, IV.7). A tree is a node of

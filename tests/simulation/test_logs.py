@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from giajax.arm import takeichi_20m
-from giajax.parameters import replace
+from giajax.mechanics.arm import takeichi_20m
+from giajax.schema.parameters import replace
 from giajax.simulation import ramps, simulate
 from peers.scipy_chain import ScipyChain
 

@@ -10,8 +10,15 @@ from numpy.testing import assert_allclose
 
 import giajax
 from giajax import InputError
-from giajax.arm import Contact, chain, contact_energy, kinetic_energy, potential_energy, touch
-from giajax.obstacles import Box, Plane, WallWithOpening
+from giajax.mechanics.arm import (
+    Contact,
+    chain,
+    contact_energy,
+    kinetic_energy,
+    potential_energy,
+    touch,
+)
+from giajax.mechanics.obstacles import Box, Plane, WallWithOpening
 from giajax.simulation import constant, contacts, joint_ramps, simulate
 from peers.mujoco_contact import MujocoContact
 
@@ -92,7 +99,7 @@ def test_impulse_is_what_the_motion_lost():
         rate = float(motion.rates[-1, 0])
         assert rate > 0
         assert contacts(motion).flattening[-1, 0, 0] == 0
-        inertia = float(giajax.arm.mass_matrix(arm, jnp.zeros(1))[0, 0])
+        inertia = float(giajax.mechanics.arm.mass_matrix(arm, jnp.zeros(1))[0, 0])
         if kept is not None:
             assert_allclose(rate, 0.8, rtol=1e-4)
         else:

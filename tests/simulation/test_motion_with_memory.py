@@ -8,11 +8,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 from giajax import InputError
-from giajax.arm import acceleration, chain
-from giajax.parameters import replace
+from giajax.mechanics.arm import acceleration, chain
+from giajax.schema.parameters import replace
 from giajax.simulation import Signal, logged, simulate
 from giajax.simulation._catch_up import catching_up
-from giajax.simulation._solvers import solver as solver_named
+from giajax.simulation._linearly_implicit import solver as solver_named
 
 LINKS = 2
 END = 2.0

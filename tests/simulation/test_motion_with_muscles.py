@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from giajax import InputError
-from giajax.arm import (
+from giajax.mechanics.arm import (
     chain,
     damping_power,
     drag_power,
@@ -16,11 +16,18 @@ from giajax.arm import (
     muscle_power,
     potential_energy,
 )
-from giajax.joint import equilibria
-from giajax.parameters import replace
-from giajax.simulation import Pressures, joint_ramps, joint_steps, logged, simulate, steps
-from giajax.simulation._pressures import check_muscles
-from giajax.simulation._rates import fastest_rate
+from giajax.mechanics.joint import equilibria
+from giajax.schema.parameters import replace
+from giajax.simulation import (
+    Pressures,
+    check_muscles,
+    joint_ramps,
+    joint_steps,
+    logged,
+    simulate,
+    steps,
+)
+from giajax.simulation._motion import fastest_rate
 
 LINKS = 3
 DAMPED = {"joints.damping": 0.6, "joints.yaw_stiffness": 5.0}

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
 
-from giajax.arm import takeichi_20m_full
-from giajax.parameters import declared, left_out, replace
+from giajax.mechanics.arm import takeichi_20m_full
+from giajax.schema.parameters import declared, left_out, replace
 from giajax.simulation import joint_ramps, ramps, simulate
 from peers.arms import full_arm
 

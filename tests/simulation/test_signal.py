@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from giajax._errors import InputError
+from giajax.runtime.text import InputError
 from giajax.simulation import constant, joint_ramps, joint_steps, logged, ramps, steps
 from giajax.simulation._signal import last_before
 

@@ -8,9 +8,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import giajax.simulation._integrate as module
-from giajax._errors import InputError
-from giajax.arm import link_centres, takeichi_20m, tip_position
-from giajax.parameters import replace
+from giajax.mechanics.arm import link_centres, takeichi_20m, tip_position
+from giajax.runtime.text import InputError
+from giajax.schema.parameters import replace
 from giajax.simulation import (
     RESULTS,
     SimulationError,

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from giajax.arm import takeichi_20m
-from giajax.parameters import replace
+from giajax.mechanics.arm import takeichi_20m
+from giajax.schema.parameters import replace
 from giajax.simulation import constant, joint_ramps, joint_steps, simulate
 
 LINKS = 3

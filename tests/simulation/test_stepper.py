@@ -7,9 +7,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from giajax import InputError
-from giajax.arm import Contact, chain
-from giajax.obstacles import Plane
-from giajax.parameters import replace
+from giajax.mechanics.arm import Contact, chain
+from giajax.mechanics.obstacles import Plane
+from giajax.schema.parameters import replace
 from giajax.simulation import Stepper, logged, simulate
 
 INTERVAL = 1 / 30

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from giajax.arm import takeichi_20m, takeichi_20m_full
+from giajax.mechanics.arm import takeichi_20m, takeichi_20m_full
 from giajax.models import ArmModel
-from giajax.parameters import declared, replace
+from giajax.schema.parameters import declared, replace
 from giajax.simulation import constant, is_disturbance, joint_ramps, simulate
 
 LINKS = 3

@@ -6,8 +6,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
-from giajax.arm import chain, takeichi_20m
-from giajax.parameters import get, replace
+from giajax.mechanics.arm import chain, takeichi_20m
+from giajax.schema.parameters import get, replace
 from giajax.simulation import joint_ramps, joint_steps, simulate
 
 LINKS = 4

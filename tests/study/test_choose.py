@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from giajax import Definition, InputError, Run, declared, fit
-from giajax.hysteresis import Preisach
-from giajax.study import CANDIDATES, choice_hint, choose_hysteresis
+from giajax.mechanics.hysteresis import Preisach
+from giajax.studies import CANDIDATES, choice_hint, choose_hysteresis
 
 
 def recording(seed=0, turns=(0, 1, -1, 0.7, -0.5, 0.9, 0.1, 0.6, -0.8, 0.3, -0.3, 0.5)):
@@ -63,7 +63,7 @@ def test_fits_that_did_not_converge_sink(monkeypatch):
         iterations = 3 if "saturation" in declared(model) else 100
         return fit(model, runs, **{**options, "max_iterations": iterations})
 
-    monkeypatch.setattr("giajax.study._choose.fit", hurried)
+    monkeypatch.setattr("giajax.studies._choose.fit", hurried)
     choice = choose_hysteresis([recording()], candidates=["preisach", "play"])
     assert [one.name for one in choice.candidates] == ["play", "preisach"]
     assert [one.converged for one in choice.candidates] == [True, False]

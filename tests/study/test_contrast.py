@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from giajax.fitting import OwnEstimate, load_result
-from giajax.study import contrast
+from giajax.studies import contrast
 
 EARLIER = Path(__file__).resolve().parents[1] / "earlier" / "muscle"
 

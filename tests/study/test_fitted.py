@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from giajax import InputError, load_result, read_run
-from giajax.execution import Task
 from giajax.fitting import Seconds
-from giajax.study import Fitted
+from giajax.runtime.tasks import Task
+from giajax.studies import Fitted
 
 pytestmark = pytest.mark.quick
 

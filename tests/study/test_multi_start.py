@@ -8,21 +8,20 @@ import numpy as np
 import pytest
 
 from giajax import InputError, Prior, Run, fit, load_result
-from giajax.execution import open_executor
-from giajax.execution._executors import InProcess
 from giajax.fitting import Budget, Start, set_up
 from giajax.report import summary
 from giajax.report.page._tables import optima_table
-from giajax.study import (
+from giajax.runtime.execution import InProcess, open_executor
+from giajax.studies import (
     _multi_start,
-    _valleys,
+    _multi_start as _valleys,
     lost_starts,
     misfit,
     multi_start,
     solve_from_starts,
     valleys,
 )
-from giajax.study._starts import start_values
+from giajax.studies._starts import start_values
 from toy_model import TRUTH, Decay, height, run
 
 

@@ -12,16 +12,12 @@ import pytest
 import giajax
 from giajax import InputError, Prior
 from giajax.fitting import density_of, energy_at
-from giajax.fitting._density_scale import check_proper
+from giajax.fitting._density import check_proper
 from giajax.report import posterior_files
 from giajax.report._posterior import draws_file
-from giajax.study import optimum_of, posterior
-from giajax.study._arviz import as_arviz
-from giajax.study._fitted import Fitted
-from giajax.study._mixing import mixing
-from giajax.study._posterior import _within, check_posterior
-from giajax.study._posterior_bands import bands
-from giajax.study._posterior_doubts import doubts
+from giajax.studies import Fitted, check_posterior, optimum_of, posterior
+from giajax.studies._posterior import _within
+from giajax.studies._posterior_records import as_arviz, bands, doubts, mixing
 from toy_model import TRUTH, Decay, run
 
 # Near the optimum of 0.699, which a density that knew no bound would hardly see.

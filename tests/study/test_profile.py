@@ -10,12 +10,11 @@ from scipy.stats import t as student
 
 import giajax
 from giajax import InputError, Run
-from giajax._typing import Scalar
 from giajax.models import Derived
-from giajax.parameters import parameter
-from giajax.study import load_profiles, profile
-from giajax.study._profile_ends import interval_end
-from giajax.study._profile_records import ProfilePoint
+from giajax.runtime.arrays import Scalar
+from giajax.schema.parameters import parameter
+from giajax.studies import ProfilePoint, load_profiles, profile
+from giajax.studies._profile_records import interval_end
 from toy_model import Decay, Plain, run
 
 TIMES = np.linspace(0.0, 4.0, 40)

@@ -6,9 +6,8 @@ import pytest
 
 import giajax
 from giajax import ArmModel, InputError, model_for
-from giajax.study import planned, sensitivity
-from giajax.study._sensitivity import expected_errors
-from giajax.synthetic import synthesise
+from giajax.apps.synthetic import synthesise
+from giajax.studies import expected_errors, planned, sensitivity
 
 TIMES = np.linspace(0.0, 4.0, 41)
 COMMAND = {"joint01_command": np.interp(TIMES, [0.5, 1.5], [0.0, 0.5])}

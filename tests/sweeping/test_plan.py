@@ -7,7 +7,7 @@ import pytest
 
 import small_loops
 from giajax import InputError
-from giajax.sweeping import Plan
+from giajax.tasks import Plan
 
 pytestmark = pytest.mark.quick
 

@@ -10,7 +10,7 @@ import giajax
 import small_loops
 from giajax import InputError
 from giajax.cli import main
-from giajax.sweeping import Plan
+from giajax.tasks import Plan
 
 PLAN = """
 fit = "loops_fit.toml"

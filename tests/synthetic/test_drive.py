@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from giajax import InputError
+from giajax.apps.synthetic import Drive, Move, joint_moves, sampled
 from giajax.simulation import logged
-from giajax.synthetic import Drive, Move, joint_moves, sampled
 
 
 def test_ramps_go_on_from_where_the_joint_is():

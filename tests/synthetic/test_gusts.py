@@ -5,8 +5,8 @@ import pytest
 from scipy.special import hyp2f1
 
 from giajax import InputError, gusts
+from giajax.apps.synthetic import gust_coherence, gust_spectrum, gusts_left_out
 from giajax.simulation import ramps
-from giajax.synthetic import gust_coherence, gust_spectrum, gusts_left_out
 
 pytestmark = pytest.mark.quick
 

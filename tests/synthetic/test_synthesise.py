@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from giajax import ArmModel, InputError, SimulationError, chain, model_for, read_run, write_run
+from giajax.apps.synthetic import Move, joint_moves, sampled, synthesise
 from giajax.fitting import predict
 from giajax.models import arm_from_definition
-from giajax.runs import Definition
-from giajax.synthetic import Move, joint_moves, sampled, synthesise
+from giajax.recordings import Definition
 
 CHANNELS = ("joint02_angle", "link03_z", "tip_x", "tip_y", "tip_z")
 MOVES = (Move(1, 0.5, 0.5, 1.0), Move(2, -0.3, 0.77, 1.0))

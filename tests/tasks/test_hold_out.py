@@ -10,11 +10,11 @@ from giajax import FitTask, InputError, ladder, load_result, write_result
 from giajax.cli import main
 from giajax.fitting import predict
 from giajax.models import ArmModel
-from giajax.parameters import replace, switched_on
+from giajax.recordings import Run, write_run
 from giajax.report import recorded_figure, summary
-from giajax.runs import Run, write_run
+from giajax.schema.parameters import replace, switched_on
 from giajax.tasks import JOURNAL, compared, fitted_runs, held_out_runs, stored_result
-from giajax.tasks._hold_out import HoldOut
+from giajax.tasks._preparation import HoldOut
 from small_arm import LINKS, START, TRUTH
 from small_loops import write_task
 

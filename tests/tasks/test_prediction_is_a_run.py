@@ -6,10 +6,10 @@ from numpy.testing import assert_allclose
 
 from giajax import FitTask, Run, model_for, replace
 from giajax.fitting import predict
-from giajax.kinds import KINDS
-from giajax.parameters import switched_on
+from giajax.recordings import write_run
 from giajax.report import write_result
-from giajax.runs import write_run
+from giajax.schema import KINDS
+from giajax.schema.parameters import switched_on
 
 TIMES = np.linspace(0.0, 2.0, 41)
 LOOPS = np.sin(np.linspace(0.0, 12.0, 60)) * np.linspace(1.0, 0.4, 60)

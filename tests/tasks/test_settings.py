@@ -3,7 +3,7 @@
 import pytest
 
 from giajax import FitTask, InputError, Prior
-from giajax.runs import Definition
+from giajax.recordings import Definition
 
 DEFINITION = """
 [fit]

@@ -6,7 +6,7 @@ import pytest
 from giajax import FitTask, InputError, Run, model_for, predict
 from giajax.cli import main
 from giajax.fitting import load_result
-from giajax.runs import write_run
+from giajax.recordings import write_run
 
 TRUTH, NOISE_DEG = 0.6, 0.05
 ARM = {"preset": "pendulum", "links": 1, "parameters": {"links.mass": 0.3}}

@@ -5,8 +5,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from giajax.noise import ChannelNoise
-from giajax.verdict import Series, judge
+from giajax.noise import ChannelNoise, Series, judge
 
 SIGMA = 0.01
 

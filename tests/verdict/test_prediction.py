@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from giajax.noise import Cells, ChannelNoise
-from giajax.verdict import Foretold, Predictions, Reason, Series, Verdict
+from giajax.noise import Cells, ChannelNoise, Foretold, Predictions, Reason, Series, Verdict
 
 quick = pytest.mark.quick
 

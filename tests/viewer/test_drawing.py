@@ -7,14 +7,21 @@ import pytest
 from numpy.testing import assert_allclose
 
 from giajax import InputError
+from giajax.apps.viewer import Player, Show
+from giajax.apps.viewer._page import SPEEDS, factor
+from giajax.apps.viewer._show import frames, span, words
+from giajax.apps.viewer._stage import (
+    ball,
+    brick,
+    cut,
+    ends,
+    scale_of,
+    segments,
+    thread_colours,
+    tube,
+    turns_to,
+)
 from giajax.models import Arrows, Block, Line, Scene
-from giajax.viewer import Player, Show
-from giajax.viewer._colours import thread_colours
-from giajax.viewer._legend import words
-from giajax.viewer._meshes import ball, brick, tube, turns_to
-from giajax.viewer._pieces import cut, ends, scale_of, segments
-from giajax.viewer._player import SPEEDS, factor
-from giajax.viewer._show import frames, span
 
 pytestmark = pytest.mark.quick
 

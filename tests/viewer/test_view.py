@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 import giajax
 from browsing import opened
 from giajax import InputError
+from giajax.apps.viewer import Posable, Show, Viewer, recording, shown
 from giajax.cli import main
 from giajax.models import ArmModel, Pinhole, arm_scene
-from giajax.viewer import Posable, Show, Viewer, recording, shown
 from small_arm import small_run
 
 

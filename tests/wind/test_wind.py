@@ -10,21 +10,20 @@ from scipy.linalg import toeplitz
 
 import giajax
 from giajax import ArmModel, InputError, Run, fit_wind, gusts, write_run
-from giajax.cli import main
-from giajax.simulation import constant, logged
-from giajax.synthetic import gust_spectrum
-from giajax.wind._model import WindModel
-from giajax.wind._multitaper import TAPERS, bands, tapered
-from giajax.wind._numbers import first_guess
-from giajax.wind._response import joint_responses
-from giajax.wind._resting import resting
-from giajax.wind._whittle import (
+from giajax.apps.synthetic import gust_spectrum
+from giajax.apps.wind._model import (
     Expected,
     Recorded,
+    WindModel,
+    first_guess,
     gradient_and_information,
     log_likelihood,
     slopes,
 )
+from giajax.apps.wind._record import TAPERS, bands, resting, tapered
+from giajax.apps.wind._response import joint_responses
+from giajax.cli import main
+from giajax.simulation import constant, logged
 
 MODEL = ArmModel(giajax.takeichi_20m(2))
 MEAN = np.array([0.0, 0.5, 0.2])

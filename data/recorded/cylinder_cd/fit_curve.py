@@ -1,4 +1,4 @@
-"""Fit the smooth drag curve of `giajax.arm` to the points, and print its coefficients."""
+"""Fit the smooth drag curve of `giajax.mechanics.arm` to the points, and print its coefficients."""
 
 from pathlib import Path
 

@@ -1,4 +1,3 @@
 """The command line. Thin: every command reads its options and calls the library."""
 
 from ._app import main as main
-from ._jax import own_process as own_process

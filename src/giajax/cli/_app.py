@@ -10,9 +10,28 @@ from typing import Annotated
 
 import typer
 
-from ._errors import Commands, run
-from ._registry import COMMANDS
-from ._words import command_of
+# Each registers its commands.
+from . import (
+    _compare as _compare,
+    _data as _data,
+    _design as _design,
+    _drive as _drive,
+    _fill as _fill,
+    _fit as _fit,
+    _joint as _joint,
+    _mission as _mission,
+    _model as _model,
+    _paper as _paper,
+    _posterior as _posterior,
+    _repetitions as _repetitions,
+    _sensitivity as _sensitivity,
+    _simulate as _simulate,
+    _suspects as _suspects,
+    _sweep as _sweep,
+    _view as _view,
+    _wind as _wind,
+)
+from ._commands import COMMANDS, Commands, command_of, run
 
 _EXAMPLES = """\b
 Examples:
@@ -76,7 +95,6 @@ def _order(name: str) -> tuple[int, str]:
     return len(_FIRST) + (name in _LAST) + (name == "cache"), name
 
 
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run `giajax` with these arguments (those of the process by default).
 
@@ -86,6 +104,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
     return run(typer.main.get_command(_app_for(words)), words)
+
+
+def command_names() -> list[str]:
+    """The names of all commands, in the order of the help."""
+    return sorted(COMMANDS, key=_order)
 
 
 def _app_for(words: Sequence[str]) -> typer.Typer:
@@ -105,7 +128,7 @@ def _app_for(words: Sequence[str]) -> typer.Typer:
         pretty_exceptions_enable=False,
     )
     app.callback(invoke_without_command=True)(_giajax)
-    for name in sorted(COMMANDS, key=_order):
+    for name in command_names():
         function, examples = COMMANDS[name]
         full = function if name in words else _without_options(function)
         app.command(name, epilog=examples, cls=command_of(full))(full)

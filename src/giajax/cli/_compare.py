@@ -4,7 +4,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from ._registry import command
+
+from ._commands import command
+from ._options import Renamed
 
 
 @command("""\b
@@ -33,7 +35,7 @@ def compare(
     """
     if len(results) < 2:
         raise typer.BadParameter("one result has nothing to be compared with: give two or more")
-    from ..runs import check_output_files, write_files
+    from ..recordings import check_output_files, write_files
     from ..tasks import stored_result
 
     # What is no result is told before JAX is imported, which takes seconds.
@@ -41,13 +43,13 @@ def compare(
         stored_result(path)
     if out is not None:
         check_output_files([out], force=force)
-    from ._jax import configure
+    from ..runtime.process import configure
 
     configure()
     from ..fitting import load_result
     from ..report import check_page, compare_page, contrast_json, contrast_tables
-    from ..study import contrast
-    from ._output import print_table
+    from ..studies import contrast
+    from ._options import print_table
 
     if out is not None:
         check_page()
@@ -79,3 +81,146 @@ def _name(path: Path) -> str:
     if path.is_dir():
         return path.name
     return path.parent.name if path.name == "result.json" else path.stem
+
+
+# `giajax choose`: which hysteresis model describes a recording.
+
+_ENDS = {"not_converged": "NOT CONVERGED"}
+
+
+@command("""\b
+Examples:
+  giajax choose --data loops.csv
+  giajax choose --data loops.csv --held-out other.csv
+  giajax choose --data loops.csv --only preisach --only modified_prandtl_ishlinskii
+
+The best model on the held-out loops comes first; fits that did not converge come last,
+whatever their errors. AIC and BIC are of the fitted part, each less
+that of the best; a large difference on the held-out part and a small one here means a model that
+describes what it saw and no more.""")
+def choose(
+    data: Annotated[
+        list[Path], typer.Option(metavar="RUN.csv", help="A run to fit to. Repeatable.")
+    ],
+    held_out: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="RUN.csv", help="A run to judge by. Repeatable."),
+    ] = None,
+    fraction: Annotated[
+        float,
+        typer.Option(metavar="F", help="Without --held-out: last part of each run to judge by."),
+    ] = 0.3,
+    only: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="Compare only these. Repeatable.")
+    ] = None,
+    rename: Renamed = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="No progress.")] = False,
+) -> None:
+    """Fit several hysteresis models and compare them on loops that they were not fitted to."""
+    from ..recordings import parse_rename, read_run
+
+    renamed = parse_rename(rename or [])
+    runs = [read_run(path, rename=renamed) for path in data]
+    others = [read_run(path, rename=renamed) for path in held_out or []]
+
+    from ..runtime.process import configure
+
+    configure()
+    from ..studies import choose_hysteresis
+
+    say = None if quiet else (lambda name: typer.echo(f"fitting {name} ...", err=True))
+    choice = choose_hysteresis(runs, others, fraction=fraction, candidates=only, progress=say)
+    ended = [one for one in choice.candidates if one.converged] or choice.candidates
+    least_aic = min(candidate.aic for candidate in ended)
+    least_bic = min(candidate.bic for candidate in ended)
+    facts = [
+        {
+            "model": candidate.name,
+            "parameters": candidate.parameters,
+            "held_out_rmse": candidate.held_out_rmse,
+            "rmse": candidate.rmse,
+            "delta_aic": candidate.aic - least_aic,
+            "delta_bic": candidate.bic - least_bic,
+            "status": candidate.status,
+        }
+        for candidate in choice.candidates
+    ]
+    if as_json:
+        import json
+
+        typer.echo(json.dumps({"unit": choice.unit, "candidates": facts}, indent=2))
+        return
+    from ._options import print_table
+
+    unit = f" {choice.unit}" if choice.unit else ""
+    headings = ["model", "parameters", f"held out{unit}", f"fitted{unit}", "AIC", "BIC", "fit"]
+    rows = [
+        [
+            fact["model"],
+            fact["parameters"],
+            f"{fact['held_out_rmse']:.3g}",
+            f"{fact['rmse']:.3g}",
+            f"{fact['delta_aic']:+.1f}",
+            f"{fact['delta_bic']:+.1f}",
+            _ENDS.get(str(fact["status"]), fact["status"]),
+        ]
+        for fact in facts
+    ]
+    print_table(headings, rows)
+
+
+# `giajax report`: a result as a page for a browser.
+
+
+@command("""\b
+Examples:
+  giajax report giajax-out/run
+  giajax report giajax-out/run --out for_the_group.html
+  giajax report giajax-out/run --data elsewhere/run.csv
+
+\b
+RESULT is the folder of a fit, or its result.json. The page is one file that
+opens without a network: the verdict, the parameters, what limits them, recorded
+against fitted values, the arm as it moves, and where all of it comes from.""")
+def report(
+    result: Annotated[Path, typer.Argument(metavar="RESULT", help="A fit; see below.")],
+    data: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="RUN.csv", help="A fitted run, if it has moved. Repeatable."),
+    ] = None,
+    rename: Renamed = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.html", help="The page (report.html beside the result)."),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Write over a file.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
+) -> None:
+    """Write a result as a page for a browser.
+
+    One file that says first whether to believe the numbers.
+    """
+    from ..recordings import check_output_files, parse_rename, write_files
+    from ..tasks import fitted_runs, held_out_runs, stored_result
+
+    folder, _ = stored_result(result)
+    source = result / "result.json" if result.is_dir() else result
+    page = folder / "report.html" if out is None else out
+    check_output_files([page], force=force)
+    renamed = parse_rename(rename or [])
+
+    from ..runtime.process import configure
+
+    configure()
+    from ..fitting import load_result
+    from ..report import check_page, report_page
+
+    check_page()
+    fitted = load_result(result)
+    runs = fitted_runs(fitted, data or [], rename=renamed)
+    held_out = held_out_runs(fitted, data or [], rename=renamed) if fitted.held_out else []
+    made = report_page(fitted, runs, held_out=held_out, source=source)
+    write_files({page: made}, force=force)
+    if not quiet:
+        typer.echo(f"wrote {page} ({len(made) / 1e6:.1f} MB)")

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .._errors import InputError
+from ..runtime.text import InputError
+from ._commands import command
 from ._values import settings, with_settings
-from ._registry import command
 
 if TYPE_CHECKING:
-    from ..filling import Filled, FillingCurve
+    from ..apps.filling import Filled, FillingCurve
 
 
 @command("""\b
@@ -62,19 +62,26 @@ def fill(
     Bags in a row with ports between them, fed at the base (the paper's fig. 15), and which
     port goes with which supply where filling takes the paper's 23 minutes.
     """
-    from ..runs import Definition, check_output_folder, make_folder, write_files
+    from ..recordings import Definition, check_output_folder, make_folder, write_files
 
     if not 0 < minutes < math.inf:
         raise InputError(f"--minutes is {minutes:g}: give a positive number")
     sections = Definition() if definition is None else Definition.load(definition)
     values = settings(pairs)
 
-    from ._jax import configure
+    from ..runtime.process import configure
 
     configure()
-    from ..filling import Filling, fill as filled_by, filling_curve
+    from ..apps.filling import (
+        CURVE_FILES,
+        FILLING_FILES,
+        fill as filled_by,
+        filling_curve,
+        filling_files,
+        filling_json,
+    )
+    from ..mechanics.inflation import Filling
     from ..models import arm_from_definition
-    from ..report import CURVE_FILES, FILLING_FILES, filling_files, filling_json
 
     names = FILLING_FILES if no_curve else (*FILLING_FILES, *CURVE_FILES)
     if out is not None:
@@ -101,7 +108,7 @@ def _show(filled: "Filled") -> None:
     """A row for each link, and what is so of all."""
     import numpy as np
 
-    from ._output import print_table
+    from ._options import print_table
 
     def minutes(seconds: float) -> str | None:
         return None if np.isnan(seconds) else f"{seconds / 60:.2f}"
@@ -138,8 +145,8 @@ def _show(filled: "Filled") -> None:
 def _show_curve(curve: "FillingCurve") -> None:
     import numpy as np
 
-    from ..quantities import SUPPLY
-    from ._output import print_table
+    from ..schema import SUPPLY
+    from ._options import print_table
 
     unit = next(each.unit for each in SUPPLY if each.path == curve.path)
     typer.echo(f"\nfilling takes {curve.duration / 60:g} min with")

@@ -1,22 +1,57 @@
-"""`giajax fit`: parameters of a model from recordings of it.
-
-This file is longer than 200 lines because every option of the command stands in it with its help.
-"""
+"""`giajax fit`: parameters of a model from recordings of it."""
 
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .._cores import CORES_VARIABLE
+from ..runtime.process import CORES_VARIABLE
+from ._commands import command
 from ._fit_run import finished, run_fit
-from ._fit_task import named_task
-from ._fit_values import bounds as limits, groups, priors, ties
-from ._many import Scheduler, Workers
-from ._options import Cores, Renamed
-from ._values import plain_settings
-from ._registry import command
+from ._options import Cores, Renamed, Scheduler, Workers
+from ._values import bounds as limits, groups, plain_settings, priors, ties
+
+if TYPE_CHECKING:
+    from ..tasks import FitTask
+
+# Which task the arguments of `giajax fit` name, before its options are put on top.
+
+
+def named_task(
+    definition: Path | None,
+    config: Path | None,
+    again: Path | None,
+    resume: Path | None,
+    has_data: bool,
+) -> "FitTask":
+    """The task of a fit definition, of a result, of a journal, or of data alone.
+
+    Arguments:
+        definition, config: the fit definition as argument and as option; at most one of them.
+        again: the result whose numbers are to come again.
+        resume: the folder whose journal is to be gone on with.
+        has_data: whether there is data on the command line.
+    """
+    from ..recordings import Definition
+    from ..tasks import FitTask
+
+    if definition is not None and config is not None:
+        raise typer.BadParameter(
+            "there are two fit definitions: give one, as argument or by --config, not both"
+        )
+    source = definition or config
+    if again is not None:
+        if source is not None or has_data or resume is not None:
+            raise typer.BadParameter(
+                "--again takes data and settings from the result: leave out the others"
+            )
+        return FitTask.again(again)
+    if source is not None:
+        return FitTask.load(source)
+    if resume is not None and not has_data:
+        return FitTask.resumed(resume)
+    return FitTask(Definition())
 
 
 @command("""\b
@@ -236,7 +271,7 @@ def fit(
     Without further options: drag coefficient, pitch and yaw stiffness and damping of an arm.
     The columns of the runs decide the model, their sidecars its constants.
     """
-    from ..runs import parse_rename
+    from ..recordings import parse_rename
 
     if cores is not None:
         os.environ[CORES_VARIABLE] = str(cores)

@@ -1,21 +1,254 @@
 """`giajax fit` once its options are read: fit with a journal, write, show."""
 
+import dataclasses
 import shlex
+import shutil
+import statistics
+import sys
+import textwrap
+import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
-from .._signals import stopped_status
-from ._bootstrap import self_test as repeated_fit
-from ._fit_output import show_diagnosis, show_files, show_result, write_or_print
-from ._many import forget_starts, workers_of_starts
-from ._progress import Progress, in_windows, of_windows, stop_if_asked
-from ._time_left import TimeLeft
+from ..runtime.signals import is_stopped, stopped_status
+from ..runtime.text import InputError, time_in_words
+from ._options import forget_starts, workers_of_starts
+from ._repetitions import self_test as repeated_fit
 
 if TYPE_CHECKING:
-    from ..fitting import FitResult
+    from ..fitting import FitResult, Iteration, Setup
+    from ..recordings import Definition
     from ..tasks import FitTask
+
+# How long a fit may still take, from the steps so far.
+
+# Who waits for less needs no word about it; a word a minute is enough for the others.
+_WORTH_A_WORD_S = 30.0
+_BETWEEN_WORDS_S = 60.0
+
+# Steps that must have been timed: the first one compiles.
+_LEAST = 2
+
+
+@dataclasses.dataclass
+class TimeLeft:
+    """Says now and then how long a fit may still take.
+
+    Nobody knows how many steps are left until an optimum: what is said is how long it takes at
+    most, or with several starts, how long at the pace of those before.
+
+    Attributes:
+        most: trial steps that a fit may take.
+        starts: how many starts there are.
+        budget_s: wall time that the fit may take; None for no end.
+    """
+
+    most: int
+    starts: int = 1
+    budget_s: float | None = None
+
+    def __post_init__(self) -> None:
+        self._began = self._before = time.monotonic()
+        self._said = -float("inf")
+        self._steps: list[float] = []
+        self._begun: list[float] = []
+
+    def start(self) -> None:
+        """One of several starts begins now."""
+        self._before = time.monotonic()
+        self._begun.append(self._before)
+
+    def after(self, number: int) -> str | None:
+        """What to say after a step, if anything.
+
+        Arguments:
+            number: of the step, 0 for the evaluation of the start.
+        """
+        now = time.monotonic()
+        taken, self._before = now - self._before, now
+        if number > 0:
+            self._steps.append(taken)
+        if len(self._steps) < _LEAST or now - self._said < _BETWEEN_WORDS_S:
+            return None
+        seconds, sentence = self._estimate(number, now)
+        if self.budget_s is not None and self.budget_s - (now - self._began) < seconds:
+            seconds = max(self.budget_s - (now - self._began), 0.0)
+            sentence = "at most {left} left: then its budget ends the fit"
+        if seconds < _WORTH_A_WORD_S:
+            return None
+        self._said = now
+        return sentence.format(left=time_in_words(seconds))
+
+    def _estimate(self, number: int, now: float) -> tuple[float, str]:
+        """Seconds, and a sentence for them."""
+        if len(self._begun) > 1:
+            each = (self._begun[-1] - self._begun[0]) / (len(self._begun) - 1)
+            whole = each * (self.starts - len(self._begun) + 1)
+            sentence = f"about {{left}} left for the starts up to {self.starts}, at the pace of "
+            sentence += "those before"
+            return max(whole - (now - self._begun[-1]), 0.0), sentence
+        steps = self.most - number + self.most * (self.starts - 1)
+        each = statistics.median(self._steps)
+        sentence = f"at most {{left}} left: {steps} steps of {time_in_words(each)}, of which most "
+        return steps * each, sentence + "fits need few"
+
+
+# The progress of a fit on standard error.
+
+
+def stop_if_asked(iteration: "Iteration") -> None:
+    """Stop a fit after a signal whose exception was lost, as in a callback of a library."""
+    if is_stopped():
+        raise KeyboardInterrupt
+
+
+class Progress:
+    """One line an iteration on standard error, as it happens.
+
+    Arguments:
+        factors: what the value of each parameter (SI) is multiplied by, by path: its unit is
+            then that of the table at the end. 1 for others.
+        left: says how long it may still take; None for no word about it.
+    """
+
+    def __init__(self, factors: Mapping[str, float], left: TimeLeft | None = None) -> None:
+        self._factors = factors
+        self._left = left
+        self._say("compiling ...")
+        self._headed = False
+
+    def __call__(self, iteration: "Iteration") -> None:
+        values = [
+            f"{value * self._factors.get(path.partition('[')[0], 1.0):.5g}"
+            for path, value in iteration.parameters.items()
+        ]
+        cells = [str(iteration.number), f"{iteration.cost:.6g}", f"{iteration.step:.1e}"]
+        if not self._headed:
+            self._head(list(iteration.parameters))
+            self._headed = True
+        taken = "yes" if iteration.accepted else "no"
+        first = iteration.number == 0
+        self._row([cells[0], cells[1], "" if first else cells[2], "" if first else taken, *values])
+        if self._left is not None and (sentence := self._left.after(iteration.number)):
+            self._say(sentence)
+        stop_if_asked(iteration)
+
+    def announce(self, number: int, start: Mapping[str, float]) -> None:
+        """Say which of several starts is next."""
+        if self._left is not None:
+            self._left.start()
+        self._say(f"start {number}")
+
+    def end(self) -> None:
+        """Keep a line between the iterations and the table, where both are on one screen."""
+        self._say("")
+
+    def _head(self, paths: list[str]) -> None:
+        # joints.pitch_stiffness in two short lines, so that four parameters go into 80 columns.
+        upper, lower = [], []
+        for path in paths:
+            before, _, name = path.rpartition(".")
+            front, _, back = name.rpartition("_")
+            upper.append(front or before)
+            lower.append(back)
+        self._widths = [4, 11, 8, 5] + [
+            max(9, len(a), len(b)) for a, b in zip(upper, lower, strict=True)
+        ]
+        self._row(["", "", "", "", *upper])
+        self._row(["", "cost", "step", "taken", *lower])
+
+    def _row(self, cells: list[str]) -> None:
+        line = "  ".join(c.rjust(w) for c, w in zip(cells, self._widths, strict=True)).rstrip()
+        if sys.stderr.isatty():
+            line = line[: shutil.get_terminal_size().columns]
+        self._say(line)
+
+    def _say(self, line: str) -> None:
+        typer.echo(line, err=True)
+
+
+def in_windows(setup: "Setup") -> Progress:
+    """The progress of a fit in windows, which only says where that of whole runs begins."""
+    from ..fitting import column_factors
+
+    typer.echo(f"first in {len(setup.runs)} windows", err=True)
+    return Progress(column_factors(setup.model))
+
+
+def of_windows(result: "FitResult") -> None:
+    """Say how a fit in windows ended."""
+    typer.echo(f"in windows: {result.message}; whole runs from there", err=True)
+
+
+# What a person sees at the end of `giajax fit`: the result, then its files.
+
+
+def write_or_print(result: "FitResult", write: Callable[[], list[Path]]) -> list[Path]:
+    """What `write` writes; where it cannot (a full disk), the result goes to standard output.
+
+    Where that cannot take it either, such as a file on the same disk, it goes to standard error.
+    """
+    try:
+        try:
+            return write()
+        except KeyboardInterrupt:  # once more, because this is what the fit was for
+            write()
+            raise
+    except InputError:
+        for stream in (sys.stdout, sys.stderr):
+            try:
+                print(result.to_json(), end="", file=stream, flush=True)
+            except OSError:
+                continue
+            break
+        typer.echo("the fit is above, because its files could not all be written:", err=True)
+        raise
+
+
+def _width() -> int | None:
+    """Columns of the terminal; None where no person reads, so that a row is a line for grep."""
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+
+
+def show_result(result: "FitResult", definition: "Definition") -> None:
+    """Print the estimates, the summary and the figures to reach."""
+    from ..report import parameter_table, reached, summary
+
+    width = _width()
+    print(parameter_table(result, width))
+    print()
+    print(summary(result, width))
+    figures = reached(result, definition)
+    if figures:
+        print()
+    for figure in figures:
+        print(f"{'reached' if figure.reached else 'MISSED':<9}{figure.path} {figure.sentence}")
+    sys.stdout.flush()
+
+
+def show_diagnosis(result: "FitResult") -> None:
+    """Print the first suspects, and what stated uncertainties of held numbers do."""
+    from ..report import SUSPECT_HEADINGS, first_suspects, systematic_table
+    from ._options import print_table
+
+    if rows := first_suspects(result):
+        print("\nwhat the residuals ask for (giajax suspects shows all of it):")
+        print_table(SUSPECT_HEADINGS, rows)
+    if any(error.stated for error in result.systematic):
+        print("\nwhat a held number moves, in standard errors:")
+        print_table(*systematic_table(result))
+
+
+def show_files(files: list[Path]) -> None:
+    """Print where the files are."""
+    width = _width()
+    print()
+    wrote = f"wrote {files[0].parent}: {', '.join(path.name for path in files)}"
+    print(wrote if width is None else textwrap.fill(wrote, width, subsequent_indent="  "))
+
 
 _STATUS = {"converged": 0, "not_converged": 1}
 
@@ -80,10 +313,11 @@ def run_fit(
     Returns:
         The exit status.
     """
-    from ._jax import configure
+    from ..runtime.process import configure
 
     configure()
     from ..fitting import column_factors
+    from ..recordings import write_files
     from ..report import (
         PAGE,
         check_figures,
@@ -93,8 +327,7 @@ def run_fit(
         write_figures,
         write_result,
     )
-    from ..runs import write_files
-    from ..study import choice_hint
+    from ..studies import choice_hint
     from ..tasks import begun, compared, stored_result, version_note
 
     task = begun(task, *((lambda _: stop_if_asked,) if quiet else (in_windows, of_windows)))
@@ -190,7 +423,7 @@ def _complain(sentence: str) -> None:
 def _left(task: "FitTask") -> TimeLeft:
     """What says how long it may still take."""
     from ..fitting import MAX_ITERATIONS
-    from ..runs import seconds_of
+    from ..recordings import seconds_of
 
     settings = task.definition.fit
     return TimeLeft(

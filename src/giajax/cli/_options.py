@@ -1,10 +1,59 @@
 """Options that many commands have, said once."""
 
-from typing import Annotated
+import contextlib
+import shlex
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .._cores import CORES_VARIABLE
+from ..runtime.process import (
+    CORES_VARIABLE,
+)
+from ..runtime.signals import is_stopped, stopped_status
+from ..runtime.text import InputError, time_in_words
+
+if TYPE_CHECKING:
+    from ..runtime.tasks import Outcome
+
+# How commands use JAX: as their workers do, too, which know nothing of the command line.
+
+
+# Tables on standard output: bold headings on a terminal, plain text elsewhere.
+
+
+def print_table(headings: Sequence[str], rows: Sequence[Sequence[Any]], *, left: int = 1) -> None:
+    """Print a table without rules; all but the first `left` columns are aligned to the right.
+
+    Floats are shown with 5 significant digits, None as `-`. Empty headings are left out. Where
+    standard output is not a terminal nothing is wrapped: a row is a line, for grep and awk.
+    """
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    shown = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), show_header=any(headings))
+    for position, heading in enumerate(headings):
+        shown.add_column(Text(heading), justify="left" if position < left else "right")
+    for row in rows:
+        shown.add_row(*(Text(_cell(value)) for value in row))
+    console = Console(highlight=False)
+    if console.is_terminal:
+        console.print(shown)
+        return
+    wide = Console(highlight=False, width=10_000, color_system=None)
+    with wide.capture() as captured:
+        wide.print(shown)
+    print("\n".join(line.rstrip() for line in captured.get().splitlines()))
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.5g}" if isinstance(value, float) else str(value)
+
 
 Renamed = Annotated[
     list[str] | None,
@@ -17,3 +66,133 @@ Cores = Annotated[
         metavar="N", min=1, envvar=CORES_VARIABLE, help="Compute on so many cores (all of them)."
     ),
 ]
+
+
+# The command line that made a file, to be written into it and run again.
+
+
+def origin(context: typer.Context) -> str:
+    """The command line without what only says where to write."""
+    from importlib.metadata import version
+
+    words = [f"giajax {version('giajax')} {context.command.name}"]
+    for parameter in context.command.params:
+        value = context.params.get(parameter.name or "")
+        if (
+            parameter.name in ("out", "force")
+            or value in (None, [], ())
+            or value == parameter.default
+        ):
+            continue
+        items = value if isinstance(value, list | tuple) else [value]
+        for item in items:
+            shown = f"{item:.15g}" if isinstance(item, float) else str(item)
+            # An argument has its place and no name.
+            option = [parameter.opts[0]] if parameter.opts[0].startswith("-") else []
+            words.append(" ".join([*option, shlex.quote(shown)]))
+    return " ".join(words)
+
+
+# What commands with many tasks have in common: who does them, and how far they are.
+
+Workers = Annotated[
+    int | None,
+    typer.Option(metavar="N", min=1, help="Compute in so many processes of this machine (1)."),
+]
+"""The option `--workers`."""
+
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS", help="Compute on a cluster of dask.distributed: tcp://host:8786."
+    ),
+]
+"""The option `--scheduler`."""
+
+STARTS = "starts"
+"""Folder of a file for each start of a fit that workers do, beside its journal."""
+
+# A line so often; for the first tasks, whose programs are compiled, none says how long it takes.
+_BETWEEN_S = 5.0
+_LEAST = 2
+
+
+def end_if_stopped(folder: Path | None) -> None:
+    """End a command that was stopped, after it has written what it had, and say how to go on.
+
+    Arguments:
+        folder: of the files of its tasks; None where they were not kept.
+    """
+    if is_stopped():
+        how = "with --force" if folder is not None else "with --folder DIR, and --force,"
+        typer.echo(f"giajax: stopped: the same command {how} goes on another time", err=True)
+        raise typer.Exit(stopped_status())
+
+
+@contextlib.contextmanager
+def workers_of_starts(
+    workers: int | None, scheduler: str | None, starts: int, out: Path
+) -> Iterator[dict[str, Any]]:
+    """Who fits the starts of a fit, as arguments of `Preparation.run`: none for threads.
+
+    Arguments:
+        workers, scheduler: the options of these names.
+        starts: how many there are.
+        out: folder of the result, which has a file for each start until all of them are done.
+
+    Raises:
+        InputError: there is one start alone, or as of `open_executor`.
+    """
+    if workers is None and scheduler is None:
+        yield {}
+        return
+    if starts < 2:
+        raise InputError("there is one start, which one process fits: add --starts N")
+    from ..runtime.execution import open_executor
+
+    with open_executor(workers, scheduler) as executor:
+        yield {"executor": executor, "folder": out / STARTS}
+
+
+def forget_starts(out: Path) -> None:
+    """Remove the files of starts whose result is written."""
+    for path in (out / STARTS).glob("*.json"):
+        path.unlink(missing_ok=True)
+    with contextlib.suppress(OSError):  # It is not there, or something of somebody else's is.
+        (out / STARTS).rmdir()
+
+
+class ManyProgress:
+    """`progress` of `giajax.runtime.execution.run_tasks`: a line on standard error now and then.
+
+    Arguments:
+        what: tasks are called, in the plural: "fits".
+    """
+
+    def __init__(self, what: str) -> None:
+        self._what = what
+        self._first: tuple[int, float] | None = None
+        self._said = self._began = time.monotonic()
+        self._failed = 0
+
+    def __call__(self, outcome: "Outcome", done: int, total: int) -> None:
+        now = time.monotonic()
+        self._failed += outcome.status == "failed"
+        if self._first is None:
+            self._first = done, now
+            if done > 1:
+                typer.echo(f"{done - 1} of {total} {self._what} are there already", err=True)
+        if done < total and now - self._said < _BETWEEN_S:
+            return
+        self._said = now
+        words = f"{done} of {total} {self._what} done"
+        if self._failed:
+            words += f", {self._failed} of them failed"
+        # The first one compiles what the others share.
+        first, began = self._first
+        if done == total:
+            words += f", in {time_in_words(now - self._began)}"
+        elif done - first >= _LEAST:
+            left = (now - began) / (done - first) * (total - done)
+            words += f", about {time_in_words(left)} left"
+        typer.echo(words, err=True)

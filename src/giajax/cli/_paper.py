@@ -1,17 +1,17 @@
 """`giajax paper`: the paper's figures and tables, made again."""
 
+import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from .._errors import InputError
-from .._signals import is_stopped, stopped_status
-from ._errors import Ended
-from ._registry import command
+from ..runtime.signals import is_stopped, stopped_status
+from ..runtime.text import InputError
+from ._commands import Ended, command
 
-# As `giajax.paper` has them, which would import JAX for a help text.
+# As `giajax.apps.paper` has them, which would import JAX for a help text.
 NAMES = ("fig5", "fig6", "fig9", "fig10", "fig12", "fig19", "table3")
 _ALL = "all"
 INVERSE = "table3_inverse"
@@ -52,7 +52,7 @@ def paper(
 
     From the functions that you would use for your own arm.
     """
-    from ..runs import check_output_folder
+    from ..recordings import check_output_folder
 
     if name not in (*NAMES, _ALL):
         raise InputError(f"there is no figure '{name}': use one of {', '.join(NAMES)}, {_ALL}")
@@ -62,10 +62,10 @@ def paper(
     if name != _ALL:
         check_output_folder(out, _files(names), force=force)
 
-    from ._jax import configure
+    from ..runtime.process import configure
 
     configure()
-    from ..paper import is_reproduction_page, reproduction_page, stored_record
+    from ..apps.paper import is_reproduction_page, reproduction_page, stored_record
 
     kept, own_page = {}, False
     if name == _ALL and not force:
@@ -80,7 +80,7 @@ def paper(
     made = _made(names, out, force=force, quiet=quiet)
     written = _files(names)
     if name == _ALL:
-        from ..runs import write_files
+        from ..recordings import write_files
 
         records = {**kept, **made}
         page = reproduction_page(records[each] for each in NAMES)
@@ -93,7 +93,7 @@ def paper(
 
 
 def _files(names: Iterable[str]) -> list[str]:
-    """As `giajax.paper` has them."""
+    """As `giajax.apps.paper` has them."""
     return [f"{each}.{ending}" for each in names for ending in ("png", "csv", "json")]
 
 
@@ -101,10 +101,10 @@ def _made(
     names: Sequence[str], out: Path, *, force: bool, quiet: bool
 ) -> dict[str, dict[str, Any]]:
     """Make figures, write each as it is made, and return their records by name."""
-    from ..paper import reproduce, reproduced_files, reproduced_record
-    from ..runs import make_folder, write_files
-    from ._examples import examples_root
-    from ._output import print_table
+    from ..apps.paper import reproduce, reproduced_files, reproduced_record
+    from ..recordings import make_folder, write_files
+    from ._data import examples_root
+    from ._options import print_table
 
     progress = None if quiet else (lambda text: typer.echo(text, err=True))
     made = {}
@@ -118,3 +118,64 @@ def _made(
         print_table(shown.headings, shown.rows)
         print()
     return made
+
+
+# `giajax hysteresis`: the paper's experiment with one link, on a simulated joint.
+
+
+@command("""\b
+Examples:
+  giajax hysteresis --out fig12
+  giajax hysteresis --out fig12 --travel 20 --force
+  giajax fit --data fig12/recording.csv
+  giajax compensate --model fig12/result.json --target target.csv --out command.csv
+
+The folder gets fig12.png, its numbers in fig12.csv, errors.csv, the recording that both
+compensations were made from, and the fit of the inverse one.""")
+def hysteresis(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the files go.")],
+    travel: Annotated[
+        float,
+        typer.Option(metavar="DEG", help="Travel within which eq. (12) changes its branch."),
+    ] = 40.0,
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Of all noise.")] = 0,
+    force: Annotated[bool, typer.Option("--force", help="Write over files.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print the errors only.")] = False,
+) -> None:
+    """Follow angles with a hysteretic joint, without compensation and with two.
+
+    The experiment of the paper's section IV.A and fig. 12 on a simulated joint: eq. (12) and the
+    inverse of a modified Prandtl-Ishlinskii operator, judged on the paper's history and on
+    another one with minor loops.
+    """
+    if not 0 < travel < math.inf:
+        raise typer.BadParameter(f"--travel is {travel:g} deg: give a positive number")
+
+    from ..runtime.process import configure
+
+    configure()
+    from ..apps.experiments import ONE_LINK_FILES, SimulatedJoint, one_link, write_one_link
+    from ..recordings import check_output_folder
+    from ._options import print_table
+
+    check_output_folder(out, ONE_LINK_FILES, force=force)
+    progress = None if quiet else (lambda text: typer.echo(text, err=True))
+    study = one_link(SimulatedJoint(seed=seed), travel=math.radians(travel), progress=progress)
+    rows = []
+    for trial in study.trials:
+        none = study.trial(trial.history.name, "none")
+        rows.append(
+            [
+                trial.history.name,
+                trial.compensation,
+                f"{trial.mean:.2f}",
+                f"{trial.largest:.2f}",
+                f"{trial.mean / none.mean:.0%}",
+                f"{trial.largest / none.largest:.0%}",
+            ]
+        )
+    headings = ["history", "compensation", "mean error deg", "largest deg", "of none", "of none"]
+    print_table(headings, rows, left=2)
+    files = write_one_link(study, out, force=force)
+    if not quiet:
+        print(f"\nwrote {out}: {', '.join(path.name for path in files)}")

@@ -1,7 +1,4 @@
-"""`giajax sensitivity`: how well a recording would determine parameters.
-
-Longer than 200 lines because a planned run has the options of `simulate`, each with its help.
-"""
+"""`giajax sensitivity`: how well a recording would determine parameters."""
 
 import math
 from pathlib import Path
@@ -9,10 +6,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .._errors import InputError
-from ._channel_names import channel_names
-from ._driven import (
+from ..runtime.text import InputError
+from ._commands import command
+from ._simulate import (
     DURATION,
+    channel_names,
     definition_from_options,
     drives_of,
     facts_of,
@@ -21,15 +19,13 @@ from ._driven import (
     replayed_run,
 )
 from ._values import deviations, noise_section, settings, with_settings
-from ._registry import command
 
 if TYPE_CHECKING:
     import numpy as np
 
     from ..models import AbstractModel
-    from ..runs import Run
-    from ..study import Sensitivity
-
+    from ..recordings import Run
+    from ..studies import Sensitivity
 
 _RATE = 10.0
 _NOISE = 0.01
@@ -106,7 +102,7 @@ def sensitivity(
 
     And what that is worth: the standard errors to expect of a fit, before anything is recorded.
     """
-    from ..runs import check_output_folder, make_folder, read_run, write_files
+    from ..recordings import check_output_folder, make_folder, read_run, write_files
 
     section = noise_section(noise, "--noise")
     if not all(value > 0 for value in section.values()):
@@ -120,24 +116,24 @@ def sensitivity(
     sections = definition_from_options(arm, links, wind)
     replayed = replayed_run(command, sections, step or ramp)
 
-    from ._jax import configure
+    from ..runtime.process import configure
 
     configure()
 
-    from ..kinds import (
+    from ..apps.synthetic import Drive, sampled
+    from ..models import model_for, parameter_values
+    from ..recordings import Definition
+    from ..report import information_shares, sensitivity_figure, sensitivity_files, to_png
+    from ..schema import (
         ArmSection,
         CamerasSection,
         InitialSection,
         LandmarksSection,
         SensorsSection,
     )
-    from ..models import model_for, parameter_values
-    from ..parameters import replace
-    from ..report import information_shares, sensitivity_figure, sensitivity_files, to_png
-    from ..runs import Definition
+    from ..schema.parameters import replace
     from ..simulation import SimulationError
-    from ..study import planned, sensitivity as along
-    from ..synthetic import Drive, sampled
+    from ..studies import planned, sensitivity as along
 
     model: AbstractModel
     names: list[str] | None
@@ -186,7 +182,7 @@ def sensitivity(
 
 def _noise_of(run: "Run", channels: tuple[str, ...], section: dict[str, float]) -> list[float]:
     """What the options say of the noise, else what the run states, else the usual; SI."""
-    from ..runs import Channel
+    from ..recordings import Channel
 
     noises, options = [], deviations(section, "--noise", channels)
     for name in channels:
@@ -209,7 +205,7 @@ def _noise_of(run: "Run", channels: tuple[str, ...], section: dict[str, float]) 
 
 
 def _show(sensitivities: "Sensitivity", noises: list[float], shares: "np.ndarray") -> None:
-    from ._output import print_table
+    from ._options import print_table
 
     bodies = list(sensitivities.bodies())
     rows = []

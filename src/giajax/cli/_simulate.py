@@ -1,32 +1,295 @@
-"""`giajax simulate`: a run made by the model.
+"""`giajax simulate`: a run made by the model."""
 
-The file is longer than 200 lines because it declares each option with its help.
-"""
-
+import math
+import re
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .._errors import InputError
-from ._channel_names import channel_names
-from ._driven import (
-    DURATION,
-    definition_from_options,
-    drives_of,
-    facts_of,
-    model_and_truth,
-    moves_of,
-    replayed_run,
+from ..runtime.text import InputError
+from ._commands import command
+from ._model import definition_of, model_of
+from ._options import origin
+from ._values import (
+    NUMBER,
+    deviations,
+    noise_section,
+    plain_settings,
+    settings,
+    velocity,
+    with_settings,
 )
-from ._gusts import gusts_of
-from ._origin import origin
-from ._values import deviations, noise_section
-from ._registry import command
 
 if TYPE_CHECKING:
-    from ..runs import Run
+    from ..apps.synthetic import Drive
+    from ..mechanics.arm import Arm
+    from ..models import ArmModel
+    from ..recordings import Definition, Run
+
+# The option --gusts as a wind. JAX is imported where it is needed only.
+
+_GUSTS = re.compile(rf"(?P<intensity>{NUMBER}(?:,{NUMBER},{NUMBER})?):(?P<length>{NUMBER})")
+
+
+def gusts_of(
+    text: str,
+    definition: "Definition",
+    replayed: "Run | None",
+    arm: "Arm",
+    *,
+    coherence: float | None,
+    rate: float,
+    **sampling: Any,
+) -> tuple["Drive", str]:
+    """The wind of --gusts about the constant one, and what of its variance is left out.
+
+    With --coherence it is that of each link, in the places of the straight arm. `sampling` is as
+    of `giajax.gusts`.
+    """
+    import jax.numpy as jnp
+    import numpy as np
+
+    from ..apps.synthetic import gusts, gusts_left_out
+    from ..mechanics.arm import link_centres
+    from ..schema import WindSection
+
+    parts, length_scale = gust_numbers(text)
+    source = definition if replayed is None else replayed.definition
+    mean = source.section(WindSection).velocity_m_per_s
+    if replayed is not None and replayed.winds:
+        raise InputError(f"'{replayed.name}' has recorded a wind: leave --gusts out")
+    if mean is None:
+        raise InputError(
+            "--gusts are about a constant wind, and none is there: give it by --wind X,Y,Z"
+        )
+    if coherence is not None and not 0 <= coherence < math.inf:
+        raise InputError(f"--coherence is {coherence:g}: give a decay of at least 0, such as 12")
+    intensity = parts if len(parts) == 3 else parts[0]
+    sampling |= {"interval": 1 / rate if rate else 0.0, "length_scale": length_scale}
+    if coherence is not None:
+        sampling |= {"places": np.asarray(link_centres(arm, jnp.zeros(arm.count)))}
+        sampling |= {"decay": coherence}
+    wind = gusts(mean, intensity=intensity, **sampling)
+    scales = {key: sampling[key] for key in ("length_scale", "interval")}
+    along, across = gusts_left_out(math.hypot(*mean), **scales)
+    # Of a direction without gusts nothing is left out.
+    shares = [f"{along:.1%} along"] * (parts[0] > 0) + [f"{across:.1%} across"] * any(parts[-2:])
+    return wind, (
+        f"gusts quicker than {4 * scales['interval']:g} s are left out, of the variance: "
+        f"{', '.join(shares)} the mean wind"
+    )
+
+
+def gust_numbers(text: str) -> tuple[list[float], float]:
+    """Intensity, one number or three, and length scale (m) of --gusts.
+
+    Raises:
+        InputError: it is written otherwise.
+    """
+    match = _GUSTS.fullmatch(text.replace(" ", ""))
+    if match is None:
+        raise InputError(
+            f"--gusts is {text!r}: give the intensity, or three of them, and the length scale in "
+            "m, such as 0.3:5 or 0.3,0.2,0.1:5"
+        )
+    return [float(part) for part in match["intensity"].split(",")], float(match["length"])
+
+
+# The option --channels of commands that simulate an arm: what is recorded of it.
+
+_DEFAULT_LINKS = (2, 6, 12, 20)
+_MEASURED = ("joint_angle", "joint_rate", "link_position", "tip_position")
+
+
+def channel_names(selections: Sequence[str], count: int) -> list[str]:
+    """Names of the channels to record, each once, in the order of the options."""
+    from ..recordings import Channel
+
+    if not selections:
+        selections = [f"link{link:02d}" for link in _DEFAULT_LINKS if link <= count] + ["tip"]
+    names: list[str] = []
+    for selection in (part.strip() for item in selections for part in item.split(",")):
+        if selection == "all":
+            names += [f"link{i:02d}_{axis}" for i in range(1, count + 1) for axis in "xyz"]
+        elif selection == "joints":
+            names += [f"joint{i:02d}_angle" for i in range(1, count + 1)]
+        elif re.fullmatch(r"(\w+\.(tip|link[0-9]+|mark[0-9]+))|mark[0-9]+", selection):
+            names += [f"{selection}_{axis}" for axis in "uv"]
+        elif re.fullmatch(r"tip|link[0-9]+", selection):
+            names += [f"{selection}_{axis}" for axis in "xyz"]
+        else:
+            names.append(selection)
+    for name in names:
+        channel = Channel.named(name)
+        if channel.kind not in _MEASURED and channel.quantity != "pixel":
+            raise InputError(
+                f"--channels {name!r} names no channel that an arm is measured by: give link06, "
+                "link06_z, tip, joint03_angle, joint03_rate, joints or all, or of a camera side.tip"
+            )
+        if channel.kind != "mark_pixel" and (channel.index or 1) > count:
+            part = "link" if channel.kind.startswith("link") else "joint"
+            raise InputError(
+                f"--channels {name!r} is of {part} {channel.index}, but the arm has {count} links: "
+                "correct the number, or simulate a longer arm"
+            )
+    return list(dict.fromkeys(names))
+
+
+# Options of commands that simulate an arm, as definitions and drives.
+#
+# Shared by `giajax simulate` and `giajax sensitivity`; JAX is imported where it is needed only.
+
+DURATION = 25.0
+"""Length of a run, s, by default."""
+
+_START = 0.5
+_RAMP_DURATION = 1.0
+
+_MOVE = re.compile(
+    rf"(?P<joint>[0-9]{{1,9}})=(?P<angle>{NUMBER})"
+    rf"(?:@(?P<start>{NUMBER})(?::(?P<duration>{NUMBER}))?)?"
+)
+
+
+def definition_from_options(arm: Path | None, links: int | None, wind: str | None) -> "Definition":
+    """What the arm file and the options say, the options on top."""
+    from ..recordings import Definition
+    from ..schema import ARM
+
+    definition = Definition() if arm is None else Definition.load(arm)
+    if definition.model not in (None, ARM.name):
+        raise InputError(f"{arm} describes a {definition.model}: give the TOML file of an arm")
+    if links is not None:
+        if links < 1:
+            raise InputError(f"--links is {links}: give at least 1 link")
+        definition = definition.merged_with(Definition.parse({"arm": {"links": links}}))
+    if wind is not None:
+        stated = {"velocity_m_per_s": velocity(wind, "--wind")}
+        definition = definition.merged_with(Definition.parse({"wind": stated}))
+    return definition
+
+
+def replayed_run(
+    command: Path | None, definition: "Definition", moves: Sequence[str] | None
+) -> "Run | None":
+    """The run of --command, whose commands go between its rows as the arm file says; or None.
+
+    Raises:
+        InputError: there are moves of --step or --ramp beside it, or it is no run.
+    """
+    from ..recordings import Definition, read_run, read_sidecar
+    from ..schema import ArmSection
+
+    if command is None:
+        return None
+    if moves:
+        raise InputError(
+            "--command gives the commands, and so do --step and --ramp: give one of them"
+        )
+    # The arm that recorded the run says which joints there are, where the sidecar describes it.
+    recorded = bool(read_sidecar(command).section(ArmSection).contents())
+    keys = ("command", "wind") if recorded else ("arm", "command", "wind")
+    section = {key: item for key, item in definition.contents().items() if key in keys}
+    return read_run(command, definition=Definition.parse(section))
+
+
+def drives_of(run: "Run", rate: float) -> tuple[float, float, list["Drive"]]:
+    """Start of a recorded run, its length in whole samples, its commands and wind."""
+    from ..apps.synthetic import Drive
+    from ..schema import ARM, CommandSection, WindSection
+
+    if run.model != ARM.name or run.times is None:
+        raise InputError(f"{run.path} is a run of the {run.model} model: give the run of an arm")
+    length = float(run.times[-1] - run.times[0])
+    if rate > 0:
+        length = max(math.floor(length * rate + 1e-6), 1) / rate
+    wind = run.definition.section(WindSection)
+    interpolation = run.definition.section(CommandSection).interpolation
+    apart: dict[str, dict[str, Any]] = {}  # what is straight is told by the largest value
+    for name, values in run.commands.items():
+        apart.setdefault(run.channels[name].quantity, {})[name] = values
+    drives = [Drive(run.times, rows, interpolation) for rows in apart.values()]
+    drives += [Drive(run.times, run.winds, wind.interpolation)] if run.winds else []
+    return float(run.times[0]), length, drives
+
+
+def moves_of(step: Sequence[str], ramp: Sequence[str], count: int, duration: float) -> "Drive":
+    """The commands of --step and --ramp, for an arm of `count` joints and a run of a length (s)."""
+    from ..apps.synthetic import Move, joint_moves
+
+    moves = []
+    for option, texts in (("--step", step), ("--ramp", ramp)):
+        for text in texts:
+            match = _MOVE.fullmatch(text.replace(" ", ""))
+            if match is None or (match["duration"] and option == "--step"):
+                form = "JOINT=DEG[@T]" if option == "--step" else "JOINT=DEG[@START:DURATION]"
+                raise InputError(f"{option} {text!r} must be {form}, such as 1=30@0.5: correct it")
+            length = float(match["duration"] or _RAMP_DURATION) if option == "--ramp" else 0.0
+            if option == "--ramp" and length == 0:
+                raise InputError(
+                    f"{option} {text!r} has the duration 0: give a longer one, or --step"
+                )
+            start = _START if match["start"] is None else float(match["start"])
+            angle = math.radians(float(match["angle"]))
+            moves.append(Move(int(match["joint"]), angle, start, length))
+    return joint_moves(moves, joints=count, end=duration)
+
+
+def model_and_truth(
+    definition: "Definition", pairs: Sequence[str], solver: str, tolerance: float
+) -> tuple["ArmModel", dict[str, float | list[float]]]:
+    """The model with the parameters of --set, and the truth to state."""
+    import jax.numpy as jnp
+
+    from ..models import ArmModel, arm_from_definition, sensors_from_definition
+    from ..schema.parameters import default_free, get
+
+    model = ArmModel(
+        arm_from_definition(definition),
+        tolerance=jnp.asarray(tolerance),
+        solver=solver,
+        sensors=sensors_from_definition(definition),
+    )
+    model = with_settings(model, settings(pairs))
+    truth = {
+        path: float(get(model, path)) for path in default_free(model) if not get(model, path).ndim
+    }
+    return model, {**truth, **plain_settings(pairs, "--set")}
+
+
+def facts_of(
+    definition: "Definition", replayed: "Run | None", drives: Sequence["Drive"], model: "ArmModel"
+) -> dict[str, Any]:
+    """The sections of the sidecar that say what moves the arm."""
+    from ..schema import InitialSection, WindSection
+
+    source = definition if replayed is None else replayed.definition
+    driven = {name: drive for drive in drives for name in drive.values}
+    facts: dict[str, Any] = {"schema_version": 1}
+    initial = definition.section(InitialSection).contents()
+    commanded = [drive for name, drive in driven.items() if name.startswith("joint")]
+    winds = [drive for name, drive in driven.items() if "wind_" in name]
+    velocity = source.section(WindSection).velocity_m_per_s
+    if not (driven or initial or velocity or float(model.arm.gravity)):
+        raise InputError(
+            "nothing moves the arm: give --step, --ramp, --command or --wind, or --arm with an "
+            "[initial] state"
+        )
+    if not commanded:
+        facts["free_motion"] = True
+    if initial:
+        facts["initial"] = initial
+    if commanded:
+        facts["command"] = {"interpolation": commanded[0].interpolation}
+    # Gusts have the mean wind in them.
+    if winds:
+        facts["wind"] = {"interpolation": winds[0].interpolation}
+    elif velocity is not None:
+        facts["wind"] = {"velocity_m_per_s": velocity}
+    return facts
 
 
 @command("""\b
@@ -131,7 +394,7 @@ def simulate(
 
     The sidecar beside it states the arm, the noise, the truth and this command line.
     """
-    from ..runs import Definition, check_output_run
+    from ..recordings import Definition, check_output_run
 
     _check_numbers(missing=missing, tolerance=tolerance)
     section = noise_section(noise, "--noise")
@@ -139,12 +402,12 @@ def simulate(
     definition = definition_from_options(arm, links, wind)
     replayed = replayed_run(command, definition, step or ramp)
 
-    from ._jax import configure
+    from ..runtime.process import configure
 
     configure()
 
+    from ..apps.synthetic import Drive, sampled, synthesise
     from ..simulation import SimulationError
-    from ..synthetic import Drive, sampled, synthesise
 
     model, truth = model_and_truth(definition, settings or [], solver, tolerance)
     count = model.arm.count
@@ -189,7 +452,7 @@ def simulate(
 
 
 def _write(out: Path, run: "Run", digits: int, force: bool) -> None:
-    from ..runs import sidecar_path, write_run
+    from ..recordings import sidecar_path, write_run
 
     write_run(out, run.times, run.values, definition=run.definition, digits=digits, force=force)
     rows = 0 if run.times is None else len(run.times)
@@ -210,9 +473,126 @@ def _as_written(name: str, values: Any, digits: int) -> Any:
     """Values as they are when the file is read again, which is what the arm is to follow."""
     from dataclasses import replace
 
-    from ..runs import Channel
+    from ..recordings import Channel
 
     channel = Channel.named(name)
     if channel.quantity == "angle":
         channel = replace(channel, unit="deg")
     return channel.to_si([float(f"{value:.{digits}g}") for value in channel.from_si(values)])
+
+
+# `giajax synth`: the recording that a run would be, if a model were true.
+
+
+@command("""\b
+Examples:
+  giajax synth run.csv --out new.csv --noise position_m=0.01
+  giajax synth run.csv --out new.csv --model giajax-out/run --correlated position_m=0.02
+  giajax synth run.csv --out new.csv --set camera.rotation=0,0.087,0 --set camera.delay=0.05
+  giajax synth run.csv --out new.csv --missing 5 --bursts 10 --burst-duration 2
+  giajax synth run.csv --out new.csv --noise position_m=0.01 --outliers 1
+                       --outlier-size position_m=0.5
+
+\b
+The run gives commands, times, columns and sidecar; any model will do. A truth of --set
+stands in [truth] of the new sidecar alone, so that a fit has something to find.
+KEY is one of the keys of [noise]: position_m, angle_deg, or a column such as link06_z_mm.
+MODEL is the folder of a fit, its result.json, or a TOML file whose [arm] (or other
+section) states a model with all its parameters.
+'giajax simulate' makes a first run from steps and ramps.""")
+def synth(
+    run: Annotated[Path, typer.Argument(metavar="RUN.csv", help="The run to record again.")],
+    out: Annotated[Path, typer.Option(metavar="NEW.csv", help="The run to write.")],
+    model: Annotated[
+        Path | None,
+        typer.Option(metavar="MODEL", help="What is true; see below. [the run's own model]"),
+    ] = None,
+    pairs: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="PATH=VALUE", help="A parameter of the truth. Repeatable."),
+    ] = None,
+    channels: Annotated[
+        list[str] | None,
+        typer.Option(metavar="CHANNEL", help="A channel to record. [those of the run]"),
+    ] = None,
+    noise: Annotated[
+        list[str] | None,
+        typer.Option(metavar="KEY=VALUE", help="Standard deviation of white noise. Repeatable."),
+    ] = None,
+    correlated: Annotated[
+        list[str] | None,
+        typer.Option(metavar="KEY=VALUE", help="Standard deviation of drifting noise. Repeatable."),
+    ] = None,
+    correlation_time: Annotated[
+        float, typer.Option(metavar="S", help="How long a drift lasts, s.")
+    ] = 0.5,
+    missing: Annotated[
+        float, typer.Option(metavar="PERCENT", help="Cells that are empty here and there.")
+    ] = 0.0,
+    bursts: Annotated[
+        float, typer.Option(metavar="PERCENT", help="Samples of a link or joint lost in stretches.")
+    ] = 0.0,
+    burst_duration: Annotated[
+        float, typer.Option(metavar="S", help="Length of such a stretch, s.")
+    ] = 1.0,
+    outliers: Annotated[
+        float, typer.Option(metavar="PERCENT", help="Cells that are far off.")
+    ] = 0.0,
+    outlier_size: Annotated[
+        list[str] | None, typer.Option(metavar="KEY=VALUE", help="How far. Repeatable.")
+    ] = None,
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Of all errors.")] = 0,
+    digits: Annotated[
+        int, typer.Option(metavar="N", min=3, max=17, help="Significant digits that are written.")
+    ] = 9,
+    force: Annotated[bool, typer.Option("--force", help="Write over a run.")] = False,
+) -> None:
+    """Record a run again, as its model or a fit predicts it, with errors of your choice.
+
+    For a run of any model. Tests what a fit makes of noise, gaps, outliers and a frame that is
+    off, before the experiment does.
+    """
+    from ..recordings import check_output_run, read_run, sidecar_path, write_run
+
+    check_output_run(out, force=force)
+    values = settings(pairs)
+    sections = {
+        "white": noise_section(noise, "--noise"),
+        "correlated": noise_section(correlated, "--correlated"),
+        "outlier_size": noise_section(outlier_size, "--outlier-size"),
+    }
+    recorded = read_run(run, definition=definition_of(model))
+
+    from ..runtime.process import configure
+
+    configure()
+
+    from ..apps.synthetic import RecordingErrors, recorded_again
+    from ..simulation import SimulationError
+
+    truth = with_settings(model_of(model, [recorded]), values)
+    names = channels or list(recorded.observations)
+    errors = RecordingErrors(
+        white=deviations(sections["white"], "--noise", names),
+        correlated=deviations(sections["correlated"], "--correlated", names),
+        correlation_time=correlation_time,
+        missing=missing / 100,
+        bursts=bursts / 100,
+        burst_duration=burst_duration,
+        outliers=outliers / 100,
+        outlier_size=deviations(sections["outlier_size"], "--outlier-size", names),
+    )
+    paths = list(dict.fromkeys(path.partition("[")[0] for path in values))
+    try:
+        new = recorded_again(
+            truth, recorded, errors, channels=channels, seed=seed, truth=paths, name=out.stem
+        )
+    except SimulationError as error:
+        typer.echo(f"giajax: {error}", err=True)
+        raise typer.Exit(1) from None
+    write_run(out, new.times, new.values, definition=new.definition, digits=digits, force=force)
+    rows = len(next(iter(new.values.values())))
+    typer.echo(
+        f"wrote {out} and {sidecar_path(out)}: {rows} rows, {len(new.observations)} channels; "
+        f"see: giajax check {shlex.quote(str(out))}"
+    )

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ._commands import command
 from ._options import Renamed
 from ._values import plain_settings
-from ._registry import command
 
 if TYPE_CHECKING:
-    from ..diagnosis import Ladder, Rung, Suspects
     from ..fitting import FitResult
+    from ..studies import Ladder, Rung, Suspects
 
 
 @command("""\b
@@ -79,7 +79,7 @@ def suspects(
     Which of it would lower chi-square, and to which value one step leads: added mass, a late
     camera, wind, friction, swapped axes and all else that the model knows.
     """
-    from ..runs import Definition, check_output_files, parse_rename, read_runs, write_files
+    from ..recordings import Definition, check_output_files, parse_rename, read_runs, write_files
 
     deviations = plain_settings(uncertainty, "--uncertainty")
     if out is not None:
@@ -94,11 +94,11 @@ def suspects(
 
     # What is no result is told before JAX is imported, which takes seconds.
     stored_result(result)
-    from ._jax import configure
+    from ..runtime.process import configure
 
     configure()
-    from ..diagnosis import TRIES, ladder as climb, suspects as ask, with_systematic_errors
     from ..fitting import load_result
+    from ..studies import TRIES, ladder as climb, suspects as ask, with_systematic_errors
 
     fitted = load_result(result)
     runs = fitted_runs(fitted, data or [], rename=renamed)
@@ -130,7 +130,7 @@ def _say(rung: "Rung") -> None:
 
 def _show(found: "Suspects", most: int) -> None:
     from ..report import SUSPECT_HEADINGS, suspect_rows, suspect_summary
-    from ._output import print_table
+    from ._options import print_table
 
     if rows := suspect_rows(found, most):
         print_table(SUSPECT_HEADINGS, rows)
@@ -140,7 +140,7 @@ def _show(found: "Suspects", most: int) -> None:
 
 def _show_systematic(result: "FitResult") -> None:
     from ..report import systematic_table
-    from ._output import print_table
+    from ._options import print_table
 
     print("\nwhat a held number moves, in standard errors:")
     print_table(*systematic_table(result))
@@ -148,7 +148,7 @@ def _show_systematic(result: "FitResult") -> None:
 
 def _show_ladder(steps: "Ladder") -> None:
     from ..report import ladder_table
-    from ._output import print_table
+    from ._options import print_table
 
     print()
     print_table(*ladder_table(steps))

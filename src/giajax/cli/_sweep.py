@@ -5,15 +5,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .._signals import stopped_status
-from ._many import ManyProgress, Scheduler, Workers
-from ._registry import command
+from ..runtime.signals import stopped_status
+from ._commands import command
+from ._options import ManyProgress, Scheduler, Workers
 
 if TYPE_CHECKING:
     import polars as pl
 
-    from ..sweeping import Plan
-
+    from ..tasks import Plan
 
 _ROWS = 20
 _ENDINGS = ("converged", "not_converged", "failed", "stopped")
@@ -60,8 +59,8 @@ def sweep(
 
     On one core, on several (--workers), or on the machines of a cluster (--scheduler).
     """
-    from ..execution import open_executor
-    from ..sweeping import TABLE, Plan, sweep as sweep_plan
+    from ..runtime.execution import open_executor
+    from ..tasks import TABLE, Plan, sweep as sweep_plan
 
     planned = Plan.load(plan)
     folder = planned.folder if out is None else out
@@ -70,7 +69,7 @@ def sweep(
         return
     with open_executor(workers, scheduler) as executor:
         if scheduler is None and workers in (None, 1):
-            from ._jax import configure
+            from ..runtime.process import configure
 
             configure()
         table = sweep_plan(
@@ -93,9 +92,9 @@ def sweep(
 
 def _list(plan: "Plan", folder: Path) -> None:
     """The fits of a plan, and which of them are done."""
-    from ..execution import read_outcome
-    from ..sweeping import FITS
-    from ._output import print_table
+    from ..runtime.tasks import read_outcome
+    from ..tasks import FITS
+    from ._options import print_table
 
     rows, known = [], 0
     for number, (case, task) in enumerate(zip(plan.cases, plan.tasks(), strict=True), 1):
@@ -109,7 +108,7 @@ def _list(plan: "Plan", folder: Path) -> None:
 
 def _show(table: "pl.DataFrame", columns: list[str]) -> None:
     """The first rows: what differs, what was found, and how well it describes the data."""
-    from ._output import print_table
+    from ._options import print_table
 
     values = [name for name in table.columns if name.startswith("value.")]
     shown = [*columns, "status", *values, "verdict"]

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .._errors import InputError
+from ..runtime.text import InputError
+from ._commands import command
 from ._options import Renamed
-from ._registry import command
 
 if TYPE_CHECKING:
-    from ..viewer import Posable, Show
+    from ..apps.viewer import Posable, Show
 
 
 @command("""\b
@@ -60,7 +60,7 @@ def view(
 
     Recorded markers beside those of the model, and a time bar.
     """
-    from ..runs import check_output_files, parse_rename
+    from ..recordings import check_output_files, parse_rename
 
     if out is not None:
         check_output_files([out], force=force)
@@ -68,10 +68,10 @@ def view(
     for path in what:
         if not path.exists():
             raise InputError(f"{path} does not exist: give a run, the folder of a fit, or an arm")
-    from ._jax import configure
+    from ..runtime.process import configure
 
     configure()
-    from ..viewer import check_viser, shown
+    from ..apps.viewer import check_viser, shown
 
     check_viser()
     names: list[str | None] = [None] * len(what)
@@ -89,7 +89,7 @@ def view(
 
 
 def _check_together(found: "list[Show | Posable]") -> None:
-    from ..viewer import Posable
+    from ..apps.viewer import Posable
 
     if len(found) > 1 and any(isinstance(each, Posable) for each in found):
         raise InputError(
@@ -102,8 +102,8 @@ def _write(
 ) -> None:
     import numpy as np
 
-    from ..runs import write_files
-    from ..viewer import Posable, recording
+    from ..apps.viewer import Posable, recording
+    from ..recordings import write_files
 
     shows = [
         each.show(np.zeros(each.arm.count)) if isinstance(each, Posable) else each for each in found
@@ -116,7 +116,7 @@ def _write(
 def _serve(
     found: "list[Show | Posable]", *, overlay: bool, host: str, port: int, browser: bool
 ) -> None:
-    from ..viewer import Viewer
+    from ..apps.viewer import Viewer
 
     viewer = Viewer(found, overlay=overlay, host=host, port=port)
     try:

@@ -6,17 +6,16 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from .._errors import InputError
-from ._gusts import gust_numbers
+from ..runtime.text import InputError
+from ._commands import command
 from ._model import definition_of, model_of
 from ._options import Renamed
+from ._simulate import gust_numbers
 from ._values import velocity
-from ._registry import command
 
 if TYPE_CHECKING:
+    from ..apps.wind import WindFit
     from ..models import ArmModel
-    from ..wind import WindFit
-
 
 _FILES = ("wind.json", "wind.png")
 
@@ -82,7 +81,7 @@ def wind(
     Spectra and mean of its channels are compared with those of the arm, linearised about its
     rest, in von Karman's gusts; the gusts themselves stay unknown.
     """
-    from ..runs import (
+    from ..recordings import (
         Definition,
         check_output_folder,
         make_folder,
@@ -99,12 +98,12 @@ def wind(
     definition = definition_of(model).merged_with(Definition.parse(settings, "the command line"))
     run = read_run(data, definition=definition, rename=parse_rename(rename or []))
 
-    from ._jax import configure
+    from ..runtime.process import configure
 
     configure()
-    from ..kinds import ARM
-    from ..report import to_png, wind_figure, wind_json
-    from ..wind import USUALLY, fit_wind
+    from ..apps.wind import USUALLY, fit_wind, wind_figure, wind_json
+    from ..report import to_png
+    from ..schema import ARM
 
     stated = model_of(model, [run])
     if stated.kind != ARM.name:
@@ -141,7 +140,7 @@ def wind(
 
 
 def _show(found: "WindFit") -> None:
-    from ._output import print_table
+    from ._options import print_table
 
     rows = [
         [

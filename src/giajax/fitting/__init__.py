@@ -1,38 +1,42 @@
 """Least squares over chosen parameters of any model that predicts channels."""
 
-from ._beginning import Beginning as Beginning, between as between
-from ._budget import Budget as Budget
-from ._conclude import versions as versions
 from ._configuration import Setup as Setup, set_up as set_up
-from ._density import (
-    Density as Density,
-    density_of as density_of,
-    energy_at as energy_at,
+from ._density import Density as Density, density_of as density_of, energy_at as energy_at
+from ._derived import (
+    Direction as Direction,
+    Response as Response,
+    column_factors as column_factors,
+    in_column_units as in_column_units,
+    responses as responses,
+    units_in_si as units_in_si,
+    units_note as units_note,
 )
-from ._equations import CellEquations as CellEquations, Equations as Equations
-from ._estimates import student_reach as student_reach
-from ._findings import Finding as Finding
-from ._fit import MAX_ITERATIONS as MAX_ITERATIONS, fit as fit, solve as solve
+from ._descend import Budget as Budget
+from ._estimates import Finding as Finding, student_reach as student_reach
+from ._fit import (
+    MAX_ITERATIONS as MAX_ITERATIONS,
+    Refit as Refit,
+    fit as fit,
+    solve as solve,
+    versions as versions,
+)
+from ._free import (
+    Beginning as Beginning,
+    Tie as Tie,
+    between as between,
+    resolved_ties as resolved_ties,
+    tied as tied,
+)
 from ._hold_out import not_judged as not_judged, with_held_out as with_held_out
-from ._integration import IntegrationFit as IntegrationFit
-from ._jacobian import BlockJacobian as BlockJacobian
-from ._loss import rho as rho, scores as scores
-from ._noise import NOISE_MODELS as NOISE_MODELS, NoiseModel as NoiseModel
-from ._of_runs import layout_of as layout_of, matching_runs as matching_runs
-from ._optimum import Optimum as Optimum, Point as Point
-from ._optimum_of import optimum as optimum
-from ._predict import (
-    errors_of as errors_of,
-    predict as predict,
-    prediction_errors as prediction_errors,
+from ._linearise import BlockJacobian as BlockJacobian
+from ._optimum import (
+    CellEquations as CellEquations,
+    Equations as Equations,
+    Optimum as Optimum,
+    Point as Point,
+    optimum as optimum,
 )
-from ._prepared import prepared_with as prepared_with
-from ._priors import (
-    checked_priors as checked_priors,
-    prior_of as prior_of,
-    prior_row as prior_row,
-)
-from ._recorded import Recorded as Recorded
+from ._problem import Recorded as Recorded, prepared_with as prepared_with
 from ._records import (
     Correlation as Correlation,
     Estimate as Estimate,
@@ -42,18 +46,20 @@ from ._records import (
     Seconds as Seconds,
     Shift as Shift,
     Start as Start,
+    Suspect as Suspect,
+    SuspectKind as SuspectKind,
+    SystematicError as SystematicError,
     ToleranceEffect as ToleranceEffect,
-)
-from ._refit import Refit as Refit
-from ._responses import (
-    Direction as Direction,
-    Response as Response,
-    responses as responses,
+    estimate_table as estimate_table,
 )
 from ._result import (
     FitResult as FitResult,
+    IntegrationFit as IntegrationFit,
+    errors_of as errors_of,
     load_result as load_result,
     parse_result as parse_result,
+    predict as predict,
+    prediction_errors as prediction_errors,
 )
 from ._run_records import (
     ChannelErrors as ChannelErrors,
@@ -63,20 +69,18 @@ from ._run_records import (
     OwnEstimate as OwnEstimate,
     PredictionErrors as PredictionErrors,
     RunFit as RunFit,
+    layout_of as layout_of,
+    matching_runs as matching_runs,
 )
-from ._snapshot import FitJournal as FitJournal
 from ._solver import Marquardt as Marquardt
 from ._statistics import Statistics as Statistics
-from ._suspect import (
-    Suspect as Suspect,
-    SuspectKind as SuspectKind,
-    SystematicError as SystematicError,
-)
-from ._table import estimate_table as estimate_table
-from ._ties import Tie as Tie, resolved_ties as resolved_ties, tied as tied
-from ._units import (
-    column_factors as column_factors,
-    in_column_units as in_column_units,
-    units_in_si as units_in_si,
-    units_note as units_note,
+from ._transitions import FitJournal as FitJournal
+from ._weights import (
+    NOISE_MODELS as NOISE_MODELS,
+    NoiseModel as NoiseModel,
+    checked_priors as checked_priors,
+    prior_of as prior_of,
+    prior_row as prior_row,
+    rho as rho,
+    scores as scores,
 )

@@ -1,7 +1,4 @@
-"""What a fit is asked: checked and resolved before anything is evaluated.
-
-The file is longer than 200 lines because the arguments of a fit and its configuration are one list.
-"""
+"""What a fit is asked: checked and resolved before anything is evaluated."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -11,18 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 
-from .._errors import InputError
 from ..models import AbstractModel
-from ..parameters import Parameter, get, replace
-from ..quantities import Prior
-from ..runs import Run, run_keys
-from ._beginning import Beginning, between
-from ._free import Free, resolve
-from ._layout import Layout, sharing
-from ._loss import check_loss
-from ._noise import NOISE_MODELS, NoiseModel
-from ._priors import checked_priors, prior_of
-from ._ties import Tie, tied
+from ..recordings import Run, run_keys
+from ..runtime.text import InputError
+from ..schema import Prior
+from ..schema.parameters import Parameter, get, replace
+from ._coordinates import Layout, sharing
+from ._free import Beginning, Free, Tie, between, resolve, tied
+from ._weights import NOISE_MODELS, NoiseModel, check_loss, checked_priors, prior_of
 
 
 @dataclasses.dataclass(frozen=True)

@@ -8,21 +8,149 @@ that leave every residual unchanged; then any generalised inverse of J^T J gives
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .._errors import InputError
-from .._maths import on_device
-from .._typing import Array
 from ..models import AbstractModel
-from ..parameters import Declaration, find, get
-from ._identifiability import COLLINEAR
-from ._problem import Problem
+from ..recordings import Channel, Run, parse_column
+from ..runtime.arrays import Array, on_device
+from ..runtime.parallel import Batch, on_all_cores
+from ..runtime.programs import program
+from ..runtime.text import InputError
+from ..schema import QUANTITIES, Declaration
+from ..schema.parameters import declared, find, get, left_out, replace
+from ._free import Tie, tied
+from ._problem import Problem, in_a_share, prepared_with, sharing_a_program, stacked
 from ._records import Estimate, finite_or_none
 from ._statistics import Statistics
-from ._ties import Tie
+from ._uncertainty import COLLINEAR
+
+# Units of parameters of a model whose columns have any: "output/input" is no unit to read.
+
+# What a declaration calls the units of the columns that a model was fitted to.
+_WORDS = ("input", "output")
+
+
+class _Unit(NamedTuple):
+    """What a value in SI is multiplied by, and its unit then."""
+
+    factor: float
+    name: str
+
+
+def in_column_units(estimates: Mapping[str, Estimate], model: AbstractModel) -> dict[str, Estimate]:
+    """The estimates with values, errors and bounds in the units of the fitted columns.
+
+    Where a unit is made of "input" and "output", as those of a hysteresis operator are, and the
+    model knows its columns; every other estimate stays as it is, in SI.
+
+    Arguments:
+        estimates: by path, in SI.
+        model: the fitted one, which may know its columns.
+
+    Returns:
+        By the same paths.
+    """
+    units = _recorded(_columns(model))
+    return {path: _converted(estimate, units) for path, estimate in estimates.items()}
+
+
+def column_factors(model: AbstractModel) -> dict[str, float]:
+    """What `in_column_units` multiplies the values of each parameter by, by its path."""
+    units = _recorded(_columns(model))
+    return {path: _unit(unit, units).factor for path, unit in _declared_units(model).items()}
+
+
+def units_in_si(model: AbstractModel) -> dict[str, str]:
+    """The SI unit of each parameter, by its path; of those that are left out, too.
+
+    Where a unit is made of "input" and "output", and the model knows its columns, it is made of
+    the SI units of these.
+    """
+    units = {word: _Unit(1.0, channel.si_unit) for word, channel in _columns(model).items()}
+    return {path: _unit(unit, units).name for path, unit in _declared_units(model).items()}
+
+
+def units_note(estimates: Mapping[str, Estimate], model: AbstractModel) -> str:
+    """A sentence on the units, where `in_column_units` changes numbers; else empty.
+
+    Arguments:
+        estimates: by path, in SI.
+        model: the fitted one.
+
+    Returns:
+        The sentence, or nothing.
+    """
+    columns = _columns(model)
+    units = _recorded(columns)
+    factors = {_unit(estimate.unit, units).factor for estimate in estimates.values()}
+    if factors <= {1.0}:
+        return ""
+    names = " and ".join(channel.column for channel in columns.values())
+    return f"those of {names}; result.json, --start and --fix are in SI"
+
+
+def _columns(model: AbstractModel) -> dict[str, Channel]:
+    facts = model.definition()
+    named = {word: facts.get(f"{word}_column") for word in _WORDS}
+    return {word: parse_column(column) for word, column in named.items() if column}
+
+
+def _declared_units(model: AbstractModel) -> dict[str, str]:
+    known = {**declared(model), **left_out(model)}
+    return {path: parameter.declaration.unit for path, parameter in known.items()}
+
+
+def _recorded(columns: Mapping[str, Channel]) -> dict[str, _Unit]:
+    """The units that columns are recorded in."""
+    return {
+        word: _Unit(
+            float(channel.from_si(1.0)), QUANTITIES[channel.quantity].suffixes[channel.unit]
+        )
+        for word, channel in columns.items()
+    }
+
+
+def _converted(estimate: Estimate, units: Mapping[str, _Unit]) -> Estimate:
+    factor, unit = _unit(estimate.unit, units)
+    if unit == estimate.unit:
+        return estimate
+
+    def scaled(value: Any) -> Any:
+        return None if value is None else (np.asarray(value, dtype=float) * factor).tolist()
+
+    return dataclasses.replace(
+        estimate,
+        value=scaled(estimate.value),
+        standard_error=scaled(estimate.standard_error),
+        lower=scaled(estimate.lower),
+        upper=scaled(estimate.upper),
+        unit=unit,
+    )
+
+
+def _unit(unit: str, units: Mapping[str, _Unit]) -> _Unit:
+    """A unit in terms of "input" and "output", made of the units that these have."""
+    above, _, below = unit.partition("/")
+    words = {above, below} & set(_WORDS)
+    if not words or not words <= set(units):
+        return _Unit(1.0, unit)
+    up = units.get(above, _Unit(1.0, "" if above == "1" else above))
+    down = units.get(below, _Unit(1.0, below))
+    factor = up.factor / down.factor
+    if up.name == down.name:
+        return _Unit(factor, "")
+    if not down.name:
+        return _Unit(factor, up.name)
+    return _Unit(factor, f"{_bracketed(up.name) or 1}/{_bracketed(down.name)}")
+
+
+def _bracketed(unit: str) -> str:
+    return f"({unit})" if "/" in unit or " " in unit else unit
+
 
 # Part of a gradient in undetermined directions that is rounding of the Jacobian.
 _ROUNDING = 1e-5
@@ -170,3 +298,172 @@ def _followers(model: AbstractModel, ties: Sequence[Tie]) -> dict[str, tuple[str
         shown = [(tie.path, tie.elements[0])] if same else [(p, p) for p in tie.elements]
         followers |= {name: (part, tie) for name, part in shown}
     return followers
+
+
+# How the predictions of a fitted model respond to any of its parameters, free or held.
+#
+# One compiled program gives the columns of all directions together, without the loss and the
+# noise of the fit: whoever asks weighs them. A direction changes a whole parameter by a unit, one
+# element of it, or all of its elements in proportion.
+
+
+@dataclasses.dataclass(frozen=True)
+class Direction:
+    """A change of a parameter of a model.
+
+    Attributes:
+        path: of the parameter, without an index.
+        step: its change for a unit, in its SI unit and of its shape.
+    """
+
+    path: str
+    step: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True)
+class Response:
+    """What a model predicts for one run, and how that responds; all SI.
+
+    Attributes:
+        channels: names, in the order of the columns of the tables.
+        predicted: shape (sample, channel).
+        observed: NaN where not measured, shape (sample, channel).
+        columns: predictions by the amounts of the directions, shape (sample, channel, direction).
+        own: predictions by what is free in this run alone, shape (sample, channel, own).
+    """
+
+    channels: tuple[str, ...]
+    predicted: np.ndarray
+    observed: np.ndarray
+    columns: np.ndarray
+    own: np.ndarray
+
+
+def responses(
+    model: AbstractModel,
+    runs: Sequence[Run],
+    directions: Sequence[Direction],
+    own: Sequence[Mapping[str, float]] = (),
+    *,
+    values: Sequence[Mapping[str, float]] = (),
+    ties: Sequence[Tie] = (),
+) -> list[Response]:
+    """Predictions and their derivatives at one point.
+
+    Arguments:
+        model: at the point; it has all parameters of the directions.
+        runs: what was recorded.
+        directions: what to differentiate by. Without any there are predictions alone, and no
+            columns of what is free in one run either.
+        own: of each run, values of what is free in it alone, by label; others start as prepared.
+        values: of each run, those of the model's parameters that it does not share with all others,
+            by path, the same paths for all.
+        ties: what follows from other parameters, and moves with them.
+
+    Returns:
+        A response for each run, in their order.
+
+    Raises:
+        InputError: the model cannot be evaluated at the point.
+    """
+    answers: dict[int, Response] = {}
+    # In an order of their own: what is fitted and what is held changes from fit to fit, and the
+    # same directions in another order would be another program.
+    order = sorted(range(len(directions)), key=lambda index: _name(directions[index]))
+    place = np.argsort(np.asarray(order, dtype=int))
+    paths = tuple(directions[index].path for index in order)
+    steps = tuple(jnp.asarray(directions[index].step, jnp.result_type(float)) for index in order)
+    for members in sharing_a_program(model, runs):
+        like = runs[members[0]]
+        channels = tuple(like.observations)
+        free = model.free_inputs(like)
+        inputs = stacked([prepared_with(model, runs[i], own[i] if own else {}) for i in members])
+        sizes = tuple((path, get(inputs, path)[0].size) for path in free)
+        varied, rows = _varied(values, members)
+        shared = (model, paths, steps, channels, sizes, varied, tuple(ties))
+        lengths = np.asarray([len(runs[i].observations[channels[0]]) for i in members])
+        batch = Batch(_respond, (inputs, rows), shared, lengths, in_a_share(len(members)))
+        (answer,) = on_all_cores([batch])
+        tables, blocks, successful = answer
+        if not np.all(successful):
+            first = jax.tree.map(lambda leaf: leaf[0], inputs)
+            # Derivatives may take other steps than the motion, which is right by itself then.
+            why = model.for_derivatives((*paths, *free)).failure(first)
+            why = why or "a derivative of it is not finite"
+            raise InputError(f"the fitted model cannot be evaluated: {why}")
+        for member, table, block in zip(members, tables, blocks, strict=True):
+            observed = np.stack([runs[member].observations[c] for c in channels], axis=-1)
+            count = len(observed)
+            answers[member] = Response(
+                channels=channels,
+                predicted=table[:count],
+                observed=observed,
+                columns=np.moveaxis(block[place, :count], 0, -1),
+                own=np.moveaxis(block[len(paths) :, :count], 0, -1),
+            )
+    return [answers[index] for index in range(len(runs))]
+
+
+def _varied(
+    values: Sequence[Mapping[str, float]], members: Sequence[int]
+) -> tuple[tuple[str, ...], Array]:
+    """Paths of what is not the same in all runs, and its values, shape (run, path)."""
+    paths = tuple(values[0]) if values else ()
+    rows = [[values[index][path] for path in paths] for index in members]
+    return paths, jnp.asarray(np.asarray(rows, dtype=float), jnp.result_type(float))
+
+
+def _name(direction: Direction) -> tuple[str, tuple[float, ...]]:
+    return direction.path, tuple(np.ravel(direction.step).tolist())
+
+
+@program
+def _respond(
+    prepared_runs: tuple[Any, Array],
+    model: AbstractModel,
+    paths: tuple[str, ...],
+    steps: tuple[Array, ...],
+    channels: tuple[str, ...],
+    own: tuple[tuple[str, int], ...],
+    varied: tuple[str, ...],
+    ties: tuple[Tie, ...],
+) -> tuple[Array, Array, Array]:
+    """Tables (run, sample, channel), their derivatives (run, amount, sample, channel), success."""
+    inputs, rows = prepared_runs
+    count = len(paths) + sum(size for _, size in own) if paths else 0
+    differentiated = (*dict.fromkeys(paths), *(path for path, _ in own))
+    ready = model.for_derivatives(differentiated) if count else model
+
+    def one(prepared: Any, row: Array) -> tuple[Array, Array, Array]:
+        there = replace(ready, {path: row[index] for index, path in enumerate(varied)})
+        held = {path: get(there, path) for path in paths}
+
+        def predicted(amounts: Array) -> tuple[Array, Array]:
+            values = dict(held)
+            for index, path in enumerate(paths):
+                values[path] = values[path] + amounts[index] * steps[index]
+            moved, start = prepared, len(paths)
+            for path, size in own if count else ():
+                value = get(prepared, path)
+                change = amounts[start : start + size].reshape(value.shape)
+                moved = replace(moved, {path: value + change})
+                start += size
+            table, successful = tied(replace(there, values), ties).predict(moved, channels)
+            return jnp.stack([table[name] for name in channels], axis=-1), successful
+
+        def push(tangent: Array) -> tuple[Array, Array, Array]:
+            return jax.jvp(predicted, (still,), (tangent,), has_aux=True)
+
+        if not count:
+            table, successful = predicted(jnp.zeros(0))
+            return table, jnp.zeros((0, *table.shape), table.dtype), successful
+        still = jnp.zeros(count, jnp.result_type(float))
+        basis = jnp.eye(count, dtype=still.dtype)
+        table, block, successful = jax.vmap(push, out_axes=(None, 0, None))(basis)
+        return table, block, successful
+
+    if jax.tree.leaves(inputs)[0].shape[0] == 1:
+        result = one(*jax.tree.map(lambda leaf: leaf[0], (inputs, rows)))
+        return jax.tree.map(lambda leaf: leaf[None], result)
+    # One run after the other: each keeps its own steps; the program is compiled once.
+    return jax.lax.map(lambda each: one(*each), (inputs, rows))

@@ -1,30 +1,240 @@
 """Which parameters of a model are free, within which bounds, and which follow from others."""
 
 import dataclasses
+import graphlib
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self, TypeVar
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 
-from .._errors import InputError
 from ..models import AbstractModel
-from ..parameters import (
+from ..recordings import Run
+from ..runtime.arrays import Array, Bool
+from ..runtime.text import InputError
+from ..schema import Expression, Prior
+from ..schema.parameters import (
     Parameter,
     check_count,
     check_within_bounds,
     declared,
     default_free,
     elements,
+    find,
     get,
     replace,
     switched_on,
 )
-from ..quantities import Prior
-from ..runs import Run
-from ._beginning import inside_bounds
-from ._layout import members
-from ._ties import Tie, check_tied, resolved_ties, tied
+from ._coordinates import members
+
+# Parameters that follow from others, by an expression over paths.
+
+Module = TypeVar("Module", bound=eqx.Module)
+
+_FUNCTIONS = {"sqrt": jnp.sqrt, "exp": jnp.exp, "log": jnp.log}
+
+
+@dataclasses.dataclass(frozen=True)
+class Tie:
+    """A parameter that follows from others.
+
+    Attributes:
+        path: of the parameter, which may be an array.
+        expression: what it follows from.
+        elements: paths of its elements that follow; those of an array that the expression itself
+            names do not, as in `links.mass = links.mass[0]`.
+        lower, upper: its bounds.
+    """
+
+    path: str
+    expression: Expression
+    elements: tuple[str, ...]
+    lower: float
+    upper: float
+
+    @classmethod
+    def of(cls, model: eqx.Module, path: str, text: str) -> Self:
+        """The tie of a path to what an expression says.
+
+        Raises:
+            InputError: no expression, or an unknown path in it.
+        """
+        try:
+            expression = Expression.parse(text)
+        except InputError as error:
+            raise InputError(f"the tie of '{path}' is not right, because {error}") from None
+        named = {element.path for name in expression.paths for element in elements(model, name)}
+        declaration = find(model, path).declaration
+        parts = [element.path for element in elements(model, path)]
+        apart = path not in expression.paths
+        return cls(
+            path=path,
+            expression=expression,
+            elements=tuple(part for part in parts if part not in named or not apart),
+            lower=declaration.lower,
+            upper=declaration.upper,
+        )
+
+    def values(self, model: eqx.Module) -> Array:
+        """What the expression comes to, of the shape of the parameter; differentiable."""
+        value = jnp.asarray(self.expression.value(lambda path: get(model, path), _FUNCTIONS))
+        old = get(model, self.path)
+        if value.ndim and value.shape != old.shape:
+            raise InputError(
+                f"the tie of '{self.path}', which has {old.size} element{'s' * (old.size != 1)}, "
+                f"comes to {value.size} values: tie it to one value, or to one for each"
+            )
+        if not old.ndim:
+            return value
+        kept = np.asarray([part.path not in self.elements for part in elements(model, self.path)])
+        return jnp.where(kept, old, value)
+
+
+def resolved_ties(model: eqx.Module, texts: Mapping[str, str]) -> tuple[Tie, ...]:
+    """The ties of a model, in an order in which each follows from what is known before it.
+
+    Arguments:
+        model: whose parameters are tied; those that it leaves out must be switched on.
+        texts: expressions by the paths that follow from them.
+
+    Raises:
+        InputError: no expression, an unknown path, a parameter that is tied twice or follows from
+            itself, or another number of values than elements.
+    """
+    ties = [Tie.of(model, path, text) for path, text in texts.items()]
+    owners: dict[str, int] = {}
+    for index, tie in enumerate(ties):
+        for element in tie.elements:
+            if element in owners:
+                other = ties[owners[element]].path
+                raise InputError(
+                    f"'{element}' is tied by '{other}' and by '{tie.path}': remove one"
+                )
+            owners[element] = index
+    needs = {
+        index: {
+            owners[element.path]
+            for name in tie.expression.paths
+            for element in elements(model, name)
+            if element.path in owners
+        }
+        for index, tie in enumerate(ties)
+    }
+    try:
+        order = list(graphlib.TopologicalSorter(needs).static_order())
+    except graphlib.CycleError as error:
+        names = " and ".join(sorted({f"'{ties[index].path}'" for index in error.args[1]}))
+        raise InputError(
+            f"the ties of {names} follow from themselves: tie them to other parameters"
+        ) from None
+    return tuple(ties[index] for index in order)
+
+
+def tied(model: Module, ties: Sequence[Tie]) -> Module:
+    """The model in which each tied parameter follows from the others; differentiable."""
+    for tie in ties:
+        model = replace(model, {tie.path: tie.values(model)})
+    return model
+
+
+def check_tied(model: eqx.Module, ties: Sequence[Tie]) -> None:
+    """Refuse tied values beyond the bounds of their parameters.
+
+    Raises:
+        InputError: naming the parameter, the value and its bounds.
+    """
+    for tie in ties:
+        for path in tie.elements:
+            element = find(model, path)
+            check_within_bounds(element, float(element.value(model)), free=False)
+
+
+def within_bounds(model: eqx.Module, ties: Sequence[Tie]) -> Bool[Array, ""]:
+    """Whether all tied parameters are within their bounds."""
+    inside = [
+        jnp.all((tie.lower <= value) & (value <= tie.upper))
+        for tie in ties
+        for value in [get(model, tie.path)]
+    ]
+    return jnp.all(jnp.stack(inside)) if inside else jnp.asarray(True)
+
+
+# Where another fit ended, as the start of this one.
+
+
+@dataclasses.dataclass(frozen=True)
+class Beginning:
+    """What a fit takes from where another one ended.
+
+    Attributes:
+        model: the kind of model that was fitted.
+        values: of the parameters that were free or fixed there, by path, SI.
+        own: of the parameters of single runs, by the run's name and their path, SI.
+    """
+
+    model: str
+    values: Mapping[str, Any]
+    own: Mapping[str, Mapping[str, float]] = dataclasses.field(default_factory=dict)
+
+    def values_for(self, model: AbstractModel) -> Mapping[str, Any]:
+        """The values, where this model has all of their parameters.
+
+        Raises:
+            InputError: it has no model of that kind, or lacks one.
+        """
+        if not set(self.model.split("+")) <= set(model.kind.split("+")):
+            raise InputError(
+                f"the fit to begin from is of the {self.model} model and the runs are of the "
+                f"{model.kind} model: give a fit of the same kind"
+            )
+        try:
+            whole = switched_on(model, self.values)
+            for path, value in self.values.items():
+                check_count(whole, path, value)
+        except InputError as error:
+            raise InputError(f"the fit to begin from has other parameters: {error}") from None
+        return self.values
+
+
+def inside_bounds(
+    model: AbstractModel,
+    paths: Mapping[str, Any],
+    free: Mapping[str, Parameter],
+) -> dict[str, float]:
+    """Values strictly between their bounds, for those parameters that have to start there.
+
+    Arguments:
+        model: with the present values.
+        paths: of the parameters that another fit may have left on a bound.
+        free: the scalar parameters to fit, by path.
+    """
+    values = {}
+    for element in (element for path in paths for element in elements(model, path)):
+        if element.path in free:
+            low, high = element.declaration.lower, element.declaration.upper
+            values[element.path] = between(float(element.value(model)), low, high)
+    return values
+
+
+def between(value: float, lower: float, upper: float, *, margin: float = 0.0) -> float:
+    """The nearest value strictly between two bounds, which may be infinite.
+
+    Arguments:
+        value: any.
+        lower, upper: bounds.
+        margin: how far from a bound it has to be, at least; less than half of the way between two.
+    """
+    if np.isfinite(lower) and np.isfinite(upper):
+        margin = max(margin, 1e-9 * (upper - lower))
+        return float(np.clip(value, lower + margin, upper - margin))
+    # Next to 0 are numbers that a logarithm does not take.
+    margin = max(margin, float(np.finfo(float).tiny))
+    if np.isfinite(lower):
+        return max(value, lower + margin, float(np.nextafter(lower, np.inf)))
+    return min(value, upper - margin, float(np.nextafter(upper, -np.inf)))
+
 
 Start = Mapping[str, npt.ArrayLike]
 

@@ -1,18 +1,112 @@
 """The least-squares problem to first order: a block of the Jacobian a run, and their triangle."""
 
-from collections.abc import Sequence
-from typing import Any
+import dataclasses
+import functools
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Self
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optimistix as optx
 
-from .._typing import Array, Float
-from ._group import Group
-from ._loss import curvature_ratio
-from ._problem import Prediction, Problem
-from ._residual import over_runs, run_residual, whitened
-from ._solver_state import Linearised
+from ..runtime.arrays import Array, Float
+from ..runtime.parallel import Batch, on_all_cores
+from ..runtime.programs import program
+from ._problem import (
+    Group,
+    Prediction,
+    Problem,
+    in_a_sample,
+    in_a_share,
+    joined,
+    of_group,
+    over_runs,
+    residual,
+    run_residual,
+    whitened,
+    whitened_run,
+)
+from ._solver import Linearised, Marquardt, MarquardtState
+from ._weights import curvature_ratio
+
+# The Jacobian of a fit as it is: blocks, one a run, of a matrix that is zero elsewhere.
+
+Row = Float[np.ndarray, " residual"]
+
+
+@dataclasses.dataclass(frozen=True)
+class BlockJacobian:
+    """Residuals by parameters, run by run.
+
+    Attributes:
+        blocks: of each run, shape (row, column).
+        columns: which parameters the columns of each block belong to.
+        size: number of parameters.
+    """
+
+    blocks: Sequence[Float[np.ndarray, "row column"]]
+    columns: Sequence[np.ndarray]
+    size: int
+
+    @classmethod
+    def of(cls, problem: Problem, blocks: Sequence[object]) -> Self:
+        """The Jacobian from the blocks of each group of runs, and the slopes of the priors."""
+        *stacks, slopes = blocks
+        rows, columns = [], []
+        for group, stacked in zip(problem.groups, stacks, strict=True):
+            for block, own in zip(np.asarray(stacked), group.columns(), strict=True):
+                rows.append(np.asarray(block, dtype=float))
+                columns.append(own)
+        if len(problem.priors):
+            rows.append(np.diag(np.asarray(slopes, dtype=float)))
+            columns.append(np.asarray(problem.priors.columns))
+        return cls(rows, columns, problem.size)
+
+    @classmethod
+    def dense(cls, matrix: Float[np.ndarray, "residual parameter"]) -> Self:
+        """One block that is the whole matrix."""
+        return cls([matrix], [np.arange(matrix.shape[1])], matrix.shape[1])
+
+    def scaled(self, factors: Float[np.ndarray, " parameter"]) -> Self:
+        """With each column times a number."""
+        blocks = [b * factors[c] for b, c in zip(self.blocks, self.columns, strict=True)]
+        return dataclasses.replace(self, blocks=blocks)
+
+    def norms(self) -> Float[np.ndarray, " parameter"]:
+        """Norms of the columns."""
+        squares = np.zeros(self.size)
+        for block, columns in zip(self.blocks, self.columns, strict=True):
+            squares[columns] += np.sum(block**2, axis=0)
+        return np.sqrt(squares)
+
+    def times(self, vector: Float[np.ndarray, " parameter"]) -> Row:
+        """Matrix times a vector."""
+        return np.concatenate(
+            [block @ vector[c] for block, c in zip(self.blocks, self.columns, strict=True)]
+        )
+
+    def transposed_times(self, row: Row) -> Float[np.ndarray, " parameter"]:
+        """Transposed matrix times a vector."""
+        total = np.zeros(self.size)
+        start = 0
+        for block, columns in zip(self.blocks, self.columns, strict=True):
+            total[columns] += block.T @ row[start : start + len(block)]
+            start += len(block)
+        return total
+
+    def reduced(self, weights: Row | None = None) -> Float[np.ndarray, "row parameter"]:
+        """A small matrix R with R^T R = J^T diag(weights)^2 J, by QR of each block."""
+        parts, start = [], 0
+        for block, columns in zip(self.blocks, self.columns, strict=True):
+            if weights is not None:
+                block = block * weights[start : start + len(block), None]
+                start += len(block)
+            triangle = np.linalg.qr(block, mode="r")
+            placed = np.zeros((len(triangle), self.size))
+            placed[:, columns] = triangle
+            parts.append(placed)
+        return np.asarray(np.linalg.qr(np.concatenate(parts), mode="r"))
 
 
 def linearise(coordinate: Float[Array, " parameter"], problem: Problem) -> Linearised:
@@ -113,3 +207,233 @@ def _placed_priors(rows: Array, slopes: Array, problem: Problem) -> Array:
     count, columns = len(problem.priors), np.asarray(problem.priors.columns, dtype=int)
     whole = jnp.zeros((count, problem.size + 1), rows.dtype)
     return whole.at[np.arange(count), columns].set(slopes).at[:, -1].set(rows)
+
+
+# The compiled programs of a fit, each with what it returns, for those that are kept.
+#
+# At module level: a fresh closure would be compiled again for every fit.
+
+Stepped = tuple[Array, MarquardtState, Any, Any]
+"""Where the solver is, its state there, whether it is done, and whether at an optimum."""
+
+
+def _stepped(
+    solver: Marquardt, coordinate: Array, problem: Problem, state: MarquardtState, active: Array
+) -> Stepped:
+    truth = jax.ShapeDtypeStruct((), bool)
+    return coordinate, state, truth, truth
+
+
+@functools.partial(program, like=_stepped)
+def step(
+    solver: Marquardt, coordinate: Array, problem: Problem, state: MarquardtState, active: Array
+) -> Stepped:
+    options = _options(problem, active) | {"linearise": linearise}
+    coordinate, state, _ = solver.step(residual, coordinate, problem, options, state, frozenset())
+    return _ended(solver, coordinate, problem, state, options)
+
+
+@functools.partial(program, like=lambda solver, coordinate, *rest: coordinate)
+def propose(
+    solver: Marquardt, coordinate: Array, bijector: Any, state: MarquardtState, active: Array
+) -> Array:
+    lower, upper = bijector.ends()
+    options = {"active": active, "lower": lower, "upper": upper}
+    return solver.propose(coordinate, options, state)
+
+
+def _judged(
+    solver: Marquardt,
+    coordinate: Array,
+    trial: Array,
+    parts: Any,
+    problem: Problem,
+    state: MarquardtState,
+    active: Array,
+) -> Stepped:
+    return _stepped(solver, coordinate, problem, state, active)
+
+
+@functools.partial(program, like=_judged)
+def judge(
+    solver: Marquardt,
+    coordinate: Array,
+    trial: Array,
+    parts: Any,
+    problem: Problem,
+    state: MarquardtState,
+    active: Array,
+) -> Stepped:
+    options = _options(problem, active)
+    there = assembled(parts, trial, problem)
+    coordinate, state = solver.judge(coordinate, options, state, trial, there)
+    return _ended(solver, coordinate, problem, state, options)
+
+
+def _linearised_like(runs: tuple[Array, Group], problem: Problem) -> tuple[Any, ...]:
+    values, group = runs
+    count, columns = values.shape
+    rows = group.observed.size // count
+    row, table, successful = _predicted_like(runs, problem)
+    block = jax.ShapeDtypeStruct((count, rows, columns), values.dtype)
+    triangle = jax.ShapeDtypeStruct((count, columns + 1, columns + 1), values.dtype)
+    return row, block, triangle, table, successful
+
+
+@functools.partial(program, like=_linearised_like)
+def linearised(runs: tuple[Array, Group], problem: Problem) -> tuple[Array, ...]:
+    values, group = runs
+    return of_group(linearise_run, values, group, problem)
+
+
+def _predicted_like(runs: tuple[Array, Group], problem: Problem) -> tuple[Any, ...]:
+    values, group = runs
+    count = values.shape[0]
+    row = jax.ShapeDtypeStruct((count, group.observed.size // count), values.dtype)
+    table = jax.ShapeDtypeStruct(group.observed.shape, values.dtype)
+    return row, table, jax.ShapeDtypeStruct((count,), bool)
+
+
+@functools.partial(program, like=_predicted_like)
+def predicted(runs: tuple[Array, Group], problem: Problem) -> tuple[Array, ...]:
+    values, group = runs
+    return of_group(whitened_run, values, group, problem)
+
+
+def result_row(coordinate: Array, problem: Problem) -> Any:
+    count = sum(group.observed.size for group in problem.groups) + len(problem.priors)
+    return jax.ShapeDtypeStruct((count,), coordinate.dtype)
+
+
+@functools.partial(program, like=result_row)
+def residual_row(coordinate: Array, problem: Problem) -> Array:
+    row, prediction = residual(coordinate, problem)
+    return jnp.where(prediction.successful, row, jnp.nan)
+
+
+@functools.partial(program, like=lambda parts, coordinate, problem: result_row(coordinate, problem))
+def joined_row(parts: Any, coordinate: Array, problem: Problem) -> Array:
+    row, prediction = joined(parts, coordinate, problem)
+    return jnp.where(prediction.successful, row, jnp.nan)
+
+
+def _options(problem: Problem, active: Array) -> dict[str, Any]:
+    """What the solver has to know beside the problem."""
+    lower, upper = problem.bijector.ends()
+    return {"active": active, "lower": lower, "upper": upper}
+
+
+def _ended(
+    solver: Marquardt,
+    coordinate: Array,
+    problem: Problem,
+    state: MarquardtState,
+    options: dict[str, Any],
+) -> Stepped:
+    done, result = solver.terminate(residual, coordinate, problem, options, state, frozenset())
+    return coordinate, state, done, done & (result == optx.RESULTS.successful)
+
+
+# Steps and residuals of a least-squares problem by compiled programs, on all cores.
+#
+# A problem of one run is one program. Of several, the runs are dealt out over the cores, and what
+# they have in common, the step itself, is a program of its own before and after them; so it is on
+# one core, too, whose numbers are the same.
+
+
+def stepped(
+    solver: Marquardt,
+    coordinate: Array,
+    problem: Problem,
+    state: MarquardtState,
+    active: Array,
+    *,
+    sample: bool = False,
+) -> Stepped:
+    """One step of the solver, by the same programs wherever it is.
+
+    Arguments:
+        solver: of the least-squares problem.
+        coordinate: the best point so far, shape (parameter,).
+        problem: what is minimised.
+        state: of the solver there.
+        active: parameters that may move, shape (parameter,).
+        sample: where runs are dealt out, evaluate one or a few, and have zeros for the others.
+    """
+    if not _several(problem):
+        return step(solver, coordinate, problem, state, active)
+    trial = propose(solver, coordinate, problem.bijector, state, active)
+    parts = tuple(_of_runs(linearised, trial, problem, sample))
+    return judge(solver, coordinate, trial, parts, problem, state, active)
+
+
+def residuals(
+    coordinate: Array, problem: Problem, *, sample: bool = False
+) -> Float[np.ndarray, " residual"]:
+    """Residuals at a point within the bounds, without derivatives; NaN where the model fails.
+
+    Arguments:
+        coordinate: the point, shape (parameter,).
+        problem: what is minimised.
+        sample: of several runs evaluate one or a few, and have zeros for the others.
+    """
+    if not _several(problem):
+        return np.asarray(residual_row(coordinate, problem))
+    parts = tuple(_of_runs(predicted, coordinate, problem, sample))
+    return np.asarray(joined_row(parts, coordinate, problem))
+
+
+def blank(solver: Marquardt, problem: Problem, coordinate: Array) -> MarquardtState:
+    """The solver's state before its first evaluation."""
+    groups, dtype = problem.groups, coordinate.dtype
+    prediction = Prediction(
+        tuple(jax.ShapeDtypeStruct(group.observed.shape, dtype) for group in groups),
+        jax.ShapeDtypeStruct((), bool),
+    )
+    shape = result_row(coordinate, problem)
+    # By numpy, as in the solver: each operation of JAX here would be a program of its own.
+    blocks = tuple(
+        np.zeros((len(g.members), g.observed.size // len(g.members), g.columns().shape[1]), dtype)
+        for g in groups
+    )
+    options = {"jacobian": (*blocks, np.zeros(len(problem.priors), dtype))}
+    return solver.init(residual, coordinate, problem, options, shape, prediction, frozenset())
+
+
+def _several(problem: Problem) -> bool:
+    """Whether there are runs to deal out: another device than a CPU takes them as one program."""
+    return jax.default_backend() == "cpu" and sum(len(g.members) for g in problem.groups) > 1
+
+
+def _of_runs(
+    call: Callable[..., tuple[Array, ...]], coordinate: Array, problem: Problem, sample: bool
+) -> Iterable[tuple[np.ndarray, ...]]:
+    """What a program gives of the runs of each group, with a leading run axis."""
+    whole = np.asarray(coordinate)
+    # The runs come with the group that they are in, and only those of a share.
+    common = dataclasses.replace(problem, groups=())
+    batches, places = [], []
+    for group in problem.groups:
+        measured = np.count_nonzero(np.any(np.asarray(group.weight) > 0, axis=-1), axis=-1)
+        length = in_a_share(len(measured))
+        runs = dataclasses.replace(group, members=(), first=0, shared=())
+        items = whole[group.columns()], runs
+        if sample:
+            # Those that tell most, as few as check a derivative.
+            place = np.argsort(-measured, kind="stable")[: in_a_sample(len(measured))]
+            places.append((place, len(measured)))
+            items = jax.tree.map(lambda leaf, at=place: np.asarray(leaf)[at], items)
+            measured = measured[place]
+        batches.append(Batch(call, items, (common,), measured, length))
+    found = on_all_cores(batches)
+    if not sample:
+        return found
+    return [_among(part, *at) for part, at in zip(found, places, strict=True)]
+
+
+def _among(part: tuple[np.ndarray, ...], place: np.ndarray, count: int) -> tuple[np.ndarray, ...]:
+    """What was found of some runs among all of them: zero for the others, which do not fail."""
+    whole = [np.full((count, *leaf.shape[1:]), leaf.dtype == bool, leaf.dtype) for leaf in part]
+    for leaf, known in zip(whole, part, strict=True):
+        leaf[place] = known
+    return tuple(whole)

@@ -1,145 +1,210 @@
-"""The noise that a fit weights its residuals with, run by run and channel by channel."""
+"""What a fit left over, cell by cell, with derivatives: what the noise is estimated from."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
-from typing import Any, Literal, Self
+from collections import Counter
+from collections.abc import Sequence
 
 import numpy as np
 
-from ..noise import ChannelNoise, Stated, from_differences
-from ..runs import Run
+from ..noise import Cells, ChannelNoise, Restricted, estimate, outlier_weights, robust_deviation
+from ..recordings import Run
+from ._state import FitState
+from ._weights import Noise, scores
 
-NoiseModel = Literal["correlated", "white"]
-
-# Names of the models, for a message.
-NOISE_MODELS: tuple[NoiseModel, ...] = ("correlated", "white")
+# What a fit left over, cell by cell, with derivatives: what the noise is estimated from.
 
 
-@dataclasses.dataclass(frozen=True)
-class Noise:
-    """Noise of each channel of each run, SI.
+def residual_cells(state: FitState, *, together: bool = False) -> dict[tuple[int, str], Cells]:
+    """The residuals of a state and their derivatives in SI, by run and channel.
 
-    Attributes:
-        stated: what the sidecar of each run says, by channel.
-        values: what the channels are weighted with.
-        keys: of each channel of each run: those of the same key have the same noise.
-        memory: whether noise may be correlated.
-        weights: what robust statistics leave of each sample, by channel; None where outliers
-            are not weighted that way.
-        estimated: whether what the sidecars leave out comes from the residuals of a fit.
+    Without weights and not whitened. Coordinates that are held have no columns; those that one
+    run alone responds to are its own.
+
+    Arguments:
+        state: evaluated.
+        together: every coordinate as a shared column, also those that are held.
+
+    Returns:
+        By the position of the run and the name of the channel.
     """
-
-    stated: tuple[Mapping[str, Stated], ...]
-    values: tuple[Mapping[str, ChannelNoise], ...]
-    keys: tuple[Mapping[str, str], ...]
-    memory: bool
-    weights: tuple[Mapping[str, np.ndarray], ...] | None = None
-    estimated: bool = False
-
-    @classmethod
-    def of(cls, runs: Sequence[Run], model: NoiseModel = "correlated", *, per_run: bool) -> Self:
-        """What the sidecars say; else white, from the differences of neighbouring samples.
-
-        Arguments:
-            runs: what is fitted to.
-            model: whether noise may be correlated.
-            per_run: whether a channel has another noise in every run, instead of one in all.
-        """
-        stated = tuple({name: _stated(run, name) for name in run.observations} for run in runs)
-        several = len({run.model for run in runs}) > 1
-        keys = tuple(
-            {
-                # A load cell of a joint's bench is not that of a stand for muscles.
-                name: _key(f"{run.model} {name}" if several else name, number, known, per_run)
-                for name, known in of_run.items()
-            }
-            for number, (run, of_run) in enumerate(zip(runs, stated, strict=True))
-        )
-        guesses: dict[str, list[float]] = {}
-        for run, names in zip(runs, keys, strict=True):
-            for name, key in names.items():
-                guesses.setdefault(key, []).append(from_differences(run.observations[name]))
-        values = tuple(
-            {
-                name: known.noise_of(memory=model == "correlated")
-                or ChannelNoise(float(np.median(guesses[names[name]])))
-                for name, known in of_run.items()
-            }
-            for of_run, names in zip(stated, keys, strict=True)
-        )
-        return cls(stated, values, keys, memory=model == "correlated")
-
-    @property
-    def complete(self) -> bool:
-        """Whether the sidecars say the size of all of it."""
-        return all(s.deviation is not None for of_run in self.stated for s in of_run.values())
-
-    @property
-    def is_white(self) -> bool:
-        """Whether no channel has a memory."""
-        return all(noise.is_white for of_run in self.values for noise in of_run.values())
-
-    def by_key(self) -> dict[str, ChannelNoise]:
-        """The noise of each key."""
-        pairs = zip(self.keys, self.values, strict=True)
-        return {keys[name]: noise for keys, of_run in pairs for name, noise in of_run.items()}
-
-    def stated_by_key(self) -> dict[str, Stated]:
-        """What is known beforehand of each key."""
-        pairs = zip(self.keys, self.stated, strict=True)
-        return {keys[name]: known for keys, of_run in pairs for name, known in of_run.items()}
-
-    def with_values(
-        self,
-        by_key: Mapping[str, ChannelNoise],
-        weights: tuple[Mapping[str, np.ndarray], ...] | None = None,
-    ) -> Self:
-        """With the noise that a fit showed."""
-        values = tuple({name: by_key[key] for name, key in names.items()} for names in self.keys)
-        return dataclasses.replace(self, values=values, weights=weights, estimated=True)
-
-    def to_plain(self) -> dict[str, Any]:
-        """What a fit changes of it, as numbers, for `with_plain`."""
-        return {
-            "estimated": self.estimated,
-            "values": [
-                {name: dataclasses.asdict(noise) for name, noise in of_run.items()}
-                for of_run in self.values
-            ],
-            "weights": None
-            if self.weights is None
-            else [{name: w.tolist() for name, w in of_run.items()} for of_run in self.weights],
-        }
-
-    def with_plain(self, plain: Mapping[str, Any]) -> Self:
-        """The noise that `to_plain` gave the numbers of."""
-        values = tuple(
-            {name: ChannelNoise(**noise) for name, noise in of_run.items()}
-            for of_run in plain["values"]
-        )
-        weights = plain["weights"]
-        if weights is not None:
-            weights = tuple(
-                {name: np.asarray(w) for name, w in of_run.items()} for of_run in weights
-            )
-        return dataclasses.replace(
-            self, values=values, weights=weights, estimated=plain["estimated"]
-        )
+    jacobian, active = state.jacobian(), np.asarray(state.active)
+    if together:
+        common, mine = list(range(state.problem.size)), set[int]()
+    else:
+        common, mine = shared_and_own(state)
+    cells = {}
+    at_block = iter(zip(jacobian.blocks, jacobian.columns, strict=True))
+    for group, tables in zip(state.problem.groups, state.inner.aux.channels, strict=True):
+        for row, member in enumerate(group.members):
+            block, columns = next(at_block)
+            weight = np.asarray(group.weight, dtype=float)[row]
+            predicted = np.asarray(tables, dtype=float)[row]
+            difference = predicted - np.asarray(group.observed)[row]
+            if group.whitening is not None:
+                block = group.whitening.of_run(row).undone(block)
+            slope = scores(state.problem.loss, (difference * weight).ravel())[2]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                block = (block / (slope * weight.ravel())[:, None]).reshape(*weight.shape, -1)
+            where = {int(column): position for position, column in enumerate(columns)}
+            own = [where[c] for c in sorted(mine & set(where)) if active[c]]
+            shared = [where.get(c, -1) for c in common]
+            run = state.setup.runs[member]
+            for at, name in enumerate(group.channels):
+                measured = weight[:, at] > 0
+                # A last column of zeros stands for what the run does not respond to.
+                columns_at = np.pad(block[measured, at], ((0, 0), (0, 1)))
+                cells[member, name] = Cells(
+                    key=state.noise.keys[member][name],
+                    run=member,
+                    times=None if run.times is None else run.times[measured[: len(run.times)]],
+                    weights=np.ones(len(columns_at)),
+                    residual=difference[measured, at],
+                    shared=columns_at[:, shared],
+                    own=columns_at[:, own],
+                )
+    return cells
 
 
-def _stated(run: Run, name: str) -> Stated:
-    deviation = run.noise(name)
-    part = run.correlated_noise(name)
-    if part is None:
-        return Stated(deviation)
-    return Stated(deviation, correlated=part[0], time_s=part[1])
+def prior_gram(state: FitState) -> np.ndarray:
+    """X^T X of the rows of the priors, by the shared coordinates that move and the residual.
+
+    Arguments:
+        state: evaluated.
+
+    Returns:
+        Shape (shared + 1, shared + 1): by the shared columns of `residual_cells`, and, last, the
+        residual.
+    """
+    common, _ = shared_and_own(state)
+    count, columns = len(state.problem.priors), state.problem.priors.columns
+    rows = np.zeros((count, len(common) + 1))
+    if count:
+        slopes = np.diag(state.jacobian().blocks[-1])
+        residual = np.asarray(state.inner.residual)[-count:]
+        for row, column, slope, value in zip(rows, columns, slopes, residual, strict=True):
+            # What is held stays as far off whatever the others do.
+            if column in common:
+                row[common.index(column)], row[-1] = slope, value
+    return np.asarray(rows.T @ rows)
 
 
-def _key(name: str, number: int, stated: Stated, per_run: bool) -> str:
-    """Runs that state different noise, or none, do not share what is not stated either."""
-    said = (
-        ""
-        if stated.deviation is None
-        else f" {stated.deviation!r} {stated.correlated!r} {stated.time_s!r}"
+def shared_and_own(state: FitState) -> tuple[list[int], set[int]]:
+    """Positions of the coordinates that move: shared ones; of single runs, without a prior.
+
+    Arguments:
+        state: evaluated.
+    """
+    active = np.asarray(state.active)
+    count = Counter(int(c) for columns in state.jacobian().columns for c in columns)
+    several = len(state.setup.runs) > 1
+    mine = {column for column, uses in count.items() if several and uses == 1}
+    return [c for c in range(state.problem.size) if active[c] and c not in mine], mine
+
+
+# The noise that the residuals of a fit show, where no sidecar states it.
+
+# Residuals below this part of the largest recorded value are what a solver's tolerance leaves.
+TOLERANCE = 1e-5
+
+# Twice the gain in log-likelihood below which another noise is the same one.
+_SETTLED = 0.1
+
+# Weight below which a cell is an outlier: three deviations off.
+OUTLIER = 1 / 3
+
+# Change of a robust deviation, in its logarithm, and mean change of weights, likewise.
+_SAME_DEVIATION = 0.05
+_SAME_WEIGHT = 0.01
+
+
+def reestimate(state: FitState) -> Noise:
+    """The noise to fit with next.
+
+    It stays the same where no channel changes by as much as a fit would notice.
+
+    Arguments:
+        state: at an optimum with the noise in use.
+
+    Returns:
+        The noise in use, or a better one.
+    """
+    noise = state.noise
+    if noise.complete and not noise.memory:
+        return noise
+    cells = residual_cells(state)
+    if state.setup.loss != "linear":
+        return _among_outliers(noise, cells, state.setup.runs)
+    # Without the priors: one that is wrong would pass for noise with a long memory.
+    before = Restricted.of(list(cells.values()), noise.by_key())
+    perfect = _perfect(cells, state.setup.runs)
+    if perfect and noise.estimated:
+        # What rounding leaves has no size to be estimated again.
+        return noise
+    after = estimate(before, noise.stated_by_key(), memory=noise.memory and not perfect)
+    if _gain(before, after) < _SETTLED:
+        return dataclasses.replace(noise, estimated=not noise.complete)
+    return noise.with_values(after.noise)
+
+
+def _perfect(cells: dict[tuple[int, str], Cells], runs: Sequence[Run]) -> bool:
+    """Whether nothing is left but what the tolerance of a solver leaves."""
+    return all(
+        np.max(np.abs(each.residual), initial=0.0)
+        <= TOLERANCE * np.nanmax(np.abs(runs[run].observations[name]))
+        for (run, name), each in cells.items()
     )
-    return f"{name}{said}" + (f" of run {number}" if per_run else "")
+
+
+def _gain(before: Restricted, after: Restricted) -> float:
+    key = next(iter(before.noise))
+    return before.value(key, before.noise[key]) - after.value(key, after.noise[key])
+
+
+def _among_outliers(
+    noise: Noise, cells: dict[tuple[int, str], Cells], runs: Sequence[Run]
+) -> Noise:
+    """The noise by robust statistics; with a memory, each cell gets a weight of its own."""
+    stated, old = noise.stated_by_key(), noise.by_key()
+    sizes = {
+        key: _robust(each, [c.residual for c in cells.values() if c.key == key])
+        if each.is_white and stated[key].deviation is None
+        else each
+        for key, each in old.items()
+    }
+    if noise.memory:
+        weights = {at: outlier_weights(each, sizes[each.key]) for at, each in cells.items()}
+        # An outlier is no noise: it has no part in its size, only little in the fit.
+        inliers = [each.where(weights[at] > OUTLIER) for at, each in cells.items()]
+        before = Restricted.of(inliers, sizes)
+        after = estimate(before, stated, memory=True)
+        if not all(each.is_white for each in after.noise.values()):
+            return _weighted(noise, weights, runs, _gain(before, after), after)
+    change = max(abs(np.log(sizes[key].deviation / old[key].deviation)) for key in old)
+    if change < _SAME_DEVIATION:
+        return dataclasses.replace(noise, estimated=not noise.complete)
+    return noise.with_values(sizes)
+
+
+def _robust(noise: ChannelNoise, residuals: list[np.ndarray]) -> ChannelNoise:
+    return noise.times(robust_deviation(np.concatenate(residuals)) / noise.deviation)
+
+
+def _weighted(
+    noise: Noise,
+    weights: dict[tuple[int, str], np.ndarray],
+    runs: Sequence[Run],
+    gain: float,
+    after: Restricted,
+) -> Noise:
+    """Noise with a memory, and with the weight of each cell at its sample."""
+    placed: list[dict[str, np.ndarray]] = [{} for _ in noise.keys]
+    changes = []
+    for (run, name), of_cells in weights.items():
+        measured = ~np.isnan(runs[run].observations[name])
+        placed[run][name] = np.ones(len(measured))
+        placed[run][name][measured] = of_cells
+        before = np.ones(1) if noise.weights is None else noise.weights[run][name][measured]
+        changes.append(np.mean(np.abs(of_cells - before)))
+    if noise.weights is not None and gain < _SETTLED and max(changes) < _SAME_WEIGHT:
+        return noise
+    return noise.with_values(after.noise, tuple(placed))

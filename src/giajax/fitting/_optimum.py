@@ -7,24 +7,27 @@ starts are numbers of them, so that nothing is compiled anew.
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from .._errors import InputError
-from .._maths import on_device
-from .._typing import Float
 from ..models import AbstractModel
+from ..noise import Cells, ChannelNoise
+from ..runtime.arrays import Bool, Float, on_device
+from ..runtime.text import InputError
+from ._configuration import Setup
 from ._derived import derived_quantity
-from ._group import recorded_otherwise
-from ._jacobian import BlockJacobian
-from ._labels import labels
-from ._problem import predictions_by_run
-from ._recorded import Recorded
-from ._refit import Refit, descended
-from ._state import FitState
+from ._descend import moving
+from ._fit import Refit, descended
+from ._linearise import BlockJacobian
+from ._noise import reestimate, residual_cells
+from ._problem import Recorded, predictions_by_run, recorded_otherwise
+from ._run_records import RunFit
+from ._state import FitState, labels
 from ._statistics import Statistics, statistics
-from ._transitions import evaluate, move
+from ._transitions import begin, evaluate, move, reweight, step
+from ._uncertainty import dense_cells, prior_rows, responds, weighted_cells
+from ._weights import Noise, scores
 
 MOST_STEPS = 50
 
@@ -194,3 +197,156 @@ class Optimum:
 
     def _predictions(self, state: FitState) -> list[dict[str, np.ndarray]]:
         return predictions_by_run(state.problem, state.inner.aux, state.setup.runs)
+
+
+# From what a result says of a fit to its optimum, evaluated by the program that fitted it.
+
+
+def optimum(setup: Setup, records: Sequence[RunFit]) -> Optimum:
+    """The optimum of a fit, without fitting it again.
+
+    Arguments:
+        setup: what was fitted to what; its model has the fitted values and the tolerance that was
+            used, and `own` those of single runs.
+        records: of its runs, with the noise that was used.
+
+    Raises:
+        InputError: the model cannot be evaluated there.
+    """
+    begun = begin(dataclasses.replace(setup, unstarted=()))
+    noise = begun.noise.with_values(_noise_of(begun.noise, setup, records))
+    noise = dataclasses.replace(noise, estimated=not noise.complete)
+    state = _evaluated(begun, noise)
+    if setup.loss != "linear" and noise.memory:
+        # The weights of cells are not kept: they follow from the residuals.
+        weights = reestimate(state).weights
+        if weights is not None:
+            state = _evaluated(begun, dataclasses.replace(noise, weights=weights))
+    return Optimum(dataclasses.replace(state, rounds_left=0))
+
+
+def _evaluated(begun: FitState, noise: Noise) -> FitState:
+    state = step(reweight(begun, noise))
+    if not state.evaluated:
+        raise InputError("the model cannot be evaluated where the fit ended")
+    return moving(state, responds(state.natural_jacobian().norms(), state.sizes))
+
+
+def _noise_of(noise: Noise, setup: Setup, records: Sequence[RunFit]) -> dict[str, ChannelNoise]:
+    """The noise of each key, as the records of the runs have it."""
+    by_key = {}
+    for run, record, keys in zip(setup.runs, records, noise.keys, strict=True):
+        for name, key in keys.items():
+            stored, to_si = record.channels[name], run.channels[name].to_si
+            by_key[key] = ChannelNoise.of_cell(
+                float(to_si(stored.noise)),
+                float(to_si(stored.correlated)),
+                stored.correlation_time_s,
+            )
+    return by_key
+
+
+# The normal equations of a fit where it ended, cell by cell: what each part of the data says.
+
+# Of scaled columns: eigenvalues below this, of the largest, are directions that nothing shows.
+_FLAT = 1e-10
+# Part of a parameter in such a direction from which it is not determined.
+_LOOSE = 0.01
+
+
+@dataclasses.dataclass(frozen=True)
+class Equations:
+    """A x = -b, of the step x of some parameters that makes the cost least, to first order.
+
+    Attributes:
+        matrix: A, the curvature of the cost, shape (parameter, parameter).
+        gradient: b, of the cost, shape (parameter,).
+    """
+
+    matrix: Float[np.ndarray, "parameter parameter"]
+    gradient: Float[np.ndarray, " parameter"]
+
+    def __add__(self, other: "Equations") -> "Equations":
+        return Equations(self.matrix + other.matrix, self.gradient + other.gradient)
+
+    def step(self) -> tuple[np.ndarray, np.ndarray]:
+        """The step, and the roots of the diagonal of A^-1; NaN of what is not determined."""
+        sizes = np.sqrt(np.maximum(np.diag(self.matrix), 0.0))
+        sizes = np.where(sizes > 0, sizes, np.inf)
+        values, vectors = np.linalg.eigh(self.matrix / np.outer(sizes, sizes))
+        flat = values <= _FLAT * max(float(values[-1]), 1e-300)
+        root = vectors[:, ~flat] / np.sqrt(values[~flat]) / sizes[:, None]
+        step = -root @ (root.T @ self.gradient)
+        errors = np.linalg.norm(root, axis=1)
+        loose = np.any(np.abs(vectors[:, flat]) > _LOOSE, axis=1) | np.isinf(sizes)
+        return np.where(loose, np.nan, step), np.where(loose, np.nan, errors)
+
+
+@dataclasses.dataclass(frozen=True)
+class CellEquations:
+    """What the cells of a fit say of its parameters, by the noise and the weights that it has.
+
+    Attributes:
+        positions: of the parameters: those that respond and are at no bound.
+        cells: of each channel, by the position of the run and its name, with their derivatives.
+        rows: of all samples of a run, which were measured, likewise.
+        noise: of each key.
+        loss: that is left where weights of cells do not stand for it.
+        priors: what is known beforehand.
+    """
+
+    positions: tuple[int, ...]
+    cells: Mapping[tuple[int, str], Cells]
+    rows: Mapping[tuple[int, str], Bool[np.ndarray, " sample"]]
+    noise: Mapping[str, ChannelNoise]
+    loss: str
+    priors: Equations
+
+    @classmethod
+    def of(cls, optimum: Optimum) -> "CellEquations":
+        """The equations of a fit where it ended."""
+        state, statistics = optimum.state, optimum.statistics
+        at = [int(i) for i in statistics.alive if int(i) not in statistics.bounds]
+        slope = state.problem.bijector.slope(np.asarray(state.coordinate))
+        cells = {
+            key: dense_cells(weighted_cells(state, key, each), np.asarray(at, dtype=int), slope)
+            for key, each in residual_cells(state, together=True).items()
+        }
+        rows, off = prior_rows(state, np.asarray(at, dtype=int))
+        return cls(
+            positions=tuple(at),
+            cells=cells,
+            rows={
+                (run, name): ~np.isnan(state.setup.runs[run].observations[name])
+                for run, name in cells
+            },
+            noise=state.noise.by_key(),
+            loss=state.problem.loss,
+            priors=Equations(rows.T @ rows, rows.T @ off),
+        )
+
+    def said(
+        self, run: int, name: str, kept: Bool[np.ndarray, " sample"] | None = None
+    ) -> Equations:
+        """What the cells of a channel say: A and b, made independent among themselves.
+
+        Arguments:
+            run: its position.
+            name: of the channel.
+            kept: of all samples of the run, which count; all by default.
+        """
+        cells = self.cells[run, name]
+        if kept is not None:
+            cells = cells.where(kept[self.rows[run, name]])
+        noise = self.noise[cells.key]
+        if self.loss == "linear":
+            width = cells.own.shape[1]
+            gram = cells.gram(noise)[0][width:, width:]
+            return Equations(gram[:-1, :-1], gram[:-1, -1])
+        psi, curvature, _ = scores(self.loss, cells.residual / noise.deviation)
+        columns = cells.shared / noise.deviation
+        return Equations(columns.T @ (columns * curvature[:, None]), columns.T @ psi)
+
+    def whole(self, said: Sequence[Equations]) -> Equations:
+        """What these say together with what is known beforehand."""
+        return sum(said, self.priors)

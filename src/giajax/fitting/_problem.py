@@ -1,20 +1,322 @@
 """The least-squares problem: weighted differences between predicted and recorded channels."""
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .._typing import Array, Float
 from ..models import AbstractModel
-from ..parameters import replace
-from ..runs import Run
-from ._bijector import Bijector
-from ._group import Group
-from ._priors import Priors
-from ._ties import Tie, tied
+from ..recordings import Run
+from ..runtime.arrays import Array, Float, on_device
+from ..schema.parameters import get, replace
+from ._coordinates import Bijector, Layout
+from ._free import Tie, tied, within_bounds
+from ._weights import Noise, Priors, Whitening, transform
+
+# Prepared runs of several lengths as one pytree with a leading run axis.
+
+
+def stacked(trees: Sequence[Any]) -> Any:
+    """Stack pytrees, repeating last rows where the first axes differ (see `prepare`)."""
+
+    def stack(*leaves: Array) -> Array:
+        # By numpy: each shape would be a program of its own, compiled before the fit begins.
+        rows = [np.asarray(leaf) for leaf in leaves]
+        length = max(row.shape[0] if row.ndim else 0 for row in rows)
+        return on_device(
+            np.stack(
+                [
+                    np.concatenate([row, np.repeat(row[-1:], length - row.shape[0], axis=0)])
+                    if row.ndim and row.shape[0] < length
+                    else row
+                    for row in rows
+                ]
+            )
+        )
+
+    return jax.tree.map(stack, *trees)
+
+
+# Runs as a model prepares them, with values that a fit found for each.
+
+
+def sharing_a_program(model: AbstractModel, runs: Sequence[Run]) -> list[list[int]]:
+    """Positions of the runs that share a program: of the same channels, and prepared alike."""
+    groups: dict[Any, list[int]] = {}
+    for index, run in enumerate(runs):
+        structure = jax.tree.structure(model.prepare(run))
+        key = tuple(run.observations), structure, model.free_inputs(run)
+        groups.setdefault(key, []).append(index)
+    return list(groups.values())
+
+
+def in_a_share(count: int) -> int:
+    """How many of some runs that share a program a core takes at once.
+
+    Several of many, because to begin costs half a millisecond; a divisor, so that none is left
+    over; few, so that no core waits for another's last ones: there are at least 16 shares, or as
+    many as runs. It does not depend on the machine, so that programs are the same everywhere.
+    """
+    return next(n for n in (4, 3, 2, 1) if n == 1 or (count % n == 0 and count >= 16 * n))
+
+
+def in_a_sample(count: int) -> int:
+    """How many of some runs that share a program say whether its derivatives are right."""
+    return min(4, max(1, count // 8))
+
+
+def prepared_with(model: AbstractModel, run: Run, own: Mapping[str, float]) -> Any:
+    """A prepared run with the values of what is free in it alone.
+
+    Arguments:
+        model: prepares the run.
+        run: what was recorded.
+        own: values by label (`initial.angle[0]`); the others are as the run was prepared.
+    """
+    inputs = model.prepare(run)
+    for path in model.free_inputs(run):
+        values = np.array(get(inputs, path), dtype=float)
+        for index in range(values.size):
+            label = f"{path}[{index}]" if values.size > 1 else path
+            values.reshape(-1)[index] = own.get(label, values.reshape(-1)[index])
+        inputs = replace(inputs, {path: values})
+    return inputs
+
+
+# Recorded values as arrays, with what the noise makes of them: weights, and a whitening.
+
+Recorded = Sequence[Mapping[str, np.ndarray]]
+"""Of each run, values by channel, SI; NaN where a cell does not count."""
+
+
+def recorded_cells(
+    runs: Sequence[Run],
+    noise: Noise,
+    indices: Sequence[int],
+    channels: Sequence[str],
+    recorded: Recorded,
+) -> tuple[Array, Array, Whitening | None]:
+    """What the runs of a group recorded, padded to the longest of them.
+
+    Arguments:
+        runs: all that is fitted to.
+        noise: of their channels.
+        indices: positions of the runs of the group.
+        channels: of the group.
+        recorded: of each of all runs, values by channel.
+
+    Returns:
+        Values, 0 where none counts; weights, 0 there, too; the whitening of correlated noise.
+    """
+    observed = [np.stack([recorded[i][c] for c in channels], -1) for i in indices]
+    weight = [
+        np.where(np.isnan(cells), 0.0, 1 / np.asarray(_deviations(noise, i, channels)))
+        * _root_weights(noise, runs[i], i, channels)
+        for i, cells in zip(indices, observed, strict=True)
+    ]
+    length = max(len(cells) for cells in observed)
+    return (
+        _padded([np.nan_to_num(cells) for cells in observed], length),
+        _padded(weight, length),
+        _whitening(runs, noise, indices, channels, length, recorded),
+    )
+
+
+def _deviations(noise: Noise, index: int, channels: Sequence[str]) -> list[float]:
+    return [noise.values[index][channel].deviation for channel in channels]
+
+
+def _root_weights(noise: Noise, run: Run, index: int, channels: Sequence[str]) -> np.ndarray:
+    """Roots of the cells' weights, where no whitening has them: in a run without time."""
+    if noise.weights is None or run.times is not None:
+        return np.ones(())
+    return np.sqrt(np.stack([noise.weights[index][name] for name in channels], axis=-1))
+
+
+def _whitening(
+    runs: Sequence[Run],
+    noise: Noise,
+    indices: Sequence[int],
+    channels: Sequence[str],
+    length: int,
+    recorded: Recorded,
+) -> Whitening | None:
+    """That of the runs of a group, stacked; None where noise has no memory for sure."""
+    if not noise.memory:
+        return None
+    parts = []
+    for i in indices:
+        times = runs[i].times
+        if times is None:
+            return None
+        measured = {
+            name: np.where(np.isnan(values), 0.0, 1.0) for name, values in recorded[i].items()
+        }
+        weights = {
+            name: cells if noise.weights is None else cells * noise.weights[i][name]
+            for name, cells in measured.items()
+        }
+        of_run = {name: noise.values[i][name] for name in channels}
+        parts.append(Whitening.of(of_run, times, weights, length))
+    dtype = jnp.result_type(float)
+    return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves), dtype=dtype), *parts)
+
+
+def _padded(arrays: Sequence[np.ndarray], length: int) -> Array:
+    rows = [np.pad(a, ((0, length - len(a)), (0, 0))) for a in arrays]
+    return on_device(np.stack(rows), jnp.result_type(float))
+
+
+# Runs as arrays: those with the same channels stacked, so that they share a program.
+
+
+class Group(eqx.Module):
+    """Runs with the same channels, stacked along a first axis so that they share a program.
+
+    Attributes:
+        inputs: what the model prepared, each leaf with a leading run axis.
+        observed: recorded values, 0 where not measured.
+        weight: 1 / standard deviation, 0 where not measured.
+        whitening: of correlated noise; None where there can be none.
+        channels: names, in the order of the third axis of `observed`.
+        members: positions of the runs in the list that was fitted.
+        own: paths and sizes of the prepared inputs' parameters that are free in each run.
+        first: position of the first of them in the free coordinate.
+        shared: by run, the position of its value of each of the model's free parameters.
+    """
+
+    inputs: Any
+    observed: Float[Array, "run sample channel"]
+    weight: Float[Array, "run sample channel"]
+    whitening: Whitening | None
+    channels: tuple[str, ...] = eqx.field(static=True)
+    members: tuple[int, ...] = eqx.field(static=True)
+    own: tuple[tuple[str, int], ...] = eqx.field(static=True)
+    first: int = eqx.field(static=True)
+    shared: tuple[tuple[int, ...], ...] = eqx.field(static=True)
+
+    @property
+    def width(self) -> int:
+        """Number of free coordinates that belong to each run alone."""
+        return sum(size for _, size in self.own)
+
+    def own_columns(self) -> np.ndarray:
+        """Positions of each run's own coordinates in the whole, shape (run, own)."""
+        count = len(self.members) * self.width
+        return self.first + np.arange(count).reshape(len(self.members), self.width)
+
+    def columns(self) -> np.ndarray:
+        """Positions in the whole of all that each run responds to, shape (run, shared + own)."""
+        return np.concatenate([np.asarray(self.shared, dtype=int), self.own_columns()], axis=1)
+
+    def own_labels(self) -> list[str]:
+        """Names of the coordinates that belong to one run, element by element."""
+        return [
+            f"{path}[{index}]" if size > 1 else path
+            for path, size in self.own
+            for index in range(size)
+        ]
+
+
+def build_groups(
+    model: AbstractModel, runs: Sequence[Run], noise: Noise, layout: Layout
+) -> tuple[Group, ...]:
+    """Prepare runs and stack those with the same channels, padded to the longest of them.
+
+    Arguments:
+        model: prepares the runs.
+        runs: what was recorded.
+        noise: of the channels.
+        layout: of the free parameters of the model itself.
+
+    Returns:
+        The groups, in the order of their first runs.
+    """
+    members: dict[Any, list[int]] = {}
+    prepared = [model.prepare(run) for run in runs]
+    owns = [
+        tuple((path, get(inputs, path).size) for path in model.free_inputs(run))
+        for run, inputs in zip(runs, prepared, strict=True)
+    ]
+    for index, run in enumerate(runs):
+        structure = jax.tree.structure(prepared[index])
+        key = (tuple(run.observations), structure, owns[index])
+        members.setdefault(key, []).append(index)
+    groups = []
+    first = layout.size
+    recorded = [run.observations for run in runs]
+    for (channels, _, own), indices in members.items():
+        observed, weight, whitening = recorded_cells(runs, noise, indices, channels, recorded)
+        group = Group(
+            inputs=stacked([prepared[i] for i in indices]),
+            observed=observed,
+            weight=weight,
+            whitening=whitening,
+            channels=channels,
+            members=tuple(indices),
+            own=own,
+            first=first,
+            shared=tuple(layout.of_runs[i] for i in indices),
+        )
+        first += len(indices) * group.width
+        groups.append(group)
+    return tuple(groups)
+
+
+def recorded_otherwise(
+    groups: Sequence[Group], runs: Sequence[Run], noise: Noise, recorded: Recorded
+) -> tuple[Group, ...]:
+    """Groups whose runs recorded something else; what was prepared of the runs stays.
+
+    Arguments:
+        groups: of the runs.
+        runs: what is fitted to.
+        noise: of the channels.
+        recorded: of each run, values by channel, SI; NaN where a cell does not count.
+    """
+    others = []
+    for group in groups:
+        cells = recorded_cells(runs, noise, group.members, group.channels, recorded)
+        observed, weight, whitening = cells
+        others.append(
+            dataclasses.replace(group, observed=observed, weight=weight, whitening=whitening)
+        )
+    return tuple(others)
+
+
+def own_start(groups: Sequence[Group]) -> np.ndarray:
+    """Where the coordinates of the single runs start: as their runs were prepared."""
+    values = [
+        np.asarray(get(group.inputs, path)[row], dtype=float).ravel()
+        for group in groups
+        for row in range(len(group.members))
+        for path, _ in group.own
+    ]
+    return np.concatenate([np.empty(0), *values])
+
+
+def own_begun(
+    groups: Sequence[Group], runs: Sequence[Run], begun: Mapping[str, Mapping[str, float]]
+) -> np.ndarray:
+    """As `own_start`, apart from those that begin elsewhere.
+
+    Arguments:
+        groups: of the runs.
+        runs: what is fitted to.
+        begun: their values, by the run's name and the name of the coordinate.
+    """
+    own = own_start(groups)
+    shared = groups[0].first
+    for group in groups:
+        for member, columns in zip(group.members, group.own_columns(), strict=True):
+            values = begun.get(runs[member].name, {})
+            for label, column in zip(group.own_labels(), columns.tolist(), strict=True):
+                own[column - shared] = values.get(label, own[column - shared])
+    return own
 
 
 class Problem(eqx.Module):
@@ -109,3 +411,112 @@ def predictions_by_run(
                 name: table[row, :count, column] for column, name in enumerate(group.channels)
             }
     return by_run
+
+
+# Residuals of the runs of a problem: one run, those of a group one after the other, and all.
+
+
+def run_residual(
+    shared_and_own: Float[Array, " own"],
+    problem: Problem,
+    group: Group,
+    inputs: Any,
+    observed: Array,
+    weight: Array,
+) -> tuple[Float[Array, " residual"], tuple[Array, Array]]:
+    """Residual of one run, not whitened; beside it its prediction and whether that succeeded."""
+    count = len(problem.paths)
+    inputs = _with_own(inputs, group, shared_and_own[count:])
+    model = problem.at(shared_and_own).for_derivatives(problem.free_paths(group))
+    predicted, successful = model.predict(inputs, group.channels)
+    table = jnp.stack([predicted[name] for name in group.channels], axis=-1)
+    if problem.ties:
+        # A step that leads a tied parameter beyond its bounds is rejected.
+        successful = successful & within_bounds(model, problem.ties)
+        table = jnp.where(successful, table, jnp.nan)
+    # An unmeasured cell must not carry the NaN of a failed simulation times zero.
+    difference = jnp.where(weight > 0, (table - observed) * weight, 0)
+    return transform(problem.loss, difference.ravel()), (table, successful)
+
+
+def whitened(columns: Float[Array, "residual column"], whitening: Whitening | None) -> Array:
+    """Residuals of a run, or columns of their Jacobian, made independent of each other."""
+    return columns if whitening is None else whitening.apply(columns)
+
+
+def _with_own(inputs: Any, group: Group, values: Float[Array, " own"]) -> Any:
+    start = 0
+    for path, size in group.own:
+        shape = get(inputs, path).shape
+        inputs = replace(inputs, {path: values[start : start + size].reshape(shape)})
+        start += size
+    return inputs
+
+
+def residual(
+    coordinate: Float[Array, " parameter"], problem: Problem
+) -> tuple[Float[Array, " residual"], Prediction]:
+    """Transformed weighted residuals of all runs in one row, those of the priors last; predictions.
+
+    A module-level function: a fresh closure would be compiled again for every fit.
+    """
+    return joined(over_runs(whitened_run, coordinate, problem), coordinate, problem)
+
+
+def whitened_run(
+    values: Array,
+    problem: Problem,
+    group: Group,
+    inputs: Any,
+    observed: Array,
+    weight: Array,
+    whitening: Any,
+) -> tuple[Array, ...]:
+    """A run's residual, its prediction, and whether that succeeded; arguments as `of_group` has."""
+    row, (table, successful) = run_residual(values, problem, group, inputs, observed, weight)
+    return whitened(row[:, None], whitening)[:, 0], table, successful
+
+
+def joined(
+    parts: Sequence[tuple[Any, ...]], coordinate: Array, problem: Problem
+) -> tuple[Float[Array, " residual"], Prediction]:
+    """As `residual`, from what `whitened_run` gives of each group, with a leading run axis."""
+    rows, tables, successes = zip(*parts, strict=True)
+    known, _ = problem.priors.rows(coordinate, problem.bijector)
+    row = jnp.concatenate([*(part.ravel() for part in rows), known])
+    return row, Prediction(tuple(tables), jnp.all(jnp.concatenate(successes)))
+
+
+def over_runs(
+    one: Callable[..., tuple[Array, ...]], coordinate: Array, problem: Problem
+) -> list[tuple[Array, ...]]:
+    """Results of `one` for each group, with a leading run axis."""
+    return [of_group(one, coordinate[g.columns()], g, problem) for g in problem.groups]
+
+
+def of_group(
+    one: Callable[..., tuple[Array, ...]],
+    values: Float[Array, "run own"],
+    group: Group,
+    problem: Problem,
+) -> tuple[Array, ...]:
+    """Results of a function for the runs of a group, with a leading run axis.
+
+    Arguments:
+        one: of a run's coordinates, the problem, the group, and the run's inputs, observed values,
+            weights and whitening.
+        values: coordinates that each run responds to.
+        group: of these runs.
+        problem: what they are a part of; its own groups do not count.
+    """
+    rows = (values, group.inputs, group.observed, group.weight, group.whitening)
+
+    def each(row: Any) -> tuple[Array, ...]:
+        own, *rest = row
+        return one(own, problem, group, *rest)
+
+    if values.shape[0] == 1:
+        result = each(jax.tree.map(lambda leaf: leaf[0], rows))
+        return tuple(leaf[None] for leaf in result)
+    # One run after the other: each keeps its own steps; the program is compiled once.
+    return tuple(jax.lax.map(each, rows))

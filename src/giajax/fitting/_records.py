@@ -6,9 +6,88 @@ versions, which lack what was added since. Those of single runs are in `_run_rec
 """
 
 import dataclasses
+import html
 import math
 from collections.abc import Mapping
-from typing import Any, Literal, Self
+from typing import Any, Literal, NamedTuple, Self
+
+from ..runtime.text import format_bounds, format_estimate, wrapped
+
+# What a result says of what its model leaves out and holds: records of `result.json`.
+
+SuspectKind = Literal["parameter", "factor", "group", "switch", "axes"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Suspect:
+    """One test of something that a fit held, switched off or left out.
+
+    Attributes:
+        path: of the parameter, such as `camera.delay` or `air.wind[2]`; of a group that of its
+            elements; of a switch or of axes what is changed.
+        kind: "parameter"; "factor", of an array whose elements change in proportion; "group",
+            several elements together; "switch", a choice of the model; "axes", of the recording.
+        unit: SI unit of the estimate; "" for a factor and for a switch, whose estimate is the
+            share, from 0 to 1, of the change that it would make.
+        value: what the fit held; a list for a group, None for axes.
+        estimate: what one step from the fit leads to, within the bounds; likewise.
+        estimate_error: its standard error; likewise, and None where it is not testable.
+        chi_square_drop: by how much that would lower the sum of squared residuals, in units of
+            the noise; None where it is not testable.
+        degrees_of_freedom: of the test.
+        p_value: of the test, corrected for how many were asked; None where it is not testable.
+        testable: whether the data would show it, beside what the fit moved.
+        alike: paths of other suspects that the data can hardly tell from this one.
+        note: why it is not testable, or what a reader must know; may be empty.
+    """
+
+    path: str
+    kind: SuspectKind
+    unit: str
+    value: float | list[float] | None
+    estimate: float | list[float] | None
+    estimate_error: float | list[float] | None
+    chi_square_drop: float | None
+    degrees_of_freedom: int
+    p_value: float | None
+    testable: bool
+    alike: tuple[str, ...] = ()
+    note: str = ""
+
+    @classmethod
+    def of_json(cls, record: Mapping[str, Any]) -> Self:
+        """The record that an object of `result.json` holds."""
+        return cls(**{**record, "alike": tuple(record["alike"])})
+
+
+@dataclasses.dataclass(frozen=True)
+class SystematicError:
+    """What one held number does to the fitted ones.
+
+    Attributes:
+        path: of the held parameter.
+        unit: its SI unit.
+        value: what it is held at; a list where its elements differ.
+        uncertainty: its standard deviation, as stated, or 1 % of it; of elements that differ, a
+            fraction of each.
+        stated: whether it was stated.
+        shifts: what that does to each fitted parameter, SI, by path.
+        decides: paths of the parameters that it moves by more than a standard error.
+    """
+
+    path: str
+    unit: str
+    value: float | list[float]
+    uncertainty: float
+    stated: bool
+    shifts: dict[str, float]
+    decides: tuple[str, ...] = ()
+
+    @classmethod
+    def of_json(cls, record: Mapping[str, Any]) -> Self:
+        """The record that an object of `result.json` holds."""
+        return cls(**{**record, "decides": tuple(record["decides"])})
+
 
 Status = Literal["converged", "not_converged", "interrupted"]
 
@@ -196,3 +275,78 @@ class Start:
 def finite_or_none(value: float | None) -> float | None:
     """A finite number, or None."""
     return float(value) if value is not None and math.isfinite(value) else None
+
+
+# Estimates as a table: for a terminal, and for a notebook.
+
+# A remark that would be squeezed into fewer columns than this goes below its row instead.
+_LEAST_REMARK = 36
+
+_NUMBERS = ("value", "error")
+
+
+class _Row(NamedTuple):
+    """The cells of one estimate; their names are the headings."""
+
+    parameter: str
+    value: str
+    error: str
+    unit: str
+    bounds: str
+    remark: str
+
+
+def estimate_table(estimates: Mapping[str, Estimate], width: int | None = None) -> str:
+    """Value, standard error, unit, bounds and remark of each estimate, a line each.
+
+    Arguments:
+        estimates: by path.
+        width: columns that there are. Where the remarks do not fit, each goes below its row.
+            Without a width nothing is wrapped: a row is a line, for grep and awk.
+
+    Returns:
+        The lines, without a newline at the end.
+    """
+    headings = _Row(*_Row._fields)
+    rows = _rows(estimates)
+    sizes = {name: max(len(getattr(row, name)) for row in (headings, *rows)) for name in _short()}
+    before = sum(sizes.values()) + 2 * len(sizes)
+    longest = max(len(row.remark) for row in (headings, *rows))
+    below = width is not None and width - before < min(longest, _LEAST_REMARK)
+    lines: list[str] = []
+    for row in (headings._replace(remark="") if below else headings, *rows):
+        cells = [_aligned(name, getattr(row, name), size) for name, size in sizes.items()]
+        start = "  ".join(cells)
+        if below:
+            lines += [start.rstrip(), *wrapped(row.remark, width, "    ", "    ")]
+        else:
+            lines += wrapped(row.remark, width, start + "  ", " " * before) or [start.rstrip()]
+    return "\n".join(lines)
+
+
+def estimate_html(estimates: Mapping[str, Estimate]) -> str:
+    """The same table as HTML."""
+    head = "".join(f"<th>{heading}</th>" for heading in _Row._fields)
+    body = "".join(
+        "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>"
+        for row in _rows(estimates)
+    )
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def _short() -> tuple[str, ...]:
+    """The columns beside that of the remarks."""
+    return _Row._fields[:-1]
+
+
+def _aligned(name: str, cell: str, size: int) -> str:
+    return cell.rjust(size) if name in _NUMBERS else cell.ljust(size)
+
+
+def _rows(estimates: Mapping[str, Estimate]) -> list[_Row]:
+    rows = []
+    for path, estimate in estimates.items():
+        value, error = format_estimate(estimate.value, estimate.standard_error)
+        bounds = format_bounds(estimate.lower, estimate.upper)
+        rows.append(_Row(path, value, error, estimate.unit or "-", bounds, estimate.remark))
+    return rows

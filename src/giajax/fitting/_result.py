@@ -1,7 +1,4 @@
-"""The result of a fit, as data: it can be written, read again, and it predicts.
-
-The file is longer than 200 lines because each field of a result is explained where it stands.
-"""
+"""The result of a fit, as data: it can be written, read again, and it predicts."""
 
 import dataclasses
 import html
@@ -12,18 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from .._errors import InputError
-from .._files import check_path, read_bytes
-from .._limits import RESULT_BYTES
-from .._syntax import parse_json
-from ..models import AbstractModel, build_model
-from ..runs import Run
-from ..verdict import Verdict
-from ._findings import Finding
-from ._integration import IntegrationFit
-from ._of_runs import model_of_run, rows_of_runs
-from ._predict import predict
-from ._reason import Reason
+from ..models import AbstractModel, Channels, build_model
+from ..noise import Verdict
+from ..recordings import Run
+from ..runtime.files import check_path, parse_json, read_bytes
+from ..runtime.limits import RESULT_BYTES
+from ..runtime.programs import program
+from ..runtime.text import InputError
+from ._derived import in_column_units
+from ._estimates import Finding
 from ._records import (
     Correlation,
     Estimate,
@@ -33,13 +27,123 @@ from ._records import (
     Seconds,
     Start,
     Status,
+    Suspect,
+    SystematicError,
     ToleranceEffect,
+    estimate_html,
+    estimate_table,
     finite_or_none,
 )
-from ._run_records import HeldOut, PredictionErrors, RunFit
-from ._suspect import Suspect, SystematicError
-from ._table import estimate_html, estimate_table
-from ._units import in_column_units
+from ._run_records import (
+    ChannelErrors,
+    HeldOut,
+    PredictionErrors,
+    RunFit,
+    model_of_run,
+    rows_of_runs,
+)
+from ._state import FitState, Reason
+
+# How a fit integrated its model, as a part of its result.
+
+
+@dataclasses.dataclass(frozen=True)
+class IntegrationFit:
+    """How a fit integrated its model.
+
+    Attributes:
+        solver: one of `giajax.SOLVERS`.
+        tolerance: relative and absolute tolerance of a step, where the fit ended.
+        chosen: whether the fit chose the tolerance; otherwise it was stated.
+    """
+
+    solver: str
+    tolerance: float
+    chosen: bool
+
+
+def integration_of(state: FitState) -> IntegrationFit | None:
+    """Solver and tolerance in use; None of a model without them."""
+    integration = state.problem.model.integration()
+    if integration is None or integration.tolerance is None:
+        return None
+    chosen = state.setup.chooses_tolerance
+    return IntegrationFit(integration.solver, integration.tolerance, chosen)
+
+
+# Predictions of a model for a run, as plain arrays.
+
+
+@program
+def _predict(model: AbstractModel, inputs: object, channels: tuple[str, ...]) -> Channels:
+    return model.predict(inputs, channels)[0]
+
+
+def predict(
+    model: AbstractModel, run: Run, channels: Sequence[str] | None = None
+) -> dict[str, np.ndarray]:
+    """Channels that a model predicts for a run.
+
+    Arguments:
+        model: the model.
+        run: gives times, commands and wind; its recorded channels are not used.
+        channels: names without unit (`link06_z`); those that the run recorded by default.
+
+    Returns:
+        Arrays in SI units of shape (sample,) by channel name; infinite or NaN where the
+        simulation did not arrive.
+
+    Raises:
+        InputError: an unknown channel, or a run of another model.
+    """
+    names = tuple(run.observations if channels is None else channels)
+    predicted = _predict(model, model.prepare(run), names)
+    return {name: np.asarray(predicted[name]) for name in names}
+
+
+def prediction_errors(
+    model: AbstractModel, run: Run, channels: Sequence[str] | None = None
+) -> PredictionErrors:
+    """How far a prediction is from what a run recorded.
+
+    Arguments:
+        model: the model.
+        run: a recorded run; its initial state is as its definition says.
+        channels: names without unit; those that the run recorded by default.
+
+    Returns:
+        Errors by channel, in the unit of the recording; infinite where the simulation failed.
+
+    Raises:
+        InputError: as `predict`.
+    """
+    names = list(run.observations if channels is None else channels)
+    return errors_of(run, predict(model, run, names))
+
+
+def errors_of(run: Run, predicted: Mapping[str, np.ndarray]) -> PredictionErrors:
+    """How far predicted channels (SI, by name) are from what a run recorded of them.
+
+    Arguments:
+        run: what was recorded.
+        predicted: SI, by channel, each of shape (sample,).
+
+    Returns:
+        Errors by channel, in the unit of the recording.
+    """
+    errors = {}
+    for name, values in predicted.items():
+        channel, recorded = run.channels[name], run.observations[name]
+        difference = (values - recorded)[~np.isnan(recorded)]
+        difference = np.where(np.isnan(difference), np.inf, difference)
+        errors[name] = ChannelErrors(
+            unit=channel.unit,
+            rmse=float(channel.from_si(np.sqrt(np.mean(difference**2)))),
+            largest=float(channel.from_si(np.max(np.abs(difference)))),
+            n=len(difference),
+        )
+    return PredictionErrors(run.name, None if run.path is None else str(run.path), errors)
+
 
 SCHEMA_VERSION = 1
 

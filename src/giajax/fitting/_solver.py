@@ -4,23 +4,155 @@ optimistix's Levenberg-Marquardt damps with a multiple of the identity and pays 
 more than once a step; on the paper's arm it needs 36 to 45 steps. Here the damping is scaled by
 the norms of the Jacobian's columns (Marquardt 1963; More 1978), and one vmapped jvp gives value
 and Jacobian of the trial point together, so that an accepted step costs one evaluation.
-
-The file is longer than 200 lines because the methods of one algorithm are read together.
 """
 
 import functools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import lineax as lx
 import numpy as np
 import optimistix as optx
 
-from .._typing import Array, Bool, Scalar
-from ._box import boxed_step, towards
-from ._solver_state import Linearised, MarquardtState, shown_noise
+from ..runtime.arrays import Array, Bool, Float, Scalar
+
+# What the solver knows between two steps.
+
+Linearised = tuple[Array, Any, Array, Array, Any]
+"""Residual, Jacobian, R and Q^T r of its QR factorisation, and auxiliary output."""
+
+
+class MarquardtState(eqx.Module):
+    """State between two steps.
+
+    Attributes:
+        residual: at the accepted point.
+        jacobian: there; whatever `linearise` gives.
+        factor, projected: R and Q^T r of the Jacobian's QR factorisation.
+        cost: half the squared norm of the residual; infinite before the first evaluation.
+        scale: largest norm of each column so far, which scales the damping.
+        damping: Marquardt's lambda; `growth` is what the next rejection multiplies it by.
+        step: last accepted or rejected step.
+        accepted: whether the last step was accepted.
+        detour: the step to try next in place of a shorter one; 0 where there is none.
+        sound: whether everything was finite where it led to.
+        aux: auxiliary output at the accepted point.
+        evaluations: how often value and Jacobian were computed.
+    """
+
+    residual: Float[Array, " residual"]
+    jacobian: Any
+    factor: Float[Array, "parameter parameter"]
+    projected: Float[Array, " parameter"]
+    cost: Scalar
+    scale: Float[Array, " parameter"]
+    damping: Scalar
+    growth: Scalar
+    step: Float[Array, " parameter"]
+    accepted: Bool[Array, ""]
+    detour: Float[Array, " parameter"]
+    sound: Bool[Array, ""]
+    aux: Any
+    evaluations: Array
+
+
+def shown_noise(state: MarquardtState) -> Any:
+    """The root of the reduced chi-square: the noise that the residual itself shows."""
+    size = state.residual.shape[0] - state.projected.shape[0]
+    return (2 * state.cost / max(size, 1)) ** 0.5
+
+
+# The step of least squares in a box: between the bounds, and no longer than it may be.
+
+# How often coordinates that leave the box are put on its sides, those that want to come back let
+# go, and the rest solved anew; and how often all of them at once.
+_SIDES, _AT_ONCE = 40, 6
+
+# A bound is reached from near it: farther off a step covers this part of the way at most.
+_AT_HAND, _WAY = 0.1, 0.9
+
+
+def towards(bound: Float[Array, " parameter"], most: float) -> Float[Array, " parameter"]:
+    """How far a step may go towards bounds.
+
+    Arguments:
+        bound: the way to each, negative downwards.
+        most: the longest step, of the same sign.
+    """
+    way = jnp.where(jnp.abs(bound) > _AT_HAND, _WAY * bound, bound)
+    return jnp.clip(way, -abs(most), abs(most))
+
+
+class _Sides(NamedTuple):
+    """Which coordinates are held on which side of the box, and the step with them there."""
+
+    step: Array
+    side: Array
+    held: Array
+    wrong: Array
+    rounds: Array
+
+
+def boxed_step(
+    factor: Float[Array, "parameter parameter"],
+    projected: Float[Array, " parameter"],
+    damping: Float[Array, " parameter"],
+    box: tuple[Float[Array, " parameter"], Float[Array, " parameter"]],
+    active: Bool[Array, " parameter"],
+) -> Float[Array, " parameter"]:
+    """Minimise |R s + Q^T r|^2 + |D s|^2 over a box.
+
+    By block principal pivoting (Kim and Park 2011): coordinates that want to leave the box stay on
+    its side, the others are solved for again, and those that then want to come back are let go.
+    To shorten the whole step would let one weak parameter hold up all of them.
+
+    Arguments:
+        factor, projected: R and Q^T r of the Jacobian's QR factorisation.
+        damping: D, positive.
+        box: the lowest (at most 0) and the highest (at least 0) step of each coordinate.
+        active: coordinates that may move.
+
+    Returns:
+        The step.
+    """
+    lowest, highest = box
+    diagonal = jnp.diag(damping)
+
+    def solve(direct: Array, held: Array) -> Array:
+        matrix = jnp.concatenate([jnp.where(held[None], 0, factor), diagonal])
+        load = projected + factor @ direct
+        vector = jnp.concatenate([-load, jnp.zeros_like(load)])
+        operator = lx.MatrixLinearOperator(matrix)
+        return lx.linear_solve(operator, vector, solver=lx.QR(), throw=False).value + direct
+
+    places = jnp.arange(active.shape[0])
+
+    def again(carry: _Sides) -> _Sides:
+        step = solve(jnp.where(carry.held, carry.side, 0), carry.held | ~active)
+        below, above = step < lowest, step > highest
+        uphill = factor.T @ (projected + factor @ step) + damping**2 * step
+        back = carry.held & jnp.where(carry.side <= lowest, uphill < 0, uphill > 0)
+        wrong = active & ((~carry.held & (below | above)) | back)
+        # All at once is quick, and may go round in circles; one by one, by place, does not.
+        last = jnp.max(jnp.where(wrong, places, -1))
+        wrong = wrong & ((carry.rounds < _AT_ONCE) | (places == last))
+        side = jnp.where(wrong & below, lowest, jnp.where(wrong & above, highest, carry.side))
+        return _Sides(step, side, carry.held ^ wrong, jnp.any(wrong), carry.rounds + 1)
+
+    nothing = jnp.zeros_like(damping)
+    begin = _Sides(
+        nothing,
+        nothing,
+        jnp.zeros_like(active),
+        jnp.asarray(True),
+        jnp.asarray(0, dtype=jnp.int32),
+    )
+    end = jax.lax.while_loop(lambda now: now.wrong & (now.rounds < _SIDES), again, begin)
+    return jnp.clip(end.step, lowest, highest)
+
 
 # By what a step may lower the damping at most: one after another, and after one that was refused.
 _SHRINKS = 0.05, 0.33

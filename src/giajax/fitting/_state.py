@@ -1,19 +1,73 @@
 """Where a fit stands between two steps of its loop, as frozen data."""
 
 import dataclasses
-from typing import Any, Self
+from collections.abc import Sequence
+from typing import Any, Literal, Self
 
 import numpy as np
 
-from .._typing import Array
+from ..recordings import Run
+from ..runtime.arrays import Array
 from ._configuration import Setup
-from ._jacobian import BlockJacobian
-from ._noise import Noise
+from ._coordinates import names_of
+from ._linearise import BlockJacobian
 from ._problem import Problem
-from ._reason import Reason
 from ._records import Iteration, Status
-from ._solver import Marquardt
-from ._solver_state import MarquardtState, shown_noise
+from ._solver import Marquardt, MarquardtState, shown_noise
+from ._weights import Noise
+
+# Names of the free coordinates of a fit.
+
+
+def coordinate_paths(problem: Problem) -> list[str]:
+    """Path of the parameter at each position of the free coordinate."""
+    names = [""] * problem.size
+    for path, places in zip(problem.paths, problem.positions, strict=True):
+        for place in places:
+            names[place] = path
+    for group in problem.groups:
+        for columns in group.own_columns():
+            for label, column in zip(group.own_labels(), columns.tolist(), strict=True):
+                names[column] = label
+    return names
+
+
+def labels(problem: Problem, runs: Sequence[Run]) -> list[str]:
+    """Names of all free coordinates, each with the runs that it belongs to, if that is not all.
+
+    Arguments:
+        problem: what is minimised.
+        runs: what is fitted to.
+    """
+    sharing: dict[int, list[int]] = {}
+    for group in problem.groups:
+        for member, columns in zip(group.members, group.columns(), strict=True):
+            for column in columns.tolist():
+                sharing.setdefault(column, []).append(member)
+    common = {places[0] for places in problem.positions if len(places) == 1}
+    return [
+        path if index in common else f"{path} of {names_of([runs[i] for i in sorted(who)])}"
+        for index, path in enumerate(coordinate_paths(problem))
+        for who in [sharing[index]]
+    ]
+
+
+# The word for what ended a fit; its sentence is the message.
+
+Reason = Literal[
+    "optimum",
+    "iterations",
+    "budget",
+    "rough",
+    "wall",
+    "crawl",
+    "cannot_fit",
+    "no_response",
+    "interrupted",
+    "",
+]
+"""As `FitResult.reason` has it; empty in a file of an earlier version."""
+
 
 # How often the noise is estimated anew, unless it settles before.
 _NOISE_ROUNDS = 3

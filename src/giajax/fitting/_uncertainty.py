@@ -1,12 +1,82 @@
 """Standard errors and correlations from the Jacobian at the optimum."""
 
+import dataclasses
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from ._identifiability import COLLINEAR
-from ._jacobian import BlockJacobian
-from ._loss import mean_square_of_influence, scores
+from ..noise import Cells, Restricted, score_covariance, small_sample
+from ..recordings import Run
+from ..runtime.arrays import Float
+from ._linearise import BlockJacobian
+from ._noise import OUTLIER, residual_cells
+from ._state import FitState
+from ._weights import mean_square_of_influence, scores
+
+# What the data cannot tell: parameters without response, and combinations that go together.
+
+# For a change of a parameter by its own size, in units of the noise: alone, the parameter would
+# have a standard error of a million times itself.
+_NO_RESPONSE = 1e-6
+
+# Column-normalised singular value below which a combination of parameters is not determined.
+COLLINEAR = 1e-6
+
+
+def responds(norms: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+    """Which parameters any channel responds to.
+
+    Arguments:
+        norms: of the columns of the Jacobian, weighted residuals by the parameters themselves,
+            not by the free coordinates, which have sizes of their own; shape (parameter,).
+        sizes: typical size of each parameter, shape (parameter,).
+
+    Returns:
+        True for each that does, shape (parameter,).
+    """
+    return norms * sizes > _NO_RESPONSE
+
+
+def undetermined_groups(jacobian: np.ndarray) -> list[list[int]]:
+    """Groups of parameters of which only combinations are determined.
+
+    Each right singular vector of the column-normalised Jacobian with a vanishing singular value
+    is a direction that leaves every channel unchanged; the parameters in it belong together.
+
+    Arguments:
+        jacobian: columns of the parameters that respond, shape (row, parameter); or R of its QR
+            factorisation, which has the same singular vectors.
+
+    Returns:
+        Positions of the columns of each group.
+    """
+    if jacobian.shape[1] < 2:
+        return []
+    norms = np.linalg.norm(jacobian, axis=0)
+    _, singular, right = np.linalg.svd(np.linalg.qr(jacobian / norms, mode="r"))
+    vectors = right[singular < COLLINEAR * singular[0]]
+    return [[i for i, part in enumerate(vector) if abs(part) > 0.01] for vector in vectors]
+
+
+def largest_correlations(correlation: np.ndarray, limit: float) -> dict[int, tuple[int, float]]:
+    """For each parameter, the partner it is most correlated with, where that exceeds a limit.
+
+    Arguments:
+        correlation: shape (parameter, parameter).
+        limit: on the size of the correlation.
+
+    Returns:
+        Position and correlation of the partner, by position of the parameter.
+    """
+    partners = {}
+    off = np.abs(correlation - np.diag(np.diag(correlation)))
+    for i in range(len(correlation)):
+        j = int(np.argmax(off[i]))
+        if off[i, j] > limit:
+            partners[i] = (j, float(correlation[i, j]))
+    return partners
+
 
 # Fraction of residuals within the corner of a robust loss below which its covariance is noise.
 _FEW = 0.1
@@ -131,3 +201,181 @@ def inverse_gram(jacobian: np.ndarray) -> np.ndarray:
     kept = singular > COLLINEAR * singular[0]
     inverse = right[kept].T / singular[kept] / norms[:, None]
     return inverse @ inverse.T
+
+
+# What estimated and correlated noise make of standard errors.
+
+# With more parameters than this (the initial states of many windows) the noise is known well, and
+# what its errors add is not worth the time.
+_MANY = 120
+
+
+class NoiseStatistics(NamedTuple):
+    """What the noise makes of the errors of the parameters that respond.
+
+    Attributes:
+        covariance: with what the errors of the noise add.
+        freedom: of Student's t, shape (parameter,).
+        sandwich: standard errors that hold whatever the noise model leaves out.
+        widening: standard errors over those of white noise of the same size.
+    """
+
+    covariance: Float[np.ndarray, "parameter parameter"]
+    freedom: Float[np.ndarray, " parameter"]
+    sandwich: Float[np.ndarray, " parameter"] | None
+    widening: Float[np.ndarray, " parameter"] | None
+
+
+def noise_statistics(state: FitState, alive: np.ndarray, spread: Uncertainty) -> NoiseStatistics:
+    """The statistics of a fit whose noise was estimated, or is correlated.
+
+    Arguments:
+        state: the last one.
+        alive: positions of the parameters that respond.
+        spread: their covariance, as if the noise were known.
+
+    Returns:
+        Them; a covariance of the same shape.
+    """
+    infinite = np.full(len(alive), np.inf)
+    if state.problem.loss != "linear" or not 0 < len(alive) <= _MANY:
+        return NoiseStatistics(spread.covariance, infinite, None, None)
+    covariance = spread.as_stated
+    noise = state.noise
+    by_key, stated = noise.by_key(), noise.stated_by_key()
+    slope = state.problem.bijector.slope(np.asarray(state.coordinate))
+    dense = [
+        dense_cells(weighted_cells(state, at, each), alive, slope)
+        for at, each in residual_cells(state, together=True).items()
+    ]
+    # Outliers have no part in what is known of the noise.
+    inliers = [each.where(each.weights > OUTLIER) for each in dense]
+    prior, off = prior_rows(state, alive)
+    known = np.column_stack([prior, off])
+    problem = Restricted.of(inliers, by_key, known.T @ known)
+    small = small_sample(problem, inliers, covariance, stated)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        wider = np.sqrt(np.diag(small.covariance) / np.diag(covariance))
+    larger = spread.covariance * np.outer(wider, wider)
+    # What a prior says has the variance that it states, whatever the noise is.
+    scores = score_covariance(dense, by_key, covariance)
+    sandwich = np.sqrt(np.diag(scores + covariance @ prior.T @ prior @ covariance))
+    if noise.is_white:
+        return NoiseStatistics(larger, small.freedom, sandwich, None)
+    rows = [each.shared / by_key[each.key].deviation for each in dense]
+    triangle = np.asarray(np.linalg.qr(np.concatenate([*rows, prior]), mode="r"))
+    white = np.sqrt(np.diag(inverse_gram(triangle)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        widening = np.sqrt(np.diag(larger)) / white
+    return NoiseStatistics(larger, small.freedom, sandwich, widening)
+
+
+def prior_rows(
+    state: FitState, alive: np.ndarray
+) -> tuple[Float[np.ndarray, "prior parameter"], Float[np.ndarray, " prior"]]:
+    """The rows that are those of priors, by the parameters that respond, and their residuals."""
+    count, columns = len(state.problem.priors), list(state.problem.priors.columns)
+    rows = np.zeros((count, state.problem.size))
+    if count:
+        rows[:, columns] = state.natural_jacobian().blocks[-1]
+    return rows[:, alive], np.asarray(state.inner.residual)[len(state.inner.residual) - count :]
+
+
+def weighted_cells(state: FitState, at: tuple[int, str], cells: Cells) -> Cells:
+    """Cells with the weights that robust statistics left them."""
+    if state.noise.weights is None:
+        return cells
+    run, name = at
+    weights = state.noise.weights[run][name]
+    # As in `residual_cells`: a problem may leave out what its runs recorded.
+    group = next(group for group in state.problem.groups if run in group.members)
+    row, column = group.members.index(run), group.channels.index(name)
+    counts = np.asarray(group.weight)[row, : len(weights), column] > 0
+    return dataclasses.replace(cells, weights=weights[counts])
+
+
+def dense_cells(cells: Cells, alive: np.ndarray, slope: np.ndarray) -> Cells:
+    """With the columns of the parameters that respond, by the parameters themselves."""
+    columns = cells.shared[:, alive] / np.maximum(slope[alive], 1e-300)
+    return dataclasses.replace(cells, shared=columns)
+
+
+# Which recording determines which parameter: what its standard error would be without each.
+
+Sources = Mapping[str, float | None]
+"""By recording, how many times larger a standard error would be; None: there would be none."""
+
+
+def sources(
+    state: FitState, jacobian: BlockJacobian, alive: np.ndarray
+) -> dict[int, dict[str, float | None]]:
+    """What each recording is worth for what several of them determine together.
+
+    To first order at the optimum, with the noise as it was found: nothing is fitted again.
+
+    Arguments:
+        state: the last one.
+        jacobian: residuals by the parameters.
+        alive: positions of those that the residuals respond to.
+
+    Returns:
+        By position of a parameter that belongs to no single run, by recording; empty for a fit of
+        one recording.
+    """
+    problem = state.problem
+    members = [member for group in problem.groups for member in group.members]
+    names = _names([state.setup.runs[member] for member in members])
+    if len(set(names)) < 2:
+        return {}
+    common, own = alive[alive < problem.shared], alive[alive >= problem.shared]
+    triangles = [
+        _of_shared(block, columns, common, own)
+        for block, columns in zip(jacobian.blocks, jacobian.columns, strict=True)
+    ]
+    whole = _triangle(triangles)
+    norms = np.linalg.norm(whole, axis=0)
+    known = _variances(whole, norms)
+    found: dict[int, dict[str, float | None]] = {int(index): {} for index in common}
+    for name in dict.fromkeys(names):
+        # What priors say comes last, and is there whichever recording is not.
+        rest = [t for i, t in enumerate(triangles) if i >= len(names) or names[i] != name]
+        left = _variances(_triangle(rest), norms)
+        for column, index in enumerate(common.tolist()):
+            if column in known:
+                ratio = left[column] / known[column] if column in left else None
+                found[index][name] = None if ratio is None else float(np.sqrt(ratio))
+    return found
+
+
+def _names(runs: Sequence[Run]) -> list[str]:
+    """Of the recording of each run; of files of the same name their paths."""
+    paths: dict[str, set[str]] = {}
+    for run in runs:
+        paths.setdefault(run.recording, set()).add(str(run.path))
+    return [run.recording if len(paths[run.recording]) == 1 else str(run.path) for run in runs]
+
+
+def _of_shared(
+    block: np.ndarray, columns: np.ndarray, common: np.ndarray, own: np.ndarray
+) -> np.ndarray:
+    """What the rows of a run say of the common parameters, once its own ones fit as they like."""
+    alone, shared = np.isin(columns, own), np.isin(columns, common)
+    triangle = _triangle([block[:, alone], block[:, shared]], axis=1)
+    left = triangle[int(alone.sum()) :, int(alone.sum()) :]
+    placed = np.zeros((len(left), len(common)))
+    placed[:, np.searchsorted(common, columns[shared])] = left
+    return placed
+
+
+def _triangle(parts: Sequence[np.ndarray], axis: int = 0) -> np.ndarray:
+    """R of the QR factorisation, square also where there are fewer rows."""
+    triangle = np.asarray(np.linalg.qr(np.concatenate(parts, axis=axis), mode="r"))
+    return np.pad(triangle, ((0, triangle.shape[1] - len(triangle)), (0, 0)))
+
+
+def _variances(root: np.ndarray, norms: np.ndarray) -> dict[int, float]:
+    """Variances by column of what R determines; `norms` are those of all rows together."""
+    moves = np.flatnonzero(np.linalg.norm(root, axis=0) > COLLINEAR * norms)
+    loose = {i for group in undetermined_groups(root[:, moves]) for i in group}
+    variances = np.diag(inverse_gram(root[:, moves]))
+    return {int(column): float(variances[i]) for i, column in enumerate(moves) if i not in loose}

@@ -1,8 +1,4 @@
-"""The arm as a model: from commands and wind to positions and joint angles.
-
-Longer than 200 lines because an arm has all that a model may have: sensors, a solver to choose,
-and runs with a state of their own.
-"""
+"""The arm as a model: from commands and wind to positions and joint angles."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -13,35 +9,232 @@ import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 
-from .._errors import InputError
-from .._program import program
-from .._typing import Array, Bool, Scalar
-from ..arm import Arm
-from ..kinds import InitialSection
-from ..parameters import inline
-from ..quantities import INITIAL
-from ..runs import Definition, Run
+from ..mechanics.arm import Arm
+from ..recordings import Definition, Run
+from ..runtime.arrays import Array, Bool, Float, Scalar, on_device
+from ..runtime.programs import program
+from ..runtime.text import InputError
+from ..schema import INITIAL, CommandSection, InitialSection, WindSection
+from ..schema.parameters import inline, parameter
 from ..simulation import (
     SOLVERS,
+    Pressures,
+    Signal,
     SimulationError,
     StepsFor,
     Trajectory,
+    check_muscles,
     check_steps_for,
+    check_wind,
+    constant,
     integrate,
     is_disturbance,
+    logged,
 )
-from ._agreement import agreed_parts
-from ._arm_conditions import controller_conditions, scale_conditions, sensor_conditions
-from ._arm_inputs import ArmInputs, arm_inputs
-from ._arm_scene import arm_scene
-from ._arm_sensors import recorded_channels, seen_by_cameras
-from ._arm_variants import arm_variants
-from ._definition import arm_from_definition, arm_to_definition
-from ._pixels import behind_conditions, cameras_of, unseen
-from ._protocol import AbstractModel, Channels, Derived, Integration
-from ._scene import Scene
-from ._sensors import Sensors
-from ._sensors_definition import SECTIONS, sensors_from_definition, sensors_to_definition
+from ._arm_conditions import (
+    arm_variants,
+    controller_conditions,
+    scale_conditions,
+    sensor_conditions,
+)
+from ._arm_definition import (
+    SECTIONS,
+    agreed_parts,
+    arm_from_definition,
+    arm_to_definition,
+    sensors_from_definition,
+    sensors_to_definition,
+)
+from ._arm_sensors import (
+    Encoder,
+    Sensors,
+    behind_conditions,
+    cameras_of,
+    recorded_channels,
+    seen_by_cameras,
+    unseen,
+)
+from ._protocol import AbstractModel, Channels, Derived, Integration, Scene
+from ._scenes import arm_scene
+
+# The state of an arm at the first sample of a run.
+
+Row = Float[np.ndarray, " joint"]
+
+# Rows that a rate is estimated from where none is recorded; enough to average noise, few enough
+# for the motion to be straight.
+_ROWS = 8
+
+
+def initial_state(run: Run, times: np.ndarray, joints: int) -> tuple[Row, Row]:
+    """Joint angles (rad) and rates (rad/s) that `[initial]` states; zero where it says nothing.
+
+    Raises:
+        InputError: a list of another length, or `first_row` without what it needs.
+    """
+    section = run.definition.section(InitialSection)
+    if not section.first_row:
+        values = section.values()
+        return (
+            _each(run, values.get(INITIAL.angle.path, INITIAL.angle.default), joints),
+            _each(run, values.get(INITIAL.rate.path, INITIAL.rate.default), joints),
+        )
+    rates = [run.values.get(f"joint{joint:02d}_rate") for joint in range(1, joints + 1)]
+    recorded = all(rate is not None and np.isfinite(rate[0]) for rate in rates)
+    angles, slopes = np.zeros(joints), np.zeros(joints)
+    for joint in range(1, joints + 1):
+        column = run.values.get(f"joint{joint:02d}_angle")
+        if column is None or not np.isfinite(column[0]):
+            raise InputError(
+                f"[initial] of '{run.name}' says first_row = true, but joint{joint:02d}_angle has "
+                "no value there: record the angle of every joint, or state angle_deg"
+            )
+        angles[joint - 1] = column[0]
+        slopes[joint - 1] = _slope(times[:_ROWS], column[:_ROWS])
+    if recorded:
+        return angles, np.asarray([float(rate[0]) for rate in rates if rate is not None])
+    if not section.free:
+        raise InputError(
+            f"[initial] of '{run.name}' says first_row = true, but the rate of a joint has no "
+            "value there: record the rates, or let the fit find them with free = true"
+        )
+    return angles, slopes
+
+
+def _slope(times: np.ndarray, values: np.ndarray) -> float:
+    measured = np.isfinite(values)
+    if np.sum(measured) < 2:
+        return 0.0
+    return float(np.polyfit(times[measured] - times[0], values[measured], 1)[0])
+
+
+def _each(run: Run, values: npt.ArrayLike, joints: int) -> Row:
+    values = np.asarray(values, dtype=float)
+    if values.shape not in ((), (joints,)):
+        raise InputError(
+            f"[initial] of '{run.name}' has {values.size} values for {joints} joints: "
+            "give one number or one per joint"
+        )
+    return np.broadcast_to(values, (joints,))
+
+
+# What the arm needs of a run: times, command, wind, drive torque and initial state.
+
+
+class InitialState(eqx.Module):
+    """Joint angles and rates at the first sample; parameters of one run, if it says so."""
+
+    angle: Float[Array, " joint"] = parameter(INITIAL.angle)
+    rate: Float[Array, " joint"] = parameter(INITIAL.rate)
+
+
+class ArmInputs(eqx.Module):
+    """What the arm needs of a run: times, command, wind, drive torque, initial state, pressures."""
+
+    times: Float[Array, " sample"]
+    command: Signal
+    wind: Signal | None
+    torque: Signal | None
+    initial: InitialState
+    pressure: Pressures | None = None
+
+
+def arm_inputs(arm: Arm, encoder: Encoder, run: Run) -> ArmInputs:
+    """A run prepared for an arm.
+
+    Arguments:
+        arm: its number of joints counts, and whether it takes a wind that changes.
+        encoder: the angle sensors, which saw the first row where the run starts from that.
+        run: of the arm.
+
+    Raises:
+        InputError: a run of another model, of another number of joints, or whose wind or initial
+            state the arm cannot have.
+    """
+    if run.model != "arm" or run.times is None:
+        raise InputError(f"'{run.name}' is a run of the {run.model} model: give a run of an arm")
+    wind = _wind(arm, run, run.times)
+    check_wind(arm, wind)
+    driven = any(run.channels[name].kind == "joint_torque" for name in run.commands)
+    command, pressure = _rows(arm, run, run.times, "joint_command"), _pressures(arm, run, run.times)
+    check_muscles(arm, command, pressure)
+    return ArmInputs(
+        times=on_device(run.times, jnp.result_type(float)),
+        command=command,
+        wind=wind,
+        torque=_rows(arm, run, run.times, "joint_torque") if driven else None,
+        initial=_initial(arm, encoder, run, run.times),
+        pressure=pressure,
+    )
+
+
+def _initial(arm: Arm, encoder: Encoder, run: Run, times: np.ndarray) -> InitialState:
+    """The state at the first sample; a first row was seen by the angle sensors."""
+    angle, rate = map(on_device, initial_state(run, times, arm.count))
+    if run.definition.section(InitialSection).first_row:
+        angle, rate = encoder.true_angles(angle), encoder.true_rates(rate)
+    return InitialState(angle, rate)
+
+
+def _rows(arm: Arm, run: Run, times: np.ndarray, kind: str) -> Signal:
+    """Commands or torques of all joints; those without a column are zero."""
+    values = _table(arm, run, times, kind)
+    return logged(times, values, run.definition.section(CommandSection).interpolation)
+
+
+def _pressures(arm: Arm, run: Run, times: np.ndarray) -> Pressures | None:
+    """Pressures of the joints that have columns of them."""
+    kinds = ("joint_pressure_first", "joint_pressure_second")
+    numbers = {
+        run.channels[name].index for name in run.commands if run.channels[name].kind in kinds
+    }
+    if not numbers:
+        return None
+    values = np.concatenate([_table(arm, run, times, kind) for kind in kinds], axis=1)
+    interpolation = run.definition.section(CommandSection).interpolation
+    joints = tuple(sorted(number for number in numbers if number is not None))
+    return Pressures(logged(times, values, interpolation), joints)
+
+
+def _table(arm: Arm, run: Run, times: np.ndarray, kind: str) -> np.ndarray:
+    values = np.zeros((len(times), arm.count))
+    for name, column in run.commands.items():
+        if run.channels[name].kind != kind:
+            continue
+        joint = run.channels[name].index or 0
+        if joint > arm.count:
+            raise InputError(
+                f"'{run.name}' drives joint {joint}, but the arm has {arm.count} joints: remove "
+                "the column, or give a longer arm"
+            )
+        values[:, joint - 1] = column
+    return values
+
+
+def _wind(arm: Arm, run: Run, times: np.ndarray) -> Signal | None:
+    """The wind of the arm, or of each link: where a link has no columns, that of the arm."""
+    section = run.definition.section(WindSection)
+    if section.velocity_m_per_s is not None:
+        return constant(section.velocity_m_per_s)
+    if not run.winds:
+        return None
+    velocity = np.zeros((len(times), arm.count, 3))
+    each = False
+    for own in (False, True):
+        for name, values in run.winds.items():
+            channel = run.channels[name]
+            if (channel.index or 0) > arm.count:
+                raise InputError(
+                    f"'{run.name}' has the wind of link {channel.index}, but the arm has "
+                    f"{arm.count} links: remove the column, or give a longer arm"
+                )
+            if (channel.index is not None) == own:
+                places = slice(None) if channel.index is None else channel.index - 1
+                velocity[:, places, channel.component] = values if own else values[:, None]
+                each = each or own
+    rows = velocity.reshape(len(times), -1) if each else velocity[:, 0]
+    return logged(times, rows, section.interpolation)
+
 
 # Of a prediction, where none is stated. Positions of the 20 m arm are then right to about 1e-6 m,
 # far below the noise of a camera.

@@ -1,17 +1,388 @@
 """What the sensors of an arm show of its motion, channel by channel."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import NamedTuple
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
+import numpy.typing as npt
 
-from .._typing import Array, Bool, Float, Scalar
-from ..arm import Arm
-from ..runs import Channel
+from ..mechanics.arm import Arm, pose
+from ..recordings import Channel, Run
+from ..runtime.arrays import (
+    Array,
+    Bool,
+    Float,
+    Scalar,
+    rotate,
+    rotation_vector_to_quaternion,
+    scaled,
+)
+from ..runtime.programs import program
+from ..runtime.text import InputError, one_of
+from ..schema import CAMERA, ENCODER, LANDMARK, MARKER
+from ..schema.parameters import declared, inline, parameter
 from ..simulation import Trajectory
-from ._delays import Seen, seen_with_delays
-from ._pixels import camera_of, clock_of, projections
+from ._cameras import NEAR, Pinhole, Projection
 from ._protocol import Channels
-from ._sensors import Sensors
+
+# What records an arm: a camera with its frame, scale and clock, markers, and angle sensors.
+#
+# Every parameter is optional; what is left out costs nothing. A camera shows a point p of the
+# base frame at scale * R^T (p - origin), R being the turn of the camera frame against the base
+# frame.
+
+
+class Camera(eqx.Module):
+    """Frame, scale and clock of recorded positions; and the cameras whose pixels are recorded."""
+
+    rotation: Float[Array, "3"] | None = parameter(CAMERA.rotation)
+    origin: Float[Array, "3"] | None = parameter(CAMERA.origin)
+    scale: Scalar | None = parameter(CAMERA.scale)
+    delay: Scalar | None = parameter(CAMERA.delay)
+    # By name, which is part of the paths: `camera.side.position`.
+    pinholes: dict[str, Pinhole] = inline(default_factory=dict)
+
+    def sees(self, positions: Float[Array, "*point 3"]) -> Float[Array, "*point 3"]:
+        """Positions (m) of the base frame as they are recorded; the clock apart."""
+        if self.origin is not None:
+            positions = positions - self.origin.reshape((1,) * (positions.ndim - 1) + (3,))
+        if self.rotation is not None:
+            back = rotation_vector_to_quaternion(-self.rotation)
+            rows = positions.reshape(-1, 3).T
+            turned = rotate(jnp.broadcast_to(back[:, None], (4, rows.shape[1])), rows)
+            positions = turned.T.reshape(positions.shape)
+        return positions if self.scale is None else self.scale * positions
+
+
+class Landmark(eqx.Module):
+    """A point of the room that cameras see."""
+
+    position: Float[Array, "3"] = parameter(LANDMARK.position)
+
+
+class Marker(eqx.Module):
+    """Where the tracked points lie, in the frame of their link."""
+
+    along: Float[Array, ""] | Float[Array, " link"] | None = parameter(MARKER.along)
+    left: Float[Array, ""] | Float[Array, " link"] | None = parameter(MARKER.left)
+    up: Float[Array, ""] | Float[Array, " link"] | None = parameter(MARKER.up)
+    tip: Float[Array, "3"] | None = parameter(MARKER.tip)
+
+    def on_links(self, arm: Arm, angles: Float[Array, " joint"]) -> Float[Array, "link 3"]:
+        """Positions of the links' markers in the base frame, m."""
+        here = pose(arm, angles, sideways=self.left is not None or self.up is not None)
+        points = here.centre
+
+        def each(offset: Array) -> Array:
+            return jnp.broadcast_to(offset, (arm.count,))
+
+        if self.along is not None:
+            points = points + scaled(each(self.along), here.direction)
+        if self.left is not None:
+            assert here.left is not None
+            points = points + scaled(each(self.left), here.left)
+        if self.up is not None:
+            points = points + scaled(each(self.up), here.up)
+        return points.T
+
+    def at_tip(self, arm: Arm, angles: Float[Array, " joint"]) -> Float[Array, "3"]:
+        """Position of the tip's marker in the base frame, m."""
+        here = pose(arm, angles, sideways=self.tip is not None)
+        end = scaled(arm.links.length, here.direction).sum(axis=-1)
+        if self.tip is None:
+            return end
+        assert here.left is not None
+        frame = jnp.stack([here.direction[:, -1], here.left[:, -1], here.up[:, -1]], axis=1)
+        return end + frame @ self.tip
+
+
+class Encoder(eqx.Module):
+    """Zero, scale and clock of the joints' angle sensors; angles of links are their sums."""
+
+    offset: Float[Array, ""] | Float[Array, " joint"] | None = parameter(ENCODER.offset)
+    scale: Float[Array, ""] | Float[Array, " joint"] | None = parameter(ENCODER.scale)
+    delay: Scalar | None = parameter(ENCODER.delay)
+
+    def shows(self, angles: Float[Array, "sample joint"]) -> Float[Array, "sample joint"]:
+        """Recorded joint angles, rad; the clock apart."""
+        shown = self.shows_rates(angles)
+        return shown if self.offset is None else shown + _row(self.offset, shown)
+
+    def shows_rates(self, rates: Float[Array, "sample joint"]) -> Float[Array, "sample joint"]:
+        """Recorded joint rates, rad/s; the clock apart."""
+        return rates if self.scale is None else rates * _row(self.scale, rates)
+
+    def true_angles(self, shown: Float[Array, " joint"]) -> Float[Array, " joint"]:
+        """Joint angles (rad) that are shown so: the inverse of `shows`; the clock apart."""
+        return self.true_rates(shown if self.offset is None else shown - self.offset)
+
+    def true_rates(self, shown: Float[Array, " joint"]) -> Float[Array, " joint"]:
+        """Joint rates (rad/s) that are shown so: the inverse of `shows_rates`."""
+        return shown if self.scale is None else shown / self.scale
+
+
+def _row(value: Array, table: Array) -> Array:
+    return jnp.broadcast_to(value, table.shape[1:])[None]
+
+
+class Sensors(eqx.Module):
+    """All that stands between the motion of an arm and its recording."""
+
+    camera: Camera = eqx.field(default_factory=Camera)
+    marker: Marker = eqx.field(default_factory=Marker)
+    encoder: Encoder = eqx.field(default_factory=Encoder)
+    landmark: dict[str, Landmark] = eqx.field(default_factory=dict)
+
+    def check(self, joints: int) -> None:
+        """Refuse values for another number of links or joints.
+
+        Raises:
+            InputError: naming the parameter and both numbers.
+        """
+        for name, known in declared(self).items():
+            shape = known.value(self).shape
+            if known.declaration.per and shape not in ((), (joints,)):
+                raise InputError(
+                    f"{name} has {np.prod(shape)} values for an arm of {joints} links: give one "
+                    "number, or one for each"
+                )
+
+    def link_positions(
+        self, arm: Arm, angles: Float[Array, "sample joint"]
+    ) -> Float[Array, "sample link 3"]:
+        """Recorded positions of the links' markers, m."""
+        return self.camera.sees(jax.vmap(lambda row: self.marker.on_links(arm, row))(angles))
+
+    def tip_positions(
+        self, arm: Arm, angles: Float[Array, "sample joint"]
+    ) -> Float[Array, "sample 3"]:
+        """Recorded positions of the tip's marker, m."""
+        return self.camera.sees(jax.vmap(lambda row: self.marker.at_tip(arm, row))(angles))
+
+
+# What cameras show of an arm and of the room, channel by channel.
+
+
+def camera_of(sensors: Sensors, channel: Channel) -> str:
+    """The name of the camera that shows a channel.
+
+    Raises:
+        InputError: there is no such camera, several and none is named, or the channel is of a
+            landmark that is not stated.
+    """
+    cameras = sensors.camera.pinholes
+    name, known = channel.camera, one_of(list(cameras))
+    if not cameras:
+        section = f"[camera.{name or 'NAME'}]"
+        raise InputError(
+            f"channel {channel.name!r} is of a picture, but no camera is described: give {section} "
+            "with mount, size_px, focal_length_px, position_m and rotation_deg"
+        )
+    if name is not None and name not in cameras:
+        raise InputError(
+            f"channel {channel.name!r} is of the camera '{name}', which is not described: it must "
+            f"be {known}, so correct the name or give [camera.{name}]"
+        )
+    if name is None and len(cameras) > 1:
+        raise InputError(
+            f"channel {channel.name!r} does not say which camera shows it: begin its name with "
+            f"that of a camera, {known}, as in '{next(iter(cameras))}.{channel.name}'"
+        )
+    if channel.kind == "mark_pixel" and mark_of(channel) not in sensors.landmark:
+        raise InputError(
+            f"channel {channel.name!r} is of a landmark that is not described: say where it is in "
+            f"[landmark.{mark_of(channel)}]"
+        )
+    return name or next(iter(cameras))
+
+
+def cameras_of(sensors: Sensors, channels: Iterable[str]) -> tuple[str, ...]:
+    """The names of the cameras that show some channels, each once.
+
+    Raises:
+        InputError: as `camera_of`.
+    """
+    known = [Channel.named(name) for name in channels]
+    seen = [camera_of(sensors, channel) for channel in known if channel.quantity == "pixel"]
+    return tuple(dict.fromkeys(seen))
+
+
+def mark_of(channel: Channel) -> str:
+    """The name of the landmark that a channel shows."""
+    return f"mark{channel.index or 0:02d}"
+
+
+def clock_of(sensors: Sensors, name: str) -> Float[Array, ""] | None:
+    """How late a camera is, s: as all cameras are, and by itself; None: it is not late."""
+    delays = [sensors.camera.delay, sensors.camera.pinholes[name].delay]
+    late = [delay for delay in delays if delay is not None]
+    return sum(late[1:], late[0]) if late else None
+
+
+def projections(
+    arm: Arm,
+    sensors: Sensors,
+    name: str,
+    angles: Float[Array, "sample joint"],
+    channels: Iterable[Channel],
+) -> dict[tuple[str, int], Projection]:
+    """Where a camera shows what some channels are of.
+
+    Arguments:
+        arm: the arm.
+        sensors: its markers, landmarks and cameras.
+        name: of the camera.
+        angles: of the joints at the samples of this camera's clock, rad.
+        channels: that are of this camera.
+
+    Returns:
+        By row of the column table and number: pixels (sample, 2) and depths (sample,).
+    """
+    camera: Pinhole = sensors.camera.pinholes[name]
+    # In an order of their own: both coordinates of a point are computed together.
+    asked = sorted({(channel.kind, channel.index or 0) for channel in channels})
+    kinds = {kind for kind, _ in asked}
+
+    def at(row: Float[Array, " joint"]) -> Projection:
+        links = sensors.marker.on_links(arm, row) if "link_pixel" in kinds else None
+        points = []
+        for kind, index in asked:
+            if kind == "mark_pixel":
+                points.append(sensors.landmark[f"mark{index:02d}"].position)
+            elif kind == "tip_pixel":
+                points.append(sensors.marker.at_tip(arm, row))
+            else:
+                assert links is not None
+                points.append(links[index - 1])
+        return camera.project(jnp.stack(points), arm, row)
+
+    seen = jax.vmap(at)(angles)
+    return {
+        point: Projection(seen.pixels[:, place], seen.depth[:, place])
+        for place, point in enumerate(asked)
+    }
+
+
+@program
+def _unseen(
+    arm: Arm, sensors: Sensors, name: str, angles: Array, asked: tuple[str, ...]
+) -> dict[str, tuple[Array, Array]]:
+    """Of each channel of a camera, where its point is behind it, and where out of the picture."""
+    channels = [Channel.named(each) for each in asked]
+    seen = projections(arm, sensors, name, angles, channels)
+    camera = sensors.camera.pinholes[name]
+    return {
+        channel.name: (one.depth <= NEAR, ~camera.sees(one))
+        for channel in channels
+        for one in (seen[channel.kind, channel.index or 0],)
+    }
+
+
+def unseen(
+    arm: Arm, sensors: Sensors, angles: Mapping[str, Array], channels: Iterable[str]
+) -> dict[str, tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]]:
+    """Where cameras cannot see what channels are of.
+
+    Arguments:
+        arm: the arm.
+        sensors: its markers, landmarks and cameras.
+        angles: of the joints by camera, at the samples of its clock, rad.
+        channels: names; those that are of no picture are left out.
+
+    Returns:
+        By channel: at which samples the point is behind the camera, and at which it is not in
+        the picture.
+    """
+    by_camera: dict[str, list[str]] = {}
+    for name in channels:
+        channel = Channel.named(name)
+        if channel.quantity == "pixel":
+            by_camera.setdefault(camera_of(sensors, channel), []).append(name)
+    return {
+        channel: (np.asarray(behind), np.asarray(outside))
+        for name, asked in by_camera.items()
+        for channel, (behind, outside) in _unseen(
+            arm, sensors, name, angles[name], tuple(asked)
+        ).items()
+    }
+
+
+def behind_conditions(
+    run: Run, unseen: Mapping[str, tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]]
+) -> list[str]:
+    """That pixels were recorded of points that the model has behind the camera.
+
+    Arguments:
+        run: that was recorded.
+        unseen: by channel, at which samples the point is behind the camera, and out of the picture.
+
+    Returns:
+        A sentence for each camera, or none.
+    """
+    cells: dict[str, list[tuple[str, int]]] = {}
+    for name, (behind, _) in unseen.items():
+        count = int(np.sum(behind & np.isfinite(run.values[name])))
+        if count:
+            cells.setdefault(run.channels[name].camera or "", []).append((name, count))
+    return [
+        f"{'camera ' + camera if camera else 'the camera'}: in '{run.name}' "
+        f"{sum(count for _, count in found)} recorded pixels of "
+        f"{', '.join(name for name, _ in found)} are of points that the model has behind it, "
+        "where nothing is seen: correct its position and rotation, or which point is which"
+        for camera, found in cells.items()
+    ]
+
+
+# The motion of an arm as clocks that are late or early show it.
+
+Times = Float[Array, " sample"]
+
+
+class Seen(NamedTuple):
+    """Joint angles (rad) and rates (rad/s) at the samples of one clock."""
+
+    angles: Float[Array, "sample joint"]
+    rates: Float[Array, "sample joint"]
+
+
+def seen_with_delays(
+    motion: Callable[[Times, Scalar], Trajectory],
+    times: Times,
+    delays: Sequence[Scalar | None],
+) -> tuple[list[Seen], Bool[Array, ""]]:
+    """States at the samples less each delay, from one simulation.
+
+    The integrator's own interpolation gives them, at no more error than it has anyway, and with
+    the derivative by the delay. Where a delay reaches back before the run, the arm has the rates
+    of its first sample (it rests, if it starts at rest); where it reaches beyond the end, the run
+    goes on with its last command.
+
+    Arguments:
+        motion: the motion at increasing times, from the first sample until some time.
+        times: of the samples, s.
+        delays: of each clock, s; None for a clock that is right.
+
+    Returns:
+        What each clock shows, and whether the simulation succeeded.
+    """
+    first = times[0]
+    clocks = [times if delay is None else times - delay for delay in delays]
+    within = [jnp.where(moments < first, first, moments) for moments in clocks]
+    together = jnp.concatenate(within)
+    order = jnp.argsort(jax.lax.stop_gradient(together))
+    # Where the simulation ends changes nothing before it.
+    end = jax.lax.stop_gradient(jnp.max(jnp.append(together, times[-1])))
+    moved = motion(together[order], end)
+    place = jnp.argsort(order).reshape(len(delays), len(times))
+    seen = []
+    for row, moments, inside in zip(place, clocks, within, strict=True):
+        angles, rates = moved.angles[row], moved.rates[row]
+        seen.append(Seen(angles + (moments - inside)[:, None] * rates, rates))
+    return seen, moved.successful
+
 
 # What the camera records, and what the angle sensors do.
 _POSITIONS = frozenset({"link_position", "tip_position"})
@@ -21,7 +392,7 @@ _ANGLES = frozenset({"joint_angle", "joint_rate", "link_angle"})
 _FRAME = "camera frame"
 _ENCODER = "angle sensors"
 
-Times = Float[Array, " sample"]
+
 Motion = Callable[[Times, Scalar], Trajectory]
 """The motion at increasing times (s), simulated until a time (s)."""
 

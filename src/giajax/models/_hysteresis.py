@@ -2,31 +2,395 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Protocol, Self
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from .._errors import InputError
-from .._typing import Array, Bool, Float, Scalar
-from ..hysteresis import AbstractOperator, BoucWen
-from ..kinds import HysteresisSection
-from ..parameters import inline, parameter
-from ..quantities import LOOP
-from ..runs import Definition, Run
-from ._agreement import agreed_section
-from ._direct import AbstractDirectModel
-from ._extremes import first_extremes, turns, unexplained
-from ._hysteresis_definition import (
-    HysteresisSettings,
-    Scale,
-    check_keys,
-    operator_from_settings,
-    settings_for,
+from ..mechanics.hysteresis import (
+    AbstractOperator,
+    BoucWen,
+    DeadZones,
+    ModifiedPrandtlIshlinskii,
+    PrandtlIshlinskii,
+    Preisach,
 )
-from ._protocol import Channels, Derived
-from ._response import Columns, check_outputs, input_values, products, products_condition
+from ..recordings import Channel, Definition, Run, parse_column
+from ..runtime.arrays import Array, Bool, Float, Scalar
+from ..runtime.text import InputError
+from ..schema import KINDS, LOOP, HysteresisSection
+from ..schema.parameters import inline, parameter
+from ._arm_definition import agreed_section
+from ._protocol import AbstractDirectModel, Channels, Derived
+
+# What models with one input and one output share: their columns, and Bouc-Wen products.
+
+
+@dataclasses.dataclass(frozen=True)
+class Columns:
+    """The columns of input and output in the runs of a model; empty where not known.
+
+    Attributes:
+        input: that drove the runs, such as "command_deg".
+        output: that they measured, such as "angle_deg".
+    """
+
+    input: str = ""
+    output: str = ""
+
+    @classmethod
+    def of(cls, run: Run) -> Self:
+        """Those of a run."""
+        driven, measured = input_channel(run, run.model), output_channel(run)
+        return cls(driven.column, "" if measured is None else measured.column)
+
+    @classmethod
+    def from_definition(cls, definition: Mapping[str, Any]) -> Self:
+        """As `to_dict` gave them."""
+        return cls(definition.get("input_column", ""), definition.get("output_column", ""))
+
+    def to_dict(self) -> dict[str, str]:
+        """Those that are known, as plain data."""
+        both = {"input_column": self.input, "output_column": self.output}
+        return {name: column for name, column in both.items() if column}
+
+    @property
+    def input_channel(self) -> Channel:
+        """The channel that drove the runs; the command of a joint where that is not known."""
+        return parse_column(self.input or "command_rad")
+
+    @property
+    def output_channel(self) -> Channel | None:
+        """The channel that the runs measured; None where that is not known."""
+        return parse_column(self.output) if self.output else None
+
+    def check(self, run: Run) -> None:
+        """Raise `InputError` for a run of other quantities than those of the model."""
+        own = [self.input_channel if self.input else None, self.output_channel]
+        theirs = [input_channel(run, run.model), output_channel(run)]
+        for mine, other in zip(own, theirs, strict=True):
+            if mine is not None and other is not None and not comparable(mine, other):
+                raise InputError(
+                    f"'{run.name}' has the column {other.column} where the model has "
+                    f"{mine.column}: give a run of the same quantity"
+                )
+
+
+def input_channel(run: Run, kind: str) -> Channel:
+    """The channel that drives a run of a kind of model that has one input.
+
+    Raises:
+        InputError: a run of another kind, or with none or several.
+    """
+    if run.model != kind:
+        raise InputError(
+            f"'{run.name}' is a run of the {run.model} model: give one of the {kind} model"
+        )
+    names = list(run.commands)
+    if len(names) != 1:
+        raise InputError(
+            f"'{run.name}' must have one column of input or command, and has "
+            f"{' and '.join(names) or 'none'}: rename or remove columns"
+        )
+    if len(_outputs(run)) > 1:
+        raise InputError(f"'{run.name}' has both output and angle: remove one of the columns")
+    return run.channels[names[0]]
+
+
+def input_values(run: Run, kind: str) -> np.ndarray:
+    """What drives a run of a kind of model that has one input, SI, shape (sample,).
+
+    Raises:
+        InputError: as `input_channel`.
+    """
+    return np.asarray(run.values[input_channel(run, kind).name], dtype=float)
+
+
+def output_channel(run: Run) -> Channel | None:
+    """The channel that a run measures; None where it measures none."""
+    return next(iter(_outputs(run)), None)
+
+
+def _outputs(run: Run) -> list[Channel]:
+    return [channel for channel in run.channels.values() if channel.kind in run.kind.outputs]
+
+
+def comparable(one: Channel, other: Channel) -> bool:
+    """Whether two channels may be of one quantity; a bare `input` or `output` says none."""
+    return "ratio" in (one.quantity, other.quantity) or one.quantity == other.quantity
+
+
+def check_outputs(kind: str, channels: Sequence[str]) -> None:
+    """Raise `InputError` for a channel that a kind of model does not predict."""
+    outputs = KINDS[kind].outputs
+    for name in channels:
+        if Channel.named(name).kind not in outputs:
+            raise InputError(
+                f"'{name}' is not predicted by the {kind} model: use one of {', '.join(outputs)}"
+            )
+
+
+class BoucWenParameters(Protocol):
+    """What an element of the Bouc-Wen equation has."""
+
+    beta: Scalar
+    gamma: Scalar
+    delta: Scalar
+
+
+def products(element: BoucWenParameters, unit: str) -> dict[str, Derived]:
+    """The products of Bouc-Wen parameters that a history determines."""
+    return {
+        "beta*gamma": Derived(element.beta * element.gamma, unit),
+        "beta*delta": Derived(element.beta * element.delta, unit),
+    }
+
+
+def products_condition(free: Sequence[str]) -> list[str]:
+    """That beta, gamma and delta count only as products, where one of them is free."""
+    names = [path for path in free if path in ("beta", "gamma", "delta")]
+    held = [path for path in ("beta", "gamma", "delta") if path not in free]
+    if not names:
+        return []
+    how = f"; held: {', '.join(held)}" if held else ""
+    return [f"{', '.join(names)}: only the products beta gamma and beta delta are determined{how}"]
+
+
+# From the `[hysteresis]` section to an operator with start values, and back.
+
+Numbers = int | tuple[float, ...]
+
+# Start values: shares of the stiffness and of the width of an ordinary loop.
+_ELASTIC = 0.7
+_KNEE = 4.0
+
+# A mesh a little larger than the input: a relay at its edge would never switch.
+_ROOM = 1.05
+
+
+def hysteresis_keys(operator: str) -> list[str]:
+    """The keys of the `[hysteresis]` section that an operator uses."""
+    used = {
+        "prandtl_ishlinskii": ("elements", "thresholds"),
+        "modified_prandtl_ishlinskii": ("thresholds", "upper_dead_zones", "lower_dead_zones"),
+        "preisach": ("rows",),
+        "bouc_wen": (),
+    }[operator]
+    return ["operator", *used, "input_range", "previous_extremes"]
+
+
+@dataclasses.dataclass(frozen=True)
+class HysteresisSettings:
+    """The `[hysteresis]` section with nothing left open; see `giajax.schema.HysteresisSection`."""
+
+    operator: str
+    elements: str
+    thresholds: Numbers
+    upper_dead_zones: Numbers
+    lower_dead_zones: Numbers
+    rows: int
+    input_range: tuple[float, float]
+    previous_extremes: Numbers
+
+    def to_dict(self) -> dict[str, Any]:
+        """The section as plain data, with what this operator uses."""
+        plain = {name: getattr(self, name) for name in hysteresis_keys(self.operator)}
+        return {
+            name: list(value) if isinstance(value, tuple) else value
+            for name, value in plain.items()
+        }
+
+    @property
+    def reach(self) -> float:
+        """Half the range of the input."""
+        return (self.input_range[1] - self.input_range[0]) / 2
+
+
+def settings_for(section: HysteresisSection, inputs: Sequence[np.ndarray]) -> HysteresisSettings:
+    """What the section says, and for the rest the default; the range is that of the inputs.
+
+    Raises:
+        InputError: an input that never changes.
+    """
+    ends = section.input_range
+    if ends is None:
+        together = np.concatenate([*inputs]) if inputs else np.zeros(1)
+        ends = [float(np.min(together)), float(np.max(together))]
+    if not ends[0] < ends[1]:
+        raise InputError(
+            "the input never changes, so that nothing responds to it: give a run in which it does"
+        )
+
+    def chosen(name: str) -> Any:
+        value = getattr(section, name)
+        if value is None:
+            extra = HysteresisSection.model_fields[name].json_schema_extra
+            value = extra["preset"] if isinstance(extra, dict) else None
+        return tuple(float(v) for v in value) if isinstance(value, list) else value
+
+    names = [field.name for field in dataclasses.fields(HysteresisSettings)]
+    values = {name: chosen(name) for name in names if name != "input_range"}
+    return HysteresisSettings(**values, input_range=(ends[0], ends[1]))
+
+
+@dataclasses.dataclass(frozen=True)
+class Scale:
+    """The size of the data, which start values are made from: slope and half range of output."""
+
+    slope: float = 1.0
+    height: float = 1.0
+
+    @classmethod
+    def of(cls, inputs: Sequence[np.ndarray], outputs: Sequence[np.ndarray]) -> Self:
+        """From recorded histories; of 1 where nothing was recorded."""
+        measured = [values[~np.isnan(values)] for values in outputs]
+        if not measured:
+            return cls()
+        height = float(np.ptp(np.concatenate(measured))) / 2
+        width = float(np.ptp(np.concatenate(list(inputs)))) / 2
+        return cls(height / width, height) if height > 0 and width > 0 else cls()
+
+
+def operator_from_settings(settings: HysteresisSettings, scale: Scale) -> AbstractOperator:
+    """The operator with start values of the size of the data."""
+    slope, reach = scale.slope, settings.reach
+    if settings.operator == "prandtl_ishlinskii":
+        thresholds = _even(settings.thresholds, reach)
+        return PrandtlIshlinskii(
+            _array(slope * _ELASTIC),
+            jnp.full_like(thresholds, slope * (1 - _ELASTIC) / len(thresholds)),
+            thresholds,
+            elements=_elements(settings),
+        )
+    if settings.operator == "modified_prandtl_ishlinskii":
+        thresholds = _even(settings.thresholds, reach)
+        upper = _dense(settings.upper_dead_zones, abs(settings.input_range[1]) or reach)
+        lower = _dense(settings.lower_dead_zones, abs(settings.input_range[0]) or reach)
+        curve = DeadZones(
+            _array(slope),
+            upper,
+            jnp.full_like(upper, slope),
+            lower,
+            jnp.full_like(lower, slope),
+        )
+        weights = jnp.full_like(thresholds, (1 / _ELASTIC - 1) / len(thresholds))
+        return ModifiedPrandtlIshlinskii(curve, weights, thresholds)
+    if settings.operator == "preisach":
+        return Preisach(
+            slope=_array(slope / 2),
+            saturation=_array(scale.height / 2),
+            coercivity=_array(0.2 * reach),
+            coercivity_spread=_array(0.7),
+            bias=_array(0.0),
+            interaction=_array(0.3 * reach),
+            extent=_ROOM * max(abs(end) for end in settings.input_range),
+            rows=settings.rows,
+        )
+    return BoucWen(
+        elastic=_array(slope * _ELASTIC),
+        alpha=_array(slope * (1 - _ELASTIC)),
+        beta=_array(_KNEE / reach),
+        gamma=_array(0.5),
+        delta=_array(0.1),
+        nu=_array(1.0),
+    )
+
+
+def check_keys(name: str, section: HysteresisSection) -> None:
+    """Refuse keys of `[hysteresis]` that the operator of a run does not have.
+
+    Raises:
+        InputError: naming the run, the keys and the operator.
+    """
+    operator = section.operator or "prandtl_ishlinskii"
+    known = hysteresis_keys(operator)
+    ignored = [key for key in section.model_dump(exclude_none=True) if key not in known]
+    if ignored:
+        raise InputError(
+            f"[hysteresis] of '{name}' states {', '.join(ignored)}, which {operator} does not "
+            "have: remove it, or state the operator that it belongs to"
+        )
+
+
+def _array(value: float | np.ndarray) -> Array:
+    return jnp.asarray(value, dtype=jnp.result_type(float))
+
+
+def _elements(settings: HysteresisSettings) -> Any:
+    return settings.elements
+
+
+def _even(numbers: Numbers, reach: float) -> Array:
+    if not isinstance(numbers, int):
+        return _array(np.asarray(numbers))
+    return _array(reach * np.arange(1, numbers + 1) / (numbers + 1))
+
+
+def _dense(numbers: Numbers, reach: float) -> Array:
+    """Densest near 0, where a joint is soft."""
+    if not isinstance(numbers, int):
+        return _array(np.asarray(numbers))
+    return _array(reach * (np.arange(1, numbers + 1) / (numbers + 1)) ** 2)
+
+
+# Turning points of an input: whether it has any, and what a fit of earlier ones starts from.
+
+# Where turning points before the run are looked for first, as a part of the reach of the input.
+_FIRST_EXTREME = 0.75
+
+
+def turns(values: np.ndarray) -> bool:
+    """Whether an input, shape (sample,), ever turns back."""
+    steps = np.diff(values)
+    steps = steps[steps != 0]
+    return bool(np.any(steps[1:] * steps[:-1] < 0))
+
+
+def first_extremes(
+    settings: HysteresisSettings, now: np.ndarray, free: Sequence[str]
+) -> list[np.ndarray]:
+    """Turning points to start from, one list for each direction that the latest one came from.
+
+    Arguments:
+        settings: of the model.
+        now: its turning points before the run, of the input, SI, shape (extreme,).
+        free: paths of the elements to fit that have no start.
+
+    Returns:
+        Turning points of the shape of `now`; no list where none of them is to be moved.
+    """
+    count = len(now)
+    paths = [f"previous_extremes[{index}]" for index in range(count)]
+    moved = np.asarray([path in free for path in paths], dtype=bool) & (now == 0)
+    if isinstance(settings.previous_extremes, tuple) or not np.any(moved):
+        return []
+    low, high = settings.input_range
+    # Within each other, so that a later one does not wipe out an earlier one.
+    sizes = _FIRST_EXTREME * settings.reach * np.arange(count, 0, -1) / count
+    signs = (-1.0) ** np.arange(count)
+    return [np.where(moved, (low + high) / 2 + sign * signs * sizes, now) for sign in (1.0, -1.0)]
+
+
+def unexplained(response: np.ndarray, run: Run) -> float:
+    """Sum of the squares that the best scale and offset of a response leave of a run, SI.
+
+    Arguments:
+        response: at the samples of the run, shape (sample,).
+        run: whose measured channels it is compared with.
+
+    Returns:
+        The sum; infinite where the response is not finite.
+    """
+    if not np.all(np.isfinite(response)):
+        return np.inf
+    total = 0.0
+    for values in run.observations.values():
+        there = ~np.isnan(values)
+        columns = np.stack([response[there], np.ones(there.sum())], axis=-1)
+        scale = np.linalg.lstsq(columns, values[there])[0]
+        total += float(np.sum((values[there] - columns @ scale) ** 2))
+    return total
 
 
 class HysteresisInputs(eqx.Module):

@@ -7,18 +7,15 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from .._errors import InputError
-from .._typing import Array, Bool, Float
-from ..joint import Correction, Joint, balanced, check_geometry, is_possible
-from ..kinds import JointSection
-from ..parameters import get, inline, replace
-from ..runs import Channel, Definition, Run
-from ._agreement import check_agreement
-from ._build import parameter_values
-from ._direct import AbstractDirectModel
-from ._joint_scene import joint_scene
-from ._protocol import Channels, Derived
-from ._scene import Scene
+from ..mechanics.joint import Correction, Joint, balanced, check_geometry, is_possible
+from ..recordings import Channel, Definition, Run
+from ..runtime.arrays import Array, Bool, Float
+from ..runtime.text import InputError
+from ..schema import JointSection
+from ..schema.parameters import get, inline, replace
+from ._arm_definition import check_agreement
+from ._protocol import AbstractDirectModel, Channels, Derived, Scene, parameter_values
+from ._scenes import joint_scene
 
 
 class JointInputs(eqx.Module):

@@ -7,17 +7,15 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from .._errors import InputError
-from .._typing import Array, Bool, Float, Scalar
-from ..hysteresis import MOST_STEPS, BoucWenOscillator
-from ..kinds import OscillatorSection
-from ..parameters import inline, parameter
-from ..quantities import LOOP
-from ..runs import Definition, Run
-from ._agreement import agreed_section
-from ._direct import AbstractDirectModel
-from ._protocol import Channels, Derived
-from ._response import Columns, check_outputs, input_values, products, products_condition
+from ..mechanics.hysteresis import MOST_STEPS, BoucWenOscillator
+from ..recordings import Definition, Run
+from ..runtime.arrays import Array, Bool, Float, Scalar
+from ..runtime.text import InputError
+from ..schema import LOOP, OscillatorSection
+from ..schema.parameters import inline, parameter
+from ._arm_definition import agreed_section
+from ._hysteresis import Columns, check_outputs, input_values, products, products_condition
+from ._protocol import AbstractDirectModel, Channels, Derived
 
 # Neighbouring intervals that differ by more than this part are not rounding of a file.
 _UNEVEN = 1e-5

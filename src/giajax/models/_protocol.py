@@ -1,16 +1,137 @@
-"""What a fit knows of a model: it predicts named channels for a run."""
+"""What a fit knows of a model (it predicts named channels), and which model a run needs."""
 
 import abc
+import dataclasses
 from collections.abc import Mapping, Sequence
+from importlib import import_module
 from typing import Any, NamedTuple, Self
 
 import equinox as eqx
 import numpy as np
 import numpy.typing as npt
 
-from .._typing import Array, Bool, Float, Scalar
-from ..runs import Run
-from ._scene import Scene
+from ..recordings import Run, upgraded
+from ..runtime.arrays import Array, Bool, Float, Scalar
+from ..runtime.text import InputError
+from ..schema import KINDS
+from ..schema.parameters import declared, replace
+
+# Numbers only, so that whatever draws needs neither JAX nor the model.
+
+
+@dataclasses.dataclass(frozen=True)
+class Line:
+    """A polyline that moves: the axis of a round body, or a thread.
+
+    Attributes:
+        name: what it is (`link`, `muscle`); lines of one name look alike.
+        points: m, shape (sample, point, 3).
+        radii: of the round body about it at each point, m, shape (point,); 0 for a thread.
+        loose: where a thread hangs slack, shape (sample,); None where it never does.
+        pressure: inside, above the surroundings, Pa, shape (sample,); None where it has none.
+    """
+
+    name: str
+    points: Float[np.ndarray, "sample point 3"]
+    radii: Float[np.ndarray, " point"]
+    loose: Bool[np.ndarray, " sample"] | None = None
+    pressure: Float[np.ndarray, " sample"] | None = None
+
+    def __post_init__(self) -> None:
+        if self.points.shape[1:] != (len(self.radii), 3):
+            raise InputError(
+                f"the line '{self.name}' has points of shape {self.points.shape} and "
+                f"{len(self.radii)} radii: give a radius to each point"
+            )
+
+
+@dataclasses.dataclass(frozen=True)
+class Arrows:
+    """Vectors that act somewhere: forces of the air, or of what is touched.
+
+    Attributes:
+        name: what they are (`air`, `contact`).
+        unit: of their length (`N`).
+        origins: where they act, m, shape (sample, arrow, 3).
+        vectors: shape (sample, arrow, 3).
+    """
+
+    name: str
+    unit: str
+    origins: Float[np.ndarray, "sample arrow 3"]
+    vectors: Float[np.ndarray, "sample arrow 3"]
+
+    def __post_init__(self) -> None:
+        if self.origins.shape != self.vectors.shape:
+            raise InputError(
+                f"the arrows '{self.name}' have origins of shape {self.origins.shape} and vectors "
+                f"of shape {self.vectors.shape}: give an origin to each vector"
+            )
+
+
+@dataclasses.dataclass(frozen=True)
+class Block:
+    """A solid box that stays where it is.
+
+    Attributes:
+        name: of the obstacle that it is a part of.
+        centre: m, shape (3,).
+        size: along its own axes, m, shape (3,).
+        axes: unit vectors along its sizes, as columns, shape (3, 3).
+    """
+
+    name: str
+    centre: Float[np.ndarray, "3"]
+    size: Float[np.ndarray, "3"]
+    axes: Float[np.ndarray, "3 3"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Scene:
+    """Everything that is seen of a model, in one frame: x ahead, y to the left, z upwards.
+
+    Attributes:
+        lines: bodies and threads.
+        markers: points by name, m, each of shape (sample, 3); NaN where there is none.
+        times: of the samples, s, shape (sample,); None where they are not in time.
+        arrows: forces.
+        blocks: what stands around.
+    """
+
+    lines: tuple[Line, ...]
+    markers: dict[str, Float[np.ndarray, "sample 3"]]
+    times: Float[np.ndarray, " sample"] | None = None
+    arrows: tuple[Arrows, ...] = ()
+    blocks: tuple[Block, ...] = ()
+
+    def __post_init__(self) -> None:
+        lengths = {len(line.points) for line in self.lines}
+        lengths |= {len(points) for points in self.markers.values()}
+        lengths |= {len(arrows.origins) for arrows in self.arrows}
+        if self.times is not None:
+            lengths.add(len(self.times))
+        if len(lengths) != 1:
+            raise InputError(
+                f"the parts of a scene have {sorted(lengths)} samples: give all of them as many"
+            )
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        parts = [*(line.points for line in self.lines), *self.markers.values()]
+        return len(parts[0])
+
+    def extent(self) -> Float[np.ndarray, "2 3"]:
+        """Least and greatest coordinates of all bodies and markers over all samples, m."""
+        corners = [points.reshape(-1, 3) for points in self.markers.values()]
+        for line in self.lines:
+            reach = line.radii[:, None]
+            corners += [(line.points + sign * reach).reshape(-1, 3) for sign in (-1, 1)]
+        everything = np.concatenate(corners)
+        return np.stack([np.nanmin(everything, axis=0), np.nanmax(everything, axis=0)])
+
+
+# What a fit knows of a model: it predicts named channels for a run.
 
 Channels = dict[str, Float[Array, " sample"]]
 
@@ -43,7 +164,7 @@ class AbstractModel(eqx.Module):
     @property
     @abc.abstractmethod
     def kind(self) -> str:
-        """Its name in `giajax.kinds.KINDS`: a constant of its class."""
+        """Its name in `giajax.schema.KINDS`: a constant of its class."""
 
     @classmethod
     @abc.abstractmethod
@@ -181,3 +302,104 @@ class AbstractModel(eqx.Module):
         Arguments:
             paths: of parameters of the model, or of the prepared inputs (`free_inputs`).
         """
+
+
+# Models without a solver to choose, whose runs have no state of their own.
+
+
+class AbstractDirectModel(AbstractModel):
+    """A model without a solver to choose, whose runs have no state of their own.
+
+    Says for all such models what they would say alike; the arm is the one that has both.
+    """
+
+    def unseen(self, inputs: Any, channels: tuple[str, ...]) -> dict[str, npt.NDArray[np.bool_]]:
+        """None: whatever it has can be recorded at any time."""
+        return {}
+
+    def variants(self) -> dict[str, Self]:
+        """None: it has no choice that parameters do not make."""
+        return {}
+
+    def free_inputs(self, run: Run) -> tuple[str, ...]:
+        """None: a run has no state of its own."""
+        return ()
+
+    def initial_section(self, inputs: Any) -> dict[str, Any]:
+        """Nothing: a run has no state of its own."""
+        return {}
+
+    def integration(self) -> Integration | None:
+        """None: there is no solver to choose."""
+        return None
+
+    def with_integration(self, *, solver: str | None, tolerance: float | None) -> Self:
+        """Refused: there is no solver to choose.
+
+        Raises:
+            InputError: always.
+        """
+        raise InputError(
+            f"the {self.kind} model has neither a solver nor a tolerance: leave both out"
+        )
+
+    def for_derivatives(self, paths: Sequence[str]) -> Self:
+        """The same: no step of it depends on what is differentiated."""
+        return self
+
+
+# Which model a set of runs, or a stored result, needs.
+
+
+def model_class(kind: str) -> type[AbstractModel]:
+    """The class of a kind, or of several as `arm+joint`; imported when a model of it is built."""
+    where = "_several:SeveralModels" if "+" in kind else KINDS[kind].model
+    module, _, name = where.partition(":")
+    model: type[AbstractModel] = getattr(import_module(f".{module}", __package__), name)
+    return model
+
+
+def model_for(runs: Sequence[Run]) -> AbstractModel:
+    """The model of some runs, with the constants that their sidecars state.
+
+    Of runs of several kinds it has a model of each, which share the parameters of the same path.
+
+    Raises:
+        InputError: the sidecars of runs contradict each other.
+    """
+    return model_class("+".join(dict.fromkeys(run.model for run in runs))).for_runs(runs)
+
+
+def build_model(
+    kind: str, definition: Mapping[str, Any], parameters: Mapping[str, Any]
+) -> AbstractModel:
+    """The model that a stored result describes.
+
+    Arguments:
+        kind: name of the model.
+        definition: what its `definition()` gave.
+        parameters: values by path.
+
+    Raises:
+        InputError: an unknown kind or path.
+    """
+    older = upgraded({"model": kind, **definition})
+    kind = older.pop("model")
+    for name in kind.split("+"):
+        if name not in KINDS:
+            raise InputError(
+                f"there is no kind of model '{name}' in this version: use one of {', '.join(KINDS)}"
+            )
+    former = KINDS[kind].former_parameters if kind in KINDS else ()
+    values = {path: v for path, v in parameters.items() if path.partition("[")[0] not in former}
+    # Whole arrays first: an element may belong to an array that the definition has as a number.
+    whole = {path: value for path, value in values.items() if "[" not in path}
+    return replace(replace(model_class(kind).from_definition(older), whole), values)
+
+
+def parameter_values(model: eqx.Module) -> dict[str, Any]:
+    """All declared parameters of a model or a part of one by path, as numbers and lists of them."""
+    return {
+        path: np.asarray(parameter.value(model), dtype=float).tolist()
+        for path, parameter in declared(model).items()
+    }

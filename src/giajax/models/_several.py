@@ -2,8 +2,6 @@
 
 An arm that muscles drive has the corrections alpha and beta of its joints, and so has a joint on a
 bench: a fit to runs of both has one alpha for both.
-
-Longer than 200 lines because all that is asked of a model is asked of each of them.
 """
 
 import dataclasses
@@ -14,14 +12,12 @@ import equinox as eqx
 import numpy as np
 import numpy.typing as npt
 
-from .._errors import InputError
-from .._typing import Array, Bool
-from ..kinds import KINDS
-from ..parameters import declared, inline, left_out, replace
-from ..runs import Run
-from ._build import model_class
-from ._protocol import AbstractModel, Channels, Derived, Integration
-from ._scene import Scene
+from ..recordings import Run
+from ..runtime.arrays import Array, Bool
+from ..runtime.text import InputError
+from ..schema import KINDS
+from ..schema.parameters import declared, inline, left_out, replace
+from ._protocol import AbstractModel, Channels, Derived, Integration, Scene, model_class
 
 
 class SeveralInputs(eqx.Module):

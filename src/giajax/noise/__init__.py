@@ -1,16 +1,30 @@
-"""Noise of channels, white and correlated: its size, and what it makes of standard errors."""
+"""Noise of channels, and whether residuals are what noise alone would leave."""
 
-from ._basis import orthonormal as orthonormal
-from ._cells import Cells as Cells
-from ._differences import (
+from ._estimate import (
     by_second_differences as by_second_differences,
+    estimate as estimate,
     from_differences as from_differences,
+    outlier_weights as outlier_weights,
+    robust_deviation as robust_deviation,
 )
-from ._draw import drawn as drawn
-from ._estimate import estimate as estimate
-from ._intervals import Spread as Spread, small_sample as small_sample
-from ._model import ChannelNoise as ChannelNoise, Stated as Stated
-from ._restricted import Restricted as Restricted
-from ._robust import outlier_weights as outlier_weights, robust_deviation as robust_deviation
-from ._sandwich import score_covariance as score_covariance
-from ._segment import gains as gains, whitened as whitened
+from ._intervals import (
+    Spread as Spread,
+    score_covariance as score_covariance,
+    small_sample as small_sample,
+)
+from ._model import (
+    ChannelNoise as ChannelNoise,
+    Stated as Stated,
+    drawn as drawn,
+    gains as gains,
+    whitened as whitened,
+)
+from ._prediction import Foretold as Foretold, Prediction as Prediction, Predictions as Predictions
+from ._restricted import Cells as Cells, Restricted as Restricted, orthonormal as orthonormal
+from ._verdict import (
+    Reason as Reason,
+    Series as Series,
+    Verdict as Verdict,
+    VerdictStatus as VerdictStatus,
+    judge as judge,
+)

@@ -1,11 +1,262 @@
 """White and correlated noise of each channel, by restricted likelihood."""
 
-from collections.abc import Mapping
+import dataclasses
+from collections.abc import Hashable, Mapping, Sequence
+from typing import NamedTuple, Self
 
-from ._memory import Shape, promising, time_limits, with_memory
-from ._model import ChannelNoise, Stated
-from ._restricted import Restricted
-from ._scale import scaled
+import numpy as np
+
+from ..runtime.arrays import Float
+from ._model import ChannelNoise, Stated, solve
+from ._restricted import Cells, Restricted, best_scales, scaled
+
+# Noise among outliers: its size by the median, and the weight that each cell keeps.
+
+# 1.4826 median(|x|) estimates the standard deviation of a normal variable.
+MAD = 1.4826
+
+_ROUNDS = 20
+
+# The white part that tells an outlier from a jump of the correlated part, at least.
+_LEAST_WHITE = 0.1
+
+
+def robust_deviation(residuals: Float[np.ndarray, " cell"]) -> float:
+    """Standard deviation of normal noise with some outliers; never 0.
+
+    Arguments:
+        residuals: of a fit, shape (cell,).
+    """
+    size = np.abs(np.asarray(residuals, dtype=float))
+    # Never zero: data without noise would weigh infinitely.
+    return max(MAD * float(np.median(size)), 1e-12 * float(np.max(size, initial=0.0)), 1e-300)
+
+
+def outlier_weights(cells: Cells, noise: ChannelNoise) -> Float[np.ndarray, " cell"]:
+    """Huber's weights of the white part of each cell, one for what is within the noise.
+
+    They minimise the sum of Huber's loss of the white part and of the square of the correlated
+    one: an outlier is no memory, so it is not foretold by its neighbours and does not foretell
+    them (iteratively reweighted least squares; Huber 1981, section 7.8).
+
+    Arguments:
+        cells: residuals of one channel of a run.
+        noise: of the channel.
+
+    Returns:
+        Weights above 0 and up to 1; the white variance of a cell is divided by its weight.
+    """
+    white = max(noise.white, _LEAST_WHITE * noise.deviation)
+    noise = dataclasses.replace(noise, white=white)
+    weights = np.ones(len(cells.residual))
+    for _ in range(_ROUNDS):
+        solved = solve(noise, cells.times, weights, cells.residual[:, None]).columns[:, 0]
+        # V^-1 e times the white variance is the white part of e.
+        own = np.abs(white**2 / weights * solved) / white
+        after = 1 / np.maximum(own, 1.0)
+        done = np.max(np.abs(after - weights), initial=0.0) < 1e-3
+        weights = after
+        if done:
+            break
+    return weights
+
+
+# Noise of a recorded channel before any model is known.
+
+# Fewer second differences know no deviation.
+_FEWEST_DIFFERENCES = 8
+
+
+def by_second_differences(values: np.ndarray) -> float | None:
+    """Deviation of white noise on something smooth, from the median of second differences.
+
+    Arguments:
+        values: NaN where not measured, shape (sample,).
+
+    Returns:
+        None from too few.
+    """
+    second = np.diff(values, 2)
+    second = second[~np.isnan(second)]
+    return None if len(second) < _FEWEST_DIFFERENCES else _deviation(second)
+
+
+def from_differences(values: np.ndarray) -> float:
+    """Noise of a recorded channel from its second differences, before any model is known.
+
+    A motion that is smooth over three samples leaves only noise in x[i-1] - 2 x[i] + x[i+1],
+    whose standard deviation is sqrt(6) times that of white noise. The median keeps outliers
+    out. A channel without visible noise gets a thousandth of its range.
+
+    Arguments:
+        values: recorded values, NaN where not measured, shape (sample,).
+
+    Returns:
+        Standard deviation, in the unit of the values; never 0.
+    """
+    measured = values[~np.isnan(values)]
+    estimate = by_second_differences(values)
+    if estimate is None:
+        estimate = _deviation(np.diff(measured, 2))
+    span = float(np.ptp(np.quantile(measured, [0.05, 0.95])))  # an outlier is no range
+    return max(estimate, 1e-3 * span) or 1.0
+
+
+def _deviation(second: np.ndarray) -> float:
+    return MAD * float(np.median(np.abs(second))) / np.sqrt(6) if len(second) else 0.0
+
+
+# Noise with a memory that makes the likelihood of a channel largest, where that is worth it.
+
+# Twice the gain in log-likelihood that a memory must bring, for two more parameters: white noise
+# is taken for correlated in about one channel of twenty, and its intervals are wider then.
+_WORTH = 5.0
+
+# Twice the gain at the best of a few tries, below which no search from there ends above that.
+_PROMISING = 1.0
+
+# No statement on a memory is made from fewer cells.
+_FEWEST_SAMPLES = 20
+
+# How a deviation is made of white noise and what is correlated, as an angle, rad: its cosine and
+# its sine, of which either may be next to nothing. Where one is, the likelihood depends on the
+# square of it: a search ends there, where it would go on for ever along a logarithm.
+_MIXED = (0.08, np.pi / 2 - 1e-3)
+
+# Where a search may begin: angles, and how many times between the shortest and the longest.
+_ANGLES = (0.25, 0.6, 1.2)
+_TIMES = 4
+
+# Of the minimiser. The likelihood is a logarithm of thousands: its differences are of steps that
+# its rounding does not reach, and an iteration that gains less than this is the last.
+_STEP = 1e-5
+_ENOUGH = 1e-4
+_ITERATIONS = 30
+
+
+class Shape(NamedTuple):
+    """Noise with a memory but for its size.
+
+    Attributes:
+        angle: its tangent is the correlated part over the white one, rad.
+        log_time: logarithm of the correlation time in s.
+    """
+
+    angle: float
+    log_time: float
+
+    @classmethod
+    def of(cls, noise: ChannelNoise) -> Self:
+        """That of some noise, inside the range of a search."""
+        angle = float(np.clip(np.arctan2(noise.correlated, noise.white), 0.1, 1.5))
+        return cls(angle, float(np.log(noise.time_s)))
+
+    def noise(self, deviation: float) -> ChannelNoise:
+        """The noise of which a cell has a deviation."""
+        return ChannelNoise(
+            white=deviation * float(np.cos(self.angle)),
+            correlated=deviation * float(np.sin(self.angle)),
+            time_s=float(np.exp(self.log_time)),
+        )
+
+
+def time_limits(problem: Restricted, key: str) -> tuple[float, float] | None:
+    """Logarithms of the shortest and longest time that a memory may have; None without any."""
+    cells = problem.of_key(key)
+    timed = [each.times for each in cells if each.times is not None and len(each.times) > 2]
+    if not timed or sum(len(each.residual) for each in cells) < _FEWEST_SAMPLES:
+        return None
+    step = float(np.median(np.concatenate([np.diff(times) for times in timed])))
+    return float(np.log(step / 3)), float(np.log(max(np.ptp(times) for times in timed)))
+
+
+def promising(problem: Restricted, stated: Mapping[str, Stated]) -> dict[str, Shape]:
+    """The best of a few shapes of each key for which one is better than white noise.
+
+    Arguments:
+        problem: with white noise of about the right size, or noise with a memory.
+        stated: what is known of each key.
+    """
+    alike: dict[Hashable, list[str]] = {}
+    for key in problem.noise:
+        if stated[key].correlated is None or stated[key].noise is None:
+            instants = tuple(each.instants for each in problem.of_key(key))
+            alike.setdefault(instants, []).append(key)
+    starts = {}
+    for keys in alike.values():
+        limits = time_limits(problem, keys[0])
+        if limits is None:
+            continue
+        low, high = limits
+        times = np.linspace(low + 1, high - 2, _TIMES).tolist()
+        shapes = [Shape(angle, time) for angle in _ANGLES for time in times]
+        noises = [ChannelNoise(1.0), *(shape.noise(1.0) for shape in shapes)]
+        for key, by_scale in problem.by_scales(keys, noises).items():
+            size = np.full(len(noises), np.log(problem.noise[key].deviation))
+            values = best_scales(by_scale, size)[1]
+            if stated[key].deviation is not None:
+                fixed = by_scale(size[:, None])[:, 0]
+                values = fixed if _gain(fixed) > _PROMISING else values
+            if _gain(values) > _PROMISING:
+                starts[key] = shapes[int(np.argmin(values[1:]))]
+    return starts
+
+
+def _gain(values: np.ndarray) -> float:
+    """By how much the best of the others is better than the first, in -2 log L."""
+    return float(values[0] - np.min(values[1:]))
+
+
+def with_memory(
+    problem: Restricted,
+    key: str,
+    white: ChannelNoise,
+    starts: Sequence[Shape],
+    limits: tuple[float, float],
+    *,
+    fixed: bool,
+) -> ChannelNoise:
+    """The best noise with a memory, where it is worth it; else the white one.
+
+    Arguments:
+        problem: with the other keys' noise.
+        key: of the channels.
+        white: the best without a memory.
+        starts: of the search, which begins at the best of them.
+        limits: as `time_limits`.
+        fixed: whether the deviation of a cell is that of `white`.
+    """
+    size = white.deviation
+    noises = [white, *(shape.noise(size) for shape in starts)]
+    least, *values = problem.by_scale(key, noises)(np.zeros((len(noises), 1)))[:, 0].tolist()
+    at = starts[int(np.argmin(values))]
+    bounds = [_MIXED, limits, (0.0, 0.0) if fixed else (-3.0, 3.0)]
+
+    def with_slopes(x: np.ndarray) -> tuple[float, np.ndarray]:
+        moved = [x.copy() for _ in range(3)]
+        steps = [_STEP if x[i] + _STEP < bounds[i][1] else -_STEP for i in range(2)]
+        for i, step in enumerate(steps):
+            moved[1 + i][i] += step
+        by_scale = problem.by_scale(key, [Shape(*each[:2].tolist()).noise(size) for each in moved])
+        (value, larger), *others = by_scale(
+            np.array([x[2], x[2] + _STEP]) * np.ones((3, 1))
+        ).tolist()
+        slopes = [(other[0] - value) / step for other, step in zip(others, steps, strict=True)]
+        return value, np.array([*slopes, (larger - value) / _STEP])
+
+    # Slow to import, and most fits estimate no noise.
+    from scipy.optimize import minimize
+
+    # SciPy's is relative to the likelihood, which is as large as there are cells.
+    options = {"ftol": _ENOUGH / max(abs(least), 1.0), "maxiter": _ITERATIONS}
+    done = minimize(
+        with_slopes, [*at, 0.0], jac=True, method="L-BFGS-B", bounds=bounds, options=options
+    )
+    if least - float(done.fun) < _WORTH:
+        return white
+    angle, time, scale = done.x.tolist()
+    return Shape(angle, time).noise(size * float(np.exp(scale)))
+
 
 # That stated noise must be missed by to be left: a chance of 1 in 100, for one parameter.
 _REJECTED = 6.63

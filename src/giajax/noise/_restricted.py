@@ -21,10 +21,154 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from .._typing import Float
-from ._basis import conditioned
-from ._cells import Cells, grams
-from ._model import ChannelNoise
+from ..runtime.arrays import Bool, Float
+from ._model import ChannelNoise, solve
+
+# The cells of a channel with their derivatives: what the noise is estimated from.
+
+# Numbers that are passed over together, at most: what is near the processor.
+_TOGETHER = 2**17
+
+
+@dataclasses.dataclass(frozen=True)
+class Cells:
+    """The measured cells of one channel of one run.
+
+    Attributes:
+        key: of their noise: cells of the same key have the same.
+        run: number of the run.
+        times: s, increasing, shape (cell,); None for a run without time.
+        weights: of the cells, 1 but for outliers (`ChannelNoise.white` is divided by their root).
+        residual: predicted minus recorded, SI, shape (cell,).
+        shared: its derivatives by the parameters that the runs share, shape (cell, shared).
+        own: its derivatives by those of the run, shape (cell, own).
+    """
+
+    key: str
+    run: int
+    times: Float[np.ndarray, " cell"] | None
+    weights: Float[np.ndarray, " cell"]
+    residual: Float[np.ndarray, " cell"]
+    shared: Float[np.ndarray, "cell shared"]
+    own: Float[np.ndarray, "cell own"]
+
+    def where(self, kept: Bool[np.ndarray, " cell"]) -> Self:
+        """Some of the cells."""
+        return dataclasses.replace(
+            self,
+            times=None if self.times is None else self.times[kept],
+            weights=self.weights[kept],
+            residual=self.residual[kept],
+            shared=self.shared[kept],
+            own=self.own[kept],
+        )
+
+    def gram(self, noise: ChannelNoise) -> tuple[np.ndarray, float]:
+        """X^T V^-1 X of own and shared columns and the residual, in that order; and log|V|."""
+        solved = solve(noise, self.times, self.weights, self._columns)
+        return self._columns.T @ solved.columns, solved.log_determinant
+
+    @functools.cached_property
+    def _columns(self) -> np.ndarray:
+        """Own, shared and residual, those of a column side by side in memory."""
+        return np.asfortranarray(np.column_stack([self.own, self.shared, self.residual]))
+
+    @functools.cached_property
+    def instants(self) -> tuple[bytes, bytes]:
+        """Cells of the same ones have the same times and weights, whatever they measure."""
+        return b"" if self.times is None else self.times.tobytes(), self.weights.tobytes()
+
+
+def grams(cells: Sequence[Cells], noise: ChannelNoise) -> list[tuple[np.ndarray, float]]:
+    """`Cells.gram` of each; those at the same instants go through their samples together."""
+    results: dict[int, tuple[np.ndarray, float]] = {}
+    for at in _batches(cells):
+        first = cells[at[0]]
+        columns = [cells[i]._columns for i in at]
+        solved = solve(noise, first.times, first.weights, np.hstack(columns))
+        ends = np.cumsum([each.shape[1] for each in columns])[:-1]
+        for i, of_cells, one in zip(at, columns, np.hsplit(solved.columns, ends), strict=True):
+            results[i] = of_cells.T @ one, solved.log_determinant
+    return [results[i] for i in range(len(cells))]
+
+
+def _batches(cells: Sequence[Cells]) -> list[list[int]]:
+    """Positions of cells at the same instants, of no more numbers than go together."""
+    batches: list[list[int]] = []
+    open_ones: dict[tuple[bytes, bytes], tuple[list[int], int]] = {}
+    for i, each in enumerate(cells):
+        batch, size = open_ones.get(each.instants, ([], 0))
+        # A channel may have no cells at all.
+        if not batch or size + each._columns.size > _TOGETHER:
+            batch, size = [], 0
+            batches.append(batch)
+        batch.append(i)
+        open_ones[each.instants] = batch, size + each._columns.size
+    return batches
+
+
+# Other columns of the derivatives that span the same, and depend on each other no more.
+
+# Column-normalised singular value below which a combination of parameters is not determined.
+_COLLINEAR = 1e-6
+
+
+def conditioned(
+    cells: Sequence[Cells],
+    noise: Mapping[str, ChannelNoise],
+    prior: Float[np.ndarray, "column column"],
+) -> tuple[tuple[Cells, ...], np.ndarray]:
+    """The cells with other columns that span the same: orthonormal with the given noise and prior.
+
+    Directions that neither cells nor prior respond to are left out; so are own columns that do not
+    respond.
+
+    Returns:
+        The cells, and the prior by their columns.
+    """
+    runs = sorted({each.run for each in cells})
+    changed = dict(enumerate(cells))
+    triangles = []
+    for run in runs:
+        at = [i for i, each in enumerate(cells) if each.run == run]
+        gram = np.sum([cells[i].gram(_marginal(noise[cells[i].key]))[0] for i in at], axis=0)
+        width = cells[at[0]].own.shape[1]
+        own = orthonormal(gram[:width, :width])
+        across = own.T @ gram[:width, width:-1]
+        triangles.append(gram[width:-1, width:-1] - across.T @ across)
+        for i in at:
+            basis = cells[i].own @ own
+            changed[i] = dataclasses.replace(
+                cells[i], own=basis, shared=cells[i].shared - basis @ across
+            )
+    shared = orthonormal(np.sum(triangles, axis=0) + prior[:-1, :-1])
+    across = shared.T @ prior[:-1, -1:]
+    known = np.block([[shared.T @ prior[:-1, :-1] @ shared, across], [across.T, prior[-1:, -1:]]])
+    those = (dataclasses.replace(each, shared=each.shared @ shared) for each in changed.values())
+    return tuple(those), known
+
+
+def _marginal(noise: ChannelNoise) -> ChannelNoise:
+    return ChannelNoise(noise.deviation)
+
+
+def orthonormal(gram: np.ndarray) -> np.ndarray:
+    """B with B^T gram B = 1, of the directions that count.
+
+    Arguments:
+        gram: X^T X of columns of any size, shape (column, column).
+
+    Returns:
+        Of shape (column, rank).
+    """
+    if not len(gram):
+        return gram
+    norms = np.sqrt(np.maximum(np.diag(gram), 0))
+    norms = np.where(norms > 0, norms, np.inf)
+    values, vectors = np.linalg.eigh(gram / np.outer(norms, norms))
+    kept = values > max(_COLLINEAR**2, 1e-12) * max(values[-1], 1e-300)
+    return vectors[:, kept] / np.sqrt(values[kept]) / norms[:, None]
+
 
 ByScale = Callable[[Float[np.ndarray, "noise scale"]], Float[np.ndarray, "noise scale"]]
 """-2 log L by the logarithms of factors of each of several noises of one key."""
@@ -187,3 +331,44 @@ def _eliminated(
     rest = gram[..., width:, width:] - np.swapaxes(across, -1, -2) @ across
     diagonal = np.diagonal(factor, axis1=-2, axis2=-1)
     return rest, 2 * np.sum(np.log(diagonal), axis=-1)
+
+
+# The size of noise that makes a likelihood largest, by Newton's method.
+
+# Of a logarithm: for the derivatives of a likelihood of thousands, by differences, and a change
+# that leaves it as it is.
+_STEP = 1e-3
+_ENOUGH = 3e-4
+_LONGEST = 1.0
+_ITERATIONS = 20
+
+# Where nothing at all is left, noise may be of any smallness: a logarithm.
+_FURTHEST = 8.0
+
+
+def best_scales(
+    by_scale: ByScale, start: Float[np.ndarray, " noise"]
+) -> tuple[Float[np.ndarray, " noise"], Float[np.ndarray, " noise"]]:
+    """Logarithms of the factors at which noises are most likely, and -2 log L there.
+
+    Arguments:
+        by_scale: of the noises.
+        start: logarithms to begin with.
+    """
+    logs = start
+    for _ in range(_ITERATIONS):
+        behind, here, ahead = by_scale(logs[:, None] + _STEP * np.array([-1.0, 0.0, 1.0])).T
+        slope, curvature = (ahead - behind) / (2 * _STEP), (ahead - 2 * here + behind) / _STEP**2
+        # Far above the best factor the likelihood is straight, and Newton's step has no meaning.
+        straight = np.where(curvature > 0, curvature, np.abs(slope) / _LONGEST + 1e-300)
+        step = np.clip(-slope / straight, -_LONGEST, _LONGEST)
+        before, logs = logs, np.clip(logs + step, start - _FURTHEST, start + _FURTHEST)
+        if np.all(np.abs(logs - before) < _ENOUGH):
+            break
+    return logs, by_scale(logs[:, None])[:, 0]
+
+
+def scaled(problem: Restricted, key: str, noise: ChannelNoise) -> ChannelNoise:
+    """The noise times the factor that makes the likelihood largest."""
+    logs, _ = best_scales(problem.by_scale(key, [noise]), np.zeros(1))
+    return noise.times(float(np.exp(logs[0])))

@@ -1,21 +1,250 @@
 """A result as a folder of files."""
 
+import dataclasses
+import hashlib
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from ..fitting import FitResult, matching_runs
-from ..runs import (
+from ..fitting import Estimate, FitResult, matching_runs
+from ..models import AbstractModel
+from ..recordings import (
+    Definition,
+    Figure,
     Run,
     check_output_folder,
     make_folder,
+    run_keys,
     unique_names,
     write_files,
 )
-from ..study import begun_where_it_ended
-from ._names import PAGE, RESULT, SIGNATURE
-from ._prediction import prediction_files
+from ..runtime.files import parse_json, read_bytes
+from ..runtime.limits import RESULT_BYTES
+from ..runtime.text import InputError, format_estimate
+from ..schema.parameters import find, switched_on
+from ..studies import begun_where_it_ended
+from ._style import PAGE, RESULT, SIGNATURE
+
+# Whether a folder may take the result of a fit.
+
+# What makes two fits the same fit; the iterations allowed and the folder do not.
+_SAME = (
+    *("definition", "runs", "free", "start", "fix", "loss", "begin"),
+    *("priors", "bounds", "ties", "groups", "hold_out"),
+)
+_WORDS = {
+    "definition": "the model's constants",
+    "runs": "what the sidecar states",
+    "loss": "loss",
+    "hold_out": "what is held out",
+}
+
+
+def check_folder(
+    folder: str | Path, runs: Sequence[Run], config: Mapping[str, Any], *, force: bool = False
+) -> None:
+    """Refuse a folder that cannot take a result, or holds one of something else.
+
+    Call it before the fit, which may take hours.
+
+    Arguments:
+        folder: where `write_result` is to write; need not exist.
+        runs: the runs to be fitted.
+        config: of the fit: `Setup.config`, which `giajax.fitting.set_up` makes.
+        force: write over any result that is there.
+
+    Raises:
+        InputError: the folder is a file, cannot be written, or (without `force`) holds the
+            result of other data, of another configuration, or of another program.
+    """
+    folder = Path(folder)
+    check_output_folder(folder)
+    path = folder / RESULT
+    if force or not path.exists():
+        return
+    remedy = "give another --out, or --force to write over it"
+    try:
+        record = parse_json(read_bytes(path, RESULT_BYTES).decode(), path)
+        checksums = [run["sha256"] for run in record["runs"]]
+        before = record["config"]
+        differing = [key for key in _SAME if before.get(key) != _as_json(config.get(key))]
+    except OSError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror}): {remedy}") from None
+    except (ValueError, LookupError, TypeError, AttributeError):
+        raise InputError(f"{path} is not a result of giajax: {remedy}") from None
+    if checksums != [run.sha256 for run in runs]:
+        names = ", ".join(str(run.get("name")) for run in record["runs"])
+        raise InputError(f"{folder} holds the result of other data ({names}): {remedy}")
+    if differing:
+        what = ", ".join(_WORDS.get(key, key) for key in differing)
+        raise InputError(
+            f"{folder} holds the result of another configuration (it differs in {what}): {remedy}"
+        )
+
+
+def _as_json(value: Any) -> Any:
+    """What becomes of a value that is written as JSON and read again."""
+    return json.loads(json.dumps(value))
+
+
+# Whether a result reaches the figures that a fit definition asks for.
+
+
+@dataclasses.dataclass(frozen=True)
+class Reached:
+    """One figure of a definition: whether the result reaches it, and a sentence that says so."""
+
+    path: str
+    reached: bool
+    sentence: str
+
+
+def check_figures(model: AbstractModel, definition: Definition) -> None:
+    """Refuse `[figures]` of parameters that the model does not have, before anything is fitted.
+
+    Arguments:
+        model: the one that is to be fitted.
+        definition: with its `[figures]`.
+
+    Raises:
+        InputError: naming the path and the nearest one.
+    """
+    asked = definition.fit
+    model = switched_on(model, (*(asked.free or ()), *(asked.start or ()), *(asked.fix or ())))
+    derived = model.derived()
+    for path in definition.figures:
+        if path not in derived:
+            find(model, path)
+
+
+def reached(result: FitResult, definition: Definition) -> list[Reached]:
+    """Compare a result with the `[figures]` of a fit definition.
+
+    Arguments:
+        result: the result of the fit.
+        definition: with its `[figures]`.
+
+    Returns:
+        One for each figure, in the order of the definition.
+    """
+    estimates = {**result.parameters, **result.derived}
+    return [
+        Reached(path, *_compare(estimates.get(path), figure))
+        for path, figure in definition.figures.items()
+    ]
+
+
+def _compare(estimate: Estimate | None, figure: Figure) -> tuple[bool, str]:
+    value, allowed, relative = figure.value, figure.standard_errors, figure.relative_error
+    if estimate is None or not estimate.free:
+        return False, "was not fitted"
+    error = estimate.standard_error
+    # An error beyond the value is what the result itself calls barely determined.
+    determined = error is not None and error <= abs(estimate.value)
+    if figure.determined is False:
+        return not determined, "is not determined" if not determined else "is determined"
+    if error is None or not error > 0:
+        return False, "has no standard error"
+    shown = " +- ".join(format_estimate(estimate.value, error))
+    sentences, good = [], True
+    if value is not None and allowed is not None:
+        away = abs(estimate.value - value) / error
+        good &= away <= allowed
+        sentences.append(f"{away:.2g} standard errors from {value:g} (at most {allowed:g})")
+    if value is not None and figure.within is not None:
+        off = abs(estimate.value / value - 1) if value else abs(estimate.value)
+        good &= off <= figure.within
+        sentences.append(f"{off:.2%} from {value:g} (at most {figure.within:.2%})")
+    if relative is not None:
+        achieved = error / abs(estimate.value) if estimate.value else float("inf")
+        good &= achieved <= relative
+        sentences.append(f"standard error {achieved:.2%} (at most {relative:.2%})")
+    return good, f"{shown}: {', '.join(sentences)}"
+
+
+# What a fitted model predicts, as files: tables of its channels, and the sidecar of a run.
+
+
+def prediction_files(
+    result: FitResult,
+    runs: Sequence[Run],
+    names: Sequence[str],
+    predictions: Sequence[Mapping[str, np.ndarray]],
+) -> dict[str, bytes]:
+    """`prediction.csv`, and its sidecar where it is a run: contents by name of the file.
+
+    Arguments:
+        result: the fit.
+        runs: the runs that were fitted.
+        names: of the runs, each another one.
+        predictions: what the fitted model predicts for each run, SI, by channel.
+
+    Returns:
+        The contents, encoded.
+    """
+    tables = [_table(run, predicted) for run, predicted in zip(runs, predictions, strict=True)]
+    if len(runs) == 1:
+        data = _csv(tables[0])
+        checksum = hashlib.sha256(data).hexdigest()
+        return {
+            "prediction.csv": data,
+            "prediction.toml": _sidecar(result, runs[0], checksum).to_toml().encode(),
+        }
+    columns = list(dict.fromkeys(column for table in tables for column in table))
+    together: dict[str, list[str]] = {"run": []}
+    together |= {column: [] for column in columns}
+    for name, table in zip(names, tables, strict=True):
+        count = len(next(iter(table.values())))
+        together["run"] += [name] * count
+        for column in columns:
+            together[column] += table.get(column, [""] * count)
+    return {"prediction.csv": _csv(together)}
+
+
+def _table(run: Run, predicted: Mapping[str, np.ndarray]) -> dict[str, list[str]]:
+    """Cells by column: those of the recording, with predictions in place of measurements."""
+    columns = {}
+    if run.times is not None:
+        columns["time_s"] = _cells(run.times, 12)
+    for name, channel in run.channels.items():
+        values = predicted.get(name, run.values[name])
+        if channel.quantity == "text":
+            columns[channel.column] = ["" if text is None else str(text) for text in values]
+        else:
+            columns[channel.column] = _cells(channel.from_si(values), 9)
+    return columns
+
+
+def _cells(values: np.ndarray, digits: int) -> list[str]:
+    # Adding zero turns -0.0 into 0.0.
+    return [f"{v:.{digits}g}" if np.isfinite(v) else "" for v in (values + 0.0).tolist()]
+
+
+def _csv(columns: Mapping[str, list[str]]) -> bytes:
+    lines = [",".join(columns), *map(",".join, zip(*columns.values(), strict=True))]
+    return ("\n".join(lines) + "\n").encode()
+
+
+def _sidecar(result: FitResult, run: Run, checksum: str) -> Definition:
+    """What the prediction was made with, so that it can be read, checked and fitted as a run."""
+    sidecar = run.definition.contents()
+    # The noise is that of the recording, which a prediction does not have.
+    about = [key for key in run_keys(model=False) if key != "noise"]
+    definition = result.model.definition()
+    model = {key: definition[key] for key in run.kind.sections if key in definition}
+    return Definition.parse(
+        {
+            "model": run.model,
+            "origin": f"predicted by giajax from a fit to {run.name}",
+            "sha256": checksum,
+            **model,
+            **{key: sidecar[key] for key in about if key in sidecar},
+        },
+        "prediction.toml",
+    )
 
 
 def write_result(

@@ -4,13 +4,13 @@ import importlib.util
 from collections.abc import Sequence
 from pathlib import Path
 
-from .._errors import InputError
-from .._files import read_bytes
-from .._limits import RESULT_BYTES
 from ..fitting import FitResult
-from ..runs import Run
-from ..study import Contrast
-from ._names import PAGE as PAGE, SIGNATURE
+from ..recordings import Run
+from ..runtime.files import read_bytes
+from ..runtime.limits import RESULT_BYTES
+from ..runtime.text import InputError
+from ..studies import Contrast
+from ._style import SIGNATURE
 
 _NEEDED = ("bokeh", "jinja2")
 
@@ -89,7 +89,7 @@ def compare_page(found: Contrast, results: Sequence[FitResult]) -> bytes:
     """Results side by side as one HTML file that opens without a network.
 
     Arguments:
-        found: what `giajax.study.contrast` says of them.
+        found: what `giajax.studies.contrast` says of them.
         results: the results, in the same order.
 
     Returns:

@@ -1,16 +1,444 @@
 """The pictures that a fit leaves: recorded and fitted values, residuals, correlations."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
+from matplotlib.ticker import MaxNLocator
 
-from ..fitting import FitResult
-from ..runs import Run, observing, unique_names
-from ._correlation import correlation_figure
-from ._recorded import recorded_figure
-from ._residuals import residuals_figure
-from ._style import to_png
-from ._worst import MOST_RUNS, worth_drawing
+from ..fitting import FitResult, HeldOut, RunFit
+from ..noise import by_second_differences
+from ..recordings import Channel, Run, observing, unique_names
+from ._style import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    LIGHT,
+    MINUS,
+    VERMILLION,
+    new_figure,
+    plain,
+    to_png,
+    unfinished,
+)
+from ._text import MOST_RUNS, worth_drawing
+
+# What the channels of a run are drawn over, and which of them together.
+
+# A step of this many times the usual one, and of this part of the range, is no motion.
+_JUMP, _FAR = 20, 0.3
+
+
+def abscissa(run: Run) -> tuple[np.ndarray, str]:
+    """What the channels of a run are drawn over, in the unit of the file, and its label."""
+    name = run.drawn_over
+    if name is None:
+        return sample_times(run), time_label(run)
+    return run.channels[name].from_si(run.values[name]), channel_label(run.channels[name])
+
+
+def channel_label(channel: Channel) -> str:
+    """Name and unit of a channel."""
+    return channel.name + (f" ({channel.unit.replace('_per_', '/')})" if channel.unit else "")
+
+
+def sample_times(run: Run) -> np.ndarray:
+    """Times of the samples, s; their numbers where a run has no times."""
+    if run.times is not None:
+        return run.times
+    return np.arange(len(next(iter(run.values.values()))), dtype=float)
+
+
+def time_label(run: Run) -> str:
+    """What `sample_times` are."""
+    return "time (s)" if run.times is not None else "sample"
+
+
+def sweep_starts(over: np.ndarray) -> np.ndarray:
+    """Samples at which a run of sweeps starts another one, having jumped there."""
+    steps = np.abs(np.diff(over))
+    usual = np.median(steps[steps > 0]) if np.any(steps > 0) else 0.0
+    return np.flatnonzero((steps > _JUMP * usual) & (steps > _FAR * np.ptp(over))) + 1
+
+
+def channels_together(run: Run, most: int) -> list[list[str]]:
+    """Names of the channels that share a panel.
+
+    One channel each; the components of a link or of the tip share one where there would be more
+    than `most`.
+    """
+    names = list(run.observations)
+    if len(names) <= most:
+        return [[name] for name in names]
+    together: dict[Any, list[str]] = {}
+    for name in names:
+        channel = run.channels[name]
+        together.setdefault((channel.kind, channel.index, channel.unit), []).append(name)
+    return list(together.values())
+
+
+# The picture of the correlations between the estimates.
+
+# More matrix cells than this leave no room for a number in each.
+_MOST_NUMBERS = 16
+
+
+def correlation_figure(result: FitResult) -> Figure:
+    """Correlations between the parameters that the data determine."""
+    paths = result.correlation.parameters
+    matrix = np.array(result.correlation.matrix, dtype=float).reshape(len(paths), len(paths))
+    size = max(0.55 * len(paths), 1.0)
+    title = f"Correlation of the estimates{unfinished(result)}"
+    figure = new_figure(min(size, 11) + 3.6, min(size, 11) + 1.9, title)
+    axes = figure.subplots()
+    if not paths:
+        axes.set_axis_off()
+        axes.text(0.5, 0.5, "no parameter is determined", ha="center", fontsize=10, color=INK)
+        return figure
+    # Each pair once: the other half and the ones on the diagonal say nothing.
+    below = np.where(np.tri(len(paths), k=-1, dtype=bool), matrix, np.nan)
+    image = axes.imshow(below, cmap="RdBu_r", vmin=-1, vmax=1)
+    axes.set_xticks(range(len(paths)), paths, rotation=45, ha="right", rotation_mode="anchor")
+    axes.set_yticks(range(len(paths)), paths)
+    axes.tick_params(labelsize=8, length=0, labelcolor=INK)
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+    for i in range(len(paths)):
+        axes.add_patch(Rectangle((i - 0.5, i - 0.5), 1, 1, facecolor=LIGHT, edgecolor="white"))
+        for j in range(i if len(paths) <= _MOST_NUMBERS else 0):
+            colour = "white" if abs(below[i, j]) > 0.6 else INK
+            number = _correlation(below[i, j])
+            axes.text(j, i, number, ha="center", va="center", fontsize=8, color=colour)
+    bar = figure.colorbar(image, ax=axes, shrink=0.8, ticks=[-1, -0.5, 0, 0.5, 1])
+    bar.ax.tick_params(labelsize=8, length=0, labelcolor=INK)
+    bar.outline.set_visible(False)
+    return figure
+
+
+def _correlation(value: float) -> str:
+    # Three digits where two would round to one, which no correlation here is.
+    digits = 3 if abs(value) >= 0.995 else 2
+    return "?" if np.isnan(value) else f"{value:.{digits}f}".replace("-", MINUS)
+
+
+# The picture of a run: recorded against fitted.
+
+# More panels than this cannot be read on one screen.
+_MOST_PANELS = 24
+
+# Of cells that were fitted, and of those that were held out.
+_SHADES = {False: GREY, True: VERMILLION}
+
+_COMPONENTS = {"x": BLUE, "y": VERMILLION, "z": GREEN}
+
+
+def recorded_figure(
+    result: FitResult,
+    run: Run,
+    predicted: Mapping[str, np.ndarray],
+    record: RunFit | HeldOut,
+    held: Run | None = None,
+) -> Figure:
+    """Recorded against fitted channels of one run, in the units of its file.
+
+    Over time, or over what makes them a curve, such as the input of a hysteresis loop.
+    One panel a channel; the components of a link or of the tip share one where there would be
+    too many. Cells that were not measured are gaps between the dots.
+
+    Arguments:
+        result: the fit.
+        run: the recorded run.
+        predicted: what the fitted model predicts for it, SI.
+        record: the run's entry in `result.runs`, or in `result.held_out`.
+        held: what was held out of it, which is drawn hollow; `run` itself for a picture of it.
+
+    Returns:
+        The picture.
+    """
+    panels, left_out = _panels(run)
+    columns = _columns(len(panels))
+    rows = -(-len(panels) // columns)
+    alone = held is run
+    what = "held out and predicted" if alone else "recorded and fitted"
+    title = f"{run.name}: {what}{unfinished(result)}"
+    if left_out:
+        title += f"; {left_out} more channels are in prediction.csv"
+    over, label = abscissa(run)
+    # A curve is read best about as high as it is wide, a motion in a wide picture.
+    height = 2.05 if run.drawn_over is None else 3.4
+    figure = new_figure(max(3.7 * columns, 6.5), max(height * rows, 2.4) + 0.6, title)
+    grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
+    for position, axes in enumerate(grid.flat):
+        if position >= len(panels):
+            axes.set_visible(False)
+            continue
+        _draw_panel(axes, panels[position], run, over, predicted, record, held)
+        # The last panel of each column carries the axis's name, also above an empty place.
+        if position + columns >= len(panels):
+            axes.set_xlabel(label)
+            axes.tick_params(labelbottom=True)
+    hollow = held is not None and any(
+        name in held.observations for names in panels for name in names
+    )
+    _legend(figure, any(len(names) > 1 for names in panels), hollow=hollow, alone=alone)
+    return figure
+
+
+def _panels(run: Run) -> tuple[list[list[str]], int]:
+    """Names of the channels in each panel, and how many channels have none."""
+    panels = channels_together(run, _MOST_PANELS)
+    if len(panels) <= _MOST_PANELS:
+        return panels, 0
+    chosen = np.linspace(0, len(panels) - 1, _MOST_PANELS).round().astype(int)
+    panels = [panels[i] for i in chosen]
+    return panels, len(run.observations) - sum(len(panel) for panel in panels)
+
+
+def _columns(panels: int) -> int:
+    return next(c for c, most in ((1, 1), (2, 8), (3, 15), (4, _MOST_PANELS)) if panels <= most)
+
+
+def _draw_panel(
+    axes: Axes,
+    names: list[str],
+    run: Run,
+    over: np.ndarray,
+    predicted: Mapping[str, np.ndarray],
+    record: RunFit | HeldOut,
+    held: Run | None,
+) -> None:
+    channels = [run.channels[name] for name in names]
+    several = len(channels) > 1
+    size = 1.6 if len(over) > 400 else 2.6
+    cells = [(run, channel) for channel in channels if held is not run]
+    if held is not None:
+        cells += [(held, channel) for channel in channels if channel.name in held.observations]
+    for shown, channel in cells:
+        hollow = shown is held
+        axes.plot(
+            over,
+            channel.from_si(shown.observations[channel.name]),
+            linestyle="none",
+            marker="o",
+            # A precise recording would hide behind the line.
+            markersize=size + 0.8 if several or hollow else size,
+            markeredgewidth=0.6 if hollow else 0,
+            markerfacecolor="none" if hollow else None,
+            color=_colour(channel) if several else _SHADES[hollow],
+            alpha=0.6,
+        )
+    sweeps = np.array([], dtype=int) if over is run.times else sweep_starts(over)
+    line = np.insert(np.asarray(over, dtype=float), sweeps, np.nan)
+    for channel in channels:
+        fitted = np.insert(channel.from_si(predicted[channel.name]), sweeps, np.nan)
+        axes.plot(line, fitted, color=INK if several else BLUE, linewidth=0.8 if several else 1.2)
+    label = channel_label(channels[0])
+    plain(axes, label if len(names) == 1 else label.replace(names[0], names[0][:-2]))
+    axes.yaxis.set_major_locator(MaxNLocator(5))
+    known = [rmse for name in names if (rmse := record.channels[name].rmse) is not None]
+    if len(known) == len(names):
+        axes.set_title(f"RMSE {max(known):.3g}", fontsize=8, loc="right", color=GREY)
+
+
+def _colour(channel: Channel) -> str:
+    return BLUE if channel.component is None else _COMPONENTS["xyz"[channel.component]]
+
+
+def _legend(figure: Figure, components: bool, *, hollow: bool, alone: bool) -> None:
+    """One legend for all panels, in the title's line."""
+    dots: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 4}
+    recorded: dict[str, str] = {} if alone else {"recorded": GREY}
+    if components:
+        recorded = {f"{name} recorded": colour for name, colour in _COMPONENTS.items()}
+    handles = [Line2D([], [], color=c, label=name, **dots) for name, c in recorded.items()]
+    if hollow:
+        colour = INK if components else _SHADES[True]
+        handles.append(
+            Line2D([], [], color=colour, markerfacecolor="none", label="held out", **dots)
+        )
+    word = "predicted" if alone else "fitted"
+    handles.append(Line2D([], [], color=INK if components else BLUE, linewidth=1.4, label=word))
+    figure.legend(
+        handles=handles, loc="outside upper right", ncols=len(handles), fontsize=8, frameon=False
+    )
+
+
+# The picture of the residuals: what the model misses, when and where.
+
+
+def residuals_figure(
+    result: FitResult, runs: Sequence[Run], predictions: Sequence[Mapping[str, np.ndarray]]
+) -> Figure:
+    """Residuals in units of the noise: over time, as a distribution, and by channel.
+
+    Arguments:
+        result: the fit.
+        runs: the recorded runs.
+        predictions: what the fitted model predicts for each, SI, by channel.
+
+    Returns:
+        The picture.
+    """
+    tables = [
+        _weighted(run, predicted, record)
+        for run, predicted, record in zip(runs, predictions, result.runs, strict=True)
+    ]
+    shown = min(len(runs), 6)
+    title = f"Residuals (recorded - fitted) in units of the noise{unfinished(result)}"
+    if shown < len(runs):
+        title += f"; the first {shown} of {len(runs)} runs over time"
+    figure = new_figure(11, 2.3 * shown + 2.9, title)
+    grid = figure.add_gridspec(
+        shown + 1, 2, width_ratios=[3, 1], height_ratios=[1.0] * shown + [0.9]
+    )
+    everything = np.concatenate([table[~np.isnan(table)] for table in tables])
+    limit = float(np.clip(np.abs(everything).max(initial=0.0), 4.0, 8.0))
+    for index in range(shown):
+        axes = figure.add_subplot(grid[index, 0])
+        _draw_over_time(axes, runs[index], tables[index], limit)
+        if index == 0:
+            _legend_above(axes)
+    _draw_distribution(figure.add_subplot(grid[:shown, 1]), everything, limit)
+    _draw_by_channel(figure.add_subplot(grid[shown, :]), runs, tables)
+    return figure
+
+
+def _weighted(run: Run, predicted: Mapping[str, np.ndarray], record: RunFit) -> np.ndarray:
+    """Residuals in units of the noise, NaN where not measured; shape (sample, channel)."""
+    columns = []
+    for name, values in run.observations.items():
+        rest = values - predicted[name]
+        columns.append(rest / _noise(run, name, rest, record))
+    return np.stack(columns, axis=-1)
+
+
+def _noise(run: Run, name: str, rest: np.ndarray, record: RunFit) -> float:
+    """The noise of a channel as the verdict sees it, SI: stated, or from sample to sample.
+
+    What was estimated from the residuals may have taken in what the model misses.
+    """
+    stated = run.noise(name)
+    if stated is not None:
+        return stated
+    adopted = float(run.channels[name].to_si(record.channels[name].noise))
+    return adopted if run.times is None else min(by_second_differences(rest) or adopted, adopted)
+
+
+def _draw_over_time(axes: Axes, run: Run, table: np.ndarray, limit: float) -> None:
+    times = sample_times(run)
+    count = table.size
+    axes.plot(
+        np.broadcast_to(times[:, None], table.shape).ravel(),
+        np.clip(table, -limit, limit).ravel(),
+        linestyle="none",
+        marker="o",
+        markeredgewidth=0,
+        markersize=2.4 if count < 3000 else 1.6,
+        alpha=0.55 if count < 3000 else 0.3,
+        color=GREY,
+        label="each value",
+    )
+    centres, rms = _running_rms(times, table)
+    axes.plot(centres, rms, color=VERMILLION, linewidth=1.6, label="RMS (1 if only noise is left)")
+    axes.axhline(1, color=VERMILLION, linewidth=0.8, linestyle=(0, (4, 3)))
+    plain(axes, run.name)
+    axes.set_ylim(-1.05 * limit, 1.05 * limit)
+    axes.set_ylabel("residual / noise")
+    axes.set_xlabel(time_label(run))
+
+
+def _running_rms(times: np.ndarray, table: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Root mean square over all channels in up to 40 equal spans of time."""
+    spans = int(np.clip(table.size // 40, 1, 40))
+    edges = np.linspace(times[0], times[-1], spans + 1)
+    member = np.clip(np.searchsorted(edges, times, side="right") - 1, 0, spans - 1)
+    centres, rms = [], []
+    for span in range(spans):
+        cells = table[member == span]
+        cells = cells[~np.isnan(cells)]
+        centres.append((edges[span] + edges[span + 1]) / 2)
+        # A span without a measurement is a gap in the line.
+        rms.append(np.sqrt(np.mean(cells**2)) if cells.size else np.nan)
+    return np.asarray(centres), np.asarray(rms)
+
+
+def _draw_distribution(axes: Axes, values: np.ndarray, limit: float) -> None:
+    bins = int(np.clip(np.sqrt(values.size), 10, 60))
+    inside = values[np.abs(values) <= limit]
+    axes.hist(
+        inside,
+        bins=bins,
+        range=(-limit, limit),
+        # A density of all values, also of those beyond the axis.
+        weights=np.full(inside.size, bins / (2 * limit * max(values.size, 1))),
+        color=GREY,
+        alpha=0.5,
+        orientation="horizontal",
+        label="residuals",
+    )
+    grid = np.linspace(-limit, limit, 201)
+    normal = np.exp(-(grid**2) / 2) / np.sqrt(2 * np.pi)
+    axes.plot(normal, grid, color=BLUE, linewidth=1.4, label="standard normal")
+    plain(axes)
+    axes.set_ylim(-1.05 * limit, 1.05 * limit)
+    axes.set_xlabel("density")
+    _legend_above(axes)
+    beyond = values.size - inside.size
+    if beyond:
+        axes.text(
+            0.98,
+            0.98,
+            f"{beyond} of {values.size}\nbeyond {limit:.0f}",
+            transform=axes.transAxes,
+            fontsize=8,
+            color=GREY,
+            ha="right",
+            va="top",
+        )
+
+
+def _legend_above(axes: Axes) -> None:
+    """In the line of the title, where no value can hide behind it."""
+    axes.legend(
+        fontsize=8,
+        frameon=False,
+        loc="lower right",
+        bbox_to_anchor=(1, 1),
+        ncols=2,
+        borderaxespad=0.2,
+        columnspacing=1.2,
+        markerscale=1.8,
+    )
+
+
+def _draw_by_channel(axes: Axes, runs: Sequence[Run], tables: Sequence[np.ndarray]) -> None:
+    """Which channel the model misses: RMS of its residuals in all runs."""
+    names = list(dict.fromkeys(name for run in runs for name in run.observations))
+    squares: dict[str, list[np.ndarray]] = {name: [] for name in names}
+    for run, table in zip(runs, tables, strict=True):
+        for column, name in enumerate(run.observations):
+            cells = table[:, column]
+            squares[name].append(cells[~np.isnan(cells)] ** 2)
+    rms = [float(np.sqrt(np.mean(np.concatenate(squares[name])))) for name in names]
+    places = np.arange(len(names))
+    axes.vlines(places, 0, rms, color=LIGHT, linewidth=3)
+    axes.plot(places, rms, "o", color=BLUE, markersize=5 if len(names) < 40 else 3.5)
+    axes.axhline(1, color=VERMILLION, linewidth=0.8, linestyle=(0, (4, 3)))
+    plain(axes, "by channel")
+    axes.grid(False, axis="x")
+    axes.set_ylim(0, None)
+    axes.set_xlim(-0.7, len(names) - 0.3)
+    axes.set_ylabel("RMS residual / noise")
+    # Every name where they can be read, else every n-th.
+    every = -(-len(names) // 80)
+    upright = len(names) > 10
+    axes.set_xticks(places[::every], names[::every], rotation=90 if upright else 0)
+    axes.tick_params(axis="x", labelsize=8 if len(names) <= 40 else 6)
 
 
 def picture_files(

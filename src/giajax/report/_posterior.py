@@ -4,17 +4,184 @@ import io
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
 
-from .._errors import InputError
 from ..fitting import FitResult, column_factors, in_column_units
-from ..runs import Run, unique_names
-from ..study import Band, Marginal, Posterior, PosteriorSummary
-from ._abscissa import sample_times
-from ._csv import to_csv
-from ._posterior_figures import bands_figure, corner_figure
-from ._style import to_png
+from ..recordings import Run, unique_names
+from ..runtime.text import InputError
+from ..studies import Band, Marginal, Posterior, PosteriorSummary
+from ._pictures import channel_label, sample_times, time_label
+from ._style import BLUE, GREY, INK, VERMILLION, new_figure, plain, to_csv, to_png, unfinished
+
+# Pictures of a posterior: pairs of parameters, and where channels are predicted to be.
+
+# More parameters than this are too small to see: those least like the linear interval stay.
+_MOST_PARAMETERS = 8
+
+# Of more draws the dots are a blot, and the file is large.
+_MOST_DOTS = 2000
+
+_BINS = 40
+
+_MOST_PANELS = 12
+
+
+def corner_figure(found: Posterior, result: FitResult) -> Figure:
+    """Histograms of the parameters, and dots for each pair of them, in the columns' units.
+
+    Over each histogram the linear interval of the fit; draws that diverged are red.
+
+    Arguments:
+        found: the posterior.
+        result: of the fit that it is of.
+    """
+    labels = _shown(found)
+    factors = column_factors(result.model)
+    draws = {
+        label: found.draws_of(label).ravel() * factors.get(_path(label), 1.0) for label in labels
+    }
+    count = len(labels)
+    size = max(1.7 * count, 4.2)
+    more = len(found.labels) - count
+    title = f"Posterior{unfinished(result)}" + (f"; {more} more parameters" if more else "")
+    figure = new_figure(size + 1.2, size + 0.9, title)
+    grid = figure.subplots(count, count, sharex="col", squeeze=False)
+    diverging = found.diverging.ravel().astype(bool)
+    for row, below in enumerate(labels):
+        for column, across in enumerate(labels):
+            axes = grid[row, column]
+            if column > row:
+                axes.set_axis_off()
+                continue
+            plain(axes)
+            axes.xaxis.set_major_locator(MaxNLocator(3))
+            axes.yaxis.set_major_locator(MaxNLocator(3))
+            if column == row:
+                axes.hist(draws[below], bins=_BINS, color=BLUE, alpha=0.6)
+                axes.set_yticks([])
+                _linear(axes, found, below, factors.get(_path(below), 1.0))
+            else:
+                _dots(axes, draws[across], draws[below], diverging)
+                if column == 0:
+                    axes.set_ylabel(_short(below))
+                else:
+                    axes.tick_params(labelleft=False)
+            if row == count - 1:
+                axes.set_xlabel(_short(across))
+    handles = [
+        Patch(color=BLUE, alpha=0.6, label="draws"),
+        Line2D([], [], color=INK, ls="--", label="linear 95 % interval"),
+    ]
+    if diverging.any():
+        handles.append(Line2D([], [], marker="o", ls="none", color=VERMILLION, label="diverged"))
+    figure.legend(handles=handles, loc="outside upper right", fontsize=8, frameon=False, ncols=3)
+    return figure
+
+
+def _path(label: str) -> str:
+    return label.partition(" of ")[0].partition("[")[0]
+
+
+def _short(label: str) -> str:
+    """`joints.pitch_stiffness` in two lines, which a narrow panel has room for."""
+    return label.replace(".", ".\n", 1)
+
+
+def _shown(found: Posterior) -> list[str]:
+    """Labels of the parameters that are drawn, in their order."""
+
+    def unlike(label: str) -> float:
+        one = found.summary.parameters[label]
+        if one.linear is None or one.interval[1] == one.interval[0]:
+            return float("inf")
+        ends = zip(one.interval, one.linear, strict=True)
+        return max(abs(a - b) for a, b in ends) / (one.interval[1] - one.interval[0])
+
+    kept = sorted(found.labels, key=unlike, reverse=True)[:_MOST_PARAMETERS]
+    return [label for label in found.labels if label in kept]
+
+
+def _linear(axes: Axes, found: Posterior, label: str, factor: float) -> None:
+    linear = found.summary.parameters[label].linear
+    for end in linear or ():
+        axes.axvline(end * factor, color=INK, linewidth=0.9, linestyle="--")
+
+
+def _dots(axes: Axes, across: np.ndarray, up: np.ndarray, diverging: np.ndarray) -> None:
+    kept = np.unique(np.linspace(0, len(up) - 1, _MOST_DOTS).round().astype(int))
+    style: dict[str, Any] = {"linestyle": "none", "marker": "o", "markeredgewidth": 0}
+    axes.plot(across[kept], up[kept], markersize=1.6, color=BLUE, alpha=0.35, **style)
+    axes.plot(across[diverging], up[diverging], markersize=2.6, color=VERMILLION, **style)
+
+
+def bands_figure(
+    runs: Sequence[Run], bands: Sequence[Mapping[str, Band]], result: FitResult
+) -> Figure:
+    """Recorded values against where they are predicted to be, in the units of their files.
+
+    Of many channels those with the most cells outside of their band.
+
+    Arguments:
+        runs: what was fitted.
+        bands: of each run, by channel.
+        result: of the fit.
+    """
+    panels = [(at, name) for at, by_channel in enumerate(bands) for name in by_channel]
+    by_within = sorted(panels, key=lambda each: _within(bands[each[0]][each[1]]))
+    kept = by_within[:_MOST_PANELS]
+    drawn = [panel for panel in panels if panel in kept]
+    columns = 1 if len(drawn) == 1 else 2 if len(drawn) <= 6 else 3
+    rows = -(-len(drawn) // columns)
+    more = len(panels) - len(drawn)
+    title = f"Predictions of the posterior{unfinished(result)}"
+    title += f"; {more} more channels are in posterior_bands.csv" if more else ""
+    figure = new_figure(max(4.2 * columns, 6.5), 2.3 * rows + 0.7, title)
+    grid = figure.subplots(rows, columns, squeeze=False)
+    for position, axes in enumerate(grid.flat):
+        if position >= len(drawn):
+            axes.set_visible(False)
+            continue
+        at, name = drawn[position]
+        _draw_band(axes, runs[at], name, bands[at][name], several=len(runs) > 1)
+        if position + columns >= len(drawn):
+            axes.set_xlabel(time_label(runs[at]))
+    handles = [
+        Line2D(
+            [], [], marker="o", ls="none", markersize=3, color=GREY, label="recorded less median"
+        ),
+        Patch(color=VERMILLION, alpha=0.5, label="95 % by the parameters"),
+        Patch(color=BLUE, alpha=0.15, label="and by noise"),
+    ]
+    figure.legend(handles=handles, loc="outside lower center", fontsize=8, frameon=False, ncols=3)
+    return figure
+
+
+def _within(band: Band) -> float:
+    return 1.0 if band.within is None else band.within
+
+
+def _draw_band(axes: Axes, run: Run, name: str, band: Band, *, several: bool) -> None:
+    """Less the median: the bands are often thinner than the line that a motion would be."""
+    channel, over = run.channels[name], sample_times(run)
+    median = channel.from_si(band.median)
+    ends = (*band.with_noise(), band.low, band.high)
+    low, high, least, most = (channel.from_si(each) - median for each in ends)
+    axes.fill_between(over, low, high, color=BLUE, alpha=0.15, linewidth=0)
+    axes.fill_between(over, least, most, color=VERMILLION, alpha=0.5, linewidth=0)
+    recorded = channel.from_si(run.observations[name]) - median
+    axes.plot(over, recorded, linestyle="none", marker="o", markersize=1.8, color=GREY, alpha=0.7)
+    title = channel_label(channel)
+    plain(axes, f"{run.name}: {title}" if several else title)
+    if band.within is not None:
+        axes.set_title(f"{band.within:.1%} within", fontsize=8, loc="right", color=GREY)
+
 
 POSTERIOR_HEADINGS = [
     *("parameter", "unit", "mean", "deviation", "95 % interval", "linear interval"),

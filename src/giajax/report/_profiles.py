@@ -8,10 +8,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.interpolate import PchipInterpolator
 
-from .._text import format_estimate
 from ..fitting import Estimate, FitResult, in_column_units
 from ..models import AbstractModel
-from ..study import Profile, Profiles
+from ..runtime.text import format_estimate
+from ..studies import Profile, Profiles
 from ._style import BLUE, GREY, LIGHT, VERMILLION, new_figure, plain
 
 PROFILE_HEADINGS = ("quantity", "value", "error", "unit", "by the error", "by profile", "remark")

@@ -7,8 +7,8 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 
-from ..runs import Channel
-from ..study import Sensitivity
+from ..recordings import Channel
+from ..studies import Sensitivity
 from ._style import BLUE, GREY, INK, new_figure, plain
 
 # More names than this beside a map cannot be read.

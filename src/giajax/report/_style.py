@@ -1,12 +1,26 @@
 """How all pictures look, and how they become files. Touches nothing global of matplotlib."""
 
 import io
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
+from scipy.spatial import ConvexHull
 
 from ..fitting import FitResult
-from ._names import SIGNATURE
+from ..models import Block, Scene
+
+# What the files of a fit are called, and how they are known again.
+
+RESULT = "result.json"
+PAGE = "report.html"
+
+# Written into each picture and page: how a later fit knows one of an earlier from a person's.
+SIGNATURE = "giajax fit"
+
 
 # Okabe and Ito's colours, which people who see red and green alike can tell apart.
 BLUE, VERMILLION, GREEN = "#0072B2", "#D55E00", "#009E73"
@@ -57,3 +71,102 @@ def to_png(figure: Figure) -> bytes:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=_DPI, metadata={"Software": SIGNATURE})
     return buffer.getvalue()
+
+
+# Columns of words and numbers as CSV.
+
+
+def to_csv(columns: Mapping[str, Iterable[Any]]) -> bytes:
+    """Columns of equal length as a CSV file, numbers with nine digits.
+
+    Arguments:
+        columns: words, numbers or truth values, by heading.
+
+    Returns:
+        The content of the file.
+    """
+    rows = zip(*columns.values(), strict=True)
+    return (
+        "\n".join([",".join(columns), *(",".join(map(_cell, row)) for row in rows)]) + "\n"
+    ).encode()
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, str):
+        return f'"{value}"' if "," in value else value
+    # A truth value is a number to numpy, and so to float.
+    return str(value).lower() if str(value) in ("True", "False") else f"{float(value) + 0.0:.9g}"
+
+
+# A scene as a picture: what a model looks like at one sample, from one side.
+
+_SLACK = (0, (2, 2))
+_AXIS = (0, (6, 3))
+
+
+def draw_scene(
+    panel: Axes,
+    scene: Scene,
+    sample: int,
+    *,
+    axes: str = "xz",
+    colours: Mapping[str, str] | None = None,
+    widths: Mapping[str, float] | None = None,
+) -> None:
+    """Draw one sample of a scene, to scale: bodies in grey, threads, and markers as dots.
+
+    Arguments:
+        panel: where.
+        scene: what a model's `scene` gives.
+        sample: which sample.
+        axes: which two coordinates are seen: "xz" from the side, "xy" from above.
+        colours: of lines by name; grey for bodies and blue for threads by default.
+        widths: of threads by name, points; 1.4 by default.
+    """
+    seen = ["xyz".index(name) for name in axes]
+    for line in scene.lines:
+        points = line.points[sample][:, seen]
+        body = bool(np.any(line.radii > 0))
+        colour = (colours or {}).get(line.name, GREY if body else BLUE)
+        if body:
+            outline = _outline(points, line.radii)
+            panel.add_patch(Polygon(outline, closed=True, color=colour, alpha=0.22, linewidth=0))
+            panel.plot(*points.T, color=colour, linewidth=0.7, linestyle=_AXIS)
+            continue
+        hangs = line.loose is not None and bool(line.loose[sample])
+        width = (widths or {}).get(line.name, 1.4)
+        panel.plot(*points.T, color=colour, linewidth=width, linestyle=_SLACK if hangs else "-")
+    for marker in scene.markers.values():
+        panel.plot(*marker[sample][seen], "o", color=INK, markersize=2.6, zorder=5)
+    panel.set_aspect("equal")
+
+
+def draw_blocks(panel: Axes, blocks: Sequence[Block], *, axes: str = "xz") -> None:
+    """Draw what stands around, as it is seen from one side; the limits of the panel stay.
+
+    Arguments:
+        panel: where, with its limits set.
+        blocks: of a scene.
+        axes: which two coordinates are seen, as of `draw_scene`.
+    """
+    seen, limits = ["xyz".index(name) for name in axes], (panel.get_xlim(), panel.get_ylim())
+    signs = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3), axis=-1).reshape(-1, 3)
+    for block in blocks:
+        corners = (block.centre + (signs * block.size) @ block.axes.T)[:, seen]
+        outline = corners[ConvexHull(corners).vertices]
+        panel.add_patch(
+            Polygon(outline, closed=True, facecolor=LIGHT, edgecolor=GREY, linewidth=0.5, zorder=0)
+        )
+    panel.set_xlim(limits[0])
+    panel.set_ylim(limits[1])
+
+
+def _outline(points: np.ndarray, radii: np.ndarray) -> np.ndarray:
+    """Both edges of a round body about a polyline, shape (2 point, 2)."""
+    steps = np.diff(points, axis=0)
+    steps = np.concatenate([steps[:1], steps[:-1] + steps[1:], steps[-1:]])
+    lengths = np.linalg.norm(steps, axis=1, keepdims=True)
+    # A body that is seen along its axis has no direction in the picture: any will do.
+    along = np.where(lengths > 0, steps / np.where(lengths > 0, lengths, 1.0), [1.0, 0.0])
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1) * radii[:, None]
+    return np.concatenate([points + across, (points - across)[::-1]])

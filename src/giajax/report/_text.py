@@ -1,13 +1,10 @@
-"""A result as text: the parameter table and what else a reader must know.
+"""A result as text: the parameter table and what else a reader must know."""
 
-The file is longer than 200 lines because the summary's lines are read together.
-"""
-
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from .._text import wrapped
 from ..fitting import (
     FitResult,
     HeldOut,
@@ -17,10 +14,145 @@ from ..fitting import (
     in_column_units,
     units_note,
 )
-from ..study import SAME_END, lost_starts, misfit, valleys
-from ._held_out import held_out_lines
-from ._sources import source_lines
-from ._trust import noise_lines, verdict_lines
+from ..runtime.text import wrapped
+from ..studies import SAME_END, lost_starts, misfit, valleys
+
+# Which of many runs are worth a look: those that are described worst.
+
+MOST_RUNS = 6
+"""How many are drawn: a picture takes a second, and nobody looks at twenty of them."""
+
+
+def worth_drawing(result: FitResult) -> list[int]:
+    """All runs, or of many those that are described worst, in their order."""
+    if len(result.runs) <= MOST_RUNS:
+        return list(range(len(result.runs)))
+    worst = sorted(range(len(result.runs)), key=lambda index: -times_noise(result.runs[index]))
+    return sorted(worst[:MOST_RUNS])
+
+
+def times_noise(record: RunFit, names: Iterable[str] | None = None) -> float:
+    """The largest RMSE over noise of some channels, or of all; infinite where one is not finite."""
+    channels = [record.channels[name] for name in (record.channels if names is None else names)]
+    return max(
+        (
+            float("inf") if c.rmse is None else c.rmse / c.noise if c.noise else 0.0
+            for c in channels
+        ),
+        default=0.0,
+    )
+
+
+# Which recording determines which parameter, as text.
+
+# Without one of two equal recordings errors are 1.4 times as large; more than this is worth a word.
+_NOTABLE = 2.0
+
+# A factor is told up to here; beyond it hardly anything is known without the recording.
+_LARGE = 1000.0
+
+
+def source_lines(result: FitResult) -> list[str]:
+    """A line for each recording that determines something which the others hardly do.
+
+    Arguments:
+        result: of a fit of several recordings; of one there is nothing to say.
+
+    Returns:
+        Such as `bench: nothing else determines alpha.offset`.
+    """
+    alone: dict[str, list[str]] = {}
+    mostly: dict[str, list[str]] = {}
+    for path, estimate in result.free.items():
+        for recording, factor in estimate.sources.items():
+            if factor is None:
+                alone.setdefault(recording, []).append(path)
+            elif factor > _NOTABLE:
+                times = f"over {_LARGE:.0f}" if factor > _LARGE else f"{factor:.2g}"
+                mostly.setdefault(recording, []).append(f"{path} ({times})")
+    lines = []
+    for recording in dict.fromkeys([*alone, *mostly]):
+        parts = []
+        if recording in alone:
+            parts.append(f"nothing else determines {', '.join(alone[recording])}")
+        if recording in mostly:
+            listed = ", ".join(mostly[recording])
+            parts.append(f"without it errors are as many times as large: {listed}")
+        lines.append(f"{recording}: {'; '.join(parts)}")
+    return lines
+
+
+# What a summary says of what was held out of a fit.
+
+
+def held_out_lines(result: FitResult) -> list[str]:
+    """How well what was held out of each run is predicted."""
+    return [line for record in result.held_out for line in _lines(record)]
+
+
+def _lines(record: HeldOut) -> list[str]:
+    by_unit: dict[str, list[str]] = {}
+    for name, channel in record.channels.items():
+        by_unit.setdefault(channel.unit, []).append(name)
+    lines = []
+    for unit, names in by_unit.items():
+        channels = [record.channels[name] for name in names]
+        errors = _range([channel.rmse for channel in channels]) or "not known"
+        if len(names) <= 4:
+            each = [f"{n} {_range([record.channels[n].rmse]) or 'not known'}" for n in names]
+            errors = ", ".join(each)
+        sizes = _range([channel.size for channel in channels])
+        values = sum(channel.n for channel in channels)
+        lines.append(
+            f"{record.name}: RMSE {errors}{f' {unit}' if unit else ''}"
+            + (f"; {sizes} times what noise and the parameters allow" if sizes else "")
+            + f"; {len(names)} channel{'s' * (len(names) > 1)}, {values} values"
+        )
+    return lines
+
+
+def _range(values: list[float | None]) -> str:
+    """The smallest and the largest of what is known and finite; empty where nothing is."""
+    known = sorted(value for value in values if value is not None and math.isfinite(value))
+    if not known:
+        return ""
+    low, high = f"{known[0]:.3g}", f"{known[-1]:.3g}"
+    return low if low == high else f"{low} to {high}"
+
+
+# What a summary says of the verdict and of the noise.
+
+
+def verdict_lines(result: FitResult) -> list[str]:
+    """Whether the model describes the data, and a line for each reason why it does not."""
+    verdict = result.verdict
+    reasons = [reason.sentence for reason in verdict.reasons]
+    if verdict.status != "inadequate":
+        return [verdict.sentence]
+    return [f"inadequate: {reasons[0]}", *reasons[1:]]
+
+
+def noise_lines(result: FitResult) -> list[str]:
+    """What was taken for noise with a memory, and what it does to the standard errors."""
+    if result.noise is None or not result.noise.widening:
+        return []
+    channels = [channel for run in result.runs for channel in run.channels.values()]
+    times = [c.correlation_time_s for c in channels if c.correlated]
+    names = {name for run in result.runs for name, c in run.channels.items() if c.correlated}
+    shortest, longest = min(times), max(times)
+    span = f"{shortest:.2g}" if shortest == longest else f"{shortest:.2g} to {longest:.2g}"
+    factors = [factor for factor in result.noise.widening.values() if factor is not None]
+    sentence = f"correlated over {span} s in {len(names)} of {_count(result)} channels"
+    if factors:
+        low, high = f"{min(factors):.2g}", f"{max(factors):.2g}"
+        span = low if low == high else f"{low} to {high}"
+        sentence += f"; the standard errors are {span} times those of white noise of the same size"
+    return [sentence]
+
+
+def _count(result: FitResult) -> int:
+    return len({name for run in result.runs for name in run.channels})
+
 
 # More lines of residuals than this are summed up.
 _MANY = 8

@@ -1,15 +1,13 @@
 """Motion over time: inputs, integration by diffrax, and its result."""
 
-from ._contacts import Contacts as Contacts, contacts as contacts
-from ._disturbances import (
+from ._integrate import (
     STEPS_FOR as STEPS_FOR,
     StepsFor as StepsFor,
     check_steps_for as check_steps_for,
+    integrate as integrate,
     is_disturbance as is_disturbance,
 )
-from ._integrate import integrate as integrate
-from ._joint_commands import joint_ramps as joint_ramps, joint_steps as joint_steps
-from ._moment import Moment as Moment
+from ._linearly_implicit import SOLVERS as SOLVERS
 from ._pressures import Pressures as Pressures, check_muscles as check_muscles
 from ._signal import (
     Signal as Signal,
@@ -18,16 +16,15 @@ from ._signal import (
     ramps as ramps,
     steps as steps,
 )
-from ._simulate import (
-    MAX_STEPS as MAX_STEPS,
-    check_wind as check_wind,
-    simulate as simulate,
-)
-from ._solvers import SOLVERS as SOLVERS
-from ._stepper import Stepper as Stepper
+from ._simulate import MAX_STEPS as MAX_STEPS, check_wind as check_wind, simulate as simulate
+from ._stepper import Moment as Moment, Stepper as Stepper
 from ._trajectory import (
     RESULTS as RESULTS,
+    Contacts as Contacts,
     SimulationError as SimulationError,
     Trajectory as Trajectory,
     at_rest as at_rest,
+    contacts as contacts,
+    joint_ramps as joint_ramps,
+    joint_steps as joint_steps,
 )

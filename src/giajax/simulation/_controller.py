@@ -11,11 +11,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from .._typing import Array, Float, Scalar
+from ..runtime.arrays import Array, Float, Scalar
+from ._catch_up import turns
 from ._linearly_implicit import LinearlyImplicit
-from ._rates import Rates
+from ._motion import Rates
 from ._signal import last_before
-from ._turns import turns
 
 # Length of a step, times the rate of the motion, that a method is stable with: where its stability
 # function reaches 1 for an oscillation with 1 % of critical damping.

@@ -1,25 +1,198 @@
 """The compiled core of a simulation: diffrax on the equation of motion."""
 
-from typing import TYPE_CHECKING, Any
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
+import equinox as eqx
 import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 
-from .._program import program
-from .._typing import Array, Float, Scalar
-from ..arm import Arm
-from ._derivatives import adjoint
-from ._disturbances import refuse_disturbances
-from ._motion import Inputs, motion
+from ..mechanics.arm import Arm
+from ..runtime.arrays import Array, Float, Scalar
+from ..runtime.programs import program
+from ..runtime.text import InputError
+from ..schema import ALPHA, BETA, BRAIDED, DRIVE, GEOMETRY, LOAD
+from ._linearly_implicit import solver as solver_named
+from ._motion import Inputs, Rates, fastest_rate, motion
 from ._pressures import Pressures
-from ._rates import Rates, fastest_rate
 from ._signal import Signal
-from ._solvers import solver as solver_named
 from ._trajectory import RESULTS, Trajectory
 
 if TYPE_CHECKING:
-    from diffrax import Solution
+    from diffrax import AbstractAdjoint, Solution
+
+# What disturbs an arm, and the steps that derivatives by a disturbance need.
+#
+# A step-size controller sees the errors of the motion, not those of its derivatives. An arm at
+# rest has no error at all, and one that moves in a plane has none across it: the steps then grow
+# until they are unstable for what a derivative sets swinging there, by a wind across or a first
+# angle. Derivatives by the other parameters of links, joints and air are safe, because those
+# parameters move only what moves already.
+#
+# Which steps are taken is the caller's choice, not a consequence of being differentiated, so that
+# a simulation has the same value with and without its derivatives.
+
+StepsFor = Literal["motion", "derivatives"]
+
+STEPS_FOR = ("motion", "derivatives")
+"""What the steps of a simulation are short enough for."""
+
+# Of an arm, beside the inputs and the initial state of every simulation.
+_PARAMETERS = ("base_rotation", "gravity", "air.wind", "buoyancy", "point_masses", "pneumatics")
+
+# Of the muscles, whose parameters have no common name: where pressures hold a joint, each of them
+# moves it.
+_MUSCLES = tuple(
+    sorted(
+        {
+            q.path.partition(".")[0]
+            for group in (GEOMETRY, LOAD, ALPHA, BETA, BRAIDED, DRIVE)
+            for q in group
+        }
+    )
+)
+
+_REFUSAL = (
+    "a simulation with steps_for='motion' was differentiated by a disturbance (command, wind, "
+    f"torque, initial state, {', '.join(_PARAMETERS)}), for which its steps may be too long: "
+    "call simulate with steps_for='derivatives', or the model's for_derivatives"
+)
+
+
+def is_disturbance(path: str) -> bool:
+    """Whether a parameter of an arm may set moving what is at rest.
+
+    Arguments:
+        path: of the parameter or of one element of it, such as `air.wind[0]`.
+
+    Returns:
+        True for a disturbance, by which only `steps_for="derivatives"` may be differentiated.
+    """
+    name = path.partition("[")[0]
+    return any(name == known or name.startswith(f"{known}.") for known in (*_PARAMETERS, *_MUSCLES))
+
+
+def check_steps_for(steps_for: str) -> None:
+    """Refuse an unknown choice of steps.
+
+    Arguments:
+        steps_for: the choice.
+
+    Raises:
+        InputError: neither "motion" nor "derivatives".
+    """
+    if steps_for not in STEPS_FOR:
+        raise InputError(
+            f"steps_for={steps_for!r} is unknown: use 'motion', or 'derivatives' to differentiate "
+            "by the wind, the initial state and whatever else may move what is at rest"
+        )
+
+
+def refuse_disturbances(steps_for: str, arm: Arm, inputs: Any) -> Scalar:
+    """Zero; raises a sentence where steps for the motion would meet a disturbance's tangent.
+
+    The zero must be added to something that the simulation needs, or nothing keeps it.
+
+    Arguments:
+        steps_for: what the steps are short enough for.
+        arm: the arm.
+        inputs: commands, wind, torque and initial state.
+
+    Returns:
+        0, shape ().
+
+    Raises:
+        TypeError: while the program is traced, in forward or in reverse mode.
+    """
+    if steps_for != "motion":
+        return jnp.zeros(())
+    disturbances = (inputs, *(attrgetter(path)(arm) for path in _PARAMETERS))
+    return jax.lax.stop_gradient(_undisturbed(disturbances))
+
+
+@eqx.filter_custom_jvp
+def _undisturbed(disturbances: Any) -> Array:
+    return jnp.zeros(())
+
+
+@_undisturbed.def_jvp
+def _undisturbed_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
+    # Tangents that are known to be zero are None here.
+    if jax.tree.leaves(tangents):
+        raise TypeError(_REFUSAL)
+    return jnp.zeros(()), jnp.zeros(())
+
+
+# Which way a simulation can be differentiated, and a sentence for the way it cannot.
+
+T = TypeVar("T")
+
+Derivatives = Literal["forward", "reverse"]
+
+
+def adjoint(derivatives: str) -> "AbstractAdjoint":
+    """The diffrax adjoint that offers a mode of differentiation.
+
+    Raises:
+        InputError: neither "forward" nor "reverse".
+    """
+    # Slow to import, and needed only where a program is traced.
+    import diffrax
+
+    if derivatives == "forward":
+        return diffrax.ForwardMode()
+    if derivatives == "reverse":
+        return diffrax.RecursiveCheckpointAdjoint()
+    raise InputError(
+        f"derivatives={derivatives!r} is unknown: use 'forward' (few parameters: jax.jvp, "
+        "jax.jacfwd) or 'reverse' (many parameters: jax.grad, jax.vjp)"
+    )
+
+
+def guard_outputs(tree: T, derivatives: str) -> T:
+    """The same values; a cotangent that enters a forward-mode simulation raises a sentence.
+
+    Arguments:
+        tree: outputs of a simulation.
+        derivatives: "forward" or "reverse".
+    """
+    if derivatives != "forward":
+        return tree
+    return eqxi.nondifferentiable_backward(
+        tree,
+        msg="simulate(derivatives='forward') was differentiated in reverse mode (jax.grad, "
+        "jax.vjp): call it with derivatives='reverse', or use jax.jvp or jax.jacfwd",
+    )
+
+
+def guard_inputs(tree: T, derivatives: str) -> T:
+    """The same values; a tangent that enters a reverse-mode simulation raises a sentence.
+
+    Arguments:
+        tree: inputs of a simulation.
+        derivatives: "forward" or "reverse".
+    """
+    if derivatives != "reverse":
+        return tree
+    arrays, rest = eqx.partition(tree, eqx.is_inexact_array)
+    try:
+        arrays = _reverse_only(arrays)
+    except TypeError:
+        raise TypeError(
+            "simulate(derivatives='reverse') was differentiated in forward mode (jax.jvp, "
+            "jax.jacfwd): call it with derivatives='forward', or use jax.grad or jax.vjp"
+        ) from None
+    return eqx.combine(arrays, rest)
+
+
+@jax.custom_vjp
+def _reverse_only(tree: Any) -> Any:
+    return tree
+
+
+# JAX refuses to push a tangent through a function with a custom vjp: that is the guard.
+_reverse_only.defvjp(lambda tree: (tree, None), lambda _, cotangent: (cotangent,))
 
 
 @program

@@ -5,19 +5,116 @@ Here the springs and dampers of the joints and what pulls at them are implicit, 
 """
 
 from collections.abc import Callable
-from typing import Any, ClassVar
+from functools import partial
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import diffrax
 import equinox as eqx
 import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from .._maths import inverse_of_positive
-from .._typing import Array, Bool, Scalar
-from ._interpolation import QuinticInterpolation, State
-from ._springs import Springs
-from ._tableau import tableau
+from ..runtime.arrays import Array, Bool, Float, Scalar, inverse_of_positive
+from ..runtime.text import InputError
+from ._motion import Springs, pull, springs
+
+if TYPE_CHECKING:
+    from diffrax import AbstractAdaptiveSolver
+
+# Coefficients of an additive Runge-Kutta method as a W-method.
+
+
+class Tableau(NamedTuple):
+    """The coefficients of an additive Runge-Kutta method as a W-method.
+
+    Attributes:
+        combine: of which slopes h f(Y) and h J (Y - y0) of each stage a stage is made, shape
+            (stage, stage, 2), the first being the start and the last the end of the step.
+        times: of the stages, as fractions of the step.
+        error: of which slopes the error of the step is made.
+        gamma: the diagonal of the implicit method.
+    """
+
+    combine: np.ndarray
+    times: np.ndarray
+    error: np.ndarray
+    gamma: float
+
+
+def tableau() -> Tableau:
+    """The coefficients of ARK5(4)8L[2]SA."""
+    explicit, implicit = diffrax.KenCarp5.tableau.tableaus
+    combine = _rows(explicit)
+    # The rows of both have the same sums, so that J y0 drops out of their difference.
+    springs = _rows(implicit) - combine
+    gamma = float(springs[1, 1])
+    np.fill_diagonal(springs, 0)
+    return Tableau(
+        np.stack([combine, springs], axis=2),
+        np.concatenate([[0], explicit.c, [1]]),
+        np.append(explicit.b_error, 0),
+        gamma,
+    )
+
+
+def _rows(tableau: diffrax.ButcherTableau) -> np.ndarray:
+    """The matrix of a method as a square, and below it the weights of the end of the step."""
+    size = len(tableau.b_sol)
+    matrix = np.zeros((size + 1, size + 1))
+    for row, lower in enumerate((*tableau.a_lower, tableau.b_sol), start=1):
+        matrix[row, : len(lower)] = lower
+    if tableau.a_diagonal is not None:
+        matrix[range(size), range(size)] = tableau.a_diagonal
+    return matrix
+
+
+# Interpolation between two steps of a motion whose accelerations are known.
+
+State = Float[Array, "row joint"]
+
+
+class QuinticInterpolation(diffrax.AbstractLocalInterpolation):
+    """Angles by the polynomial through angles, rates and accelerations at both ends of a step.
+
+    The rates are its slope. Both are of the fifth order, as the method is; the interpolation that
+    Kennedy and Carpenter give is of the third. States beside these are cubic.
+    """
+
+    t0: Scalar  # type: ignore[misc]
+    t1: Scalar  # type: ignore[misc]
+    y0: State
+    y1: State
+    f0: State
+    f1: State
+
+    def evaluate(self, t0: Any, t1: Any | None = None, left: bool = True) -> State:
+        """The state at a time, or the change between two."""
+        del left
+        if t1 is not None:
+            return self.evaluate(t1) - self.evaluate(t0)
+        step = self.t1 - self.t0
+        # A step of no length occurs between corners that differ by rounding.
+        step = jnp.where(step == 0, 1, step)
+        x = (t0 - self.t0) / step
+        start, end = self.y0[0], self.y1[0]
+        v0, v1 = step * self.y0[1], step * self.y1[1]
+        a0, a1 = step**2 * self.f0[1], step**2 * self.f1[1]
+        # What is left to reach at the end after a motion with the acceleration of the start.
+        angle, rate, bend = end - start - v0 - a0 / 2, v1 - v0 - a0, a1 - a0
+        c3 = 10 * angle - 4 * rate + bend / 2
+        c4 = -15 * angle + 7 * rate - bend
+        c5 = 6 * angle - 3 * rate + bend / 2
+        angles = start + x * (v0 + x * (a0 / 2 + x * (c3 + x * (c4 + x * c5))))
+        rates = v0 + x * (a0 + x * (3 * c3 + x * (4 * c4 + x * 5 * c5)))
+        moved = jnp.stack([angles, rates / step])
+        if self.y0.shape[0] == 2:
+            return moved
+        start, end = self.y0[2:], self.y1[2:]
+        v0, v1 = step * self.f0[2:], step * self.f1[2:]
+        c2, c3 = 3 * (end - start) - 2 * v0 - v1, v0 + v1 - 2 * (end - start)
+        return jnp.concatenate([moved, start + x * (v0 + x * (c2 + x * c3))])
+
 
 # Whether the slope at the start of the next step is known, and the slope.
 Carried = tuple[Bool[Array, ""], State]
@@ -188,3 +285,48 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
             return jnp.concatenate(rows)
 
         return solve
+
+
+# Integration methods by name.
+
+
+def _of_diffrax(name: str) -> "AbstractAdaptiveSolver":
+    # Slow to import, and needed only where a program is traced.
+    import diffrax
+
+    solver: AbstractAdaptiveSolver = getattr(diffrax, name)()
+    return solver
+
+
+def _springs5(reverse: bool = True) -> "AbstractAdaptiveSolver":
+
+    return LinearlyImplicit(springs, pull, reverse)
+
+
+SOLVERS: dict[str, Callable[[], "AbstractAdaptiveSolver"]] = {
+    "tsit5": partial(_of_diffrax, "Tsit5"),
+    "dopri5": partial(_of_diffrax, "Dopri5"),
+    "dopri8": partial(_of_diffrax, "Dopri8"),
+    "bosh3": partial(_of_diffrax, "Bosh3"),
+    "heun": partial(_of_diffrax, "Heun"),
+    "springs5": _springs5,
+    "kvaerno3": partial(_of_diffrax, "Kvaerno3"),
+    "kvaerno5": partial(_of_diffrax, "Kvaerno5"),
+}
+"""Explicit methods, then the one that is implicit in the joints' springs and dampers alone, the
+fastest of all where they are stiff, then fully implicit ones."""
+
+
+def solver(name: str, *, reverse: bool = True) -> "AbstractAdaptiveSolver":
+    """The solver of a name.
+
+    Arguments:
+        name: one of `SOLVERS`.
+        reverse: whether its steps are to be differentiated in reverse mode.
+
+    Raises:
+        InputError: there is no such solver.
+    """
+    if name not in SOLVERS:
+        raise InputError(f"there is no solver '{name}': use one of {', '.join(SOLVERS)}")
+    return _springs5(reverse) if name == "springs5" else SOLVERS[name]()

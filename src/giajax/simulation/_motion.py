@@ -1,14 +1,77 @@
-"""The equation of motion as integrators see it."""
+"""The equation of motion as integrators see it, and the part of it that makes it stiff."""
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 
-from .._typing import Array, Float, Scalar
-from ..arm import Arm, forward_dynamics, joint_torque, touch
+from ..mechanics.arm import (
+    Arm,
+    Pneumatics,
+    Stiffness,
+    bodies,
+    contact_stiffness,
+    forward_dynamics,
+    joint_torque,
+    lift,
+    mass_matrix,
+    touch,
+)
+from ..runtime.arrays import Array, Float, Scalar
 from ._pressures import Pressures
 from ._signal import Signal
+
+
+class Rates(NamedTuple):
+    """Rates of the fastest motions that an arm is capable of (`fastest_rate`), 1/s.
+
+    Attributes:
+        all: of all motions.
+        explicit: of those that the method does not take implicitly.
+    """
+
+    all: Scalar
+    explicit: Scalar
+
+
+def fastest_rate(arm: Arm, angles: Float[Array, " joint"], *, springs: bool = True) -> Scalar:
+    """Rate of the fastest motion of springs, dampers, gravity and lags in one configuration, 1/s.
+
+    Without `springs`, that of gravity alone.
+
+    Arguments:
+        arm: the arm.
+        angles: of its joints, rad, shape (joint,).
+        springs: whether the springs and dampers of the joints count, and the lag of muscles.
+    """
+    # Lengths of steps are no part of what is differentiated.
+    arm, angles = jax.lax.stop_gradient((arm, angles))
+    factor = jnp.linalg.cholesky(mass_matrix(arm, angles))
+
+    def largest(strength: Array) -> Array:
+        """Square root of the largest eigenvalue of M^-1 diag(strength)."""
+        root = jnp.diag(jnp.sqrt(jnp.broadcast_to(strength, (arm.count,))))
+        return jnp.linalg.norm(jax.scipy.linalg.solve_triangular(factor, root, lower=True), 2)
+
+    # Gravity swings what hangs, too: a bound of its stiffness, from weights times their distances.
+    ends = jnp.cumsum(arm.links.length)
+    reach = jnp.triu(ends[None, :] - (ends - arm.links.length)[:, None])
+    weights = arm.gravity * bodies(arm).mass
+    upwards = lift(arm)
+    weights = jnp.abs(weights if upwards is None else weights - upwards)
+    hanging = reach @ weights
+    if not springs:
+        return largest(hanging)
+    oscillation = largest(arm.stiffest_spring + hanging)
+    rate = jnp.hypot(oscillation, largest(arm.joints.stiffest_damping) ** 2)
+    if arm.pneumatics is None or arm.pneumatics.drive.lag is None:
+        return rate
+    return jnp.hypot(rate, 1 / arm.pneumatics.drive.lag)
+
+
+# The equation of motion as integrators see it.
 
 
 class Inputs(eqx.Module):
@@ -117,3 +180,106 @@ def motion(time: Any, state: State, inputs: Inputs) -> State:
 def along_links(arm: Arm, wind: Float[Array, " width"]) -> Array:
     """A wind as a signal has it, in a row for each link where it differs from link to link."""
     return wind if wind.size == 3 else wind.reshape(arm.count, 3)
+
+
+# The part of the equation of motion that makes it stiff: springs, dampers and contacts.
+
+
+class Springs(NamedTuple):
+    """What of the joints is implicit in one state.
+
+    Attributes:
+        mass: mass matrix, kg m^2.
+        stiffness: N m/rad.
+        damping: N m s/rad.
+        memory: of hysteresis of the joints and pressures that lag, or None.
+        contact: how torques of contact change with the angles and rates of all joints, or None.
+    """
+
+    mass: Float[Array, "joint joint"]
+    stiffness: Float[Array, " joint"]
+    damping: Float[Array, " joint"]
+    memory: "Strain | None"
+    contact: Stiffness | None
+
+
+class Strain(NamedTuple):
+    """How torques and further states depend on each other: hysteresis, and pressures that lag.
+
+    Attributes:
+        torque: of a unit of each state, against the motion, N m.
+        filling: change of each state with the angle of its joint, 1/rad; 0 for a pressure.
+        forgetting: rate at which each state falls back by itself, 1/s.
+    """
+
+    torque: Float[Array, "row joint"]
+    filling: Float[Array, "row joint"]
+    forgetting: Float[Array, "row joint"]
+
+
+def springs(time: Any, state: State, inputs: Inputs) -> Springs:
+    """Mass matrix, and the slopes of the torques of the joints alone, in one state."""
+    angles, rates, memory, muscles, skin = inputs.parts(state)
+    time = jnp.minimum(time, inputs.end)
+    command = inputs.command(time)
+    pressures = inputs.inside(time, muscles)
+    arm, hysteresis, pneumatics = inputs.arm, inputs.arm.joints.hysteresis, inputs.arm.pneumatics
+
+    # The torque of a joint depends on its own angle and rate only, so that one derivative along
+    # all angles at once is the diagonal, whatever the law of the spring or the damper.
+    def slope(of: Any, at: Array) -> Array:
+        return -jax.jvp(of, (at,), (jnp.ones_like(at),))[1]
+
+    def torque(angles: Array, rates: Array) -> Array:
+        return joint_torque(arm, angles, rates, command, pressures=pressures)
+
+    stiffness = slope(lambda x: torque(x, rates), angles)
+    damping = slope(lambda x: torque(angles, x), rates)
+    if pneumatics is not None:
+        # A pair that runs away is explicit: its matrix need not be positive definite.
+        stiffness = jnp.maximum(stiffness, 0)
+    strains = []
+    if hysteresis.rows:
+        stiffness = stiffness + hysteresis.tangent(angles, rates, memory)
+        strains.append(
+            Strain(
+                torque=hysteresis.pull(memory),
+                filling=-slope(lambda x: hysteresis.rate(x, memory), rates),
+                forgetting=slope(lambda x: hysteresis.rate(rates, x), memory),
+            )
+        )
+    if pneumatics is not None and pneumatics.rows:
+        strains.append(_lagging(pneumatics, angles, muscles))
+    strain = jax.tree.map(lambda *rows: jnp.concatenate(rows), *strains) if strains else None
+    contact = None
+    if arm.contact is not None:
+        contact = contact_stiffness(arm, angles, rates, skin if skin.size else None)
+    return Springs(mass_matrix(arm, angles), stiffness, damping, strain, contact)
+
+
+def _lagging(pneumatics: Pneumatics, angles: Array, muscles: Array) -> Strain:
+    """How the torques of muscles depend on pressures that lag, and these on themselves."""
+
+    def of_one(row: Array) -> Array:
+        at, along = pneumatics.inside(muscles), pneumatics.inside(row)
+        return -jax.jvp(lambda p: pneumatics.torque(angles, p), (at,), (along,))[1]
+
+    assert pneumatics.drive.lag is not None
+    each = jnp.eye(2, dtype=angles.dtype)[:, :, None] * jnp.ones_like(muscles)[None]
+    return Strain(
+        torque=jnp.stack([of_one(row) for row in each]),
+        filling=jnp.zeros_like(muscles),
+        forgetting=jnp.full_like(muscles, 1.0) / pneumatics.drive.lag,
+    )
+
+
+def pull(time: Any, state: State, inputs: Inputs) -> Float[Array, " joint"]:
+    """Torque of the joints and their drives in one state, of which the time moves the command."""
+    time = jnp.minimum(time, inputs.end)
+    # The state and the arm are those of the matrices that this goes with, and constants as they
+    # are: a derivative by a stiffness has spring and command in one small term, the deflection.
+    arm, state = jax.lax.stop_gradient((inputs.arm, state))
+    angles, rates, _, muscles, _ = inputs.parts(state)
+    pressures = dataclasses.replace(inputs, arm=arm).inside(time, muscles)
+    torque = joint_torque(arm, angles, rates, inputs.command(time), pressures=pressures)
+    return torque if inputs.torque is None else torque + inputs.torque(time)

@@ -6,11 +6,8 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from .._errors import InputError
-from .._program import program
-from .._typing import Array, Float
-from ..arm import Arm, Pneumatics
-from ..joint import (
+from ..mechanics.arm import Arm, Pneumatics
+from ..mechanics.joint import (
     LARGEST_ANGLE,
     NEEDS_PRESSURE,
     TOO_SHORT,
@@ -18,7 +15,10 @@ from ..joint import (
     check_geometry,
     muscle_balance,
 )
-from ..parameters import is_concrete
+from ..runtime.arrays import Array, Float
+from ..runtime.programs import program
+from ..runtime.text import InputError
+from ..schema.parameters import is_concrete
 from ._signal import Signal
 
 

@@ -5,16 +5,23 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from .._errors import InputError
-from .._typing import Array, Float
-from ..arm import Arm
-from ..parameters import is_concrete
-from ._derivatives import Derivatives, adjoint, guard_inputs, guard_outputs
-from ._disturbances import StepsFor, check_steps_for, refuse_disturbances
-from ._integrate import integrate
+from ..mechanics.arm import Arm
+from ..runtime.arrays import Array, Float
+from ..runtime.text import InputError
+from ..schema.parameters import is_concrete
+from ._integrate import (
+    Derivatives,
+    StepsFor,
+    adjoint,
+    check_steps_for,
+    guard_inputs,
+    guard_outputs,
+    integrate,
+    refuse_disturbances,
+)
+from ._linearly_implicit import solver as solver_named
 from ._pressures import Pressures, check_muscles
 from ._signal import Signal, constant
-from ._solvers import solver as solver_named
 from ._trajectory import SimulationError, Trajectory
 
 MAX_STEPS = 100_000

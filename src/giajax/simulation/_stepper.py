@@ -7,16 +7,44 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .._errors import InputError
-from .._program import program
-from .._typing import Array, Scalar
-from ..arm import Arm
-from ..parameters import is_concrete
-from ._moment import Moment
-from ._motion import Inputs, motion
+from ..mechanics.arm import Arm
+from ..runtime.arrays import Array, Float, Scalar
+from ..runtime.programs import program
+from ..runtime.text import InputError
+from ..schema.parameters import is_concrete
+from ._linearly_implicit import solver as solver_named
+from ._motion import Inputs, State, motion
 from ._pressures import check_muscles
 from ._signal import Signal, constant
-from ._solvers import solver as solver_named
+
+# Where an arm is between two decisions.
+
+
+class Moment(eqx.Module):
+    """An arm at one time of its motion.
+
+    Attributes:
+        time: s.
+        state: of the joints: angles (rad), rates (rad/s), and what else the arm remembers.
+        command: commanded angles, rad.
+        wind: velocity of the air, m/s, of the whole arm or of link after link; None for still air.
+    """
+
+    time: Scalar
+    state: State
+    command: Float[Array, " joint"]
+    wind: Float[Array, " width"] | None
+
+    @property
+    def angles(self) -> Float[Array, " joint"]:
+        """Joint angles, rad."""
+        return self.state[0]
+
+    @property
+    def rates(self) -> Float[Array, " joint"]:
+        """Joint rates, rad/s."""
+        return self.state[1]
+
 
 # Of a method that iterates; and in one interval, where the error is controlled.
 _TOLERANCE, _MOST_STEPS = 1e-6, 1000

@@ -1,16 +1,19 @@
 """The result of a simulation."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from .._program import program
-from .._typing import Array, Bool, Float, Int
-from ..arm import Arm, link_centres, tip_position
+from ..mechanics.arm import Arm, link_centres, tip_position, touched
+from ..runtime.arrays import Array, Bool, Float, Int
+from ..runtime.programs import program
+from ..runtime.text import InputError
 from ._motion import Inputs
-from ._signal import Signal, constant
+from ._signal import Signal, constant, ramps, steps
 
 
 class RESULTS(eqx.Enumeration):
@@ -39,8 +42,8 @@ class Trajectory(eqx.Module):
         times: s, shape (sample,).
         angles: joint angles, rad, shape (sample, joint).
         rates: joint rates, rad/s, shape (sample, joint).
-        memory: states of the joints' hysteresis (`giajax.arm.JointHysteresis`), shape (sample, row,
-            joint), or None.
+        memory: states of the joints' hysteresis (`giajax.mechanics.arm.JointHysteresis`),
+            shape (sample, row, joint), or None.
         pressures: in the first and the second muscle of each joint, Pa, shape (sample, 2, joint);
             None where no joint has muscles.
         skin: stretch of the skin of each link along what it touches, m, shape (sample, 3, link);
@@ -126,3 +129,116 @@ def _over_samples(
 ) -> Array:
     """A position at every sample; compiled, or each operation would be dispatched by itself."""
     return jax.vmap(position, in_axes=(None, 0))(arm, angles)
+
+
+# What an arm touched in a simulation: flattening, forces and impulses.
+
+
+class Contacts(NamedTuple):
+    """What the links touched, at the samples of a simulation.
+
+    Attributes:
+        obstacles: names of the obstacles, in the order of their axis.
+        flattening: by how much a link's axis is nearer to an obstacle than its radius, m.
+        force: of an obstacle on a link in the base frame, N.
+        impulse: of an obstacle on a link over the whole time, N s, by the trapezoidal rule; no
+            better than the samples are dense.
+    """
+
+    obstacles: tuple[str, ...]
+    flattening: Float[Array, "sample link obstacle"]
+    force: Float[Array, "sample link obstacle 3"]
+    impulse: Float[Array, "link obstacle 3"]
+
+
+def contacts(trajectory: Trajectory) -> Contacts:
+    """Flattening, force and impulse of each contact of a motion.
+
+    Arguments:
+        trajectory: the motion of an arm with obstacles.
+
+    Returns:
+        What each link touched.
+
+    Raises:
+        InputError: nothing stands around the arm.
+
+    Example:
+        >>> import giajax, jax.numpy as jnp
+        >>> from giajax.mechanics.arm import Contact
+        >>> from giajax.mechanics.obstacles import Plane
+        >>> ground = Plane(centre=[0.0, 0.0, -0.5])
+        >>> arm = giajax.takeichi_20m(contact=Contact(obstacles=(ground,)))
+        >>> command = giajax.joint_ramps(20, {1: 0.3}, start=0.5, duration=2.0)
+        >>> motion = giajax.simulate(arm, command, jnp.linspace(0.0, 10.0, 101))
+        >>> giajax.contacts(motion).flattening.shape
+        (101, 20, 1)
+    """
+    contact = trajectory.arm.contact
+    if contact is None:
+        raise InputError("the arm has no obstacles: give it some, as [[arm.obstacles]]")
+    flattening, force = _contact_over_samples(
+        trajectory.arm, trajectory.angles, trajectory.rates, trajectory.skin
+    )
+    steps = jnp.diff(trajectory.times)
+    impulse = jnp.tensordot(steps, (force[1:] + force[:-1]) / 2, axes=1)
+    names = tuple(obstacle.name for obstacle in contact.obstacles)
+    return Contacts(names, flattening, force, impulse)
+
+
+@program
+def _contact_over_samples(
+    arm: Arm, angles: Array, rates: Array, skin: Array | None
+) -> tuple[Array, Array]:
+    return jax.vmap(touched, (None, 0, 0, 0))(arm, angles, rates, skin)
+
+
+# Commands that move single joints of a straight arm.
+
+
+def joint_steps(joints: int, angles: Mapping[int, float], *, time: float = 0.0) -> Signal:
+    """A command that steps at one time from the straight arm to other angles.
+
+    Arguments:
+        joints: number of joints of the arm.
+        angles: commanded angle by joint number (1 is the base joint), rad.
+        time: of the step, s.
+
+    Returns:
+        The command, in rad, with one column for each joint.
+
+    Example:
+        >>> import giajax
+        >>> command = giajax.joint_steps(20, {1: 0.5236}, time=0.5)
+    """
+    target = _target(joints, angles)
+    return steps([min(0.0, time) - 1.0, time], [np.zeros(joints), target])
+
+
+def joint_ramps(
+    joints: int, angles: Mapping[int, float], *, start: float = 0.0, duration: float = 1.0
+) -> Signal:
+    """A command that moves linearly from the straight arm to other angles.
+
+    Arguments:
+        joints: number of joints of the arm.
+        angles: commanded angle at the end by joint number (1 is the base joint), rad.
+        start, duration: of the movement, s.
+
+    Returns:
+        The command, in rad, with one column for each joint.
+    """
+    if not duration > 0:
+        raise InputError(
+            f"a ramp lasts {duration} s: give a positive duration, or use joint_steps for a step"
+        )
+    return ramps([start, start + duration], [np.zeros(joints), _target(joints, angles)])
+
+
+def _target(joints: int, angles: Mapping[int, float]) -> np.ndarray:
+    target = np.zeros(joints)
+    for joint, angle in angles.items():
+        if not 1 <= joint <= joints:
+            raise InputError(f"joint {joint} is not in the arm: give a number from 1 to {joints}")
+        target[joint - 1] = angle
+    return target

@@ -1,13 +1,19 @@
-"""What `giajax fit` does, from Python: a fit with its data, its settings and its validation."""
+"""What `giajax fit` does, from Python: a fit with data, settings and journal; and sweeps."""
 
-from ._fit_task import FitTask as FitTask
-from ._fitted_runs import fitted_runs as fitted_runs, held_out_runs as held_out_runs
-from ._journal import JOURNAL as JOURNAL, Journal as Journal, read_journal as read_journal
-from ._lock import locked as locked
+from ._fit_task import FitTask as FitTask, begun as begun
+from ._journal import (
+    JOURNAL as JOURNAL,
+    Journal as Journal,
+    locked as locked,
+    read_journal as read_journal,
+)
+from ._plan import Plan as Plan
 from ._record import checksums_of as checksums_of, version_note as version_note
 from ._stored import (
     compared as compared,
+    fitted_runs as fitted_runs,
+    held_out_runs as held_out_runs,
     repeatable as repeatable,
     stored_result as stored_result,
 )
-from ._windows_first import begun as begun
+from ._sweep import FITS as FITS, TABLE as TABLE, sweep as sweep

@@ -1,28 +1,182 @@
-"""A fit as data: what to fit to what, before anything is read or computed. Imports no JAX.
-
-The file is longer than 200 lines because `on_top` says of each setting what it means.
-"""
+"""A fit as data: what to fit to what, before anything is read or computed. Imports no JAX."""
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+import json
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy.typing as npt
 
-from .._errors import InputError
-from ..quantities import Prior
-from ..runs import Definition, read_runs
+from ..recordings import Definition, read_runs
+from ..runtime.text import InputError
+from ..schema import Prior
 from ._journal import read_journal
-from ._record import differences, unchanged
-from ._plain import plain_of, record_of
-from ._settings import Paths, contents_with, paths_of
+from ._record import checksums_of, differences, unchanged
 from ._stored import check_config, reached_by, repeatable, without
-from ._windows_first import begun
 
 if TYPE_CHECKING:
     from ..fitting import FitResult, Iteration
     from ._preparation import Preparation
+
+# Settings of a task that are changed: the last word on a parameter counts. Imports no JAX.
+
+Paths = str | Path | Sequence[str | Path]
+Item = TypeVar("Item")
+
+
+def paths_of(files: Paths) -> tuple[Path, ...]:
+    """One file, or several."""
+    return (Path(files),) if isinstance(files, str | Path) else tuple(map(Path, files))
+
+
+def contents_with(
+    definition: Definition, above: Mapping[str, Any], values: Mapping[str, Any]
+) -> dict[str, Any]:
+    """The contents of a definition with other settings of `[fit]`.
+
+    Arguments:
+        definition: what was said before.
+        above: as of `overridden`.
+        values: of the other keys; None for what is not said, and "" for a budget without end.
+    """
+    said = {key: value for key, value in values.items() if value is not None}
+    contents = definition.contents()
+    contents["fit"] = {**contents.get("fit", {}), **overridden(definition, above), **said}
+    if contents["fit"].get("budget") == "":
+        del contents["fit"]["budget"]
+    return contents
+
+
+def overridden(definition: Definition, above: Mapping[str, Any]) -> dict[str, Any]:
+    """The keys of `[fit]` about parameters, path by path; the last word on one counts.
+
+    Arguments:
+        definition: what was said before.
+        above: `free`, `start`, `fix`, `priors`, `bounds`, `ties`, `per_run` and `groups` of
+            `FitTask.on_top`; None for what is not said.
+
+    Returns:
+        Values by key, of those keys that say anything now or before.
+    """
+    free, per_run = above["free"], above["per_run"]
+    start, fix, bounds = above["start"] or {}, above["fix"] or {}, above["bounds"] or {}
+    priors, ties, groups = above["priors"] or {}, above["ties"] or {}, above["groups"] or {}
+    below = definition.fit
+    held, following = set(fix), set(ties)
+    apart = {*(per_run or ()), *groups}
+    freed = {*(free or ()), *apart}
+    no_more = held | following
+
+    def kept(table: Mapping[str, Item] | None, without: Collection[str]) -> dict[str, Item]:
+        return {path: item for path, item in (table or {}).items() if path not in without}
+
+    frees = below.free if free is None else list(free)
+    if not free and frees is not None:
+        frees = [path for path in frees if path not in no_more]
+    alone = below.per_run if per_run is None else list(per_run)
+    if per_run is None and alone is not None:
+        alone = [path for path in alone if path not in no_more | set(groups)]
+    known = {path: entry.contents() for path, entry in below.priors.items()}
+    settings: dict[str, Any] = {
+        "free": frees,
+        "start": {**kept(below.start, no_more), **start},
+        "fix": {**kept(below.fix, freed | set(start) | following), **fix},
+        "priors": kept(known, no_more) | {path: prior.contents() for path, prior in priors.items()},
+        "bounds": {**kept(below.bounds, no_more), **bounds},
+        "ties": {**kept(below.ties, freed | held), **ties},
+        "per_run": alone,
+        "groups": {**kept(below.groups, no_more | set(per_run or ())), **groups},
+    }
+    mentioned = {"free", "start", "fix", *below.contents()}
+    return {key: item for key, item in settings.items() if item or key in mentioned}
+
+
+# A task as plain data.
+
+
+def record_of(task: "FitTask") -> dict[str, Any]:
+    """A task as plain data, with the checksums of its files.
+
+    Raises:
+        InputError: a file cannot be read.
+    """
+    inputs = checksums_of((*task.data, *task.validation), task.source)
+    return {**plain_of(task), "inputs": inputs}
+
+
+def plain_of(task: "FitTask") -> dict[str, Any]:
+    """A task as plain data; nothing is read."""
+    return {
+        "data": [str(path) for path in task.data],
+        "validation": [str(path) for path in task.validation],
+        "rename": dict(task.rename),
+        "source": None if task.source is None else str(task.source),
+        "out": str(task.out),
+        "definition": json.loads(json.dumps(task.definition.contents())),
+        "begin": None if task.begin is None else dict(task.begin),
+    }
+
+
+# Whole runs that begin where a fit of their windows ends.
+#
+# The cost of a long recording of something that swings has many local minima: with a frequency
+# that is off, the model is out of step soon, and stays so. In a window of a few periods, which
+# begins in a state of its own, it has no time for that.
+
+if TYPE_CHECKING:
+    from ..fitting import FitResult, Iteration, Setup
+
+    Watch = Callable[[Setup], Callable[[Iteration], None]]
+
+# What `runs.windows` calls the first window of a run.
+_FIRST = " 0 s"
+
+
+def begun(
+    task: "FitTask",
+    watch: "Watch | None" = None,
+    told: "Callable[[FitResult], object] | None" = None,
+) -> "FitTask":
+    """The task with the start that `windows_first_s` of its `[fit]` asks for.
+
+    Parameters begin where the fit of the windows ends, and states of runs with those of their
+    first windows. What is held out of the runs is held out of the windows, too.
+
+    Arguments:
+        task: what to fit to what. One that asks for nothing, or begins somewhere, is returned.
+        watch: from the fit in windows to what is called after each of its steps.
+        told: called with its result.
+
+    Raises:
+        InputError: as `FitTask.run`.
+        KeyboardInterrupt: also where the fit in windows has something to show for itself.
+    """
+    settings = task.definition.fit
+    if settings.windows_first_s is None or task.begin is not None:
+        return task
+    inside = settings.model_copy(
+        update={"windows_first_s": None, "window_s": settings.windows_first_s, "starts": None}
+    )
+    definition = task.definition.model_copy(update={"fit": inside})
+    ready = dataclasses.replace(task, definition=definition, validation=()).prepare()
+    result = ready.run(None if watch is None else watch(ready.setup), check=False)
+    if result.status == "interrupted":
+        raise KeyboardInterrupt
+    if told is not None:
+        told(result)
+    return dataclasses.replace(task, begin=_of_whole_runs(reached_by(result)))
+
+
+def _of_whole_runs(reached: dict[str, Any]) -> dict[str, Any]:
+    """Where a fit of windows ended, by the names of the runs that they were cut of."""
+    own = {
+        name.removesuffix(_FIRST): values
+        for name, values in reached["own"].items()
+        if name.endswith(_FIRST)
+    }
+    return {**reached, "own": own}
+
 
 # Where results go by default.
 _OUT = Path("giajax-out")

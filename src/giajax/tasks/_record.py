@@ -1,16 +1,15 @@
 """A task as plain data, in a result and in a journal: enough to fit the same again."""
 
 import hashlib
-import json
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from .._errors import InputError
-from .._files import read_bytes
-from .._limits import RUN_BYTES
-from ..runs import Definition, sidecar_path
+from ..recordings import Definition, sidecar_path
+from ..runtime.files import read_bytes
+from ..runtime.limits import RUN_BYTES
+from ..runtime.text import InputError
 
 # What ends a fit or says where it goes, and not which fit it is.
 _ASIDE = ("out", "budget", "max_iterations")

@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from ...fitting import FitResult
-from ...study import Contrast, ContrastRow
-from .._contrast import contrast_tables
-from .._style import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, SKY, VERMILLION
-from ._opening import Opening, opening
+from ...studies import Contrast, ContrastRow
+from .. import BLUE, GREEN, GREY, INK, VERMILLION, contrast_tables
+from .._style import ORANGE, PURPLE, SKY
 from ._render import rendered, some_of
+from ._report import Opening, opening
 from ._tables import Table
 
 # Width of the picture of one parameter and height of a result in it, pixels.

@@ -1,5 +1,6 @@
 """The plots of one run, as what BokehJS draws: recorded and fitted, residuals, their memory."""
 
+import itertools
 import json
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -7,16 +8,216 @@ from typing import Any, NamedTuple
 import numpy as np
 from bokeh.embed import json_item
 from bokeh.layouts import column
-from bokeh.models import BoxAnnotation, ColumnDataSource, HoverTool
+from bokeh.models import BoxAnnotation, ColumnDataSource, HoverTool, Span
+from bokeh.plotting import figure
 from bokeh.transform import dodge
 
-from ...fitting import RunFit
-from ...runs import Channel, Run
-from .._abscissa import abscissa, channel_label, channels_together, sweep_starts
-from .._style import BLUE, GREY, INK, VERMILLION
-from .._worst import times_noise
-from ._figures import colour_of, memory_plot, new_plot, small
-from ._thin import thinned
+from ...fitting import FitResult, RunFit, predict
+from ...recordings import Channel, Run
+from ...runtime.arrays import Float, Int
+from ...schema.parameters import replace
+from .. import BLUE, GREEN, GREY, INK, VERMILLION
+from .._pictures import abscissa, channel_label, channels_together, sweep_starts
+from .._text import times_noise
+
+# The autocorrelation of residuals, with gaps.
+
+_MOST_LAGS = 60
+
+
+def autocorrelation(
+    residuals: Float[np.ndarray, " sample"],
+) -> tuple[Float[np.ndarray, " lag"], float]:
+    """Autocorrelation of residuals at lags of 1, 2, ... samples, and the 95 % band of white noise.
+
+    Arguments:
+        residuals: recorded minus fitted; NaN where not measured, which pairs with nothing.
+
+    Returns:
+        The autocorrelations, none where there are too few values, and half the width of the band.
+    """
+    known = ~np.isnan(residuals)
+    count = int(known.sum())
+    lags = min(len(residuals) // 4, _MOST_LAGS)
+    values = np.where(known, residuals - (residuals[known].mean() if count else 0.0), 0.0)
+    power = float(np.mean(values[known] ** 2)) if count else 0.0
+    if count < 8 or power == 0:
+        return np.empty(0), 0.0
+    found = []
+    for lag in range(1, lags + 1):
+        pairs = int(np.sum(known[lag:] & known[:-lag]))
+        found.append(np.sum(values[lag:] * values[:-lag]) / (max(pairs, 1) * power))
+    return np.array(found), 1.96 / np.sqrt(count)
+
+
+# Fewer points than were recorded, without losing the ones that stick out.
+
+
+def thinned(columns: Sequence[Float[np.ndarray, " sample"]], most: int) -> Int[np.ndarray, " kept"]:
+    """Which samples to draw, so that no extreme of any column is lost.
+
+    The samples are cut into equal spans. Of each the first one stays, and where each column is
+    least and greatest: a single outlier among a million values is drawn.
+
+    Arguments:
+        columns: of equal length; NaN where not measured.
+        most: about how many samples to keep.
+
+    Returns:
+        Their numbers, ascending; all of them where there are no more than `most`.
+    """
+    count = len(columns[0])
+    if count <= most:
+        return np.arange(count)
+    spans = max(most // (2 * len(columns) + 1), 1)
+    edges = np.linspace(0, count, spans + 1).astype(int)
+    kept = set(edges[:-1].tolist()) | {count - 1}
+    for values in columns:
+        low = np.where(np.isnan(values), np.inf, values)
+        high = np.where(np.isnan(values), -np.inf, values)
+        for start, end in itertools.pairwise(edges.tolist()):
+            kept.add(start + int(np.argmin(low[start:end])))
+            kept.add(start + int(np.argmax(high[start:end])))
+    return np.array(sorted(kept))
+
+
+# How the plots of a page look, and those that are a single curve.
+
+# As three coordinates of one point, or as one channel.
+_COLOURS = (BLUE, VERMILLION, GREEN)
+
+
+def new_plot(height: int, across: str, up: str, **more: Any) -> Any:
+    """An empty plot of this height that is as wide as its place."""
+    plot = figure(
+        height=height,
+        sizing_mode="stretch_width",
+        tools="xpan,box_zoom,reset",
+        # None for the wheel: who scrolls the page does not mean to zoom.
+        active_drag="box_zoom",
+        toolbar_location="above",
+        x_axis_label=across,
+        y_axis_label=up,
+        **more,
+    )
+    plot.toolbar.logo = None
+    plot.toolbar.autohide = True
+    plot.outline_line_color = None
+    plot.grid.grid_line_alpha = 0.5
+    for axis in plot.axis:
+        axis.axis_label_text_font_style = "normal"
+        axis.axis_label_text_font_size = "11px"
+        axis.major_label_text_font_size = "11px"
+        axis.minor_tick_line_color = None
+    plot.yaxis.ticker.desired_num_ticks = 6 if height > 180 else 4
+    return plot
+
+
+def curve_item(label: str, over: Sequence[float], values: Sequence[float], *, log: bool) -> str:
+    """A line over steps, such as the cost of each iteration, as what BokehJS embeds."""
+    plot = new_plot(200, "iteration", label, y_axis_type="log" if log else "linear")
+    source = ColumnDataSource({"x": np.asarray(over, float), "y": np.asarray(values, float)})
+    plot.line("x", "y", source=source, color=BLUE, line_width=1.5)
+    dots = plot.scatter("x", "y", source=source, color=BLUE, size=5)
+    tips = [("iteration", "@x{0}"), ("cost", "@y{0.00000a}")]
+    plot.add_tools(HoverTool(renderers=[dots], tooltips=tips))
+    return json.dumps(json_item(plot))
+
+
+def memory_plot(channels: Sequence[Channel], residuals: Sequence[np.ndarray]) -> Any:
+    """Autocorrelations within the band of white noise; None where there are too few values."""
+    plot = new_plot(140, "lag (samples)", "correlation")
+    widest = 0.0
+    for place, channel in enumerate(channels):
+        values, band = autocorrelation(residuals[place])
+        if not len(values):
+            continue
+        widest = max(widest, band)
+        colour = colour_of(place, channel, len(channels) > 1)
+        lags = np.arange(1, len(values) + 1, dtype=np.float32)
+        source = ColumnDataSource({"x": lags, "y": small(values)})
+        plot.line("x", "y", source=source, color=colour, line_width=1)
+        dots = plot.scatter("x", "y", source=source, size=3.5, color=colour)
+        tips = [("lag", "@x{0}"), ("autocorrelation", "@y{0.00}")]
+        plot.add_tools(HoverTool(renderers=[dots], tooltips=tips))
+    if not widest:
+        return None
+    plot.add_layout(BoxAnnotation(bottom=-widest, top=widest, fill_color=GREY, fill_alpha=0.2))
+    plot.add_layout(Span(location=0, dimension="width", line_color=GREY, line_width=0.7))
+    return plot
+
+
+def colour_of(place: int, channel: Channel, several: bool) -> str:
+    """That of a coordinate, where several share a plot; else the first."""
+    if not several:
+        return BLUE
+    return _COLOURS[(place if channel.component is None else channel.component) % len(_COLOURS)]
+
+
+def small(values: np.ndarray) -> np.ndarray:
+    """As seven digits, which no screen shows: half of the page's size."""
+    return np.asarray(values, dtype=np.float32)
+
+
+# How far the uncertainty of the parameters moves a prediction, without another fit.
+
+# Each parameter costs a prediction; the program for it is compiled already.
+_MOST_PARAMETERS = 12
+
+
+def can_have_bands(result: FitResult) -> bool:
+    """Whether a band costs little and is what the result knows: few parameters, without ties."""
+    paths = result.correlation.parameters
+    return (
+        0 < len(paths) <= _MOST_PARAMETERS
+        and set(paths) <= set(result.parameters)
+        and not result.config.get("ties")
+        and all(result.parameters[path].standard_error for path in paths)
+        and all(
+            value is not None and np.isfinite(value)
+            for row in result.correlation.matrix
+            for value in row
+        )
+        and not any(run.parameters.keys() & result.free.keys() for run in result.runs)
+    )
+
+
+def prediction_errors_of_parameters(
+    result: FitResult, run: Run, predicted: Mapping[str, np.ndarray]
+) -> dict[str, np.ndarray]:
+    """Standard deviation of each predicted channel by the covariance of the shared parameters.
+
+    To first order: each parameter is moved by its standard error, and the changes are added up
+    with the correlations. What a run has for itself, such as its initial state, is not in it.
+
+    Arguments:
+        result: of which `can_have_bands`.
+        run: to be predicted.
+        predicted: by the fitted model, SI, by channel.
+
+    Returns:
+        SI, by channel, each of shape (sample,); empty where a moved model cannot be predicted.
+    """
+    model = result.model_of(run)
+    changes: dict[str, list[np.ndarray]] = {name: [] for name in predicted}
+    for path in result.correlation.parameters:
+        estimate = result.parameters[path]
+        moved = estimate.value + estimate.standard_error
+        if estimate.upper is not None and moved >= estimate.upper:
+            moved = estimate.value - estimate.standard_error
+        there = predict(replace(model, {path: moved}), run, list(predicted))
+        sign = np.sign(moved - estimate.value)
+        for name, values in there.items():
+            changes[name].append(sign * (values - predicted[name]))
+    matrix = np.array(result.correlation.matrix, dtype=float)
+    bands = {}
+    for name, rows in changes.items():
+        table = np.stack(rows)
+        variance = np.einsum("is,ij,js->s", table, matrix, table)
+        if not np.all(np.isfinite(variance)):
+            return {}
+        bands[name] = np.sqrt(np.maximum(variance, 0.0))
+    return bands
 
 
 class Panel(NamedTuple):

@@ -1,14 +1,97 @@
 """Templates, styles and scripts as one file that needs no other and no network."""
 
 import functools
-from collections.abc import Iterable
+import json
+from collections.abc import Iterable, Mapping
 from importlib.resources import files
-from typing import Any
+from typing import Any, NamedTuple
 
 import bokeh
+import numpy as np
 from bokeh.resources import Resources
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
+
+from ...fitting import FitResult
+from ...models import recorded_markers
+from ...recordings import Run
+from ...simulation import SimulationError
+
+# A scene as compact data for a small script that draws it.
+
+# As many as an eye follows; more make the page larger and no clearer.
+_MOST_FRAMES = 240
+
+# Coordinates are integers of this range: an eye sees a thousandth.
+_GRID = 4095
+
+
+class Arm(NamedTuple):
+    """A model that moves.
+
+    Attributes:
+        data: what the script draws, as JSON.
+        recorded: how many markers were recorded.
+        aligned: whether the axes of the recording are those of the model; if not, none is drawn.
+    """
+
+    data: str
+    recorded: int
+    aligned: bool
+
+
+def animation(result: FitResult, run: Run, predicted: Mapping[str, np.ndarray]) -> Arm | None:
+    """What the arm of a run looks like over time, with its recorded markers, as JSON.
+
+    Arguments:
+        result: of the fit.
+        run: a fitted one.
+        predicted: what the model predicts for it, SI, by channel.
+
+    Returns:
+        Lines with radii, fitted and recorded markers, on a grid of integers; None for a model of
+        which nothing is seen, or that cannot be simulated there.
+    """
+    try:
+        scene = result.model_of(run).scene(run)
+    except SimulationError:
+        return None
+    if scene is None:
+        return None
+    frames = np.unique(np.linspace(0, scene.samples - 1, _MOST_FRAMES).round().astype(int))
+    low, high = scene.extent()
+    found = recorded_markers(scene, run, predicted)
+    recorded, aligned = found or {}, found is not None
+    for points in recorded.values():
+        if np.any(np.isfinite(points)):
+            low = np.fmin(low, np.nanmin(points, axis=0))
+            high = np.fmax(high, np.nanmax(points, axis=0))
+    step = float(np.max(high - low)) / _GRID or 1.0
+
+    def grid(points: np.ndarray) -> list[Any]:
+        cells = np.round((points[frames] - low) / step)
+        flat = cells.reshape(len(frames), -1)
+        return [[None if np.isnan(v) else int(v) for v in row] for row in flat]
+
+    facts = {
+        "low": low.tolist(),
+        "step": step,
+        "size": ((high - low) / step).tolist(),
+        "times": None if scene.times is None else np.round(scene.times[frames], 4).tolist(),
+        "frames": (frames + 1).tolist(),
+        "lines": [
+            {
+                "points": grid(line.points),
+                "radii": np.round(line.radii / step, 1).tolist(),
+                "loose": None if line.loose is None else line.loose[frames].astype(int).tolist(),
+            }
+            for line in scene.lines
+        ],
+        "markers": [grid(points) for name, points in scene.markers.items() if name in recorded],
+        "recorded": [grid(points) for points in recorded.values()],
+    }
+    return Arm(json.dumps(facts, separators=(",", ":")), len(recorded), aligned)
+
 
 _FOLDER = files(__package__) / "templates"
 

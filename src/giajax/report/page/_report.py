@@ -9,35 +9,211 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..._errors import InputError
-from ...fitting import FitResult, matching_runs
-from ...runs import Run
-from ...study import begun_where_it_ended, profiles_beside
+from ...fitting import Estimate, FitResult, in_column_units, matching_runs
+from ...recordings import Run
+from ...runtime.text import InputError, format_estimate
+from ...studies import LEVEL, begun_where_it_ended, profiles_beside, promising
 from ...tasks import repeatable
-from .._suspects import SUSPECT_HEADINGS, first_suspects, systematic_table
-from .._text import summary_rows
-from .._worst import worth_drawing
-from ._arm import Arm, animation
-from ._band import can_have_bands, prediction_errors_of_parameters
-from ._correlations import correlation_cells
-from ._figures import curve_item
-from ._opening import opening
-from ._plots import Panel, panel, worst_panels
-from ._posterior import posterior_part
-from ._profiles import profile_part
-from ._render import rendered, some_of
-from ._repetitions import influence_part, repeated_part
+from .. import SUSPECT_HEADINGS, first_suspects, systematic_table
+from .._text import WRONG_DERIVATIVES, summary_rows, worth_drawing
+from ._plots import (
+    Panel,
+    can_have_bands,
+    curve_item,
+    panel,
+    prediction_errors_of_parameters,
+    worst_panels,
+)
+from ._render import Arm, animation, rendered, some_of
 from ._tables import (
     Table,
+    correlation_cells,
     file_rows,
     held_out_table,
+    influence_part,
     noise_table,
     optima_table,
     own_table,
     parameter_rows,
+    posterior_part,
+    profile_part,
+    repeated_part,
     starts_table,
     validation_table,
 )
+
+# What a reader must know before any number: whether to believe them, and what limits them.
+#
+# The sentences say nothing that is not in the result; they say it in the order in which it
+# matters.
+
+# Correlations beyond this, errors beyond this part of a value, and predictions of what was held
+# out that are off by so many times what they should be, are worth a sentence.
+_CORRELATED, _VAGUE, _FAR_OFF = 0.9, 0.1, 1.5
+
+# A shift of a held number, or of the tolerance, by this many standard errors is too.
+_NOTABLE = 0.5
+
+# Findings that the parameters' own sentences here say already.
+_SAID = ("no_response", "correlated")
+
+
+class Opening(NamedTuple):
+    """What stands at the top of a page.
+
+    Attributes:
+        grade: "good", "doubtful" or "bad", which colours it.
+        headline: one sentence.
+        limits: sentences on what limits the numbers, the most important first.
+    """
+
+    grade: str
+    headline: str
+    limits: list[str]
+
+
+def opening(result: FitResult) -> Opening:
+    """The verdict in plain words."""
+    limits = [
+        *_of_the_model(result),
+        *_undetermined(result),
+        *_held_numbers(result),
+        *_precision(result),
+        *_prediction(result),
+        *_computation(result),
+    ]
+    if result.status != "converged":
+        return Opening(
+            "bad",
+            f"Do not use these numbers yet: {result.message}",
+            limits,
+        )
+    if result.verdict.status == "inadequate":
+        return Opening(
+            "bad",
+            "The fit has converged, but the model does not describe the data: the standard errors "
+            "are those of a model that is not right, and the true errors may be larger",
+            limits,
+        )
+    if result.verdict.status == "not evaluated":
+        return Opening(
+            "doubtful",
+            "The fit has converged; whether the model describes the data was not judged",
+            limits,
+        )
+    if _undetermined(result):
+        return Opening(
+            "doubtful",
+            "The fit has converged and the model describes the data to within the noise, but not "
+            "all parameters are determined by them",
+            limits,
+        )
+    if _has_wrong_derivatives(result):
+        return Opening(
+            "doubtful",
+            "The fit has converged and the model describes the data to within the noise, but the "
+            "derivatives by which it got there are not right",
+            limits,
+        )
+    return Opening(
+        "good",
+        "The fit has converged, and the model describes the data to within the noise",
+        limits,
+    )
+
+
+def _of_the_model(result: FitResult) -> list[str]:
+    reasons = result.verdict.reasons if result.status == "converged" else ()
+    said = [reason.sentence for reason in reasons]
+    asked = [row for row in promising(result.suspects) if (row.p_value or 0.0) < LEVEL]
+    if asked:
+        said.append(
+            f"the residuals ask most for {asked[0].path}, which the model holds or leaves out"
+        )
+    return said
+
+
+def _undetermined(result: FitResult) -> list[str]:
+    without = [path for path, one in result.free.items() if one.standard_error is None]
+    if not without:
+        return []
+    return [f"the data do not determine {', '.join(without)}: read no value of it"]
+
+
+def _held_numbers(result: FitResult) -> list[str]:
+    said = []
+    for error in result.systematic:
+        if error.decides:
+            change = "its uncertainty" if error.stated else "1 % of it"
+            said.append(
+                f"{error.path} is held, and {change} moves {', '.join(error.decides)} by more than "
+                "a standard error"
+            )
+    return said
+
+
+def _precision(result: FitResult) -> list[str]:
+    said = []
+    known = {path: share for path, one in result.free.items() if (share := _share(one)) is not None}
+    if known:
+        worst = max(known, key=lambda path: known[path])
+        if known[worst] > _VAGUE:
+            one = in_column_units(result.free, result.model)[worst]
+            value, error = format_estimate(one.value, one.standard_error)
+            unit = f" {one.unit}" if one.unit else ""
+            said.append(f"{worst} is known worst: {value} \N{PLUS-MINUS SIGN} {error}{unit}")
+    pairs = [
+        (abs(number), number, result.correlation.parameters[j], result.correlation.parameters[i])
+        for i, row in enumerate(result.correlation.matrix)
+        for j, number in enumerate(row[:i])
+        if number is not None and abs(number) > _CORRELATED
+    ]
+    if pairs:
+        _, correlation, one_path, other = max(pairs)
+        said.append(
+            f"{one_path} and {other} are told apart badly (correlation {correlation:+.3f}): do not "
+            "read one without the other"
+        )
+    said += [one.sentence for one in result.findings if one.code not in _SAID]
+    return said
+
+
+def _share(one: Estimate) -> float | None:
+    if one.standard_error is None or not isinstance(one.value, float) or not one.value:
+        return None
+    return abs(one.standard_error / one.value)
+
+
+def _prediction(result: FitResult) -> list[str]:
+    channels = [channel for record in result.held_out for channel in record.channels.values()]
+    sizes = [channel.size for channel in channels if channel.size is not None]
+    if not channels and not result.validation:
+        return ["nothing was held out, so how well the model predicts is not tested"]
+    if sizes and max(sizes) > _FAR_OFF:
+        return [
+            f"what was held out is predicted up to {max(sizes):.2g} times as far off as noise and "
+            "the parameters allow"
+        ]
+    return []
+
+
+def _computation(result: FitResult) -> list[str]:
+    said = []
+    if result.noise is not None and result.noise.estimated:
+        said.append("the size of the noise was taken from the residuals, at least in part")
+    effect = result.tolerance_effect
+    largest = None if effect is None else effect.largest_in_standard_errors
+    if largest is not None and largest > _NOTABLE:
+        said.append(f"a finer tolerance of the solver would move a value by {largest:.2g} errors")
+    if _has_wrong_derivatives(result):
+        said.append("the derivatives disagree with differences, so the fit may have ended anywhere")
+    return said
+
+
+def _has_wrong_derivatives(result: FitResult) -> bool:
+    check = result.gradient_check
+    return check is not None and check.relative_difference > WRONG_DERIVATIVES
+
 
 # Panels of all runs together, and numbers in all of them: some 3 MB.
 _MOST_PANELS, _MOST_VALUES = 24, 420_000

@@ -1,0 +1,5 @@
+"""What is built on the library: each application has its own model of use, tables and pages."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

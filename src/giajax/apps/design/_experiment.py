@@ -1,0 +1,448 @@
+"""The next experiment: which command and which markers tell most of chosen parameters."""
+
+import dataclasses
+import itertools
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from ...fitting import FitResult
+from ...models import AbstractModel
+from ...recordings import Run
+from ...runtime.arrays import Float
+from ...runtime.text import InputError
+from ...studies import expected_errors
+from ..synthetic import Drive
+from ._question import Criterion, Question, draws, question_of
+from ._search import (
+    Command,
+    CommandSeries,
+    Evaluation,
+    Experiment,
+    Informed,
+    Limits,
+    Numbers,
+    Search,
+    base_step,
+    informed,
+    starts_of,
+)
+
+# Which markers to film: the choice of a few out of many that tells most.
+
+Informations = Float[np.ndarray, "body draw parameter parameter"]
+
+# Up to so many choices all are looked at.
+_ALL = 3000
+
+
+def check_count(count: int, bodies: int) -> None:
+    """Refuse a number of markers that cannot be chosen.
+
+    Raises:
+        InputError: fewer than 1, or more than there are.
+    """
+    if not 1 <= count <= bodies:
+        raise InputError(
+            f"{count} markers are to be filmed out of {bodies}: give a number from 1 to {bodies}"
+        )
+
+
+def chosen_markers(
+    error: Callable[[np.ndarray], float], informations: Informations, count: int
+) -> tuple[int, ...]:
+    """Positions of the bodies to record.
+
+    All choices are compared where they are few; else one is added after the other, each the one
+    that helps most, and then exchanged as long as that helps (Fedorov).
+
+    Arguments:
+        error: to expect of an information, shape (draw, parameter, parameter).
+        informations: of each body, shape (body, draw, parameter, parameter).
+        count: how many may be recorded.
+
+    Returns:
+        Increasing positions, of shape (count,).
+
+    Raises:
+        InputError: fewer than 1, or more than there are.
+    """
+    bodies = len(informations)
+    check_count(count, bodies)
+
+    def of(some: tuple[int, ...]) -> float:
+        return error(informations[list(some)].sum(axis=0))
+
+    if math.comb(bodies, count) <= _ALL:
+        return min(itertools.combinations(range(bodies), count), key=of)
+    some: tuple[int, ...] = ()
+    while len(some) < count:
+        some = min(((*some, new) for new in range(bodies) if new not in some), key=of)
+    while True:
+        others = [body for body in range(bodies) if body not in some]
+        exchanged = [
+            (*some[:place], new, *some[place + 1 :]) for place in range(count) for new in others
+        ]
+        best = min(exchanged, key=of)
+        if of(best) >= of(some):
+            return tuple(sorted(some))
+        some = best
+
+
+# The error to expect of a command, over what is uncertain, as a function with a gradient.
+
+Over = Literal["mean", "worst"]
+_OVER: tuple[str, ...] = get_args(Over)
+
+
+@dataclasses.dataclass
+class RobustError:
+    """Logarithm of the error to expect: its mean over draws, or the worst of them.
+
+    Arguments:
+        experiment: what is recorded.
+        series: of the command.
+        draws: values of the parameters that may be true, SI, shape (draw, parameter).
+        known: information that priors are, in the scales of the experiment.
+        criterion: what is to be small.
+        count: how many bodies may be recorded.
+        over: "mean" or "worst".
+        markers: positions of the bodies that are recorded at present.
+
+    Raises:
+        InputError: another word for `over`, or more bodies than there are.
+    """
+
+    experiment: Experiment
+    series: CommandSeries
+    draws: Float[np.ndarray, "draw parameter"]
+    known: Float[np.ndarray, "parameter parameter"]
+    criterion: Criterion
+    count: int
+    over: str = "mean"
+    markers: tuple[int, ...] = ()
+    _seen: tuple[bytes, Informed] | None = None
+
+    def __post_init__(self) -> None:
+        check_count(self.count, 1 + max(self.experiment.bodies))
+        if self.over not in _OVER:
+            raise InputError(f"there is no robust '{self.over}': use one of: {', '.join(_OVER)}")
+
+    def __call__(self, numbers: Numbers) -> tuple[float, Float[np.ndarray, " number"]]:
+        """The logarithm and its gradient; NaN where a draw cannot be simulated."""
+        found = self._informed(numbers)
+        if not np.all(found.successful):
+            return np.nan, np.full(len(numbers), np.nan)
+        some = list(self.markers)
+        values, slopes = [], []
+        for information, slope in zip(found.values, found.slopes, strict=True):
+            value, by_information = self._error(information[some].sum(axis=0))
+            values.append(value)
+            slopes.append(np.einsum("ij,nij->n", by_information, slope[:, some].sum(axis=1)))
+        if self.over == "worst":
+            worst = int(np.argmax(values))
+            return values[worst], slopes[worst]
+        return float(np.mean(values)), np.mean(slopes, axis=0)
+
+    def leave_out_failing(self, numbers: Numbers) -> None:
+        """Leave out the draws with which a command cannot be simulated; the first one stays."""
+        successful = np.asarray(self._informed(numbers).successful).astype(bool).ravel()
+        if not np.all(successful[1:]):
+            self.draws = self.draws[[True, *successful[1:]]]
+            self._seen = None
+
+    def choose(self, numbers: Numbers) -> None:
+        """Change to the bodies that tell most of a command."""
+        found = self._informed(numbers)
+        if np.all(found.successful):
+            self.markers = self.chosen(found.values)
+        elif not self.markers:
+            self.markers = tuple(range(self.count))
+
+    def chosen(
+        self, informations: Float[np.ndarray, "draw body parameter parameter"]
+    ) -> tuple[int, ...]:
+        """The bodies that tell most."""
+        return chosen_markers(self._over_draws, informations.swapaxes(0, 1), self.count)
+
+    def each(self, numbers: Numbers) -> np.ndarray:
+        """Logarithm of the error of each draw, shape (draw,)."""
+        informations = self._informed(numbers).values[:, list(self.markers)].sum(axis=1)
+        return np.asarray([self._error(one)[0] for one in informations])
+
+    def _over_draws(self, informations: np.ndarray) -> float:
+        values = [self._error(one)[0] for one in informations]
+        return float(np.max(values) if self.over == "worst" else np.mean(values))
+
+    def _error(self, information: np.ndarray) -> tuple[float, np.ndarray]:
+        return self.criterion.of_information(information + self.known)
+
+    def _informed(self, numbers: Numbers) -> Informed:
+        key = np.asarray(numbers, dtype=float).tobytes()
+        if self._seen is None or self._seen[0] != key:
+            self._seen = key, informed(self.experiment, self.series.at(numbers), self.draws)
+        return self._seen[1]
+
+
+# What the design of an experiment says: the command, the markers and the errors to expect.
+
+
+@dataclasses.dataclass(frozen=True)
+class Expected:
+    """An experiment that was not made yet, and the errors to expect of it.
+
+    Attributes:
+        run: what will be commanded, and when rows are recorded, without recorded values.
+        drive: the corners of the command.
+        markers: bodies that are filmed (`link06`).
+        errors: standard errors by path, in the unit of the parameter; infinite where the
+            experiment does not determine one.
+        criterion: error that the criterion is about; that of one parameter in its unit. None where
+            the experiment does not determine it, to a hundred times the value at least.
+        times: of the samples, s, shape (sample,).
+        predicted: all candidates by name as the model foresees them, SI, each (sample,).
+        channels: those of the markers.
+    """
+
+    run: Run
+    drive: Drive
+    markers: tuple[str, ...]
+    errors: dict[str, float]
+    criterion: float | None
+    times: Float[np.ndarray, " sample"]
+    predicted: dict[str, Float[np.ndarray, " sample"]]
+    channels: tuple[str, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Design:
+    """The experiment that was found, beside the paper's base step under the same limits.
+
+    Attributes:
+        limits: what the command may do.
+        criterion: "c", "A" or "D".
+        wanted: paths of the parameters of interest.
+        parameters: of all that a fit would have free: value and unit, by path.
+        noise: standard deviation of a cell, SI, by channel that may be recorded.
+        designed: the experiment.
+        base_step: the paper's, with markers chosen for it.
+        before: standard errors by path of the result that the design began from; may be empty.
+        spread: smallest and largest criterion of the design over draws of what is uncertain, over
+            that of the present values.
+        draws: how many, without those with which the base step cannot be simulated.
+        status: "converged", "iteration limit" where the search for the best one ended there, or
+            "interrupted" with the best so far.
+        evaluations: of the search.
+        seconds: that it took.
+    """
+
+    limits: Limits
+    criterion: str
+    wanted: tuple[str, ...]
+    parameters: dict[str, tuple[float, str]]
+    noise: dict[str, float]
+    designed: Expected
+    base_step: Expected
+    before: dict[str, float]
+    spread: tuple[float, float]
+    draws: int
+    status: Literal["converged", "iteration limit", "interrupted"]
+    evaluations: tuple[Evaluation, ...]
+    seconds: float
+
+    @property
+    def ratio(self) -> float | None:
+        """Error of the design over that of the base step, by the criterion; None without one."""
+        if self.designed.criterion is None or self.base_step.criterion is None:
+            return None
+        return self.designed.criterion / self.base_step.criterion
+
+    def summary(self) -> str:
+        """What the design comes to, in a clause."""
+        if self.ratio is not None:
+            return f"{self.ratio:.3f} times the error of the base step"
+        both = {"the design": self.designed, "the base step": self.base_step}
+        without = [name for name, one in both.items() if one.criterion is None]
+        return f"{' and '.join(without)} cannot tell {', '.join(self.wanted)}"
+
+    def __repr__(self) -> str:
+        return f"<Design: {self.criterion}-optimal for {', '.join(self.wanted)}, {self.summary()}>"
+
+
+# The errors to expect of one experiment at the present values of the parameters.
+
+
+def expected(
+    asked: Question,
+    command: Command,
+    name: str,
+    objective: RobustError,
+    markers: tuple[int, ...] | None = None,
+) -> Expected:
+    """What is to be expected of a command.
+
+    Arguments:
+        asked: the question.
+        command: that is given.
+        name: of the run.
+        objective: says what is small, and chooses markers.
+        markers: positions of the bodies that are filmed; by default those that tell most.
+
+    Raises:
+        InputError: the arm cannot follow the command.
+    """
+    experiment = asked.experiment
+    found = informed(experiment, command, asked.values[None])
+    if not np.all(found.successful):
+        why = asked.model.failure(asked.model.prepare(asked.run_of(command.drive(), name)))
+        raise InputError(f"the command of {name} cannot be simulated: {why}")
+    some = objective.chosen(found.values) if markers is None else markers
+    whole = found.values[0, list(some)].sum(axis=0) + asked.known
+    errors = expected_errors(whole)[: len(experiment.paths)] * experiment.scales
+    channels = zip(experiment.channels, experiment.bodies, strict=True)
+    return Expected(
+        run=asked.run_of(command.drive(), name),
+        drive=command.drive(),
+        markers=tuple(asked.bodies[body] for body in some),
+        errors=dict(zip(experiment.paths, map(float, errors), strict=True)),
+        criterion=(
+            float(np.exp(objective.criterion.of_information(whole)[0]))
+            if objective.criterion.is_determined(whole)
+            else None
+        ),
+        times=np.asarray(experiment.inputs.times),
+        predicted=dict(zip(experiment.channels, found.predicted[0].T, strict=True)),
+        channels=tuple(channel for channel, body in channels if body in some),
+    )
+
+
+# Numbers of a command that a design has, unless the caller says how many.
+_KNOTS = 15
+_NUMBERS = 30
+_FEWEST = 4
+
+
+def design_experiment(
+    source: AbstractModel | FitResult,
+    wanted: Sequence[str] | Mapping[str, float],
+    limits: Limits | None = None,
+    *,
+    criterion: str = "c",
+    free: Sequence[str] | None = None,
+    channels: Sequence[str] | None = None,
+    markers: int | None = None,
+    noise: Mapping[str, float] | None = None,
+    priors: Mapping[str, Any] | None = None,
+    ties: Mapping[str, str] | None = None,
+    uncertainty: float | Mapping[str, float] | None = None,
+    over: str = "mean",
+    draw_count: int = 4,
+    knots: int | None = None,
+    starts: int = 6,
+    follow: int = 2,
+    iterations: int = 25,
+    definition: Mapping[str, Any] | None = None,
+    progress: Callable[[Evaluation], None] | None = None,
+) -> Design:
+    """Find the command series, and the markers, that most lower standard errors to be expected.
+
+    Arguments:
+        source: the arm at the present values of its parameters, or a fit of it. Of a fit, what was
+            free, priors, ties, noise and uncertainty are taken, unless they are given.
+        wanted: paths of the parameters of interest. For "c" one, or the weight of each in a linear
+            combination, in 1 over their units.
+        limits: what the command may do: the base joint to 30 deg at 30 deg/s in 25 s by default.
+        criterion: "c" (standard error of one), "A" (root of the trace of the covariance of all of
+            interest, each in its present value), or "D" (determinant).
+        free: paths that a fit of the experiment will have free, too.
+        channels: candidates to record, such as `link06_z`; the positions of all links by default.
+        markers: how many bodies (`link06`) may be filmed; all candidates by default.
+        noise: standard deviation by quantity (`position`, `angle`) or channel, SI.
+        priors: what is known of parameters before (`giajax.Prior`), by path.
+        ties: parameters that follow from others (expressions), by path, as of `fit`.
+        uncertainty: standard deviation over the present value: of all that is free, or by path;
+            that of a fit, and 0.2 of what it does not tell.
+        over: "mean" of the logarithm of the error over draws of what is uncertain, or "worst".
+        draw_count: how many draws, the present values among them.
+        knots: of the command of each joint after its start.
+        starts: commands that are compared first.
+        follow: how many of them are followed.
+        iterations: of the optimiser, from each.
+        definition: what a sidecar of the experiment says, such as `{"initial": {"free": True}}`.
+        progress: called after each evaluation; may raise KeyboardInterrupt, which keeps the best.
+
+    Returns:
+        The experiment beside the paper's base step under the same limits.
+
+    Raises:
+        InputError: an unknown path, joint, channel, criterion, or numbers that make no sense.
+        KeyboardInterrupt: before anything was evaluated.
+
+    Example:
+        >>> import giajax
+        >>> arm = giajax.ArmModel(giajax.takeichi_20m())
+        >>> limits = giajax.Limits(joints=(1, 3), duration=20.0)
+        >>> found = giajax.design_experiment(
+        ...     arm, ["air.drag_coefficient"], limits
+        ... )  # doctest: +SKIP
+    """
+    began = time.perf_counter()
+    limits = limits or Limits()
+    asked = question_of(
+        source,
+        wanted,
+        limits,
+        free=free,
+        channels=channels,
+        noise=noise,
+        priors=priors,
+        ties=ties,
+        uncertainty=uncertainty,
+        definition=definition,
+    )
+    per_joint = min(_KNOTS, max(_FEWEST, _NUMBERS // len(limits.joints)), limits.rows)
+    series = CommandSeries.of(limits, per_joint if knots is None else knots)
+    objective = RobustError(
+        asked.experiment,
+        series,
+        draws(asked.parameters, asked.values, asked.deviations, asked.correlation, draw_count),
+        asked.known,
+        Criterion(criterion, asked.weights(criterion)),
+        len(asked.bodies) if markers is None else markers,
+        over,
+    )
+    objective.leave_out_failing(series.base_step())
+    search = Search(objective, series, progress)
+    search.follow(starts_of(series, starts), follow, iterations)
+    if search.best is None:
+        raise InputError(
+            "no command that was tried can be simulated with every draw of what is uncertain: give "
+            "a smaller uncertainty (--uncertainty), or other values of the parameters"
+        )
+    objective.markers = search.markers
+    spread = np.exp(objective.each(search.best) - objective.each(search.best)[0])
+    designed = expected(asked, series.at(search.best), "design", objective, search.markers)
+    stepped = expected(asked, base_step(limits, len(series.times)), "base_step", objective)
+    return Design(
+        limits=limits,
+        criterion=criterion,
+        wanted=tuple(asked.wanted),
+        parameters={
+            part.path: (float(value), part.declaration.unit)
+            for part, value in zip(asked.parameters, asked.values, strict=True)
+        },
+        noise=asked.noise,
+        designed=designed,
+        base_step=stepped,
+        before=asked.before,
+        spread=(float(spread.min()), float(spread.max())),
+        draws=len(objective.draws),
+        status="interrupted"
+        if search.interrupted
+        else ("iteration limit" if search.limited else "converged"),
+        evaluations=tuple(search.evaluations),
+        seconds=time.perf_counter() - began,
+    )

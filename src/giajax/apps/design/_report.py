@@ -1,0 +1,169 @@
+"""A designed experiment as a picture, a table and plain data."""
+
+import json
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ...recordings import Channel
+from ...report import BLUE, DEGREE, GREY, VERMILLION, new_figure, plain
+from ...studies import body_of
+from ._experiment import Design, Expected
+
+DESIGN_HEADINGS = ("parameter", "value", "design", "base step", "ratio", "fit before", "unit")
+_STYLES = (("design", BLUE, "-"), ("base step", VERMILLION, "--"))
+_MOST_NAMES = 12
+
+# Bars that differ by more than this are seen on a logarithmic axis only.
+_FAR_APART = 30.0
+
+
+def design_rows(found: Design) -> list[tuple[Any, ...]]:
+    """Of each free parameter the standard errors to expect, those of interest first.
+
+    Arguments:
+        found: the design.
+
+    Returns:
+        A row for each, as `DESIGN_HEADINGS` says; None where the result before has no error.
+    """
+    order = [*found.wanted, *(path for path in found.parameters if path not in found.wanted)]
+    rows = []
+    for path in order:
+        value, unit = found.parameters[path]
+        designed, base = found.designed.errors[path], found.base_step.errors[path]
+        ratio = designed / base if designed < math.inf and base < math.inf else None
+        shown = [one if one < math.inf else "not determined" for one in (designed, base)]
+        rows.append((path, value, *shown, ratio, found.before.get(path), unit or None))
+    return rows
+
+
+def design_json(found: Design) -> str:
+    """A design as JSON text.
+
+    Arguments:
+        found: the design.
+    """
+    limits = found.limits
+    smallest, largest = (None, None) if found.designed.criterion is None else found.spread
+    facts: dict[str, Any] = {
+        "schema_version": 1,
+        "criterion": found.criterion,
+        "wanted": list(found.wanted),
+        "limits": {
+            "joints": list(limits.joints),
+            "angle_deg": math.degrees(limits.angle),
+            "rate_deg_per_s": math.degrees(limits.rate),
+            "duration_s": limits.duration,
+            "rows_per_s": limits.sampling,
+        },
+        "parameters": {
+            path: {"value": value, "unit": unit, "error_before": found.before.get(path)}
+            for path, (value, unit) in found.parameters.items()
+        },
+        "noise": found.noise,
+        "design": _expected_json(found.designed),
+        "base_step": _expected_json(found.base_step),
+        "ratio": found.ratio,
+        "draws": {"count": found.draws, "smallest": smallest, "largest": largest},
+        "status": found.status,
+        "evaluations": len(found.evaluations),
+        "seconds": found.seconds,
+    }
+    return json.dumps(facts, indent=2, allow_nan=False)
+
+
+def _expected_json(expected: Expected) -> dict[str, Any]:
+    corners = {name: np.degrees(row).tolist() for name, row in expected.drive.values.items()}
+    return {
+        "markers": list(expected.markers),
+        "criterion": expected.criterion,
+        "errors": {p: e if e < math.inf else None for p, e in expected.errors.items()},
+        "corners": {"time_s": expected.drive.times.tolist(), "angle_deg": corners},
+    }
+
+
+def design_figure(found: Design, title: str = "") -> Figure:
+    """The command, where the outermost marker goes, and the errors to expect.
+
+    Arguments:
+        found: the design.
+        title: of the whole.
+
+    Returns:
+        The picture.
+    """
+    rows = min(len(found.parameters), _MOST_NAMES)
+    figure = new_figure(10, max(4.6, 2.6 + 0.4 * rows), title or "The next experiment")
+    grid = figure.add_gridspec(2, 2, width_ratios=[3, 2])
+    both = (found.designed, found.base_step)
+    _commands(figure.add_subplot(grid[0, 0]), both)
+    _path(figure.add_subplot(grid[1, 0]), both)
+    _errors(figure.add_subplot(grid[:, 1]), found)
+    return figure
+
+
+def _commands(axes: Axes, both: Sequence[Expected]) -> None:
+    for (label, colour, style), one in zip(_STYLES, both, strict=True):
+        assert one.run.times is not None
+        for index, (name, row) in enumerate(one.run.commands.items()):
+            shade = max(1 - 0.25 * index, 0.25)
+            axes.plot(
+                one.run.times,
+                np.degrees(row),
+                style,
+                color=colour,
+                alpha=shade,
+                label=f"{label}, {name.removesuffix('_command')}",
+            )
+    plain(axes, "command")
+    axes.set_xlabel("time (s)")
+    axes.set_ylabel(f"angle ({DEGREE})")
+    axes.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(1, 1))
+
+
+def _path(axes: Axes, both: Sequence[Expected]) -> None:
+    """The component of the last body that moves most, over time."""
+    last = body_of(list(both[0].predicted)[-1])
+    names = [name for name in both[0].predicted if body_of(name) == last]
+    most = max(names, key=lambda name: max(float(np.ptp(one.predicted[name])) for one in both))
+    for (label, colour, style), one in zip(_STYLES, both, strict=True):
+        axes.plot(one.times, one.predicted[most], style, color=colour, label=label)
+    plain(axes, f"where {last} goes")
+    axes.set_xlabel("time (s)")
+    unit = Channel.named(most).si_unit
+    axes.set_ylabel(f"{most} ({unit})" if unit else most)
+
+
+def _errors(axes: Axes, found: Design) -> None:
+    """Standard errors over the values, where both are finite."""
+    paths = [row[0] for row in design_rows(found)][:_MOST_NAMES]
+    places = np.arange(len(paths))[::-1]
+    bars = [
+        ("design", BLUE, found.designed.errors),
+        ("base step", VERMILLION, found.base_step.errors),
+    ]
+    if found.before:
+        bars.append(("fit before", GREY, found.before))
+    high = 0.8 / len(bars)
+    sizes: list[float] = []
+    for index, (label, colour, errors) in enumerate(bars):
+        shares = [
+            100 * errors.get(path, math.inf) / (abs(found.parameters[path][0]) or 1.0)
+            for path in paths
+        ]
+        finite = [share if share < math.inf else math.nan for share in shares]
+        sizes += [share for share in shares if 0 < share < math.inf]
+        middle = places + high * ((len(bars) - 1) / 2 - index)
+        axes.barh(middle, finite, 0.9 * high, color=colour, label=label)
+    if sizes and max(sizes) > _FAR_APART * min(sizes):
+        axes.set_xscale("log")
+    plain(axes, "standard errors to expect, of the value")
+    axes.grid(False, axis="y")
+    axes.set_yticks(places, [path.replace(".", ".\n", 1) for path in paths])
+    axes.set_xlabel("%")
+    axes.legend(fontsize=8, frameon=False)

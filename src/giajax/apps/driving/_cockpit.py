@@ -1,0 +1,356 @@
+"""The operator's page: a server for its messages, and the arm in the viewer's scene beside it."""
+
+import json
+import threading
+import time
+from collections import deque
+from contextlib import suppress
+from http import HTTPStatus
+from importlib.resources import files
+from typing import TYPE_CHECKING, Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from ...mechanics.arm import Arm
+from ...models import ArmModel, Pinhole, Scene, View, arm_scene
+from ...runtime.arrays import Array, Float
+from ...runtime.programs import program
+from ...runtime.text import InputError
+from ...simulation import at_rest
+from ..viewer import LOOPBACK, Gate, LiveStage
+from ._session import Pose, Session
+
+if TYPE_CHECKING:
+    from websockets.http11 import Request, Response
+    from websockets.sync.server import ServerConnection
+
+# What the camera at the tip shows, some time ago.
+
+LATENCY = 0.2
+"""Of a picture on its way to the operator, s, unless stated."""
+
+
+def usual() -> Pinhole:
+    """A camera that looks ahead from the end of the arm, 90 deg wide: where the arm has none."""
+    return Pinhole(
+        position=jnp.zeros(3),
+        rotation=jnp.zeros(3),
+        focal_length=jnp.asarray(320.0),
+        centre=jnp.asarray([319.5, 239.5]),
+        mount="tip",
+        size=(640, 480),
+    )
+
+
+class TipCamera:
+    """The view of a camera on the arm, as an operator has it: late, and rolling with the arm.
+
+    Arguments:
+        model: of the arm; its camera at the tip is taken, if it has one.
+        latency: of the picture, s.
+
+    Raises:
+        InputError: a latency that is negative or longer than a minute.
+    """
+
+    def __init__(self, model: ArmModel, latency: float = LATENCY) -> None:
+        if not 0 <= latency <= 60:
+            raise InputError(f"the latency is {latency:g} s: give one from 0 to 60")
+        pinholes = model.sensors.camera.pinholes.values()
+        self.camera = next((each for each in pinholes if each.mount == "tip"), usual())
+        self.latency = latency
+        self._arm = model.arm
+        self._views: deque[tuple[float, View]] = deque()
+
+    def see(self, time: float, angles: Float[np.ndarray, " joint"]) -> View:
+        """What is shown at a time, s, in which the arm is at these angles, rad."""
+        self._views.append((time, _view(self.camera, self._arm, jnp.asarray(angles))))
+        while len(self._views) > 1 and self._views[1][0] <= time - self.latency + 1e-9:
+            self._views.popleft()
+        return self._views[0][1]
+
+    def facts(self) -> dict[str, Any]:
+        """What a page needs to draw its picture: focal length and centre (px), and size."""
+        across = float(self.camera.focal_length)
+        aspect = 1.0 if self.camera.aspect is None else float(self.camera.aspect)
+        return {
+            "focal": [across, across * aspect],
+            "centre": np.asarray(self.camera.centre).tolist(),
+            "size": list(self.camera.size),
+        }
+
+
+@program
+def _view(camera: Pinhole, arm: Arm, angles: Array) -> View:
+    return camera.view(arm, angles)
+
+
+# The page is told so many poses a second at most, and the scene is drawn so often.
+_TOLD, _DRAWN = 60.0, 12.0
+
+# Of intervals that are made up for at once: what an operator sees and does comes between them.
+_AT_ONCE = 2
+
+# Longer than anything that the page says.
+_LONGEST_MESSAGE = 1 << 16
+
+TAKEN_OVER = "another page has taken over"
+
+
+class Cockpit:
+    """Serves the page of a drive, and drives in step with the clock until it is closed.
+
+    Three threads go their own ways, so that none waits for another: the arm advances, the page is
+    told where it is, and the scene is drawn. Each takes the latest pose, and none is queued.
+
+    Arguments:
+        session: the drive.
+        camera: of the picture at the tip.
+        host, port: where to listen, as of `giajax.apps.viewer.Viewer`.
+
+    Raises:
+        InputError: viser is not installed, or the port is in use.
+    """
+
+    def __init__(
+        self, session: Session, camera: TipCamera, *, host: str = LOOPBACK, port: int = 0
+    ) -> None:
+        from websockets.sync.server import serve
+
+        self.session = session
+        self.camera = camera
+        self.error: str | None = None
+        # What pages said, with the time at which it came; the arm's own thread takes it in.
+        self._inbox: deque[tuple[ServerConnection, dict[str, Any], float]] = deque()
+        self._answers: deque[tuple[ServerConnection, str]] = deque()
+        self._ended = threading.Event()
+        self._fresh = threading.Condition()
+        # The clock of the drive begins with its thread, and everything is compiled by then.
+        self._pose: Pose = session.pose
+        self._view: View = camera.see(session.time, self._pose.angles)
+        self._operator: ServerConnection | None = None
+        self._stage = LiveStage(self._scene(self._pose))
+        self._server = serve(
+            self._talk,
+            LOOPBACK,
+            0,
+            process_request=self._page,
+            compression=None,
+            max_size=_LONGEST_MESSAGE,
+        )
+        try:
+            ports = {"": self._server.socket.getsockname()[1], "view": self._stage.port}
+            self._gate = Gate(ports, host=host, port=port)
+        except BaseException:
+            self._server.shutdown()
+            self._stage.close()
+            raise
+        self._threads = [
+            threading.Thread(target=target, daemon=True)
+            for target in (self._server.serve_forever, self._drive, self._draw)
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    @property
+    def address(self) -> str:
+        """Where a browser finds the page; whoever has it, drives."""
+        return self._gate.address
+
+    @property
+    def is_open(self) -> bool:
+        """Whether other machines can reach the page."""
+        return self._gate.is_open
+
+    @property
+    def ended(self) -> bool:
+        """Whether the drive is over: it was closed, or the arm became infinite (`error`)."""
+        return self._ended.is_set()
+
+    def wait(self, seconds: float) -> bool:
+        """Until the drive is over, but no longer; whether it is."""
+        return self._ended.wait(seconds)
+
+    def close(self) -> None:
+        """End the drive."""
+        self._ended.set()
+        with self._fresh:
+            self._fresh.notify_all()
+        self._gate.close()
+        self._server.shutdown()
+        for thread in self._threads:
+            thread.join(timeout=5)
+        self._stage.close()
+
+    def _drive(self) -> None:
+        """Advance the arm in step with the clock."""
+        interval = self.session.interval
+        try:
+            while not self._ended.is_set():
+                self._take_in()
+                pose = self.session.tick(time.monotonic(), most=_AT_ONCE)
+                if pose.time == self._pose.time:
+                    self._ended.wait(interval / 4)
+                    continue
+                view = self.camera.see(pose.time, pose.angles)
+                with self._fresh:
+                    self._pose, self._view = pose, view
+                    self._fresh.notify_all()
+        except InputError as error:
+            self.error = str(error)
+        except Exception as error:
+            # Whoever waits for the drive must learn that nothing moves any more.
+            self.error = f"the drive broke off: {error!r}"
+            raise
+        finally:
+            self._ended.set()
+
+    def _take_in(self) -> None:
+        """What came since: of the page that drives."""
+        while self._inbox:
+            connection, message, came = self._inbox.popleft()
+            if connection is not self._operator:
+                continue
+            try:
+                self.session.receive(message, came)
+            except InputError as error:
+                self._answers.append((connection, str(error)))
+
+    def _draw(self) -> None:
+        drawn = -1.0
+        while not self._ended.wait(1 / _DRAWN):
+            pose = self._pose
+            if pose.time != drawn and self._stage.watched:
+                self._stage.draw(self._scene(pose))
+                drawn = pose.time
+
+    def _scene(self, pose: Pose) -> Scene:
+        """The arm as it is; forces of the air on a still are none."""
+        import jax.numpy as jnp
+
+        model = self.session.record.model
+        return arm_scene(at_rest(model.arm, jnp.asarray(pose.angles)), model.sensors.marker)
+
+    def _page(self, _: "ServerConnection", request: "Request") -> "Response | None":
+        """The page itself; what is not asked for it is a WebSocket."""
+        from websockets.datastructures import Headers
+        from websockets.http11 import Response
+
+        if request.path.rstrip("/") == "/pad":
+            return None
+        known = request.path.partition("?")[0] == "/"
+        body = files(__package__).joinpath("page.html").read_bytes() if known else b"not here\n"
+        status = HTTPStatus.OK if known else HTTPStatus.NOT_FOUND
+        fields = Headers(
+            {
+                "Content-Type": "text/html; charset=utf-8" if known else "text/plain",
+                "Content-Length": str(len(body)),
+                "Cache-Control": "no-store",
+                "Referrer-Policy": "no-referrer",
+                "Connection": "close",
+            }
+        )
+        return Response(status.value, status.phrase, fields, body)
+
+    def _talk(self, connection: "ServerConnection") -> None:
+        """One page: it is told where the arm is, and says what the operator does."""
+        from websockets.exceptions import ConnectionClosed
+
+        before, self._operator = self._operator, connection
+        if before is not None:
+            # A tab that was loaded again, or a second one: the latest drives. It does not wait for
+            # the other, whose machine may be gone.
+            threading.Thread(target=_dismiss, args=(before,), daemon=True).start()
+        told = threading.Thread(target=self._tell, args=(connection,), daemon=True)
+        with suppress(ConnectionClosed, OSError):
+            connection.send(json.dumps(self._facts()))
+            told.start()
+            for text in connection:
+                self._heard(connection, text)
+        if self._operator is connection:
+            self._operator = None
+
+    def _heard(self, connection: "ServerConnection", text: str | bytes) -> None:
+        """A message; what is none is answered."""
+        try:
+            message = json.loads(text, parse_int=_whole)
+        except (ValueError, RecursionError) as error:
+            self._answers.append((connection, f"a message of the page is no JSON: {error}"))
+            return
+        if isinstance(message, dict):
+            self._inbox.append((connection, message, time.monotonic()))
+        else:
+            self._answers.append((connection, "a message of the page is no table"))
+
+    def _tell(self, connection: "ServerConnection") -> None:
+        from websockets.exceptions import ConnectionClosed
+
+        told = -1.0
+        with suppress(ConnectionClosed, OSError):
+            while self._operator is connection and not self._ended.is_set():
+                with self._fresh:
+                    while self._pose.time == told and not self._ended.is_set():
+                        self._fresh.wait(timeout=1.0)
+                    pose, view = self._pose, self._view
+                told = pose.time
+                connection.send(json.dumps(self._words(pose, view)))
+                while self._answers:
+                    asked, answer = self._answers.popleft()
+                    if asked is connection:
+                        connection.send(json.dumps({"type": "error", "text": answer}))
+                self._ended.wait(1 / _TOLD)
+            if self._ended.is_set():
+                connection.send(json.dumps({"type": "ended", "text": self.error or ""}))
+
+    def _facts(self) -> dict[str, Any]:
+        """What does not change."""
+        mapping, scene = self.session.mapping, self._scene(self._pose)
+        return {
+            "type": "facts",
+            "joints": self.session.operator.joints,
+            "limit": round(float(np.rad2deg(mapping.largest_angle)), 6),
+            "presets": list(mapping.presets),
+            "gusts": self.session.can_gust,
+            "compensation": self.session.can_compensate,
+            "camera": self.camera.facts(),
+            "latency": self.camera.latency,
+            "blocks": [
+                {
+                    "centre": block.centre.tolist(),
+                    "size": block.size.tolist(),
+                    "axes": block.axes.T.tolist(),
+                }
+                for block in scene.blocks
+            ],
+        }
+
+    def _words(self, pose: Pose, view: View) -> dict[str, Any]:
+        """Where the arm is."""
+        return {
+            "type": "pose",
+            "time": round(pose.time, 3),
+            "angles": np.rad2deg(pose.angles).round(3).tolist(),
+            "command": np.rad2deg(pose.command).round(3).tolist(),
+            "wind": pose.wind.round(3).tolist(),
+            "gusts": self.session.gusty,
+            "compensation": self.session.compensated,
+            "stopped": pose.stopped,
+            "lost": round(pose.lost, 2),
+            "centre": np.asarray(view.centre).tolist(),
+            "axes": np.asarray(view.axes).T.tolist(),
+        }
+
+
+def _dismiss(connection: "ServerConnection") -> None:
+    """Tell a page that it drives no longer."""
+    from websockets.exceptions import ConnectionClosed
+
+    with suppress(ConnectionClosed, OSError):
+        connection.send(json.dumps({"type": "error", "text": TAKEN_OVER}))
+        connection.close()
+
+
+def _whole(digits: str) -> int | float:
+    """An integer of a message; those of a thousand digits are no joint and no angle."""
+    return int(digits) if len(digits) < 16 else float(digits)

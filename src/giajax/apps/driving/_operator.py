@@ -1,0 +1,334 @@
+"""From what an operator does to what joints are commanded: a state machine without a clock."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from pydantic import ValidationError
+
+from ...recordings import complaint
+from ...runtime.arrays import Float
+from ...runtime.files import parse_toml, read_bytes
+from ...runtime.limits import TEXT_BYTES
+from ...runtime.text import InputError
+from ...schema import PadFile, PadSection
+
+# What a game pad does: sticks turn joints, buttons go to presets.
+
+# Of a standard pad: the sticks, and the two buttons below and to the right.
+_LEFT_X, _LEFT_Y, _RIGHT_X, _RIGHT_Y = range(4)
+_SOUTH, _EAST = 0, 1
+
+# At full deflection, rad/s: three joints together turn the arm by 9 deg in a second.
+_RATE = float(np.deg2rad(3.0))
+
+
+@dataclasses.dataclass(frozen=True)
+class PadMapping:
+    """What a game pad does with the joints of an arm.
+
+    Attributes:
+        axes: of each stick that does something: the rates of all joints at full deflection,
+            rad/s, shape (joint,).
+        presets: angles by name, rad, shape (joint,); NaN for joints that stay where they are.
+        buttons: the preset that a button goes to.
+        stops: buttons that stop everything.
+        dead_men: buttons of which one must be held for anything to move; none: nothing must.
+        dead_zone: deflection below which a stick is at rest.
+        exponent: of the rate over the deflection.
+        largest_rate: of any joint's command, rad/s.
+        largest_angle: of any joint's command, rad.
+        timeout: without a word for so long everything stops, s.
+        smoothing: time in which rates follow a stick, s.
+    """
+
+    axes: Mapping[int, Float[np.ndarray, " joint"]]
+    presets: Mapping[str, Float[np.ndarray, " joint"]]
+    buttons: Mapping[int, str]
+    stops: frozenset[int] = frozenset()
+    dead_men: frozenset[int] = frozenset()
+    dead_zone: float = 0.12
+    exponent: float = 2.0
+    largest_rate: float = float(np.deg2rad(5.0))
+    largest_angle: float = float(np.deg2rad(60.0))
+    timeout: float = 0.5
+    smoothing: float = 0.1
+
+    @classmethod
+    def usual(cls, joints: int) -> Self:
+        """Of an arm whose odd joints pitch and whose even joints yaw, on a standard pad.
+
+        The left stick bends the third of the arm at its base, the right one the third at its tip.
+        """
+        third = max(joints // 3, 2)
+
+        def turned(first: int, last: int, rate: float) -> Float[np.ndarray, " joint"]:
+            row = np.zeros(joints)
+            row[first:last:2] = rate
+            return row
+
+        start = joints - third + (joints - third) % 2
+        axes = {
+            _LEFT_Y: turned(0, third, -_RATE),
+            _LEFT_X: turned(1, third, -_RATE),
+            _RIGHT_Y: turned(start, joints, -_RATE),
+            _RIGHT_X: turned(start + 1, joints, -_RATE),
+        }
+        straight = {"straight": np.zeros(joints)}
+        return cls(axes, straight, {_SOUTH: "straight"}, frozenset({_EAST}))
+
+    @classmethod
+    def load(cls, path: str | Path, joints: int) -> Self:
+        """What a TOML file says of a pad, for an arm of so many joints.
+
+        Raises:
+            InputError: there is no such file, or it says something that cannot be done.
+        """
+        path = Path(path)
+        try:
+            table = parse_toml(read_bytes(path, TEXT_BYTES).decode(), path)
+            section = PadFile(**table).pad
+        except FileNotFoundError:
+            raise InputError(f"{path} does not exist: give a TOML file with a [pad]") from None
+        except UnicodeDecodeError:
+            raise InputError(f"{path} is not text: give a TOML file with a [pad]") from None
+        except ValidationError as error:
+            raise complaint(PadFile, error, str(path)) from None
+        return cls.from_section(section, joints, str(path))
+
+    @classmethod
+    def from_section(cls, section: PadSection, joints: int, source: str) -> Self:
+        """What a `[pad]` says.
+
+        Arguments:
+            section: the section.
+            joints: number of joints of the arm.
+            source: what has the section, for errors.
+
+        Raises:
+            InputError: a joint that the arm does not have, or something that is said twice.
+        """
+        axes: dict[int, np.ndarray] = {}
+        for entry in section.axes or []:
+            row = axes.setdefault(entry.axis, np.zeros(joints))
+            places = _places(entry.joints, joints, f"axis {entry.axis}", source)
+            row[places] += np.deg2rad(entry.rate_deg_per_s)
+        if not axes:
+            raise InputError(f"{source}: no axis turns a joint: add [[pad.axes]]")
+        presets: dict[str, np.ndarray] = {}
+        for preset in section.presets or []:
+            if preset.name in presets:
+                raise InputError(f"{source}: there are two presets '{preset.name}': rename one")
+            if len(preset.angles_deg) != len(preset.joints):
+                raise InputError(
+                    f"{source}: the preset '{preset.name}' has {len(preset.angles_deg)} angles for "
+                    f"{len(preset.joints)} joints: give as many"
+                )
+            others = np.nan if preset.others_deg is None else preset.others_deg
+            row = np.full(joints, np.deg2rad(others))
+            places = _places(preset.joints, joints, f"the preset '{preset.name}'", source)
+            row[places] = np.deg2rad(preset.angles_deg)
+            presets[preset.name] = row
+        buttons, stops, dead_men = {}, set(), set()
+        for button in section.buttons or []:
+            if button.preset is not None:
+                if button.preset not in presets:
+                    raise InputError(
+                        f"{source}: button {button.button} goes to '{button.preset}', which is no "
+                        f"preset: add it to [[pad.presets]]"
+                    )
+                buttons[button.button] = button.preset
+            if button.stop:
+                stops.add(button.button)
+            if button.dead_man:
+                dead_men.add(button.button)
+        return cls(
+            axes,
+            presets,
+            buttons,
+            frozenset(stops),
+            frozenset(dead_men),
+            section.dead_zone,
+            section.exponent,
+            float(np.deg2rad(section.largest_rate_deg_per_s)),
+            float(np.deg2rad(section.largest_angle_deg)),
+            section.timeout_s,
+            section.smoothing_s,
+        )
+
+    def rates(self, deflections: Mapping[int, float], joints: int) -> Float[np.ndarray, " joint"]:
+        """Rates of the joints (rad/s) at deflections of the sticks, each from -1 to 1."""
+        rates = np.zeros(joints)
+        for axis, row in self.axes.items():
+            rates += row * shaped(deflections.get(axis, 0.0), self.dead_zone, self.exponent)
+        return np.clip(rates, -self.largest_rate, self.largest_rate)
+
+
+def shaped(deflection: float, dead_zone: float, exponent: float) -> float:
+    """What a stick means: 0 within its dead zone, continuous at its edge, and 1 at its end."""
+    if not np.isfinite(deflection):
+        return 0.0
+    size = (min(abs(deflection), 1.0) - dead_zone) / (1 - dead_zone)
+    return float(np.sign(deflection) * max(size, 0.0) ** exponent)
+
+
+def _places(numbers: list[int], joints: int, who: str, source: str) -> list[int]:
+    for number in numbers:
+        if number > joints:
+            raise InputError(
+                f"{source}: {who} is of joint {number}, and the arm has {joints}: correct it"
+            )
+    return [number - 1 for number in numbers]
+
+
+# A button counts as pressed from here on.
+_PRESSED = 0.5
+
+NOT_YET = "nobody has moved anything yet"
+STOPPED = "stopped by the operator"
+SILENT = "no word from the page: the tab or its connection is gone"
+NO_PAD = "the pad is gone"
+LET_GO = "the dead man's button is not held"
+
+
+class Operator:
+    """Takes what comes from a page, the latest only, and says what joints are commanded.
+
+    A stick sets rates, a slider or a preset a target that is approached no faster than the largest
+    rate. Where nothing is heard for a while, or the pad is gone, rates become 0, targets are given
+    up, and the command stays where it is, until something is moved again.
+
+    Arguments:
+        mapping: what the pad does.
+        joints: number of joints.
+    """
+
+    def __init__(self, mapping: PadMapping, joints: int) -> None:
+        self.mapping = mapping
+        self.joints = joints
+        self.command: Float[np.ndarray, " joint"] = np.zeros(joints)
+        self.stopped: str | None = NOT_YET
+        self._target = np.full(joints, np.nan)
+        self._wanted = np.zeros(joints)
+        self._rates = np.zeros(joints)
+        self._heard: float | None = None
+        self._pad_here = False
+        self._pressed: frozenset[int] = frozenset()
+
+    def receive(self, message: Mapping[str, Any], now: float) -> None:
+        """One message of the page.
+
+        Arguments:
+            message: `{"type": "pad", "axes": [...], "buttons": [...]}` of a pad that is there,
+                `{"type": "no_pad"}` once it is gone, `{"type": "joint", "joint": 3, "deg": 10}`,
+                `{"type": "preset", "name": ...}`, `{"type": "stop"}`, or `{"type": "alive"}`.
+            now: time, s.
+
+        Raises:
+            InputError: a message that says nothing of this kind.
+        """
+        kind = message.get("type")
+        if kind == "pad":
+            self._pad(_numbers(message, "axes"), _numbers(message, "buttons"))
+        elif kind == "no_pad":
+            if self._pad_here:
+                self._stop(NO_PAD)
+            self._pad_here = False
+        elif kind == "joint":
+            self._slider(message)
+        elif kind == "preset":
+            self._go(str(message.get("name")))
+        elif kind == "stop":
+            self._stop(STOPPED)
+        elif kind != "alive":
+            raise InputError(f"a message of the page is of the kind {kind!r}, which is none")
+        self._heard = now
+
+    def advance(self, now: float, elapsed: float) -> Float[np.ndarray, " joint"]:
+        """The command an interval later, rad, shape (joint,).
+
+        Arguments:
+            now: time at its end, s.
+            elapsed: its length, s.
+        """
+        if self._heard is not None and now - self._heard > self.mapping.timeout:
+            self._stop(SILENT)
+        largest = self.mapping.largest_rate
+        # What follows with a lag; where everything stops it stops at once.
+        share = 1.0
+        if self.mapping.smoothing > 0:
+            share = -np.expm1(-elapsed / self.mapping.smoothing)
+        self._rates = self._rates + share * (self._wanted - self._rates)
+        if self.stopped is not None:
+            self._rates[:] = 0
+        change = self._rates * elapsed
+        aimed = np.isfinite(self._target)
+        change[aimed] += (self._target - self.command)[aimed]
+        change = np.clip(change, -largest * elapsed, largest * elapsed)
+        limit = self.mapping.largest_angle
+        # A joint that is beyond the limit already may come back.
+        low, high = np.minimum(self.command, -limit), np.maximum(self.command, limit)
+        self.command = np.clip(self.command + change, low, high)
+        self._target[aimed & (self._target == self.command)] = np.nan
+        return self.command
+
+    def _pad(self, axes: Sequence[float], buttons: Sequence[float]) -> None:
+        """What the pad is like now; a pad that has just come is not moved yet."""
+        if not axes:
+            raise InputError("the pad has no axes, and turns nothing: connect one with sticks")
+        held = frozenset(i for i, value in enumerate(buttons) if value > _PRESSED)
+        fresh, self._pressed = held - self._pressed, held
+        self._pad_here = True
+        dead_men = self.mapping.dead_men
+        if dead_men and not held & dead_men:
+            if np.any(self._wanted) or np.any(np.isfinite(self._target)):
+                self._stop(LET_GO)
+            return
+        if fresh & self.mapping.stops:
+            self._stop(STOPPED)
+            return
+        self._wanted = self.mapping.rates(dict(enumerate(axes)), self.joints)
+        moved = self._wanted != 0
+        if np.any(moved):
+            # A stick takes over from a slider or a preset.
+            self._target[moved] = np.nan
+            self.stopped = None
+        for button in sorted(fresh):
+            if button in self.mapping.buttons:
+                self._go(self.mapping.buttons[button])
+
+    def _slider(self, message: Mapping[str, Any]) -> None:
+        joint, angle = message.get("joint"), message.get("deg")
+        if not (isinstance(joint, int) and 1 <= joint <= self.joints):
+            raise InputError(f"a slider is of joint {joint!r}, and the arm has {self.joints}")
+        if not (isinstance(angle, int | float) and np.isfinite(angle)):
+            raise InputError(f"a slider is at {angle!r} deg, which is no angle")
+        self._aim(joint - 1, np.deg2rad(angle))
+
+    def _go(self, name: str) -> None:
+        if name not in self.mapping.presets:
+            raise InputError(f"there is no preset '{name}'")
+        for place, angle in enumerate(self.mapping.presets[name]):
+            if np.isfinite(angle):
+                self._aim(place, angle)
+
+    def _aim(self, place: int, angle: float) -> None:
+        limit = self.mapping.largest_angle
+        self._target[place] = np.clip(angle, -limit, limit)
+        self.stopped = None
+
+    def _stop(self, why: str) -> None:
+        self._wanted = np.zeros(self.joints)
+        self._target[:] = np.nan
+        # The first reason is the cause.
+        if self.stopped is None:
+            self.stopped = why
+
+
+def _numbers(message: Mapping[str, Any], name: str) -> list[float]:
+    values = message.get(name)
+    if not isinstance(values, list) or not all(isinstance(v, int | float) for v in values):
+        raise InputError(f"a message of the pad has no list of numbers '{name}'")
+    return [float(value) for value in values]

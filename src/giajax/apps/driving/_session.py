@@ -1,0 +1,497 @@
+"""An arm that is driven: commands from an operator, steps in time with a clock, and a record."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...mechanics.hysteresis import AbstractOperator
+from ...models import ArmModel, Channels, recorded_channels
+from ...recordings import Definition, Run
+from ...runtime.arrays import Array, Float
+from ...runtime.programs import program
+from ...runtime.text import InputError
+from ...schema.parameters import replace
+from ...simulation import RESULTS, Moment, Stepper, Trajectory, logged
+from ..control import Compensator
+from ..synthetic import Drive, RecordingErrors, with_errors
+from ._operator import Operator, PadMapping
+
+# Where a driven arm is.
+
+
+class Pose(NamedTuple):
+    """Where a driven arm is: the latest, and no other.
+
+    Attributes:
+        time: that was driven, s.
+        angles: of the joints, rad.
+        command: commanded angles, rad.
+        wind: velocity of the air, m/s, shape (3,).
+        stopped: why nothing moves, or None.
+        lost: time that the simulation fell behind the clock for good, s.
+    """
+
+    time: float
+    angles: Float[np.ndarray, " joint"]
+    command: Float[np.ndarray, " joint"]
+    wind: Float[np.ndarray, "3"]
+    stopped: str | None
+    lost: float
+
+
+# Commands that undo the hysteresis of joints while an arm is driven.
+
+
+class Compensation:
+    """The inverse of one joint's hysteresis, in every joint, one sample after the other.
+
+    Arguments:
+        compensator: of a joint whose command and angle were measured.
+        joints: number of joints.
+
+    Raises:
+        InputError: what is inverted is not from angle to angle.
+    """
+
+    def __init__(self, compensator: Compensator, joints: int) -> None:
+        channels = [compensator.input_channel, compensator.output_channel]
+        if any(channel is not None and channel.quantity != "angle" for channel in channels):
+            raise InputError(
+                f"what is compensated is commanded by {compensator.input_channel.column}, and the "
+                "joints of an arm by angles: give a fit from commanded to measured angles"
+            )
+        self._compensator = compensator
+        self._joints = joints
+        self._state: Any = None
+        self._begun = False
+
+    def __call__(self, wanted: Float[np.ndarray, " joint"]) -> Float[np.ndarray, " joint"]:
+        """Commands for wanted angles, both rad, shape (joint,); what cannot be reached is cut."""
+        low, high = self._compensator.reachable
+        values = jnp.asarray(np.clip(wanted, low, high) - self._compensator.offset)
+        if not self._begun:
+            self._state, self._begun = self._of_each(), True
+        inputs, self._state = _step(self._compensator.operator, values, self._state)
+        return np.asarray(inputs)
+
+    def _of_each(self) -> Any:
+        def wide(leaf: Any) -> Array:
+            leaf = jnp.asarray(leaf)
+            return jnp.broadcast_to(leaf, (self._joints, *leaf.shape))
+
+        state = self._compensator.state
+        return None if state is None else jax.tree.map(wide, state)
+
+
+@eqx.filter_jit
+def _step(operator: AbstractOperator, values: Array, state: Any) -> tuple[Array, Any]:
+    def of_one(value: Array, memory: Any) -> tuple[Array, Any]:
+        inputs, after = operator.history(value[None], memory)
+        return inputs[0], after
+
+    return jax.vmap(of_one)(values, state)
+
+
+# A drive as a run that `giajax fit` reads.
+
+
+class Record:
+    """What an arm was told and what it did, row by row.
+
+    Arguments:
+        model: of the arm, with its sensors.
+    """
+
+    def __init__(self, model: ArmModel) -> None:
+        self.model = model
+        self._times: list[float] = []
+        self._commands: list[np.ndarray] = []
+        self._states: list[np.ndarray] = []
+        self._winds: list[np.ndarray] = []
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return len(self._times)
+
+    def add(self, time: float, command: np.ndarray, state: np.ndarray, wind: np.ndarray) -> None:
+        """One row.
+
+        Arguments:
+            time: s.
+            command: of all joints, rad, shape (joint,).
+            state: angles (rad) and rates (rad/s), shape (2, joint).
+            wind: velocity of the air, m/s, shape (3,).
+        """
+        self._times.append(time)
+        self._commands.append(command)
+        self._states.append(state)
+        self._winds.append(wind)
+
+    @property
+    def times(self) -> Float[np.ndarray, " row"]:
+        """Of the rows, s."""
+        return np.asarray(self._times)
+
+    @property
+    def commands(self) -> Float[np.ndarray, "row joint"]:
+        """Commanded angles, rad."""
+        return np.asarray(self._commands)
+
+    @property
+    def angles(self) -> Float[np.ndarray, "row joint"]:
+        """Angles of the joints, rad."""
+        return np.asarray(self._states)[:, 0]
+
+    @property
+    def winds(self) -> Float[np.ndarray, "row 3"]:
+        """Velocities of the air, m/s."""
+        return np.asarray(self._winds)
+
+    def run(
+        self,
+        channels: Sequence[str],
+        *,
+        name: str = "drive",
+        noise: Mapping[str, float] | None = None,
+        every: int = 1,
+        seed: int = 0,
+        origin: str = "",
+    ) -> Run:
+        """The drive as a run: commands, wind, and what sensors saw.
+
+        Commands have every row, because between rows they are linear; other cells are empty but
+        in every so-manieth row.
+
+        Arguments:
+            channels: what is recorded (`link06_z`, `tip_x`).
+            name: of the run.
+            noise: standard deviations by the keys of `[noise]` (`position_m`).
+            every: in which rows there is a recording.
+            seed: of the noise.
+            origin: where the run is from, for its sidecar.
+
+        Raises:
+            InputError: too short a drive, one in which no joint was moved, or an unknown channel.
+        """
+        if len(self) < 2:
+            raise InputError("nothing was driven: there is no run to save")
+        moved = np.flatnonzero(np.any(self.commands != 0, axis=0))
+        if not moved.size:
+            raise InputError("no joint was moved: there is no run to save")
+        seen = _seen(self.model, self._trajectory(), tuple(channels))
+        hidden = np.arange(len(self)) % every != 0
+        values = {f"joint{joint + 1:02d}_command": self.commands[:, joint] for joint in moved} | {
+            channel: np.where(hidden, np.nan, np.asarray(column))
+            for channel, column in seen.items()
+        }
+        if np.any(self.winds):
+            values |= dict(zip(("wind_x", "wind_y", "wind_z"), self.winds.T, strict=True))
+        constants = self.model.definition()
+        facts = {key: value for key, value in constants.items() if key in Definition.model_fields}
+        facts |= {"model": self.model.kind, "command": {"interpolation": "linear"}}
+        if np.any(self.winds):
+            facts["wind"] = {"interpolation": "linear"}
+        facts |= {"noise": dict(noise)} if noise else {}
+        facts |= {"origin": origin} if origin else {}
+        definition = Definition.parse(facts, name)
+        run = Run.from_arrays(self.times, values, name=name, definition=definition)
+        if not noise:
+            return run
+        white = {channel: deviation for channel in seen if (deviation := run.noise(channel))}
+        return with_errors(run, RecordingErrors(white=white), seed=seed)
+
+    def _trajectory(self) -> Trajectory:
+        states = jnp.asarray(np.asarray(self._states))
+        return Trajectory(
+            times=jnp.asarray(self.times),
+            angles=states[:, 0],
+            rates=states[:, 1],
+            memory=None,
+            pressures=None,
+            skin=None,
+            arm=self.model.arm,
+            command=logged(self.times, self.commands),
+            wind=logged(self.times, self.winds),
+            result=RESULTS.successful,  # type: ignore[arg-type]
+            steps=jnp.zeros(2, dtype=int),
+        )
+
+
+@program
+def _seen(model: ArmModel, motion: Trajectory, channels: tuple[str, ...]) -> Channels:
+    def at(times: Array, end: Array) -> Trajectory:
+        return motion
+
+    return recorded_channels(model.arm, model.sensors, at, motion.times, channels)[0]
+
+
+RATE = 30.0
+"""Poses a second."""
+
+# Of simulated time that is made up for at once; what is beyond it is lost, and said.
+_BEHIND = 1.0
+
+_WIND = ("wind_x", "wind_y", "wind_z")
+
+# The strengths of what joints remember, by the names of their parameters.
+_MEMORY = ("joints.memory.strength", "joints.stops.strength")
+
+
+class Session:
+    """One drive of an arm, from the straight arm at rest.
+
+    Time is that of the caller: `tick` takes the clock, and advances the arm by as many intervals
+    as have passed. A message holds from the next interval on.
+
+    Arguments:
+        model: of the arm, with the sensors that the record is seen by.
+        mapping: what the pad does; `PadMapping.usual` by default.
+        rate: poses a second.
+        steps: of the integrator in each.
+        gusts: wind over time, one for the whole arm; repeated at its end. None: still air.
+        compensation: makes commands of wanted angles.
+        memory: whether joints remember; the arm without its hysteresis where not.
+
+    Raises:
+        InputError: a rate that is not positive, gusts from link to link, or no memory to leave out.
+    """
+
+    def __init__(
+        self,
+        model: ArmModel,
+        mapping: PadMapping | None = None,
+        *,
+        rate: float = RATE,
+        steps: int = 1,
+        gusts: Drive | None = None,
+        compensation: Compensation | None = None,
+        memory: bool = True,
+    ) -> None:
+        if not 1 <= rate <= 1000:
+            raise InputError(f"the rate is {rate:g} poses a second: give one from 1 to 1000")
+        if gusts is not None and set(gusts.values) != set(_WIND):
+            raise InputError("gusts of a drive are one wind for the whole arm: give x, y and z")
+        arm = model.arm
+        if not memory:
+            arm = replace(arm, dict.fromkeys(_remembered(model), 0.0))
+        self.model = model
+        self.mapping = PadMapping.usual(arm.count) if mapping is None else mapping
+        self.operator = Operator(self.mapping, arm.count)
+        self.interval = 1.0 / rate
+        self.gusty = gusts is not None
+        self.compensated = compensation is not None
+        self.lost = 0.0
+        self.record = Record(ArmModel(arm, sensors=model.sensors))
+        self._gusts = gusts
+        self._compensation = compensation
+        self._stepper = Stepper(arm, jnp.asarray(self.interval), steps)
+        self._wind = self._wind_at(0.0)
+        self._moment: Moment = self._stepper.start(wind=self._wind)
+        # Compiled before the clock runs.
+        self._stepper.advance(self._moment, self._moment.command, jnp.asarray(self._wind))
+        self._count = 0
+        self._began: float | None = None
+        self._add()
+
+    @property
+    def time(self) -> float:
+        """That was driven, s."""
+        return self._count * self.interval
+
+    @property
+    def moment(self) -> Moment:
+        """The state of the arm."""
+        return self._moment
+
+    @property
+    def can_gust(self) -> bool:
+        """Whether there are gusts to switch on."""
+        return self._gusts is not None
+
+    @property
+    def can_compensate(self) -> bool:
+        """Whether there is a compensation to switch on."""
+        return self._compensation is not None
+
+    def receive(self, message: Mapping[str, Any], now: float) -> None:
+        """One message of a page: of `Operator.receive`, or a switch.
+
+        Arguments:
+            message: beside those of the operator `{"type": "gusts", "on": true}` and
+                `{"type": "compensation", "on": true}`.
+            now: time of the clock, s.
+
+        Raises:
+            InputError: a message that says nothing of these kinds; the drive goes on.
+        """
+        kind = message.get("type")
+        if kind == "gusts":
+            self.gusty = bool(message.get("on")) and self.can_gust
+        elif kind == "compensation":
+            self.compensated = bool(message.get("on")) and self.can_compensate
+        else:
+            self.operator.receive(message, now)
+
+    def tick(self, now: float, most: int | None = None) -> Pose:
+        """Advance to the time of the clock, and say where the arm is.
+
+        Arguments:
+            now: time of the clock, s.
+            most: intervals at once; all that are missing by default.
+        """
+        if self._began is None:
+            self._began = now - self.time
+        behind = now - self._began - self.time
+        if behind > _BEHIND + self.interval:
+            # The clock is moved on: what an operator sees must not race after it.
+            late = behind - self.interval
+            self.lost += late
+            self._began += late
+        # A hair less than an interval is one: clocks are added up.
+        missing = int((now - self._began - self.time) / self.interval + 1e-6)
+        for _ in range(missing if most is None else min(missing, most)):
+            # By the clock: an arm that is behind stops no later.
+            self.advance(now)
+        return self.pose
+
+    def advance(self, now: float) -> None:
+        """One interval; `now` is the time of the clock, by which a page is silent, s."""
+        wanted = self.operator.advance(now, self.interval)
+        command = wanted
+        if self._compensation is not None:
+            # It goes on to remember while it is switched off.
+            compensated = self._compensation(wanted)
+            command = compensated if self.compensated else wanted
+        self._count += 1
+        self._wind = self._wind_at(self.time)
+        self._moment = self._stepper.advance(
+            self._moment, jnp.asarray(command), jnp.asarray(self._wind)
+        )
+        self._add()
+
+    @property
+    def pose(self) -> Pose:
+        """Where the arm is."""
+        angles = np.asarray(self._moment.angles)
+        command = np.asarray(self._moment.command)
+        why = self.operator.stopped
+        return Pose(self.time, angles, command, self._wind, why, self.lost)
+
+    def _wind_at(self, time: float) -> Float[np.ndarray, "3"]:
+        if self._gusts is None or not self.gusty:
+            return np.zeros(3)
+        first, last = self._gusts.times[[0, -1]]
+        at = self._gusts.at(np.array([first + time % (last - first)]))
+        return np.array([float(at[name][0]) for name in _WIND])
+
+    def _add(self) -> None:
+        state = np.asarray(self._moment.state[:2])
+        if not np.all(np.isfinite(state)):
+            raise InputError(
+                f"the arm became infinite or NaN at {self.time:.2f} s: check its parameters, or "
+                "take more steps"
+            )
+        self.record.add(self.time, np.asarray(self._moment.command), state, self._wind)
+
+
+def _remembered(model: ArmModel) -> list[str]:
+    """Paths of the strengths of what joints remember."""
+    hysteresis = model.arm.joints.hysteresis
+    there = [hysteresis.memory.rows > 0, hysteresis.stops.rows > 0]
+    paths = [path for path, has in zip(_MEMORY, there, strict=True) if has]
+    if not paths:
+        raise InputError("the joints of this arm remember nothing: there is nothing to leave out")
+    return paths
+
+
+# A drive without an operator: what a pad did, from a file.
+
+# Between two rows of a file a page would have said that it is there.
+_ALIVE = 0.2
+
+
+def read_pad(path: str | Path) -> Mapping[str, Float[np.ndarray, " row"]]:
+    """A table of what a pad did: `time_s`, `axis0`, `axis1`, ..., `button0`, ...
+
+    Raises:
+        InputError: there is no such file, or it is not such a table.
+    """
+    path = Path(path)
+    try:
+        table = np.genfromtxt(path, delimiter=",", names=True, dtype=float, encoding="utf-8")
+    except FileNotFoundError:
+        raise InputError(f"{path} does not exist: give a CSV file with time_s and axis0") from None
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"{path} is not a table of numbers ({error}): give a CSV file with time_s and axis0"
+        ) from None
+    columns = {name: np.atleast_1d(table[name]) for name in table.dtype.names or ()}
+    known = {name for name in columns if name.startswith(("axis", "button"))}
+    if "time_s" not in columns or not any(name.startswith("axis") for name in known):
+        raise InputError(f"{path} is of a pad without axes: give the columns time_s and axis0")
+    odd = [name for name in columns if name != "time_s" and _place(name) is None]
+    if odd:
+        raise InputError(f"{path} has a column '{odd[0]}': name columns axis0 or button0")
+    for name, column in columns.items():
+        if not np.all(np.isfinite(column)):
+            raise InputError(f"{path} has an empty cell in {name}: fill it")
+    if np.any(np.diff(columns["time_s"]) <= 0):
+        raise InputError(f"the times of {path} do not increase: sort its rows")
+    return columns
+
+
+def replay(
+    session: Session,
+    pad: Mapping[str, Float[np.ndarray, " row"]],
+    *,
+    until: float | None = None,
+    on_progress: Callable[[float, float], None] | None = None,
+) -> None:
+    """Drive an arm by what a pad did, as fast as it can be simulated.
+
+    Arguments:
+        session: of the arm.
+        pad: as of `read_pad`; a row holds until the next one.
+        until: end of the drive, s; the last row by default.
+        on_progress: is called now and then with the time that was driven, and the whole, s.
+    """
+    times = pad["time_s"] - pad["time_s"][0]
+    end = float(times[-1]) if until is None else until
+    rows, heard = 0, -np.inf
+    while session.time + 0.5 * session.interval < end:
+        now = session.time
+        # All rows until now: the latest one holds, but each may press a button.
+        while rows < len(times) and times[rows] <= now + 1e-9:
+            session.receive(_message(pad, rows), now)
+            rows, heard = rows + 1, now
+        if now - heard > _ALIVE:
+            session.receive({"type": "alive"}, now)
+            heard = now
+        session.advance(now + session.interval)
+        if on_progress is not None:
+            on_progress(session.time, end)
+
+
+def _message(pad: Mapping[str, Float[np.ndarray, " row"]], row: int) -> dict[str, Any]:
+    message: dict[str, Any] = {"type": "pad"}
+    for kind, name in (("axis", "axes"), ("button", "buttons")):
+        places = [place for column in pad if (place := _place(column, kind)) is not None]
+        values = [0.0] * (max(places, default=-1) + 1)
+        for place in places:
+            values[place] = float(pad[f"{kind}{place}"][row])
+        message[name] = values
+    return message
+
+
+def _place(column: str, kind: str | None = None) -> int | None:
+    """Which axis or button a column is of; None where it is of none."""
+    for prefix in ("axis", "button") if kind is None else (kind,):
+        number = column.removeprefix(prefix)
+        if column.startswith(prefix) and number.isdigit() and int(number) < 256:
+            return int(number)
+    return None

@@ -1,0 +1,430 @@
+"""One joint at rest in pictures and numbers, figs 9 and 10 of the paper among them."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from ..mechanics.joint import (
+    BRANCHES,
+    LARGEST_ANGLE,
+    Correction,
+    Equilibria,
+    Joint,
+    JointPair,
+    branch_angles,
+    equilibria,
+    muscle_state,
+    net_torque,
+    pair_command,
+)
+from ..models import Scene, joint_scene
+from ..report import (
+    BLUE,
+    DEGREE,
+    GREEN,
+    GREY,
+    INK,
+    LIGHT,
+    VERMILLION,
+    draw_scene,
+    new_figure,
+    plain,
+    to_csv,
+    to_png,
+)
+from ..report._style import MINUS
+
+
+def shade_branches(panel: Axes, joint: Joint) -> None:
+    """The window about 0 in which the muscle runs straight."""
+    taut, wrapped = np.rad2deg(branch_angles(joint.geometry))
+    end = np.rad2deg(LARGEST_ANGLE)
+    lower, upper = np.nan_to_num(wrapped, nan=-end), np.nan_to_num(taut, nan=end)
+    panel.axvspan(lower, upper, color=LIGHT, linewidth=0, zorder=0)
+
+
+def angle_axis(panel: Axes, name: str) -> None:
+    """From the one end of the joint to the other."""
+    end = np.rad2deg(LARGEST_ANGLE)
+    panel.set_xlim(-end, end)
+    panel.set_xticks(np.arange(-end, end + 1, 20))
+    panel.set_xlabel(f"{name} ({DEGREE})")
+
+
+# One muscle of a joint against its bending angle: figs 9 and 10 of the paper.
+
+
+def angle_table(joint: Joint, *, corrected: bool, step_deg: float = 0.5) -> dict[str, np.ndarray]:
+    """Everything about one muscle against its bending angle: the numbers of figs 9 and 10.
+
+    Arguments:
+        joint: the joint.
+        corrected: with its corrections (fig. 10), or with none (fig. 9).
+        step_deg: between two angles, deg.
+
+    Returns:
+        Columns of equal length, in the units that their names say. The angle 0 is there twice,
+        as the outer and as the inner muscle.
+    """
+    if not corrected:
+        joint = Joint(joint.geometry, Correction(reading="none"), joint.torque)
+    end = np.rad2deg(LARGEST_ANGLE)
+    sizes = np.linspace(0, end, round(end / step_deg) + 1)
+    columns: dict[str, list[np.ndarray]] = {}
+    for side, degrees in (("outer", -sizes[::-1]), ("inner", sizes)):
+        state = muscle_state(joint, np.deg2rad(degrees), side=side)
+        for name, values in {
+            "angle_deg": degrees + 0.0,
+            "side": np.full(len(degrees), side),
+            "torque_N_m": state.torque,
+            "contraction": state.contraction,
+            "force_N": state.force,
+            "wire_tension_N": state.wire_tension,
+            "wire_slack_m": state.path.wire_slack,
+            "push_x_N": state.push_x,
+            "push_y_N": state.push_y,
+            "branch": np.asarray(BRANCHES)[np.asarray(state.branch)],
+        }.items():
+            columns.setdefault(name, []).append(np.asarray(values))
+    return {name: np.concatenate(parts) for name, parts in columns.items()}
+
+
+def angle_figure(joint: Joint, *, corrected: bool) -> Figure:
+    """Contraction and force of one muscle against its bending angle: figs 9 and 10 of the paper.
+
+    The grey band is where the muscle runs straight.
+
+    Arguments:
+        joint: the joint.
+        corrected: with its corrections (fig. 10), or with none (fig. 9).
+
+    Returns:
+        The picture.
+    """
+    table = angle_table(joint, corrected=corrected)
+    what = "with alpha and beta" if corrected else "without corrections"
+    title = f"One muscle under {float(joint.torque):g} N m, {what}"
+    figure = new_figure(10, 3.9, title)
+    axes = figure.subplots(1, 2)
+    for panel, name, label in zip(
+        axes, ("contraction", "force_N"), ("contraction", "force (N)"), strict=True
+    ):
+        shade_branches(panel, joint)
+        for side, colour in (("outer", VERMILLION), ("inner", BLUE)):
+            rows = table["side"] == side
+            panel.plot(table["angle_deg"][rows], table[name][rows], color=colour, linewidth=1.6)
+        plain(panel, label)
+        angle_axis(panel, "bending angle of the muscle")
+        panel.set_ylim(bottom=0)
+    handles = [
+        Line2D([], [], color=BLUE, linewidth=1.6, label="inner muscle"),
+        Line2D([], [], color=VERMILLION, linewidth=1.6, label="outer muscle"),
+    ]
+    figure.legend(
+        handles=handles, loc="outside upper right", ncols=len(handles), fontsize=8, frameon=False
+    )
+    return figure
+
+
+# Alpha and beta of a joint, in both readings of the paper.
+
+
+def correction_table(
+    joint: Joint, *, reading: str, step_deg: float = 0.05
+) -> dict[str, np.ndarray]:
+    """Alpha and beta of a joint against the bending angle of a muscle.
+
+    Arguments:
+        joint: the joint, whose own alpha and beta these are.
+        reading: of beta, "continuous" or "printed".
+        step_deg: between two angles, deg.
+
+    Returns:
+        Columns of equal length, in the units that their names say. The angle 0 is there twice.
+    """
+    correction = dataclasses.replace(joint.correction, reading=reading)
+    form = dataclasses.replace(joint, correction=correction)
+    end = np.rad2deg(LARGEST_ANGLE)
+    sizes = np.linspace(0, end, round(end / step_deg) + 1)
+    columns: dict[str, list[np.ndarray]] = {}
+    for side, degrees in (("outer", -sizes[::-1]), ("inner", sizes)):
+        torque = muscle_state(form, np.deg2rad(degrees), side=side).torque
+        for name, values in {
+            "reading": np.full(len(degrees), reading),
+            "side": np.full(len(degrees), side),
+            "angle_deg": degrees + 0.0,
+            "added_torque_N_m": np.asarray(torque) - float(joint.torque),
+        }.items():
+            columns.setdefault(name, []).append(values)
+    return {name: np.concatenate(parts) for name, parts in columns.items()}
+
+
+def correction_figure(joint: Joint) -> Figure:
+    """Alpha and beta of a joint in both readings of the paper: the erratum."""
+    figure = new_figure(8, 3.6, "Corrections: with the size of the angle, and as printed")
+    panel = figure.subplots()
+    end = np.rad2deg(LARGEST_ANGLE)
+    for reading, colour, style in (("printed", GREY, (0, (3, 2))), ("continuous", VERMILLION, "-")):
+        table = correction_table(joint, reading=reading)
+        for side in ("outer", "inner"):
+            rows = table["side"] == side
+            panel.plot(
+                table["angle_deg"][rows],
+                table["added_torque_N_m"][rows],
+                color=BLUE if side == "inner" and reading == "continuous" else colour,
+                linestyle=style,
+                linewidth=1.4,
+            )
+    panel.axhline(-float(joint.torque), color=INK, linewidth=0.8, linestyle=(0, (1, 2)))
+    panel.text(end - 1, -float(joint.torque), "below this the muscle would have to push",
+               fontsize=8, color=INK, ha="right", va="bottom")  # fmt: skip
+    plain(panel, "added torque (N m)")
+    angle_axis(panel, "bending angle of the muscle")
+    handles = [
+        Line2D([], [], color=BLUE, label="alpha"),
+        Line2D([], [], color=VERMILLION, label="beta, continuous"),
+        Line2D([], [], color=GREY, linestyle=(0, (3, 2)), label="beta, as printed"),
+    ]
+    panel.legend(handles=handles, fontsize=8, frameon=False, loc="lower center")
+    return figure
+
+
+# The joint itself at some bending angles: links, muscle, wire and contact points, to scale.
+
+_DRAWN = (60.0, 30.0, 10.0, 2.0, -2.0, -10.0, -30.0, -60.0)
+
+_COLOURS = {"balloon": GREY, "muscle": BLUE, "wire": GREEN}
+_WIDTHS = {"muscle": 2.0, "wire": 1.4}
+
+# Letters at the left and below their points, so that none lies on another.
+_LEFT, _BELOW = frozenset("AMBP"), frozenset("EBD")
+
+
+def joint_figure(joint: Joint, degrees: Sequence[float] = _DRAWN) -> Figure:
+    """The joint at some bending angles: links, muscle, wire and contact points, to scale.
+
+    One muscle is drawn, on +y: the inner one at positive angles, the outer one at negative ones.
+
+    Arguments:
+        joint: the joint.
+        degrees: bending angles, deg.
+
+    Returns:
+        The picture.
+    """
+    columns = 2 if len(degrees) > 1 else 1
+    rows = -(-len(degrees) // columns)
+    figure = new_figure(11, 2.35 * rows + 0.5, "One muscle (blue) and its wire at rest, to scale")
+    grid = figure.subplots(rows, columns, squeeze=False)
+    scene = joint_scene(joint.geometry, np.deg2rad(degrees))
+    # Down the columns, so that one shows the inner and one the outer muscle.
+    for index, panel in enumerate(grid.T.flat):
+        if index >= len(degrees):
+            panel.set_visible(False)
+            continue
+        _draw_joint(panel, joint, scene, index, degrees[index])
+    handles = [
+        Line2D([], [], color=BLUE, linewidth=2, label="muscle"),
+        Line2D([], [], color=GREEN, linewidth=1.4, label="wire, taut"),
+        Line2D([], [], color=GREEN, linewidth=1.4, linestyle=(0, (2, 2)), label="wire, slack"),
+        Line2D([], [], color=GREY, linewidth=6, alpha=0.3, label="balloon"),
+    ]
+    figure.legend(
+        handles=handles, loc="outside upper right", ncols=len(handles), fontsize=8, frameon=False
+    )
+    return figure
+
+
+def joint_points(joint: Joint, angle: float) -> dict[str, np.ndarray]:
+    """Where the lettered points of figs 7 and 8 are at a bending angle.
+
+    Arguments:
+        joint: the joint.
+        angle: bending angle of the muscle, rad.
+
+    Returns:
+        Points in the frame of the bisector, m, each of shape (2,): A, B, C, D, E and H of an
+        inner muscle; M, P, O, Q, N, B, D and E of an outer one.
+    """
+    markers = joint_scene(joint.geometry, [angle]).markers
+    points = {name: at[0, :2] for name, at in markers.items()}
+    return {name: point for name, point in points.items() if np.all(np.isfinite(point))}
+
+
+def _draw_joint(panel: Axes, joint: Joint, scene: Scene, sample: int, degrees: float) -> None:
+    angle = np.deg2rad(degrees)
+    draw_scene(panel, scene, sample, axes="xy", colours=_COLOURS, widths=_WIDTHS)
+    for name, points in scene.markers.items():
+        point = points[sample, :2]
+        if not np.all(np.isfinite(point)):
+            continue
+        left = name in _LEFT
+        panel.annotate(
+            name,
+            (point[0], point[1]),
+            xytext=(-3 if left else 3, -3 if name in _BELOW else 3),
+            textcoords="offset points",
+            fontsize=7.5,
+            color=INK,
+            ha="right" if left else "left",
+            va="top" if name in _BELOW else "bottom",
+        )
+    state = muscle_state(joint, angle)
+    force = f"{float(state.force):.2f}".replace("-", MINUS)
+    shown = f"{degrees:g}".replace("-", MINUS)
+    branch = BRANCHES[int(state.branch)]
+    plain(
+        panel, f"{shown}{DEGREE}: {branch}; contraction {float(state.contraction):.3f}, {force} N"
+    )
+    panel.set_xlim(-1.02, 1.02)
+    height = float(np.sin(angle / 2))
+    panel.set_ylim(min(-0.22, height - 0.18), max(0.34, height + 0.3))
+
+
+# Where two pressures hold a joint: every equilibrium, and the torque that makes them.
+
+
+def equilibria_table(
+    pair: JointPair, degrees: np.ndarray
+) -> tuple[dict[str, np.ndarray], list[Equilibria]]:
+    """Pressures of the controller for some angles, and every equilibrium of each pair of them.
+
+    Arguments:
+        pair: joint and muscles.
+        degrees: target angles, deg, shape (angle,).
+
+    Returns:
+        Columns, one row an equilibrium, in the units that their names say; and the equilibria of
+        each target angle.
+    """
+    command = pair_command(pair, np.deg2rad(degrees))
+    pressures = np.asarray(command.pressures)
+    everything = [equilibria(pair, both) for both in pressures]
+    rows: dict[str, list[object]] = {
+        name: []
+        for name in (
+            "target_deg", "reached", "first_pressure_kPa", "second_pressure_kPa", "angle_deg",
+            "stable", "stiffness_N_m_per_rad", "muscle_stiffness_N_m_per_rad", "at_step",
+            "first_branch", "second_branch", "at_lower_stop", "at_upper_stop", "indifferent",
+        )
+    }  # fmt: skip
+    for target, reached, both, rests in zip(
+        degrees, np.asarray(command.reached), pressures, everything, strict=True
+    ):
+        for item in rests.every:
+            cells: tuple[object, ...] = (
+                target, bool(reached), both[0] / 1e3, both[1] / 1e3, np.rad2deg(item.angle),
+                item.stable, item.stiffness, item.muscle_stiffness, item.at_step, *item.branches,
+                rests.at_lower_stop, rests.at_upper_stop, rests.indifferent,
+            )  # fmt: skip
+            for column, cell in zip(rows.values(), cells, strict=True):
+                column.append(cell)
+    return {name: np.asarray(values) for name, values in rows.items()}, everything
+
+
+def equilibria_figure(pair: JointPair, table: dict[str, np.ndarray], example_deg: float) -> Figure:
+    """Where a pair rests: every equilibrium against the target angle, and the torque of one.
+
+    Arguments:
+        pair: joint and muscles.
+        table: of `equilibria_table`.
+        example_deg: target angle whose two pressures are drawn, deg.
+
+    Returns:
+        The picture.
+    """
+    figure = new_figure(11, 4.2, "Two pressures hold a joint at more than one angle")
+    left, right = figure.subplots(1, 2)
+    shade_branches(left, pair.joint)
+    target, angle, stable = table["target_deg"], table["angle_deg"], table["stable"]
+    end = np.rad2deg(LARGEST_ANGLE)
+    left.plot([-end, end], [-end, end], color=LIGHT, linewidth=3, zorder=1)
+    for held, colour, name in ((True, BLUE, "stable"), (False, VERMILLION, "unstable")):
+        rows = stable == held
+        left.plot(target[rows], angle[rows], ".", color=colour, markersize=4, label=name)
+    plain(left, f"equilibria of its two pressures ({DEGREE})")
+    angle_axis(left, "target angle")
+    left.set_ylim(-end, end)
+    left.set_yticks(np.arange(-end, end + 1, 20))
+    left.legend(fontsize=8, frameon=False, loc="upper left")
+
+    shade_branches(right, pair.joint)
+    _draw_torque(right, pair, example_deg)
+    return figure
+
+
+def _draw_torque(panel: Axes, pair: JointPair, example_deg: float) -> None:
+    pressures = pair_command(pair, np.deg2rad(example_deg)).pressures
+    sizes = np.deg2rad(np.linspace(0, np.rad2deg(LARGEST_ANGLE), 601))
+    load = jnp.asarray(0.0, dtype=pressures.dtype)
+    for ahead in (False, True):
+        angle = jnp.asarray(sizes if ahead else -sizes[::-1], dtype=pressures.dtype)
+        side = jnp.full(angle.shape, ahead)
+        torque = net_torque(pair, pressures, load, angle, side)
+        panel.plot(np.rad2deg(angle), torque, color=INK, linewidth=1.4)
+    panel.axhline(0, color=GREY, linewidth=0.8)
+    for item in equilibria(pair, pressures).every:
+        colour = BLUE if item.stable else VERMILLION
+        panel.plot(np.rad2deg(item.angle), 0, "o", color=colour, markersize=6)
+    kilopascals = " and ".join(f"{float(p) / 1e3:.1f}" for p in pressures)
+    plain(panel, f"torque at {kilopascals} kPa, for {example_deg:g}{DEGREE} (N m)")
+    angle_axis(panel, "angle")
+
+
+# One joint at rest as files: pictures, and the numbers in them.
+
+JOINT_FILES = (
+    "fig09.png",
+    "fig09.csv",
+    "fig10.png",
+    "fig10.csv",
+    "corrections.png",
+    "corrections.csv",
+    "joint.png",
+    "points.csv",
+    "equilibria.png",
+    "equilibria.csv",
+)
+"""What `joint_files` makes."""
+
+
+def joint_files(pair: JointPair, degrees: Sequence[float], target: float) -> dict[str, bytes]:
+    """Pictures (PNG) and numbers (CSV) of a joint, by the names of `JOINT_FILES`.
+
+    Arguments:
+        pair: joint and muscles.
+        degrees: angles at which the joint is drawn, deg.
+        target: angle whose two pressures are drawn, deg.
+
+    Returns:
+        Contents by name of the file.
+    """
+    joint = pair.joint
+    readings = [correction_table(joint, reading=name) for name in ("continuous", "printed")]
+    corrections = {name: np.concatenate([each[name] for each in readings]) for name in readings[0]}
+    # A joint bends from -60 to 60 deg: in whole degrees.
+    end = round(float(np.rad2deg(LARGEST_ANGLE)))
+    holding, _ = equilibria_table(pair, np.linspace(-end, end, 2 * end + 1))
+    points: dict[str, list[Any]] = {"angle_deg": [], "point": [], "x_m": [], "y_m": []}
+    for angle in degrees:
+        for name, (x, y) in joint_points(joint, np.deg2rad(angle)).items():
+            for column, cell in zip(points.values(), (angle, name, x, y), strict=True):
+                column.append(cell)
+    return {
+        "fig09.png": to_png(angle_figure(joint, corrected=False)),
+        "fig09.csv": to_csv(angle_table(joint, corrected=False)),
+        "fig10.png": to_png(angle_figure(joint, corrected=True)),
+        "fig10.csv": to_csv(angle_table(joint, corrected=True)),
+        "corrections.png": to_png(correction_figure(joint)),
+        "corrections.csv": to_csv(corrections),
+        "joint.png": to_png(joint_figure(joint, degrees)),
+        "points.csv": to_csv(points),
+        "equilibria.png": to_png(equilibria_figure(pair, holding, target)),
+        "equilibria.csv": to_csv(holding),
+    }

@@ -1,0 +1,26 @@
+"""A mission: an operator who sees what a camera at the tip shows brings the arm to an opening."""
+
+from ._cases import Case as Case, Cases as Cases, Tally as Tally, fly_cases as fly_cases
+from ._mission import (
+    Mission as Mission,
+    Outcome as Outcome,
+    Touched as Touched,
+    motion as motion,
+    recorded as recorded,
+)
+from ._operator import (
+    Opening as Opening,
+    Operator as Operator,
+    Sight as Sight,
+    Tracking as Tracking,
+    opening_of as opening_of,
+)
+from ._report import (
+    CASES_FILES as CASES_FILES,
+    MISSION_FILES as MISSION_FILES,
+    cases_files as cases_files,
+    cases_json as cases_json,
+    mission_figure as mission_figure,
+    mission_files as mission_files,
+    mission_json as mission_json,
+)

@@ -1,0 +1,177 @@
+"""Many missions: how often, and how soon, the opening is reached in how much wind."""
+
+import dataclasses
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from ...runtime.parallel import Tell, side_by_side
+from ...runtime.process import cores
+from ._mission import Mission
+
+# What missions in air of one speed come to.
+
+
+@dataclasses.dataclass(frozen=True)
+class Case:
+    """One of many missions.
+
+    Attributes:
+        wind: speed of the air, m/s.
+        seed: of its arm and its air.
+        reached: after so long, s; None: it was not.
+        reason: why not.
+        flattening: of a link at most, m.
+        force: on a link at most, N.
+        touched: names of the obstacles.
+    """
+
+    wind: float
+    seed: int
+    reached: float | None
+    reason: str
+    flattening: float
+    force: float
+    touched: tuple[str, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Tally:
+    """Missions in air of one speed.
+
+    Attributes:
+        wind: speed of the air, m/s.
+        cases: the missions, at least one.
+    """
+
+    wind: float
+    cases: tuple[Case, ...]
+
+    @property
+    def times(self) -> list[float]:
+        """Until the tip was inside, of those in which it was, s."""
+        return [case.reached for case in self.cases if case.reached is not None]
+
+    @property
+    def inside(self) -> int:
+        """In how many the tip was inside."""
+        return len(self.times)
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Between which shares that of success is, with 95 %.
+
+        Wilson, J. Am. Stat. Assoc. 22 (1927) 209.
+        """
+        count, square, share = len(self.cases), 1.959964**2, self.inside / len(self.cases)
+        middle = share + square / (2 * count)
+        half = np.sqrt(square * (share * (1 - share) / count + square / (4 * count**2)))
+        low, high = ((middle + sign * half) / (1 + square / count) for sign in (-1, 1))
+        return max(0.0, float(low)), min(1.0, float(high))
+
+    @property
+    def quartiles(self) -> tuple[float, float, float] | None:
+        """Of the times, s; None where there is none."""
+        if not self.times:
+            return None
+        low, middle, high = np.percentile(self.times, [25, 50, 75])
+        return float(low), float(middle), float(high)
+
+    @property
+    def reasons(self) -> dict[str, int]:
+        """How often it failed for each reason, the most frequent first."""
+        return dict(
+            Counter(case.reason for case in self.cases if case.reached is None).most_common()
+        )
+
+    @property
+    def touched(self) -> int:
+        """In how many something was touched."""
+        return sum(bool(case.touched) for case in self.cases)
+
+    @property
+    def flattening(self) -> float:
+        """Of any link at most, m."""
+        return max(case.flattening for case in self.cases)
+
+    @property
+    def force(self) -> float:
+        """On any link at most, N."""
+        return max(case.force for case in self.cases)
+
+
+@dataclasses.dataclass(frozen=True)
+class Cases:
+    """Many missions.
+
+    Attributes:
+        cases: in the order of their winds, then of their seeds.
+        seconds: that a case took on a core, on average.
+    """
+
+    cases: tuple[Case, ...]
+    seconds: float
+
+    @property
+    def tallies(self) -> list[Tally]:
+        """What they come to, for each speed of the air."""
+        winds = dict.fromkeys(case.wind for case in self.cases)
+        return [
+            Tally(wind, tuple(case for case in self.cases if case.wind == wind)) for wind in winds
+        ]
+
+
+def fly_cases(
+    mission: Mission,
+    winds: Sequence[float],
+    count: int,
+    *,
+    seed: int = 0,
+    on_case: Callable[[int, int], object] | None = None,
+) -> Cases:
+    """Missions of arms and air that are drawn, the same ones for each speed of the air.
+
+    Ctrl-C ends them: those that were flown are returned.
+
+    Arguments:
+        mission: as it is drawn; its `[mission.spread]` says how arms differ from that.
+        winds: speeds of the air, m/s.
+        count: for each of them.
+        seed: of the first; each has the next one.
+        on_case: told how many there are of how many, after each.
+
+    Raises:
+        InputError: `[mission.spread]` has a parameter that the arm does not have.
+    """
+    todo = [(wind, seed + place) for wind in winds for place in range(count)]
+    mission.case(seed)
+    took: list[float] = []
+
+    def job(wind: float, number: int) -> Callable[[Tell], Case | None]:
+        def fly(tell: Tell) -> Case | None:
+            try:
+                began = time.perf_counter()
+                outcome = mission.in_wind(wind).case(number).fly(number, drawn=mission)
+                took.append(time.perf_counter() - began)
+                if on_case is not None:
+                    tell(lambda: on_case(len(took), len(todo)))
+            except KeyboardInterrupt:
+                return None
+            return Case(
+                wind,
+                number,
+                outcome.reached,
+                outcome.reason,
+                outcome.flattening,
+                max((each.force for each in outcome.touched), default=0.0),
+                tuple(each.obstacle for each in outcome.touched if each.links),
+            )
+
+        return fly
+
+    jobs = [job(*each) for each in todo]
+    flown = side_by_side(jobs, cores(), until=lambda case: case is None)
+    cases = tuple(case for case in flown if case is not None)
+    return Cases(cases, float(np.mean(took)) if took else 0.0)

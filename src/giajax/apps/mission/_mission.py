@@ -1,0 +1,554 @@
+"""A mission: an arm, who drives it, an opening to go through, and what came of it."""
+
+import dataclasses
+from typing import Any, NamedTuple, Self
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...mechanics.arm import Arm, link_centres, tip_position, touch, touched
+from ...models import (
+    ArmModel,
+    Pinhole,
+    View,
+    arm_from_definition,
+    parameter_values,
+    sensors_from_definition,
+)
+from ...recordings import Definition, Run
+from ...runtime.arrays import Array, Bool, Float, Int, Scalar
+from ...runtime.programs import program
+from ...runtime.text import InputError
+from ...schema import MissionSection
+from ...schema.parameters import replace
+from ...simulation import RESULTS, Moment, Stepper, Trajectory, logged
+from ..synthetic import gusts
+from ._operator import Opening, Operator, Sight, opening_of
+
+# The air of a mission: a mean flow and gusts along the arm, of a speed.
+
+# Between two rows of the gusts, s; the wind is linear between them.
+_WIND_INTERVAL = 1.0
+
+
+def air(
+    section: MissionSection, arm: Arm, times: Float[np.ndarray, " row"], seed: list[int]
+) -> Float[np.ndarray, "row width"]:
+    """Velocity of the air at each link, m/s, shape (row, 3 link).
+
+    A level mean flow in a direction that is drawn, and about it gusts that are coherent along the
+    arm where it is straight, so strong that the root mean square of the velocity is the speed.
+
+    Arguments:
+        section: the `[mission]`.
+        arm: the arm.
+        times: s.
+        seed: of the random numbers.
+    """
+    wind, width = section.wind, 3 * arm.count
+    if wind.speed_m_per_s == 0:
+        return np.zeros((len(times), width))
+    random = np.random.default_rng(seed)
+    turn = random.uniform(0, 2 * np.pi)
+    mean = wind.mean * wind.speed_m_per_s
+    if wind.mean == 1:
+        steady = mean * np.array([np.cos(turn), np.sin(turn), 0.0])
+        return np.tile(steady, (len(times), arm.count))
+    drive = gusts(
+        [mean * np.cos(turn), mean * np.sin(turn), 0.0],
+        intensity=np.sqrt((1 / wind.mean**2 - 1) / 3),
+        length_scale=wind.length_scale_m,
+        duration=times[-1] + _WIND_INTERVAL,
+        interval=_WIND_INTERVAL,
+        seed=int(random.integers(2**31)),
+        places=np.asarray(link_centres(arm, jnp.zeros(arm.count))),
+    )
+    values = drive.at(times)
+    names = [f"link{link:02d}_wind_{axis}" for link in range(1, arm.count + 1) for axis in "xyz"]
+    return np.stack([values[name] for name in names], axis=1)
+
+
+# One mission row by row, in one program: an arm, an operator, and the air.
+
+
+class Rows(NamedTuple):
+    """What happened, row by row.
+
+    Attributes:
+        time: s.
+        state: of the joints and of what sticks, as of `Moment`.
+        command: commanded angles, rad.
+        tip: where it is, m.
+        believed: where the operator believes the camera to be, m.
+        corners: of the opening that are in the picture.
+        pressing: force of obstacles on each link, N.
+        inside: for how long the tip has been inside, s.
+    """
+
+    time: Float[Array, " row"]
+    state: Float[Array, "row part joint"]
+    command: Float[Array, "row joint"]
+    tip: Float[Array, "row 3"]
+    believed: Float[Array, "row 3"]
+    corners: Int[Array, " row"]
+    pressing: Float[Array, "row link"]
+    inside: Float[Array, " row"]
+
+
+class Task(NamedTuple):
+    """What is to be done, and how it is computed.
+
+    Attributes:
+        opening: to go through.
+        beyond: how far behind its outer face the tip is inside, m.
+        hold: for how long it must be there, s.
+        interval: between two decisions, s.
+        tolerance: of the motion, as of `Stepper`.
+    """
+
+    opening: Opening
+    beyond: Scalar
+    hold: Scalar
+    interval: Scalar
+    tolerance: Scalar
+
+
+class _Picture(NamedTuple):
+    """What a camera shows, and what was commanded then.
+
+    Attributes:
+        pixels: of the opening's corners.
+        seen: which of them are in the picture.
+        room: whether it shows what is behind the opening.
+        commanded: where commands would have the camera.
+    """
+
+    pixels: Float[Array, "4 2"]
+    seen: Bool[Array, "4"]
+    room: Bool[Array, ""]
+    commanded: View
+
+
+class _Now(NamedTuple):
+    """Where a mission is: the arm, pictures on their way (the oldest first), and the operator."""
+
+    moment: Moment
+    pictures: _Picture
+    sight: Sight
+    blind: Scalar
+    inside: Scalar
+
+
+@program
+def flight(
+    arm: Arm,
+    drawn: Arm,
+    camera: Pinhole,
+    operator: Operator,
+    task: Task,
+    wind: Float[Array, "row width"],
+    error: Float[Array, "row 4 2"],
+    *,
+    late: int,
+) -> Rows:
+    """A mission until its end; rows after that are as the last one.
+
+    Arguments:
+        arm: as it is.
+        drawn: as the operator takes it to be.
+        camera: at its tip.
+        operator: who drives.
+        task: what is to be done.
+        wind: velocity of the air at the beginning and at the end of each interval, m/s.
+        error: of what the operator sees in each, px.
+        late: of pictures, in intervals.
+    """
+    opening, interval = task.opening, task.interval
+    stepper = Stepper(arm, interval, tolerance=task.tolerance)
+
+    def is_inside(angles: Array) -> Bool[Array, ""]:
+        local = opening.local(tip_position(arm, angles))
+        return (local[0] < -task.beyond) & (opening.beside(local) == 0)
+
+    def picture(moment: Moment, error: Array) -> _Picture:
+        view = camera.view(arm, moment.angles)
+        found = camera.project_from(view, opening.corners)
+        # From behind the wall its outer face is hidden.
+        seen = camera.sees(found) & (opening.local(view.centre)[0] > 0)
+        commanded = camera.view(drawn, moment.command)
+        return _Picture(found.pixels + error, seen, is_inside(moment.angles), commanded)
+
+    def advanced(now: _Now, blowing: Array, error: Array) -> _Now:
+        newest = picture(now.moment, error)
+        pictures = jax.tree.map(
+            lambda queue, last: jnp.concatenate([queue[1:], last[None]]), now.pictures, newest
+        )
+        shown = jax.tree.map(lambda queue: queue[0], pictures)
+        sight = operator.tracking.corrected(
+            operator.tracking.later(now.sight, interval),
+            camera, opening, shown.pixels, shown.seen, shown.commanded, interval,
+        )  # fmt: skip
+        blind = jnp.where(jnp.sum(shown.seen) >= 2, 0, now.blind + interval)
+        before = now.moment.command
+        command = operator.commands(drawn, camera, opening, before, sight, blind, interval)
+        moment = stepper.advance(now.moment, jnp.where(shown.room, before, command), blowing)
+        inside = jnp.where(is_inside(moment.angles), now.inside + interval, 0)
+        return _Now(moment, pictures, sight, blind, inside)
+
+    def row(now: _Now, given: tuple[Array, Array]) -> tuple[_Now, Rows]:
+        # A motion that is lost would be tried again with ever shorter steps, to no end.
+        lost = ~jnp.all(jnp.isfinite(now.moment.state))
+        done = (now.inside >= task.hold) | lost
+        now = jax.lax.cond(done, lambda: now, lambda: advanced(now, *given))
+        moment, state = now.moment, now.moment.state
+        pressed = jnp.zeros_like(moment.angles)
+        if arm.contact is not None:
+            skin = state[-arm.contact.rows :] if arm.contact.rows else None
+            pressed = touch(arm, moment.angles, moment.rates, skin).normal
+        return now, Rows(
+            time=moment.time,
+            state=state,
+            command=moment.command,
+            tip=tip_position(arm, moment.angles),
+            believed=now.sight.view.centre,
+            corners=jnp.sum(now.pictures.seen[-1]),
+            pressing=pressed,
+            inside=now.inside,
+        )
+
+    moment = stepper.start(wind=wind[0])
+    first = picture(moment, jnp.zeros_like(error[0]))
+    waiting = jax.tree.map(lambda x: jnp.broadcast_to(x, (late + 1, *x.shape)), first)
+    now = _Now(
+        moment,
+        waiting,
+        operator.tracking.start(first.commanded),
+        operator.patience + interval,
+        jnp.zeros_like(interval),
+    )
+    return jax.lax.scan(row, now, (wind[1:], error))[1]
+
+
+# What came of a mission.
+
+# Rows whose contacts are computed at once.
+_CHUNK = 64
+
+
+@dataclasses.dataclass(frozen=True)
+class Touched:
+    """What an obstacle did to the arm.
+
+    Attributes:
+        obstacle: its name.
+        links: numbers of the links that touched it.
+        duration: of any contact, s.
+        flattening: of a link at most, m.
+        force: on a link at most, N.
+        impulse: of all forces on all links, by their size, N s.
+    """
+
+    obstacle: str
+    links: tuple[int, ...]
+    duration: float
+    flattening: float
+    force: float
+    impulse: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Outcome:
+    """What came of a mission.
+
+    Attributes:
+        reached: time from which on the tip was inside, s; None: it was not, for as long as needed.
+        reason: why not; empty where it was.
+        nearest: distance of the tip from the middle of the opening at the least, m.
+        touched: what each obstacle did.
+        times: of the rows below, s, from 0 until the end of the mission.
+        angles: of the joints, rad.
+        rates: of the joints, rad/s.
+        command: commanded angles, rad.
+        wind: velocity of the air at the links, m/s.
+        tip: where it was, m.
+        believed: where the operator believed the camera to be, m.
+        corners: of the opening that were in the picture.
+    """
+
+    reached: float | None
+    reason: str
+    nearest: float
+    touched: tuple[Touched, ...]
+    times: Float[np.ndarray, " row"]
+    angles: Float[np.ndarray, "row joint"]
+    rates: Float[np.ndarray, "row joint"]
+    command: Float[np.ndarray, "row joint"]
+    wind: Float[np.ndarray, "row width"]
+    tip: Float[np.ndarray, "row 3"]
+    believed: Float[np.ndarray, "row 3"]
+    corners: Float[np.ndarray, " row"]
+
+    @property
+    def flattening(self) -> float:
+        """Of any link at most, m."""
+        return max((each.flattening for each in self.touched), default=0.0)
+
+
+def outcome_of(mission: "Mission", rows: Rows, wind: Float[np.ndarray, "row width"]) -> Outcome:
+    """What rows of a mission, and the air in it, come to."""
+    table: Rows = jax.tree.map(np.asarray, rows)
+    section = mission.section
+    held = table.inside >= section.hold_s
+    end = int(np.argmax(held)) + 1 if held.any() else len(held)
+    table = jax.tree.map(lambda each: each[:end], table)
+    arm = mission.model.arm
+    begun = np.asarray(tip_position(arm, jnp.zeros(arm.count)))
+    reached = float(mission.times[end] - table.inside[-1]) if held.any() else None
+    sound = np.all(np.isfinite(table.state), axis=(1, 2))
+    local = np.asarray(mission.opening.local(jnp.asarray(table.tip)))
+    gap = np.linalg.norm(local, axis=1)[sound]
+    nearest = float(gap.min()) if gap.size else np.nan
+    return Outcome(
+        reached=reached,
+        reason="" if reached is not None else _reason(table, bool(sound.all()), nearest),
+        nearest=nearest,
+        touched=_touched(arm, table),
+        times=mission.times[: end + 1],
+        angles=_from_rest(table.state[:, 0]),
+        rates=_from_rest(table.state[:, 1]),
+        command=_from_rest(table.command),
+        wind=wind[: end + 1],
+        tip=_from_rest(table.tip, begun),
+        believed=_from_rest(table.believed, begun),
+        corners=_from_rest(table.corners),
+    )
+
+
+def _from_rest(rows: Any, first: np.ndarray | float = 0.0) -> np.ndarray:
+    """Rows with what was before them: the straight arm at rest."""
+    return np.concatenate([np.broadcast_to(first, rows[:1].shape).astype(rows.dtype), rows])
+
+
+def _reason(rows: Rows, sound: bool, nearest: float) -> str:
+    """Why a mission failed, in a few words that many share."""
+    if not sound:
+        return "its motion could not be followed"
+    if not np.any(rows.corners >= 2):
+        return "the opening never came into view"
+    if np.any(rows.inside > 0):
+        return "the tip came in, and did not stay"
+    if nearest > 1.5:
+        return "the tip did not come near"
+    return "the tip came near, and not in"
+
+
+def _touched(arm: Arm, rows: Rows) -> tuple[Touched, ...]:
+    """What obstacles did, from the rows in which something pressed."""
+    if arm.contact is None:
+        return ()
+    when = np.flatnonzero(np.any(rows.pressing > 0, axis=1))
+    names = [each.name for each in arm.contact.obstacles]
+    deep = np.zeros((len(when), arm.count, len(names)))
+    force = np.zeros_like(deep)
+    for first in range(0, len(when), _CHUNK):
+        some = when[first : first + _CHUNK]
+        # Of one size, so that there is one program.
+        padded = np.resize(some, _CHUNK)
+        flat, push = _contacts(arm, jnp.asarray(rows.state[padded]))
+        deep[first : first + len(some)] = np.asarray(flat)[: len(some)]
+        force[first : first + len(some)] = np.linalg.norm(push, axis=-1)[: len(some)]
+    interval = float(rows.time[1] - rows.time[0]) if len(rows.time) > 1 else 0.0
+    return tuple(
+        Touched(
+            obstacle=name,
+            links=tuple((np.flatnonzero(deep[:, :, k].any(axis=0)) + 1).tolist()),
+            duration=interval * int(deep[:, :, k].any(axis=1).sum()),
+            flattening=float(deep[:, :, k].max(initial=0.0)),
+            force=float(force[:, :, k].max(initial=0.0)),
+            impulse=interval * float(force[:, :, k].sum()),
+        )
+        for k, name in enumerate(names)
+    )
+
+
+@program
+def _contacts(arm: Arm, states: Float[Array, "row part joint"]) -> tuple[Array, Array]:
+    assert arm.contact is not None
+    rows = arm.contact.rows
+
+    def one(state: Array) -> tuple[Array, Array]:
+        return touched(arm, state[0], state[1], state[-rows:] if rows else None)
+
+    return jax.vmap(one)(states)
+
+
+# Between two decisions of an operator, s, and the tolerance of the motion.
+_INTERVAL, _TOLERANCE = 0.1, 1e-3
+
+
+@dataclasses.dataclass(frozen=True)
+class Mission:
+    """An arm that an operator is to bring through an opening.
+
+    Attributes:
+        model: of the arm, with its obstacles and its cameras.
+        section: what its file says.
+        opening: to go through.
+        camera: at the arm's tip.
+        operator: who drives.
+    """
+
+    model: ArmModel
+    section: MissionSection
+    opening: Opening
+    camera: Pinhole
+    operator: Operator
+
+    @classmethod
+    def from_definition(cls, definition: Definition, source: str = "the file") -> Self:
+        """The mission of a file.
+
+        Arguments:
+            definition: what is in it.
+            source: what errors call it.
+
+        Raises:
+            InputError: it has no `[mission]`, no opening, or no camera at the tip of its arm.
+        """
+        section = definition.mission
+        if section is None:
+            raise InputError(f"{source} has no [mission]: add one (giajax mission --help shows it)")
+        arm, sensors = arm_from_definition(definition), sensors_from_definition(definition)
+        opening = opening_of(arm, section.opening)
+        lenses = {
+            name: lens for name, lens in sensors.camera.pinholes.items() if lens.mount == "tip"
+        }
+        name = section.camera
+        if name is None and len(lenses) != 1:
+            many = f"{len(lenses)} cameras" if lenses else "no camera"
+            raise InputError(
+                f'there is {many} at the tip: give one [camera.NAME] with mount = "tip", or say '
+                "which by mission.camera"
+            )
+        if name is not None and name not in lenses:
+            raise InputError(f"mission.camera = '{name}' is no camera at the tip: correct it")
+        camera = next(iter(lenses.values())) if name is None else lenses[name]
+        model = ArmModel(arm, sensors=sensors)
+        return cls(model, section, opening, camera, Operator.from_section(section, arm.count))
+
+    def case(self, seed: int) -> Self:
+        """The mission with another arm: parameters of `[mission.spread]`, drawn.
+
+        Raises:
+            InputError: a parameter that the arm does not have.
+        """
+        spread = self.section.spread or {}
+        values = parameter_values(self.model)
+        unknown = next((path for path in spread if path not in values), None)
+        if unknown is not None:
+            raise InputError(f"mission.spread has '{unknown}', which is no parameter of this arm")
+        random = np.random.default_rng([seed, 1])
+        drawn = {
+            path: np.asarray(values[path]) * np.exp(deviation * random.normal())
+            for path, deviation in spread.items()
+        }
+        return dataclasses.replace(self, model=replace(self.model, drawn))
+
+    def with_model(self, model: ArmModel) -> Self:
+        """The mission with other parameters of its arm and its sensors."""
+        return dataclasses.replace(self, model=model)
+
+    def in_wind(self, speed: float) -> Self:
+        """The mission in air of another speed, m/s."""
+        wind = self.section.wind.model_copy(update={"speed_m_per_s": speed})
+        return dataclasses.replace(self, section=self.section.model_copy(update={"wind": wind}))
+
+    def wind(self, seed: int) -> Float[np.ndarray, "row width"]:
+        """Velocity of the air at the links over time, m/s."""
+        return air(self.section, self.model.arm, self.times, [seed, 2])
+
+    @property
+    def times(self) -> Float[np.ndarray, " row"]:
+        """Of the decisions, s."""
+        return np.arange(round(self.section.limit_s / _INTERVAL) + 1) * _INTERVAL
+
+    def fly(self, seed: int = 0, *, drawn: "Mission | None" = None) -> Outcome:
+        """The mission, once.
+
+        Arguments:
+            seed: of the air, and of what the operator sees wrong.
+            drawn: the mission whose arm the operator takes this one's for; itself by default.
+
+        Raises:
+            InputError: a file that is not consistent.
+        """
+        section, arm = self.section, self.model.arm
+        wind = self.wind(seed)
+        random = np.random.default_rng([seed, 3])
+        error = section.operator.pixel_px * random.normal(size=(len(wind) - 1, 4, 2))
+        numbers = (section.beyond_m, section.hold_s, _INTERVAL, _TOLERANCE)
+        rows = flight(
+            arm,
+            (self if drawn is None else drawn).model.arm,
+            self.camera,
+            self.operator,
+            Task(self.opening, *map(jnp.asarray, numbers)),
+            jnp.asarray(wind),
+            jnp.asarray(error),
+            late=round(section.operator.latency_s / _INTERVAL),
+        )
+        return outcome_of(self, rows, wind)
+
+
+# A mission as a motion, and as a run: what was commanded, what blew, where the tip was.
+
+
+def motion(mission: Mission, outcome: Outcome) -> Trajectory:
+    """The motion of the arm, as far as it was followed."""
+    sound = int(np.sum(np.cumprod(np.all(np.isfinite(outcome.angles), axis=1))))
+    times = outcome.times[:sound]
+    return Trajectory(
+        times=jnp.asarray(times),
+        angles=jnp.asarray(outcome.angles[:sound]),
+        rates=jnp.asarray(outcome.rates[:sound]),
+        memory=None,
+        pressures=None,
+        skin=None,
+        arm=mission.model.arm,
+        command=logged(times, outcome.command[:sound]),
+        wind=logged(times, outcome.wind[:sound]),
+        result=RESULTS.successful,  # type: ignore[arg-type]
+        steps=jnp.zeros(2, dtype=int),
+    )
+
+
+def recorded(mission: Mission, outcome: Outcome, *, name: str, origin: str = "") -> Run:
+    """A run that `giajax view` plays and `giajax fit` reads.
+
+    Arguments:
+        mission: whose arm it was.
+        outcome: what came of it.
+        name: of the run.
+        origin: where it is from, for its sidecar.
+    """
+    model: ArmModel = mission.model
+    facts = {
+        key: value for key, value in model.definition().items() if key in Definition.model_fields
+    }
+    facts |= {"model": model.kind, "command": {"interpolation": "linear"}}
+    facts |= {"wind": {"interpolation": "linear"}} if np.any(outcome.wind) else {}
+    facts |= {"origin": origin} if origin else {}
+    values = {
+        f"joint{joint:02d}_command": column
+        for joint, column in enumerate(outcome.command.T, start=1)
+        if np.any(column)
+    }
+    if np.any(outcome.wind):
+        names = [
+            f"link{k:02d}_wind_{axis}" for k in range(1, model.arm.count + 1) for axis in "xyz"
+        ]
+        values |= dict(zip(names, outcome.wind.T, strict=True))
+    values |= dict(zip(("tip_x", "tip_y", "tip_z"), outcome.tip.T, strict=True))
+    definition = Definition.parse(facts, name)
+    return Run.from_arrays(outcome.times, values, name=name, definition=definition)

@@ -1,0 +1,229 @@
+"""A mission as pictures and plain data."""
+
+import dataclasses
+import json
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+
+from ...models import arm_scene
+from ...report import (
+    BLUE,
+    GREY,
+    LIGHT,
+    VERMILLION,
+    draw_blocks,
+    draw_scene,
+    new_figure,
+    plain,
+    to_csv,
+    to_png,
+)
+from ...simulation import at_rest
+from ._cases import Cases
+from ._mission import Mission, Outcome
+
+# A mission as pictures and plain data.
+
+MISSION_FILES = ("mission.json", "mission.png")
+
+# Larger than a building, m.
+_GROUND = 500.0
+
+# Shapes of the arm in a picture, from the first to the last.
+_SHAPES = 6
+
+
+def mission_files(mission: Mission, outcome: Outcome) -> dict[str, bytes]:
+    """Numbers and a picture of a mission, by the names of `MISSION_FILES`."""
+    return {
+        "mission.json": f"{mission_json(mission, outcome)}\n".encode(),
+        "mission.png": to_png(mission_figure(mission, outcome)),
+    }
+
+
+def mission_json(mission: Mission, outcome: Outcome) -> str:
+    """What came of a mission as JSON text."""
+    facts = {
+        "reached_s": _rounded(outcome.reached),
+        "reason": outcome.reason or None,
+        "ended_s": _rounded(float(outcome.times[-1])),
+        "nearest_m": outcome.nearest if np.isfinite(outcome.nearest) else None,
+        "touched": [
+            {
+                "obstacle": each.obstacle,
+                "links": list(each.links),
+                "duration_s": _rounded(each.duration),
+                "flattening_m": each.flattening,
+                "force_N": each.force,
+                "impulse_N_s": each.impulse,
+            }
+            for each in outcome.touched
+        ],
+        "mission": mission.section.contents(),
+    }
+    return json.dumps(facts, indent=2, allow_nan=False)
+
+
+def _rounded(seconds: float | None) -> float | None:
+    return None if seconds is None else round(seconds, 6)
+
+
+def mission_figure(mission: Mission, outcome: Outcome) -> Figure:
+    """Shapes of the arm from the side and from above, and the way of the tip to the opening."""
+    how = (
+        f"not reached: {outcome.reason}"
+        if outcome.reached is None
+        else f"inside after {outcome.reached:.0f} s"
+    )
+    wind = mission.section.wind.speed_m_per_s
+    figure = new_figure(11.0, 7.0, f"Mission in air of {wind:g} m/s: {how}")
+    grid = figure.add_gridspec(4, 2)
+    _shapes(figure.add_subplot(grid[:3, 0]), mission, outcome, "xz")
+    _shapes(figure.add_subplot(grid[3, 0]), mission, outcome, "xy")
+    _way(figure.add_subplot(grid[:2, 1]), mission, outcome)
+    _commands(figure.add_subplot(grid[2:, 1]), outcome)
+    return figure
+
+
+def _shapes(panel: Axes, mission: Mission, outcome: Outcome, axes: str) -> None:
+    arm = mission.model.arm
+    rows = np.linspace(0, len(outcome.times) - 1, _SHAPES).astype(int)
+    rows = rows[np.all(np.isfinite(outcome.angles[rows]), axis=1)]
+    scenes = [
+        dataclasses.replace(arm_scene(at_rest(arm, jnp.asarray(outcome.angles[row]))), markers={})
+        for row in rows
+    ]
+    last = max(len(scenes) - 1, 1)
+    for place, (row, scene) in enumerate(zip(rows, scenes, strict=True)):
+        colour = to_hex(colormaps["viridis"](0.9 * (1 - place / last)))
+        draw_scene(panel, scene, 0, axes=axes, colours={"link": colour})
+        panel.plot([], [], color=colour, label=f"{outcome.times[row]:.0f} s")
+    seen = ["xyz".index(name) for name in axes]
+    panel.plot(*outcome.tip[:, seen].T, color=GREY, linewidth=0.8, label="tip")
+    points = [scene.lines[k].points[0][:, seen] for scene in scenes for k in range(arm.count)]
+    corners = np.asarray(mission.opening.corners)[:, seen]
+    low, high = (of(np.concatenate([*points, corners]), axis=0) for of in (np.min, np.max))
+    panel.set_xlim(low[0] - 1.5, high[0] + 2.5)
+    panel.set_ylim(low[1] - 1.5, high[1] + 1.5)
+    if scenes:
+        # From above, what is all ground is left white.
+        blocks = [block for block in scenes[0].blocks if axes == "xz" or block.size[0] < _GROUND]
+        draw_blocks(panel, blocks, axes=axes)
+    outline = corners[[0, 1, 2, 3, 0]]
+    panel.plot(*outline.T, color=VERMILLION, linewidth=2.0, label="opening", zorder=6)
+    panel.set_xlabel(f"{axes[0]} (m)")
+    panel.set_ylabel(f"{axes[1]} (m)")
+    plain(panel, "From the side" if axes == "xz" else "From above")
+    panel.set_aspect("equal")
+    if axes == "xz":
+        panel.legend(fontsize=7, frameon=False, loc="upper right")
+
+
+def _way(panel: Axes, mission: Mission, outcome: Outcome) -> None:
+    opening = mission.opening
+    for points, style, name in ((outcome.tip, "-", ""), (outcome.believed, ":", ", believed")):
+        local = np.asarray(opening.local(jnp.asarray(points)))
+        beside = np.linalg.norm(local[:, 1:], axis=1)
+        panel.plot(outcome.times, local[:, 0], style, color=BLUE, label=f"before it{name}")
+        panel.plot(outcome.times, beside, style, color=VERMILLION, label=f"beside its axis{name}")
+    seen = outcome.corners >= 2
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], seen, [False]]).astype(int)))
+    for first, end in zip(edges[::2], edges[1::2], strict=True):
+        panel.axvspan(outcome.times[first], outcome.times[end - 1], color=LIGHT, linewidth=0)
+    panel.axhline(-mission.section.beyond_m, color=GREY, linewidth=0.8, linestyle="--")
+    panel.set_ylim(-2, min(16, max(4.0, float(np.nanmax(np.abs(outcome.tip))))))
+    panel.set_xlabel("time (s)")
+    panel.set_ylabel("m")
+    plain(panel, "The tip and the opening (grey: in the picture)")
+    panel.legend(fontsize=7, frameon=False)
+
+
+def _commands(panel: Axes, outcome: Outcome) -> None:
+    last = max(outcome.command.shape[1] - 1, 1)
+    for joint, column in enumerate(outcome.command.T):
+        colour = colormaps["viridis"](0.9 * joint / last)
+        ends = joint in (0, outcome.command.shape[1] - 1)
+        label = f"joint {joint + 1}" if ends else None
+        panel.plot(outcome.times, np.rad2deg(column), color=colour, linewidth=0.8, label=label)
+    panel.set_xlabel("time (s)")
+    panel.set_ylabel("deg")
+    plain(panel, "Commands")
+    panel.legend(fontsize=7, frameon=False)
+
+
+# Many missions as pictures, tables and plain data.
+
+CASES_FILES = ("cases.json", "cases.csv", "cases.png")
+
+
+def cases_files(mission: Mission, cases: Cases) -> dict[str, bytes]:
+    """Numbers and a picture of many missions, by the names of `CASES_FILES`."""
+    columns: dict[str, list[Any]] = {
+        "wind_m_per_s": [case.wind for case in cases.cases],
+        "seed": [case.seed for case in cases.cases],
+        "reached_s": [np.nan if case.reached is None else case.reached for case in cases.cases],
+        "reason": [case.reason for case in cases.cases],
+        "flattening_m": [case.flattening for case in cases.cases],
+        "force_N": [case.force for case in cases.cases],
+        "touched": [" ".join(case.touched) for case in cases.cases],
+    }
+    return {
+        "cases.json": f"{cases_json(mission, cases)}\n".encode(),
+        "cases.csv": to_csv(columns),
+        "cases.png": to_png(cases_figure(mission, cases)),
+    }
+
+
+def cases_json(mission: Mission, cases: Cases) -> str:
+    """Success and time by speed of the air as JSON text."""
+    rows = [
+        {
+            "wind_m_per_s": tally.wind,
+            "cases": len(tally.cases),
+            "inside": tally.inside,
+            "interval": list(tally.interval),
+            "quartiles_s": None if tally.quartiles is None else list(tally.quartiles),
+            "touched": tally.touched,
+            "largest_flattening_m": tally.flattening,
+            "largest_force_N": tally.force,
+            "reasons": tally.reasons,
+        }
+        for tally in cases.tallies
+    ]
+    return json.dumps({"winds": rows, "mission": mission.section.contents()}, indent=2)
+
+
+def cases_figure(mission: Mission, cases: Cases) -> Figure:
+    """Success, and the times that it took, against the speed of the air."""
+    limit = mission.section.limit_s
+    figure = new_figure(9.0, 3.6, f"{len(cases.cases)} missions")
+    share, times = figure.subplots(1, 2)
+    tallies = cases.tallies
+    winds = np.array([tally.wind for tally in tallies])
+    inside = np.array([tally.inside / len(tally.cases) for tally in tallies])
+    low, high = np.array([tally.interval for tally in tallies]).T
+    span = 100 * np.maximum([inside - low, high - inside], 0)
+    share.errorbar(winds, 100 * inside, span, fmt="o-", color=BLUE, capsize=3)
+    share.set_ylim(0, 105)
+    share.set_ylabel("%")
+    plain(share, f"Inside within {limit / 60:g} min (95 % interval)")
+    spread = 0.2 * (np.min(np.diff(winds)) if len(winds) > 1 else 0.1)
+    random = np.random.default_rng(0)
+    for tally in tallies:
+        beside = tally.wind + spread * random.uniform(-1, 1, tally.inside)
+        times.plot(beside, tally.times, ".", color=GREY, markersize=3, alpha=0.6)
+        if tally.quartiles is not None:
+            times.plot(tally.wind, tally.quartiles[1], "_", color=VERMILLION, markersize=18)
+    times.axhline(limit, color=GREY, linewidth=0.8, linestyle="--")
+    times.set_ylim(0, 1.05 * limit)
+    times.set_ylabel("s")
+    plain(times, "Time until it was inside (median in red)")
+    for panel in (share, times):
+        panel.set_xlabel("speed of the air (m/s)")
+    return figure

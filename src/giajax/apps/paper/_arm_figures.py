@@ -1,0 +1,586 @@
+"""Figs 5 and 19 and table 3 of the paper, and what nobody printed of its experiment."""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ...mechanics.arm import Arm, takeichi_20m
+from ...recordings import Run
+from ...report import BLUE, DEGREE, GREEN, GREY, INK, LIGHT, VERMILLION, new_figure, plain
+from ...runtime.arrays import Array, Float
+from ...runtime.programs import program
+from ...schema.parameters import replace
+from ...simulation import Signal, integrate, joint_steps, simulate
+from ._contenders import (
+    CONTENDERS,
+    HEIGHTS,
+    LINKS,
+    STEP,
+    WINDOW,
+    Fits,
+    Reproduced,
+    Sources,
+    compared,
+    concordance,
+    relative_error,
+    times_of,
+)
+
+# When the base joint begins to bend, s; table 3 begins to compare 9.5 s later.
+STARTS_AT = 0.5
+
+_TOLERANCE = 1e-6
+_MAX_STEPS = 20_000
+
+# Without such a number there is no element in the joints.
+_REMEMBERING = {"joints.memory.strength": 0.03, "joints.memory.yield_angle": 0.003}
+
+
+class Unknown(NamedTuple):
+    """A number of the comparison that the paper does not print.
+
+    Attributes:
+        label: what tables call it, with its unit.
+        lower, upper: ends of the range in which it is looked for, in that unit.
+        unit: of the label in SI.
+    """
+
+    label: str
+    lower: float
+    upper: float
+    unit: float = 1.0
+
+
+_DEGREE = float(np.deg2rad(1.0))
+
+UNKNOWNS = {
+    "stiffness": Unknown("arm: pitch stiffness, N m/rad", 1.0, 10.0),
+    "damping": Unknown("arm: damping, N m s/rad", 0.005, 0.5),
+    "drag": Unknown("arm: C_D", 0.5, 2.0),
+    "strength": Unknown("arm: memory's strength, N m", 0.003, 0.3),
+    "yield": Unknown("arm: its yield angle, rad", 0.001, 0.03),
+    "reach": Unknown("arm: its base angle over the model's", 0.5, 1.5),
+    "angle": Unknown("base joint: angle, deg", 10.0, 60.0, _DEGREE),
+    "lasting": Unknown("base joint: bends within, s", 0.25, 6.0),
+    "back": Unknown("base joint: turns back at, s", 8.0, 22.0),
+    "model_stiffness": Unknown("model: pitch stiffness, N m/rad", 1.0, 10.0),
+    "model_damping": Unknown("model: damping, N m s/rad", 0.005, 0.5),
+    "model_drag": Unknown("model: C_D", 0.5, 2.0),
+}
+"""What is looked for, each within a range of its logarithm."""
+
+
+class Compared(NamedTuple):
+    """What comes out of a comparison.
+
+    Attributes:
+        cells: of table 3, %: links 2, 6, 12, 20 with air, then without, shape (8,).
+        nearest: how near to 0 the arm's displacement of each link comes where it is compared, m,
+            shape (4,).
+        crossed: whether it changes its sign there, shape (4,).
+    """
+
+    cells: Float[Array, " cell"]
+    nearest: Float[Array, " link"]
+    crossed: Array
+
+
+def compared_arms(values: Float[Any, " unknown"]) -> Compared:
+    """Table 3 as it would be for one arm and one model.
+
+    The arm is the paper's with joints that remember; the model has none of that, and its C_D
+    or none. Where the arm's displacement passes 0 a term of the concordance has a pole, so that
+    cells are smooth between such parameters and not across them; at a displacement of exactly 0
+    there is no term, and no derivative.
+
+    Arguments:
+        values: of `UNKNOWNS`, in their order, SI; may be differentiated in forward mode.
+
+    Returns:
+        Its cells; NaN where a simulation fails.
+    """
+    known = dict(zip(UNKNOWNS, values, strict=True))
+    paper = takeichi_20m()
+    arm = replace(
+        takeichi_20m(parameters=_REMEMBERING),
+        {
+            **_springs(known, ""),
+            "joints.memory.strength": known["strength"],
+            "joints.memory.yield_angle": known["yield"],
+        },
+    )
+    model = replace(paper, _springs(known, "model_"))
+    vacuum = replace(model, {"air.drag_coefficient": jnp.zeros_like(known["model_drag"])})
+    bend = known["lasting"], known["back"]
+    recorded = _heights(arm, _there_and_back(known["reach"] * known["angle"], *bend))
+    command = _there_and_back(known["angle"], *bend)
+    cells = [_concordance(_heights(each, command), recorded) for each in (model, vacuum)]
+    size = jnp.abs(recorded)
+    return Compared(
+        100 * jnp.concatenate(cells),
+        jnp.min(size, axis=0),
+        jnp.min(recorded, axis=0) * jnp.max(recorded, axis=0) < 0,
+    )
+
+
+@program
+def linearised(
+    logarithms: Float[Array, " unknown"],
+) -> tuple[Compared, Float[Array, "cell unknown"]]:
+    """What comes out, and the derivatives of its cells by the logarithms of `UNKNOWNS`."""
+
+    def push(tangent: Array) -> tuple[Array, Array, Compared]:
+        def cells(at: Array) -> tuple[Array, Compared]:
+            out = compared_arms(jnp.exp(at))
+            return out.cells, out
+
+        _, slope, out = jax.jvp(cells, (logarithms,), (tangent,), has_aux=True)
+        return slope, out.cells, out
+
+    basis = jnp.eye(len(UNKNOWNS), dtype=logarithms.dtype)
+    slopes, _, out = jax.vmap(push, out_axes=(1, None, None))(basis)
+    return out, slopes
+
+
+@program
+def evaluated(logarithms: Float[Array, " unknown"]) -> Compared:
+    """What comes out at the logarithms of `UNKNOWNS`."""
+    return compared_arms(jnp.exp(logarithms))
+
+
+def _springs(known: Mapping[str, Array], of: str) -> dict[str, Array]:
+    paths = {
+        "joints.pitch_stiffness": "stiffness",
+        "joints.damping": "damping",
+        "air.drag_coefficient": "drag",
+    }
+    return {path: known[of + name] for path, name in paths.items()}
+
+
+def _there_and_back(angle: Array, lasting: Array, back: Array, joints: int = 20) -> Signal:
+    """The base joint to an angle, where it stays, and back; its knots may be differentiated."""
+    first = jnp.full_like(back, STARTS_AT)
+    times = jnp.stack([first, first + lasting, back, back + lasting])
+    base = jnp.zeros((4, joints), angle.dtype)
+    values = base.at[1:3, 0].set(angle)
+    slopes = base.at[0, 0].set(angle / lasting).at[2, 0].set(-angle / lasting)
+    return Signal(times, values, slopes, jnp.full((4,), jnp.inf, angle.dtype))
+
+
+def _heights(arm: Arm, command: Signal) -> Float[Array, "sample link"]:
+    """Heights of the compared links where they are compared, m."""
+    first, last = WINDOW
+    rows = np.linspace(first, last, round((last - first) / STEP) + 1)
+    tolerance = jnp.asarray(_TOLERANCE)
+    motion = integrate(
+        arm,
+        command,
+        jnp.asarray(np.concatenate([[0.0], rows])),
+        None,
+        None,
+        jnp.zeros((2, arm.count)),
+        (tolerance, tolerance),
+        solver="springs5",
+        max_steps=_MAX_STEPS,
+        derivatives="forward",
+        steps_for="derivatives",
+    )
+    return motion.link_centres[1:, np.asarray(LINKS) - 1, 2]
+
+
+def _concordance(
+    model: Float[Array, "sample link"], experiment: Float[Array, "sample link"]
+) -> Float[Array, " link"]:
+    """`concordance` of each link, differentiable; as there a sample at exactly 0 has no term."""
+    counts = experiment != 0
+    size = jnp.abs(jnp.where(counts, experiment, 1))
+    terms = jnp.where(counts, 1 - jnp.abs(model - experiment) / size, 0)
+    return jnp.sum(terms, axis=0) / jnp.sum(counts, axis=0, dtype=terms.dtype)
+
+
+# What may have differed between the paper's model and the arm that it was compared with.
+
+_SHARED = ("stiffness", "damping", "drag")
+
+
+@dataclasses.dataclass(frozen=True)
+class Reading:
+    """What is taken to differ between the arm and the paper's model.
+
+    Attributes:
+        label: in words.
+        free: names of `UNKNOWNS` that are looked for.
+        shared: names of those that the model has from the arm.
+    """
+
+    label: str
+    free: tuple[str, ...]
+    shared: tuple[str, ...] = ()
+
+    def spread(self) -> np.ndarray:
+        """Changes of all logarithms by those that are free, shape (unknown, free)."""
+        names = list(UNKNOWNS)
+        table = np.zeros((len(names), len(self.free)))
+        for column, name in enumerate(self.free):
+            table[names.index(name), column] = 1
+            if name in self.shared:
+                table[names.index(f"model_{name}"), column] = 1
+        return table
+
+    def box(self) -> tuple[np.ndarray, np.ndarray]:
+        """Logarithms of the ends of the ranges of what is free, SI, each of shape (free,)."""
+        free = [UNKNOWNS[name] for name in self.free]
+        low = np.log([unknown.lower * unknown.unit for unknown in free])
+        return low, np.log([unknown.upper * unknown.unit for unknown in free])
+
+    def all(self, free: np.ndarray) -> Array:
+        """All logarithms, of those that are free; of what is neither free nor shared it is 0."""
+        return jnp.asarray(self.spread() @ free)
+
+
+_APART = ("reach", *(f"model_{name}" for name in _SHARED))
+READINGS = {
+    "memory": Reading(
+        "only its joints remember",
+        tuple(name for name in UNKNOWNS if name not in _APART),
+        shared=_SHARED,
+    ),
+    "own": Reading("all of it may differ", tuple(UNKNOWNS)),
+}
+"""The paper's own explanation of its errors, and one that allows for any."""
+
+
+# Fig. 5: displacements of links 6, 12 and 20 in the models with and without air resistance.
+
+SHOWN_LINKS = {6: GREEN, 12: BLUE, 20: VERMILLION}
+STEP_DEG, STEP_AT = 30.0, 0.5
+DURATION, RATE = 25.0, 20.0
+
+# When the table looks, s.
+AT = (5, 10, 25)
+
+# Of the integrator: each curve is then right to 1e-7 m.
+TOLERANCE = 1e-8
+
+_FIG05_SOURCES = Sources(
+    printed="the model (20 rigid links, springs, eq. (1) at their centres), length, diameter and "
+    "mass (table 2), the three links, solid with and dotted without air.",
+    assumed=f"stiffness 3 (pitch) and 30 N m/rad (yaw), damping 0.05 N m s/rad, C_D = 1.2, a step "
+    f"of {STEP_DEG:g}{DEGREE} at {STEP_AT:g} s: the text gives none of them.",
+    reconstructed="nothing.",
+)
+
+
+def heights(tolerance: float = TOLERANCE) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Heights of the links' centres after a step of joint 1.
+
+    Arguments:
+        tolerance: relative and absolute tolerance of the integrator.
+
+    Returns:
+        Times, s, shape (sample,), and the height z of all links, m, shape (sample, link), "with"
+        and "without" air.
+    """
+    arm = takeichi_20m()
+    arms = {"with": arm, "without": replace(arm, {"air.drag_coefficient": 0.0})}
+    command = joint_steps(arm.count, {1: np.deg2rad(STEP_DEG)}, time=STEP_AT)
+    times = np.linspace(0.0, DURATION, round(DURATION * RATE) + 1)
+    motions = {
+        air: simulate(each, command, times, rtol=tolerance, atol=tolerance)
+        for air, each in arms.items()
+    }
+    return times, {air: np.asarray(motion.link_centres[..., 2]) for air, motion in motions.items()}
+
+
+def fig05() -> Reproduced:
+    """Fig. 5, and by how much air changes each curve."""
+    times, z = heights()
+    headings = ("link", *(f"z at {at} s {air} air, m" for at in AT for air in z))
+    rows = []
+    columns = {"time_s": times}
+    for link in SHOWN_LINKS:
+        curves = {air: z[air][:, link - 1] for air in z}
+        at = [round(seconds * RATE) for seconds in AT]
+        rows.append((link, *(float(curve[row]) for row in at for curve in curves.values())))
+        columns |= {f"link{link:02d}_z_{air}_air_m": curves[air] for air in curves}
+    return Reproduced(
+        "Heights of links 6, 12 and 20 after a step of the base joint",
+        _FIG05_SOURCES,
+        _fig05_drawn(times, z),
+        headings,
+        tuple(rows),
+        columns,
+    )
+
+
+def _fig05_drawn(times: np.ndarray, z: Mapping[str, np.ndarray]) -> Figure:
+    figure = new_figure(8, 4.8, "Fig. 5: links 6, 12 and 20 with (solid) and without (dotted) air")
+    axes = figure.subplots()
+    for link, colour in SHOWN_LINKS.items():
+        axes.plot(times, z["with"][:, link - 1], color=colour, linewidth=1.6, label=f"link {link}")
+        axes.plot(
+            times, z["without"][:, link - 1], color=colour, linewidth=1.2, linestyle=(0, (1, 1.5))
+        )
+    plain(axes)
+    axes.set_xlim(times[0], times[-1])
+    axes.set_xlabel("time (s)")
+    axes.set_ylabel("z of the link's centre (m)")
+    axes.legend(fontsize=8, frameon=False, ncols=3, loc="upper left")
+    return figure
+
+
+# Fig. 19: the same operation in the model and in the experiment.
+
+STYLES = {
+    "with_air": (BLUE, "-"),
+    "without_air": (VERMILLION, (0, (1, 1.5))),
+    "own": (GREEN, (0, (5, 2))),
+}
+
+STAND_IN = (
+    "the experiment, whose recordings are not public: rigid bodies by MuJoCo, with drag along the "
+    "links (C_D 1.1), added mass 1, 0.084 kg a link trimmed 0.15 m below the axis, 2.6 and 30 "
+    "N m/rad, damping 0.04 N m s/rad, Dahl friction of 0.06 N m at 60 N m/rad in each joint, 0.05 "
+    "m/s across with gusts to 0.2 m/s, and a camera at 10 Hz with noise of 20 mm (data/paper)."
+)
+
+_FIG19_SOURCES = Sources(
+    printed="the model (eq. (1) at the centres of the links, 0.047 kg each), the base joint that "
+    "bends, the four links, the window that table 3 compares (grey).",
+    assumed="a bend to 30 deg within 1 s from 0.5 s on, and back from 12 s on; stiffness, damping "
+    "and C_D are fitted. giajax's own model has the stand-in's structure, trim and added mass, and "
+    "its friction is fitted, too. The run is the first of twenty; without air links leave the "
+    "panels.",
+    reconstructed=STAND_IN,
+)
+
+
+def fig19(fits: Fits) -> Reproduced:
+    """Fig. 19, for the first run of the stand-in.
+
+    Arguments:
+        fits: of the stand-in's runs.
+    """
+    run = fits.runs[0]
+    curves = {name: fits.predicted(name, run) for name in STYLES}
+    times = times_of(run)
+    figure = new_figure(10, 6.8, "Fig. 19: models, and a stand-in for the experiment")
+    panels = figure.subplots(2, 2, sharex=True)
+    rows = []
+    columns = {"time_s": times}
+    window = compared(times)
+    for panel, link, channel in zip(panels.flat, LINKS, HEIGHTS, strict=True):
+        _draw(panel, run, channel, {name: curves[name][channel] for name in curves})
+        plain(panel, f"link {link}: z (m)")
+        recorded = run.values[channel]
+        columns[f"{channel}_recorded_m"] = recorded
+        row: list[object] = [link]
+        for name in curves:
+            model = curves[name][channel]
+            columns[f"{channel}_{name}_m"] = model
+            row.append(f"{100 * concordance(model[window], recorded[window]):.0f}")
+            row.append(f"{100 * relative_error(model[window], recorded[window]):.0f}")
+        rows.append(tuple(row))
+    for panel in panels[1]:
+        panel.set_xlabel("time (s)")
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper right", ncols=2, fontsize=8, frameon=False)
+    headings = ["link"]
+    for name in curves:
+        headings += [f"{CONTENDERS[name].label}: concordance, %", "RMS error, %"]
+    return Reproduced(
+        "Fig. 19: the same operation in the models and in the experiment's stand-in",
+        _FIG19_SOURCES,
+        figure,
+        tuple(headings),
+        tuple(rows),
+        columns,
+        {"fits": fits.record()},
+    )
+
+
+def _draw(panel: Axes, run: Run, channel: str, curves: dict[str, np.ndarray]) -> None:
+    recorded = run.values[channel]
+    panel.axvspan(*WINDOW, color=LIGHT, linewidth=0, zorder=0, alpha=0.6)
+    panel.plot(
+        times_of(run),
+        recorded,
+        color=GREY,
+        marker=".",
+        markersize=2.5,
+        linewidth=0,
+        label="stand-in",
+    )
+    for name, curve in curves.items():
+        colour, dashes = STYLES[name]
+        panel.plot(
+            times_of(run),
+            curve,
+            color=colour,
+            linestyle=dashes,
+            linewidth=1.4,
+            label=CONTENDERS[name].label,
+        )
+    # Without air a link goes far beyond the others.
+    shown = np.concatenate([recorded, curves["with_air"], curves["own"]])
+    low, high = float(np.min(shown)), float(np.max(shown))
+    margin = 0.25 * (high - low)
+    panel.set_ylim(low - margin, high + margin)
+    panel.axhline(0, color=INK, linewidth=0.6)
+    panel.set_xlim(0, WINDOW[1])
+
+
+# Table 3: how well models with and without air follow the experiment.
+
+PRINTED = {"with_air": (77, 94, 51, 62, 71), "without_air": (78, 32, -99, -190, -45)}
+"""The paper's table, %: links 2, 6, 12, 20, and their average."""
+
+COLOURS = {"with_air": BLUE, "without_air": VERMILLION, "refitted": GREY, "own": GREEN}
+
+_TABLE3_SOURCES = Sources(
+    printed="the definition of the concordance (mean of 1 - |Xm - Xe| / |Xe| every 0.1 s from 10 "
+    "to 25 s), the links, and the numbers of the first two rows.",
+    assumed="that the displacement is z, and that the paper's model was fitted to the run that it "
+    "is compared with; a sample where Xe is exactly 0 has no term. giajax's own model has the "
+    "stand-in's structure, trim and added mass; its C_D, stiffness, damping and friction are "
+    "fitted to one more run, in twelve iterations at most.",
+    reconstructed=STAND_IN,
+)
+
+_PLACES = (*(f"link {link}" for link in LINKS), "average")
+
+
+def table3(fits: Fits) -> Reproduced:
+    """Table 3 over all runs of the stand-in, beside the numbers that the paper prints.
+
+    Arguments:
+        fits: of the stand-in's runs.
+    """
+    rates = {name: np.empty((len(fits.runs), len(LINKS))) for name in CONTENDERS}
+    errors = {name: np.empty_like(rates[name]) for name in CONTENDERS}
+    for number, run in enumerate(fits.runs):
+        rows = compared(times_of(run))
+        for name in CONTENDERS:
+            predicted = fits.predicted(name, run)
+            for place, channel in enumerate(HEIGHTS):
+                both = predicted[channel][rows], run.values[channel][rows]
+                rates[name][number, place] = concordance(*both)
+                errors[name][number, place] = relative_error(*both)
+    return Reproduced(
+        "Table 3: concordance of models and experiment (a stand-in simulated by MuJoCo)",
+        _TABLE3_SOURCES,
+        _table3_drawn(rates, errors),
+        ("model", "measure, %", *_PLACES),
+        _rows(rates, errors),
+        _columns(fits, rates, errors),
+        {"fits": fits.record()},
+    )
+
+
+def with_average(values: np.ndarray) -> np.ndarray:
+    """Values of the links, and their average, shape (run, link + 1)."""
+    return np.concatenate([values, values.mean(axis=1, keepdims=True)], axis=1)
+
+
+def _rows(
+    rates: dict[str, np.ndarray], errors: dict[str, np.ndarray]
+) -> tuple[tuple[str, ...], ...]:
+    """The paper's rows, then median and range over the runs."""
+    words = {"with_air": "with air", "without_air": "without air"}
+    rows = [
+        (f"the paper, {words[name]}", "concordance", *map(str, numbers))
+        for name, numbers in PRINTED.items()
+    ]
+    for measure, values in (("concordance", rates), ("RMS error", errors)):
+        for name, contender in CONTENDERS.items():
+            cells = (_range(column) for column in 100 * with_average(values[name]).T)
+            rows.append((contender.label, measure, *cells))
+    return tuple(rows)
+
+
+def _range(column: np.ndarray) -> str:
+    return f"{np.median(column):.0f} ({column.min():.0f} .. {column.max():.0f})"
+
+
+def _columns(
+    fits: Fits, rates: dict[str, np.ndarray], errors: dict[str, np.ndarray]
+) -> dict[str, list[object]]:
+    columns: dict[str, list[object]] = {
+        name: [] for name in ("run", "model", "link", "concordance", "rms_error")
+    }
+    for name in CONTENDERS:
+        for number, run in enumerate(fits.runs):
+            for place, link in enumerate(LINKS):
+                cells = (run.name, name, link, rates[name][number, place])
+                error = errors[name][number, place]
+                for column, cell in zip(columns.values(), (*cells, error), strict=True):
+                    column.append(cell)
+    return columns
+
+
+def _table3_drawn(rates: dict[str, np.ndarray], errors: dict[str, np.ndarray]) -> Figure:
+    figure = new_figure(
+        11, 5.2, f"Table 3: {len(rates['own'])} runs of a stand-in that MuJoCo simulated"
+    )
+    left, right = figure.subplots(1, 2)
+    _dots(left, rates)
+    for name, numbers in PRINTED.items():
+        left.plot(
+            np.arange(len(_PLACES)) + _offset(name),
+            numbers,
+            color=INK,
+            marker="D",
+            markersize=5,
+            markerfacecolor=COLOURS[name],
+            linewidth=0,
+            label="printed in the paper" if name == "with_air" else None,
+            zorder=4,
+        )
+    left.set_yscale("symlog", linthresh=100)
+    left.set_ylim(top=130)
+    left.yaxis.set_major_formatter("{x:g}")
+    left.axhline(100, color=INK, linewidth=0.6)
+    plain(left, "concordance (%), linear above -100")
+    _dots(right, errors)
+    right.set_yscale("log")
+    right.yaxis.set_major_formatter("{x:g}")
+    plain(right, "RMS error over RMS displacement (%)")
+    handles, labels = left.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper right", ncols=3, fontsize=8, frameon=False)
+    return figure
+
+
+def _offset(name: str) -> float:
+    return 0.18 * (list(CONTENDERS).index(name) - (len(CONTENDERS) - 1) / 2)
+
+
+def _dots(panel: Axes, values: dict[str, np.ndarray]) -> None:
+    """A dot for each run, and a bar at the median."""
+    for name, each in values.items():
+        percent = 100 * with_average(each)
+        for place, column in enumerate(percent.T):
+            at = place + _offset(name)
+            panel.plot(
+                np.full(len(column), at),
+                column,
+                color=COLOURS[name],
+                marker="o",
+                markersize=3,
+                markeredgewidth=0,
+                alpha=0.5,
+                linewidth=0,
+            )
+            panel.plot(
+                [at - 0.07, at + 0.07],
+                [np.median(column)] * 2,
+                color=COLOURS[name],
+                linewidth=2,
+                label=CONTENDERS[name].label if place == 0 else None,
+            )
+    panel.set_xticks(range(len(_PLACES)), _PLACES)

@@ -1,0 +1,209 @@
+"""Figures and tables as files: a picture, its numbers as CSV and JSON, and a page of all."""
+
+import functools
+import html
+import json
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...report import to_csv, to_png
+from ...runtime.text import InputError, __version__
+from ._arm_figures import fig05, fig19, table3
+from ._contenders import Fits, Reproduced, stand_in
+from ._inverse import table3_inverse
+from ._joint_figures import fig06, fig09, fig10, fig12
+
+# The figures and tables by name.
+
+Say = Callable[[str], None]
+
+FIGURES: dict[str, Callable[[Say, Callable[[], Fits]], Reproduced]] = {
+    "fig5": lambda say, fits: fig05(),
+    "fig6": lambda say, fits: fig06(),
+    "fig9": lambda say, fits: fig09(),
+    "fig10": lambda say, fits: fig10(),
+    "fig12": lambda say, fits: fig12(say),
+    "fig19": lambda say, fits: fig19(fits()),
+    "table3": lambda say, fits: table3(fits()),
+    "table3_inverse": lambda say, fits: table3_inverse(say),
+}
+"""What is made again, by the name of its files; the last one by `table3 --inverse` alone."""
+
+
+def reproduce(
+    names: Sequence[str], recordings: Path, *, progress: Say | None = None
+) -> Iterator[tuple[str, Reproduced]]:
+    """Make figures and tables of the paper again.
+
+    Arguments:
+        names: of `FIGURES`.
+        recordings: folder of the runs that stand in for the paper's, `data/paper` of a checkout.
+        progress: called with what is being done.
+
+    Returns:
+        Each name with what it shows, one after the other, as they are made.
+
+    Raises:
+        InputError: a name that there is not, or a folder without those runs.
+    """
+    for name in names:
+        if name not in FIGURES:
+            raise InputError(f"there is no figure '{name}': use one of {', '.join(FIGURES)}")
+    say = progress or (lambda text: None)
+    # Fig. 19 and table 3 show the same fits, and most figures need none.
+    fits = functools.cache(lambda: Fits(stand_in(recordings), say))
+    return ((name, FIGURES[name](say, fits)) for name in names)
+
+
+_STYLE = """\
+body { font: 16px/1.5 system-ui, sans-serif; color: #222; max-width: 62rem; margin: 2rem auto;
+       padding: 0 1rem; }
+h2 { margin-top: 3rem; }
+img { max-width: 100%; height: auto; }
+.wide { overflow-x: auto; }
+table { border-collapse: collapse; font-size: 0.9rem; }
+th, td { padding: 0.2rem 0.9rem 0.2rem 0; text-align: right; border-bottom: 1px solid #e3e3e3; }
+th:first-child, td:first-child { text-align: left; }
+dt { font-weight: 600; }
+dd { margin: 0 0 0.4rem 0; }
+"""
+
+_HEAD = """\
+<!doctype html>
+<html lang="en"><head><meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>The paper's figures by giajax</title>
+"""
+
+# How every whole PNG file ends.
+_PNG_END = b"IEND\xaeB`\x82"
+
+
+def reproduced_names(name: str) -> tuple[str, str, str]:
+    """Names of the files of a figure: picture, CSV and JSON."""
+    return f"{name}.png", f"{name}.csv", f"{name}.json"
+
+
+def reproduced_record(name: str, shown: Reproduced) -> dict[str, Any]:
+    """What the JSON file of a figure holds."""
+    record = {
+        "name": name,
+        "title": shown.title,
+        "giajax": __version__,
+        "sources": {
+            word.lower().replace(" ", "_"): text for word, text in shown.sources.by_word().items()
+        },
+        "table": {"headings": list(shown.headings), "rows": [list(row) for row in shown.rows]},
+        "columns": {heading: list(column) for heading, column in shown.columns.items()},
+        **shown.facts,
+    }
+    plain: dict[str, Any] = _plain(record)
+    return plain
+
+
+def reproduced_files(name: str, shown: Reproduced) -> dict[str, bytes]:
+    """The picture (PNG) and the numbers (CSV, JSON) of a figure.
+
+    Arguments:
+        name: of the figure, such as "fig5".
+        shown: the figure.
+
+    Returns:
+        Contents by name of the file.
+    """
+    record = reproduced_record(name, shown)
+    text = json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False)
+    contents = to_png(shown.figure), to_csv(shown.columns), f"{text}\n".encode()
+    return dict(zip(reproduced_names(name), contents, strict=True))
+
+
+def stored_record(folder: Path, name: str) -> dict[str, Any] | None:
+    """What the JSON file of a figure that is there holds.
+
+    Arguments:
+        folder: where figures are written.
+        name: of the figure.
+
+    Returns:
+        The record; None where one of its files is missing, none of this version's, or not whole.
+    """
+    picture, table, record = (folder / file for file in reproduced_names(name))
+    try:
+        stored = json.loads(record.read_bytes())
+        whole = picture.read_bytes().endswith(_PNG_END) and table.stat().st_size > 0
+        same = (stored["name"], stored["giajax"]) == (name, __version__)
+        missing = {"title", "sources", "table"} - stored.keys()
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+        return None
+    return stored if whole and same and not missing else None
+
+
+def reproduction_page(records: Iterable[Mapping[str, Any]]) -> bytes:
+    """A page (HTML) of figures whose files lie beside it.
+
+    Arguments:
+        records: of the figures, as `reproduced_record` and `stored_record` give them.
+
+    Returns:
+        The content of the file.
+    """
+    parts = []
+    for shown in records:
+        name, title = shown["name"], html.escape(shown["title"])
+        picture, table, record = reproduced_names(name)
+        sources = "".join(
+            f"<dt>{word.replace('_', ' ').capitalize()}</dt><dd>{html.escape(text)}</dd>"
+            for word, text in shown["sources"].items()
+        )
+        parts.append(
+            f'<h2 id="{name}">{title}</h2>\n'
+            f'<img src="{picture}" alt="{title}">\n'
+            f'<div class="wide">{_table(shown["table"])}</div>\n<dl>{sources}</dl>\n'
+            f'<p>Numbers: <a href="{table}">{table}</a>, <a href="{record}">{record}</a></p>\n'
+        )
+    return (
+        f"{_HEAD}<style>\n{_STYLE}</style></head>\n<body>\n"
+        "<h1>The paper's figures by giajax</h1>\n<p>Figures and tables that Takeichi, Suzumori, "
+        "Endo and Nabae (<i>Development of a 20-m-long Giacometti arm with balloon body based on "
+        "kinematic model with air resistance</i>) derive from their models, made again by "
+        f"giajax {__version__}. Below each stands what is printed in the paper, what is assumed, "
+        "and what was reconstructed.</p>\n" + "".join(parts) + "</body></html>\n"
+    ).encode()
+
+
+def is_reproduction_page(path: Path) -> bool:
+    """Whether a file is a page that `reproduction_page` made, and no one else's."""
+    try:
+        return path.read_bytes().startswith(_HEAD.encode())
+    except OSError:
+        return False
+
+
+def _table(table: Mapping[str, Any]) -> str:
+    heads = "".join(f"<th>{html.escape(heading)}</th>" for heading in table["headings"])
+    rows = "".join(
+        "<tr>" + "".join(f"<td>{html.escape(_cell(cell))}</td>" for cell in row) + "</tr>\n"
+        for row in table["rows"]
+    )
+    return f"<table><tr>{heads}</tr>\n{rows}</table>"
+
+
+def _cell(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _plain(value: Any) -> Any:
+    """What JSON holds: numbers with nine digits, and nothing where there is none."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [_plain(each) for each in value]
+    if isinstance(value, np.generic) or hasattr(value, "__array__"):
+        return _plain(np.asarray(value).tolist())
+    if isinstance(value, float):
+        return float(f"{value + 0.0:.9g}") if math.isfinite(value) else None
+    return value

@@ -1,0 +1,448 @@
+"""Table 3 the other way round: arms for which its eight cells would be as they are printed."""
+
+import dataclasses
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from matplotlib.figure import Figure
+
+from ...fitting import Marquardt
+from ...report import BLUE, GREY, INK, VERMILLION, new_figure, plain
+from ...runtime.arrays import Float
+from ...runtime.parallel import Tell, side_by_side
+from ...runtime.process import cores
+from ._arm_figures import (
+    PRINTED,
+    READINGS,
+    STARTS_AT,
+    UNKNOWNS,
+    Compared,
+    Reading,
+    evaluated,
+    linearised,
+)
+from ._contenders import LINKS, Reproduced, Sources
+
+# Arms for which table 3 would be as it is printed, looked for from several starts.
+
+Say = Callable[[str], None]
+
+LINKS_COMPARED = 4
+CELLS = np.asarray([float(cell) for row in PRINTED.values() for cell in row[:LINKS_COMPARED]])
+"""The eight that are printed, %: with air, then without."""
+
+# Cells are printed in whole percent.
+ROUNDING = 0.5
+
+STARTS, POOL, ITERATIONS, SEED = 5, 60, 40, 0
+
+# A step changes no number by more than a factor of e^0.5, and one by a thousandth is the last.
+_SOLVER = Marquardt(largest_step=0.5, rtol=0.0, atol=1e-3, distance=1e-4)
+
+
+@dataclasses.dataclass(frozen=True)
+class SearchEnd:
+    """How the search from one start ended.
+
+    Attributes:
+        reading: name of the reading.
+        number: of the start, from 1.
+        why: "reached", "minimum" (converged beside the printed cells), "stuck" (no minimum, but no
+            step along these slopes helps), "iterations", "failed" or "interrupted".
+        iterations: steps that were tried.
+        start, end: values of `UNKNOWNS` there, SI, shape (unknown,).
+        out: what comes out at the end; all NaN where nothing was evaluated, as what follows.
+        jacobian: of the cells by the logarithms of what is free, % a unit, shape (8, free).
+        checked: the same by differences of the cells.
+    """
+
+    reading: str
+    number: int
+    why: str
+    iterations: int
+    start: np.ndarray
+    end: np.ndarray
+    out: Compared
+    jacobian: np.ndarray
+    checked: np.ndarray
+
+    @property
+    def misfit(self) -> np.ndarray:
+        """Cells that come out less those that are printed, %, shape (8,)."""
+        return np.asarray(self.out.cells) - CELLS
+
+    def at_bounds(self) -> list[str]:
+        """Names of what is free and lies at an end of its range."""
+        reading = READINGS[self.reading]
+        at = dict(zip(UNKNOWNS, np.log(self.end), strict=True))
+        return [
+            name
+            for name, first, last in zip(reading.free, *reading.box(), strict=True)
+            if min(at[name] - first, last - at[name]) < 1e-6
+        ]
+
+
+def search(
+    reading: str,
+    *,
+    starts: int = STARTS,
+    pool: int = POOL,
+    iterations: int = ITERATIONS,
+    seed: int = SEED,
+    say: Say = lambda text: None,
+) -> list[SearchEnd]:
+    """Look for arms from the best of some random ones.
+
+    Arguments:
+        reading: of `READINGS`.
+        starts: how many.
+        pool: from among how many random arms, evenly spread in the logarithms of their ranges.
+        iterations: steps of a search at most.
+        seed: of the pool.
+        say: called with what is being done.
+
+    Returns:
+        How each search ended; after Ctrl-C those that had begun.
+
+    Raises:
+        KeyboardInterrupt: stopped at the random arms, before any search had begun.
+    """
+    taken = READINGS[reading]
+    random = np.random.default_rng(seed)
+    say(f"{taken.label}: {pool} random arms")
+    drawn = [random.uniform(*taken.box()) for _ in range(pool)]
+    off = [_size(evaluated(taken.all(each)).cells) for each in drawn]
+    chosen = [drawn[at] for at in np.argsort(off)[:starts]]
+    jobs = [
+        functools.partial(_descend, reading, number, start, iterations, say)
+        for number, start in enumerate(chosen, 1)
+    ]
+    ends = side_by_side(jobs, min(cores(), len(jobs)), until=lambda end: end.why == "interrupted")
+    return [end for end in ends if end is not None]
+
+
+def _descend(
+    reading: str, number: int, start: np.ndarray, iterations: int, say: Say, tell: Tell
+) -> SearchEnd:
+    """One search, by the solver of every fit; its steps are taken here, to be told and stopped."""
+    taken = READINGS[reading]
+    options = dict(zip(("lower", "upper"), map(jnp.asarray, taken.box()), strict=True))
+    at, why, tried, state = jnp.asarray(start), "iterations", 1, None
+    out, slopes, checked = _nothing(taken)
+    try:
+        there = _weighed(taken, start)
+        state = _SOLVER.init(_unused, at, None, options, there[0], there[4], frozenset())
+        for tried in range(1, iterations + 2):
+            trial = _SOLVER.propose(at, options, state)
+            # The first one is the start, which is known.
+            there = there if tried == 1 else _weighed(taken, np.asarray(trial))
+            at, state = _SOLVER.judge(at, options, state, trial, there)
+            worst = float(np.max(np.abs(np.asarray(state.aux.cells) - CELLS)))
+            tell(say, f"{taken.label}, start {number}, step {tried - 1}: "
+                      f"largest error of a cell {worst:.3g} points")  # fmt: skip
+            if worst < ROUNDING:
+                why = "reached"
+                break
+            over, how = _SOLVER.terminate(_unused, at, None, options, state, frozenset())
+            if bool(over):
+                why = "minimum" if bool(how == optx.RESULTS.successful) else "stuck"
+                break
+        checked = _differences(taken, np.asarray(at))
+    except KeyboardInterrupt:
+        why = "interrupted"
+    if state is not None and np.isfinite(float(state.cost)):
+        out, slopes = jax.tree.map(np.asarray, (state.aux, state.jacobian[: len(CELLS)]))
+    elif why != "interrupted":
+        why = "failed"
+    return SearchEnd(
+        reading=reading,
+        number=number,
+        why=why,
+        iterations=tried - 1,
+        start=np.exp(np.asarray(taken.all(start))),
+        end=np.exp(np.asarray(taken.all(np.asarray(at)))),
+        out=out,
+        jacobian=slopes,
+        checked=checked,
+    )
+
+
+def _nothing(taken: Reading) -> tuple[Compared, np.ndarray, np.ndarray]:
+    """What comes out, and its derivatives in both ways, where nothing was evaluated."""
+    slopes: Any = np.full((len(CELLS), len(taken.free)), np.nan)
+    four = slopes[:LINKS_COMPARED, 0]
+    return Compared(slopes[:, 0], four, four > 0), slopes, slopes
+
+
+def _unused(y: Any, args: Any) -> Any:
+    """The solver is given what it would evaluate."""
+    raise NotImplementedError
+
+
+def _weighed(taken: Reading, at: np.ndarray) -> tuple[Any, ...]:
+    """Residual, Jacobian, R, Q^T r and what came out, as the solver wants them."""
+    out, slopes = linearised(taken.all(at))
+    # Rows of zeros: the solver's R is square, also where there is more to find than was printed.
+    missing = max(len(taken.free) - len(CELLS), 0)
+    residual = np.pad(np.asarray(out.cells) - CELLS, (0, missing))
+    jacobian = np.pad(np.asarray(slopes) @ taken.spread(), ((0, missing), (0, 0)))
+    sound = np.all(np.isfinite(jacobian))
+    q, r = np.linalg.qr(jacobian if sound else np.zeros_like(jacobian))
+    return (*map(jnp.asarray, (residual, jacobian, r, q.T @ residual)), out)
+
+
+def _differences(taken: Reading, at: np.ndarray, step: float = 3e-3) -> np.ndarray:
+    """The Jacobian once more, by central differences."""
+    columns = []
+    for direction in np.eye(len(at)):
+        ahead, behind = (
+            np.asarray(evaluated(taken.all(at + sign * step * direction)).cells) for sign in (1, -1)
+        )
+        columns.append((ahead - behind) / (2 * step))
+    return np.stack(columns, axis=1)
+
+
+def _size(cells: Float[Any, " cell"]) -> float:
+    off = float(np.sum((np.asarray(cells) - CELLS) ** 2))
+    return off if np.isfinite(off) else float("inf")
+
+
+# What the eight cells of table 3 say of an arm, and what they leave open, in a picture.
+
+_COLOURS = {"memory": BLUE, "own": VERMILLION}
+
+# Of a share of a direction that is worth a word.
+_WORTH = 0.25
+
+
+def nearest(ends: Sequence[SearchEnd]) -> SearchEnd:
+    """The search that ended nearest to the printed cells."""
+    sizes = [rms(end) if np.isfinite(rms(end)) else np.inf for end in ends]
+    return ends[int(np.argmin(sizes))]
+
+
+def rms(end: SearchEnd) -> float:
+    """Root mean square of the errors of the cells, percentage points."""
+    return float(np.sqrt(np.mean(end.misfit**2)))
+
+
+def directions(end: SearchEnd) -> tuple[np.ndarray, np.ndarray]:
+    """Singular values and right singular vectors of the Jacobian.
+
+    Where joints remember, derivatives may be no slopes of the cells: columns that are far
+    from differences are replaced by these.
+
+    Arguments:
+        end: of a search.
+
+    Returns:
+        Percentage points a unit of the logarithms, shape (8,), and a row of shares for each
+        direction, shape (free, free): of those beyond the eighth nothing is known.
+    """
+    jacobian = np.where(rough(end), end.checked, end.jacobian)
+    if not np.all(np.isfinite(jacobian)):
+        count = jacobian.shape[1]
+        return np.full(len(CELLS), np.nan), np.full((count, count), np.nan)
+    _, sizes, rows = np.linalg.svd(jacobian, full_matrices=True)
+    # The largest share of each is positive.
+    return sizes, rows * np.sign(rows[np.arange(len(rows)), np.abs(rows).argmax(axis=1)])[:, None]
+
+
+def rough(end: SearchEnd) -> np.ndarray:
+    """Which derivatives are off from differences by more than a tenth and a point."""
+    off = np.abs(end.jacobian - end.checked).max(axis=0)
+    return np.asarray(off > np.maximum(0.1 * np.abs(end.checked).max(axis=0), 1.0))
+
+
+def in_words(row: np.ndarray, names: Sequence[str]) -> str:
+    """A direction as a product of powers, those with a share that is worth a word."""
+    order = [at for at in np.argsort(-np.abs(row)) if abs(row[at]) >= _WORTH]
+    return " ".join(f"{names[at]}^{row[at]:.2f}" for at in order)
+
+
+def drawn(ends: Sequence[SearchEnd], title: str) -> Figure:
+    """Singular values of all searches, and the directions of the nearest."""
+    figure = new_figure(11, 5.4, title)
+    left, right = figure.subplots(1, 2)
+    for end in ends:
+        left.plot(
+            np.arange(1, len(CELLS) + 1),
+            directions(end)[0],
+            color=_COLOURS[end.reading],
+            marker="o",
+            markersize=3.5,
+            linewidth=0.8,
+            alpha=0.8,
+            label=READINGS[end.reading].label if end.number == 1 else None,
+        )
+    for share in (0.1, 1.0):
+        left.axhline(ROUNDING / share, color=GREY, linewidth=0.8, linestyle=(0, (4, 2)))
+        left.annotate(
+            f"half a point is {share:.0%}",
+            (1, ROUNDING / share),
+            xytext=(0, 3),
+            textcoords="offset points",
+            fontsize=7,
+            color=GREY,
+        )
+    left.set_yscale("log")
+    left.set_xlabel("direction")
+    plain(left, "singular values (percentage points a factor of e)")
+    left.legend(fontsize=8, frameon=False)
+    best = nearest(ends)
+    free = READINGS[best.reading].free
+    rows = directions(best)[1]
+    right.imshow(rows, cmap="RdBu_r", vmin=-1, vmax=1, aspect="auto")
+    right.set_xticks(range(len(free)), free, rotation=60, ha="right", fontsize=7, color=INK)
+    right.set_yticks(range(len(rows)), [str(at + 1) for at in range(len(rows))], fontsize=7)
+    for (at, column), share in np.ndenumerate(rows):
+        if abs(share) >= _WORTH:
+            ink = "white" if abs(share) > 0.6 else INK
+            right.text(column, at, f"{share:.1f}", ha="center", va="center", fontsize=6, color=ink)
+    right.set_title(
+        f"directions of the nearest ({best.reading} {best.number})",
+        fontsize=9,
+        loc="left",
+        color=INK,
+    )
+    right.set_ylabel("direction", fontsize=8)
+    return figure
+
+
+SOURCES = Sources(
+    printed="the eight cells, the definition of the concordance, the paper's model (eq. (1) at the "
+    "centres of the links, 0.047 kg each), and that joints of the prototype do not return to 0.",
+    assumed=f"that the base joint bends at {STARTS_AT:g} s and turns back once, as fast as it "
+    "went; that the displacement is z; no noise of a camera, no wind; and the ranges of all "
+    "numbers that are looked for (in the table).",
+    reconstructed="the experiment: the paper's arm with joints that remember (Dahl's friction), or "
+    "in the second reading with stiffness, damping, C_D and base angle of its own, too.",
+)
+
+_PLACES = tuple(f"link {link}, {air} air, %" for air in ("with", "without") for link in LINKS)
+
+
+def table3_inverse(say: Say = lambda text: None) -> Reproduced:
+    """Arms for which table 3 would be as it is printed, and what its cells say of them.
+
+    Arguments:
+        say: called with what is being done.
+
+    Returns:
+        The table and the picture; after Ctrl-C those of the searches that had begun.
+
+    Raises:
+        KeyboardInterrupt: stopped before any search had begun.
+    """
+    ends: list[SearchEnd] = []
+    for reading in READINGS:
+        try:
+            found = search(reading, say=say)
+        except KeyboardInterrupt:
+            # What the searches before it found is kept.
+            break
+        ends += found
+        if len(found) < STARTS or any(end.why == "interrupted" for end in found):
+            break
+    return shown(ends)
+
+
+def shown(ends: Sequence[SearchEnd]) -> Reproduced:
+    """How searches ended, as a table and a picture.
+
+    Arguments:
+        ends: of them; at least one.
+
+    Raises:
+        KeyboardInterrupt: there are none, because they were stopped before any had begun.
+    """
+    if not ends:
+        raise KeyboardInterrupt
+    reached = sum(end.why == "reached" for end in ends)
+    best = nearest(ends)
+    title = (
+        f"Table 3 the other way round: {reached or 'none'} of {len(ends)} searches reach the eight "
+        f"printed cells; the nearest is {rms(best):.1f} points off in the root mean square"
+    )
+    return Reproduced(
+        title,
+        SOURCES,
+        drawn(ends, title),
+        ("", "printed, or range", *(f"{end.reading} {end.number}" for end in ends)),
+        _rows(ends),
+        _columns(ends),
+        {"searches": [_record(end) for end in ends]},
+    )
+
+
+def _rows(ends: Sequence[SearchEnd]) -> tuple[tuple[Any, ...], ...]:
+    rows: list[tuple[Any, ...]] = []
+    for at, place in enumerate(_PLACES):
+        rows.append((place, f"{CELLS[at]:g}", *(f"{end.out.cells[at]:.1f}" for end in ends)))
+    rows.append(("error, root mean square", "", *(f"{rms(end):.1f}" for end in ends)))
+    rows.append(("ended", "", *(end.why for end in ends)))
+    rows.append(("steps", "", *(end.iterations for end in ends)))
+    for at, link in enumerate(LINKS):
+        rows.append(
+            (f"link {link}: smallest |Xe|, m", "", *(f"{end.out.nearest[at]:.2g}" for end in ends))
+        )
+    for at, (name, unknown) in enumerate(UNKNOWNS.items()):
+        cells = [
+            f"{end.end[at] / unknown.unit:.3g}{'*' if name in end.at_bounds() else ''}"
+            for end in ends
+        ]
+        rows.append((unknown.label, f"{unknown.lower:g} .. {unknown.upper:g}", *cells))
+    sizes = [directions(end)[0] for end in ends]
+    for at in range(len(CELLS)):
+        rows.append((f"singular value {at + 1}", "", *(f"{size[at]:.2g}" for size in sizes)))
+    replaced = [int(rough(end).sum()) for end in ends]
+    rows.append(("derivatives that are no slopes", "", *replaced))
+    return tuple(rows)
+
+
+def _columns(ends: Sequence[SearchEnd]) -> dict[str, list[Any]]:
+    columns: dict[str, list[Any]] = {
+        "reading": [end.reading for end in ends],
+        "start": [end.number for end in ends],
+        "ended": [end.why for end in ends],
+        "rms_error_percent": [rms(end) for end in ends],
+    }
+    cells = [f"link{link:02d}_{air}_air" for air in ("with", "without") for link in LINKS]
+    for at, name in enumerate(cells):
+        columns[f"{name}_percent"] = [end.out.cells[at] for end in ends]
+    for at, (name, unknown) in enumerate(UNKNOWNS.items()):
+        columns[f"{name}_at_start"] = [end.start[at] / unknown.unit for end in ends]
+        columns[name] = [end.end[at] / unknown.unit for end in ends]
+    for at in range(len(CELLS)):
+        columns[f"singular_value_{at + 1}"] = [directions(end)[0][at] for end in ends]
+    return columns
+
+
+def _record(end: SearchEnd) -> dict[str, Any]:
+    sizes, rows = directions(end)
+    free = READINGS[end.reading].free
+    return {
+        "reading": end.reading,
+        "meaning": READINGS[end.reading].label,
+        "start": end.number,
+        "ended": end.why,
+        "iterations": end.iterations,
+        "cells_percent": end.out.cells,
+        "rms_error_percent": rms(end),
+        "arm_crosses_zero": {
+            f"link{n}": bool(c) for n, c in zip(LINKS, end.out.crossed, strict=True)
+        },
+        "at_an_end_of_its_range": end.at_bounds(),
+        "free": list(free),
+        "jacobian": end.jacobian,
+        "jacobian_by_differences": end.checked,
+        "by_differences": [name for name, so in zip(free, rough(end), strict=True) if so],
+        "singular_values": sizes,
+        "right_singular_vectors": rows,
+        "directions": [in_words(row, free) for row in rows],
+    }

@@ -1,0 +1,18 @@
+"""Runs that a model makes instead of an experiment: what drives them, and how they are recorded."""
+
+from ._drive import Drive as Drive, Move as Move, joint_moves as joint_moves, sampled as sampled
+from ._gusts import (
+    DECAY as DECAY,
+    RESOLVED as RESOLVED,
+    gust_coherence as gust_coherence,
+    gust_spectrum as gust_spectrum,
+    gusts as gusts,
+    gusts_left_out as gusts_left_out,
+    wind_frame as wind_frame,
+)
+from ._recording import (
+    RecordingErrors as RecordingErrors,
+    recorded_again as recorded_again,
+    synthesise as synthesise,
+    with_errors as with_errors,
+)

@@ -1,0 +1,185 @@
+"""What drives a synthetic run: commands and wind as rows that read back as the same motion."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ...runtime.arrays import Float
+from ...runtime.text import InputError
+from ...simulation import logged
+
+Times = Float[np.ndarray, " row"]
+
+# Two times that are nearer than this (s) are one: far above rounding, far below a sample.
+_SAME_TIME = 1e-9
+
+_MOST_ROWS = 1_000_000
+
+
+class Move(NamedTuple):
+    """One commanded movement of one joint.
+
+    Attributes:
+        joint: number of the joint; 1 is the base joint.
+        angle: commanded angle afterwards, rad.
+        start: when it begins, s.
+        duration: s; 0 for a step.
+    """
+
+    joint: int
+    angle: float
+    start: float
+    duration: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Drive:
+    """Logged rows of what drives an arm.
+
+    Attributes:
+        times: of the rows, increasing, s, shape (row,).
+        values: by channel (`joint01_command`, `wind_x`), SI, each of shape (row,).
+        interpolation: between two rows, "linear" or "zoh" (held).
+    """
+
+    times: Times
+    values: Mapping[str, Times]
+    interpolation: str
+
+    def at(self, times: Times) -> dict[str, np.ndarray]:
+        """Values at other times; before the first row and after the last one they are held."""
+        if self.interpolation == "linear":
+            return {name: np.interp(times, self.times, row) for name, row in self.values.items()}
+        # A sample that rounding put just before a step belongs after it.
+        held = np.searchsorted(self.times - _SAME_TIME, times, side="right") - 1
+        return {name: row[np.maximum(held, 0)] for name, row in self.values.items()}
+
+    def corners(self) -> Times:
+        """Times at which a value jumps or changes its slope, s."""
+        table = np.stack(list(self.values.values()), axis=1)
+        return np.asarray(logged(self.times, table, self.interpolation).times)
+
+
+def joint_moves(moves: Sequence[Move], *, joints: int, end: float) -> Drive:
+    """Commands that go from the straight arm at 0 s through some movements.
+
+    Each movement goes on from where the one before it left its joint. A joint that no movement
+    names has no column.
+
+    Arguments:
+        moves: steps only, or ramps only; at least one.
+        joints: number of joints of the arm.
+        end: of the run, s.
+
+    Raises:
+        InputError: a joint beyond the arm, a movement outside the run, two that overlap, or
+            steps together with ramps.
+    """
+    steps = [move for move in moves if move.duration == 0]
+    if steps and len(steps) < len(moves):
+        raise InputError(
+            "steps and ramps are mixed, but a run has one interpolation for all its commands: "
+            "give only steps, or ramps alone (a short ramp is almost a step)"
+        )
+    by_joint: dict[int, list[Move]] = {}
+    for move in sorted(moves):
+        _check_move(move, joints, end)
+        by_joint.setdefault(move.joint, []).append(move)
+    knots = {joint: _knots(sorted(of, key=lambda m: m.start)) for joint, of in by_joint.items()}
+    times = np.unique(np.concatenate([[0.0], *(times for times, _ in knots.values())]))
+    interpolation = "zoh" if steps else "linear"
+    values = {}
+    for joint, (own, angles) in knots.items():
+        name = f"joint{joint:02d}_command"
+        values[name] = Drive(own, {name: angles}, interpolation).at(times)[name]
+    return Drive(times, values, interpolation)
+
+
+def _check_move(move: Move, joints: int, end: float) -> None:
+    if not 1 <= move.joint <= joints:
+        raise InputError(
+            f"joint {move.joint} is commanded, but the arm has joints 1 to {joints}: "
+            "correct the number, or simulate a longer arm"
+        )
+    if not (np.isfinite(move.angle) and np.isfinite(move.duration) and move.duration >= 0):
+        raise InputError(
+            f"the movement of joint {move.joint} at {move.start:g} s must have a finite angle and "
+            "a positive duration: correct it"
+        )
+    if not 0 <= move.start < end:
+        raise InputError(
+            f"a movement of joint {move.joint} starts at {move.start:g} s, outside the run from 0 "
+            f"to {end:g} s: start it earlier or make the run longer"
+        )
+
+
+def _knots(moves: Sequence[Move]) -> tuple[Times, Times]:
+    times, angles = [0.0], [0.0]
+    free_from = -np.inf
+    for move in moves:
+        if move.start < free_from + (_SAME_TIME if move.duration == 0 else -_SAME_TIME):
+            raise InputError(
+                f"two movements of joint {move.joint} overlap at {move.start:g} s: start the "
+                "second when the first has ended"
+            )
+        free_from = move.start + move.duration
+        added = [(move.start, angles[-1]), (free_from, move.angle)]
+        for time, angle in added[move.duration == 0 :]:
+            # What begins where the last one ended, or at 0 s, takes over that knot.
+            if time - times[-1] <= _SAME_TIME:
+                angles[-1] = angle
+            else:
+                times.append(time)
+                angles.append(angle)
+    return np.asarray(times), np.asarray(angles)
+
+
+def sampled(
+    drives: Sequence[Drive], *, start: float, duration: float, rate: float
+) -> tuple[Times, dict[str, np.ndarray]]:
+    """Rows of a run: its samples, and one more at each corner that no sample falls on.
+
+    With a row at every corner, what is read back from the rows is the same signal.
+
+    Arguments:
+        drives: commands and wind.
+        start: first time, s.
+        duration: s; a whole number of sampling intervals.
+        rate: samples per second.
+
+    Returns:
+        Times, shape (row,), s, and the values of all drives at them, SI.
+
+    Raises:
+        InputError: a duration that is not a whole number of intervals, or far too many samples.
+    """
+    if not (0 < duration < np.inf and 0 < rate < np.inf):
+        raise InputError(
+            f"a run of {duration:g} s at {rate:g} samples per second has no samples: "
+            "give two positive numbers"
+        )
+    count = round(min(duration * rate, 2.0 * _MOST_ROWS))
+    if count > _MOST_ROWS:
+        raise InputError(
+            f"a run of {duration:g} s at {rate:g} samples per second has more than {_MOST_ROWS} "
+            "samples: shorten it or sample less often"
+        )
+    if count < 1 or abs(duration * rate - count) > 1e-6 * count:
+        fitting = max(count, 1) / rate
+        raise InputError(
+            f"{duration:g} s at {rate:g} samples per second is not a whole number of samples: "
+            f"make it {fitting:.9g} s, or change the rate"
+        )
+    samples = np.linspace(start, start + duration, count + 1)
+    corners = np.concatenate([np.empty(0), *(drive.corners() for drive in drives)])
+    corners = np.unique(corners[(corners > samples[0]) & (corners < samples[-1])])
+    after = np.searchsorted(samples, corners)
+    nearest = np.minimum(corners - samples[after - 1], samples[after] - corners)
+    missed = corners[nearest > _SAME_TIME]
+    times = np.sort(np.concatenate([samples, missed]))
+    values: dict[str, np.ndarray] = {}
+    for drive in drives:
+        values.update(drive.at(times))
+    return times, values

@@ -1,0 +1,356 @@
+"""A run as another experiment would have recorded it: any model, and every kind of error."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ...models import AbstractModel, Channels
+from ...recordings import Definition, Run
+from ...runtime.arrays import Array, Bool, Float
+from ...runtime.programs import program
+from ...runtime.text import InputError
+from ...schema import InitialSection
+from ...schema.parameters import default_free, get
+from ...simulation import SimulationError
+
+# What goes wrong between a motion and its file: noise, gaps and outliers, added to a run.
+
+
+@dataclasses.dataclass(frozen=True)
+class RecordingErrors:
+    """What goes wrong between a motion and its file.
+
+    Standard deviations and sizes are SI, by quantity (`position`, `angle`, `rate`) or by channel.
+    A turned, shifted or late camera is no error of this kind: it is a parameter of the model.
+
+    Attributes:
+        white: standard deviation of noise that each sample has by itself.
+        correlated: standard deviation of noise that drifts (Ornstein-Uhlenbeck).
+        correlation_time: in which the correlation of the drift falls to 1/e, s.
+        missing: fraction of cells that are empty here and there, in [0, 1).
+        bursts: fraction of the samples of each link or joint that is lost in whole stretches.
+        burst_duration: of each stretch, s.
+        outliers: fraction of cells that are far off, in [0, 1).
+        outlier_size: how far, to either side.
+    """
+
+    white: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    correlated: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    correlation_time: float = 0.5
+    missing: float = 0.0
+    bursts: float = 0.0
+    burst_duration: float = 1.0
+    outliers: float = 0.0
+    outlier_size: Mapping[str, float] = dataclasses.field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in ("missing", "bursts", "outliers"):
+            if not 0 <= getattr(self, name) < 1:
+                raise InputError(
+                    f"the fraction {name} is {getattr(self, name):g}: give at least 0 and "
+                    "less than 1"
+                )
+        for name in ("correlation_time", "burst_duration"):
+            if not 0 < getattr(self, name) < np.inf:
+                raise InputError(f"{name} is {getattr(self, name):g} s: give a positive time")
+        if (self.outliers > 0) != bool(self.outlier_size):
+            raise InputError("outliers need a fraction and a size: give both or none")
+
+
+def with_errors(run: Run, errors: RecordingErrors, *, seed: int = 0) -> Run:
+    """A run with errors added to what it recorded, and the noise in its sidecar.
+
+    Raises:
+        InputError: correlated noise or bursts in a run without times.
+    """
+    white, drift, size = (
+        _by_channel(run, of) for of in (errors.white, errors.correlated, errors.outlier_size)
+    )
+    if run.times is None and (errors.correlated or errors.bursts):
+        raise InputError(
+            f"'{run.name}' has no times, so that its errors are neither correlated nor in "
+            "bursts: leave these out"
+        )
+    values: dict[str, Any] = dict(run.values)
+    for name, exact in run.observations.items():
+        recorded = exact + white[name] * _stream(seed, "white", name).standard_normal(len(exact))
+        if drift[name]:
+            assert run.times is not None
+            random = _stream(seed, "correlated", name)
+            recorded += drift[name] * drifting(run.times, errors.correlation_time, random)
+        random = _stream(seed, "outliers", name)
+        far = _some(len(exact), errors.outliers, random)
+        recorded[far] += size[name] * random.choice([-1.0, 1.0], len(far))
+        recorded[_some(len(exact), errors.missing, _stream(seed, "missing", name))] = np.nan
+        if errors.bursts:
+            assert run.times is not None
+            channel = run.channels[name]
+            random = _stream(seed, "bursts", f"{channel.kind}{channel.index}")
+            recorded[_stretches(run.times, errors.bursts, errors.burst_duration, random)] = np.nan
+        if np.all(np.isnan(recorded)):
+            raise InputError(f"no value of {name} is left: lower the fractions that are lost")
+        values[name] = recorded
+    kept = {key: value for key, value in run.definition.contents().items() if key != "noise"}
+    total = {
+        key: float(np.hypot(errors.white.get(key, 0.0), errors.correlated.get(key, 0.0)))
+        for key in {**errors.white, **errors.correlated}
+    }
+    # A channel with a key of its own in one of them has the other by its quantity.
+    for name in set(total) & set(run.observations):
+        total[name] = float(np.hypot(white[name], drift[name]))
+    return Run.from_arrays(
+        run.times,
+        values,
+        name=run.name,
+        noise={key: value for key, value in total.items() if value > 0},
+        definition=Definition.parse(kept, run.name),
+    )
+
+
+def drifting(
+    times: Float[np.ndarray, " sample"], correlation_time: float, random: np.random.Generator
+) -> Float[np.ndarray, " sample"]:
+    """Stationary Ornstein-Uhlenbeck noise of unit variance: <x(s) x(t)> = exp(-|s - t| / tau).
+
+    Exact for any spacing of the samples.
+    """
+    kept = np.exp(-np.diff(times) / correlation_time)
+    kicks = random.standard_normal(len(times))
+    values = np.empty(len(times))
+    values[0] = kicks[0]
+    for row, (keep, kick) in enumerate(zip(kept, kicks[1:], strict=True), start=1):
+        values[row] = keep * values[row - 1] + np.sqrt(1 - keep**2) * kick
+    return values
+
+
+def _by_channel(run: Run, deviations: Mapping[str, float]) -> dict[str, float]:
+    """Deviations by measured channel, from those by quantity or channel; 0 where there is none."""
+    bare = {key: value for key, value in run.definition.contents().items() if key != "noise"}
+    positive = {key: value for key, value in deviations.items() if value > 0}
+    if any(not np.isfinite(value) or value < 0 for value in deviations.values()):
+        raise InputError("a standard deviation or size is negative or infinite: correct it")
+    plan = Run.from_arrays(run.times, run.values, noise=positive, definition=bare)
+    return {name: plan.noise(name) or 0.0 for name in run.observations}
+
+
+def _stream(seed: int, kind: str, name: str) -> np.random.Generator:
+    return np.random.default_rng([seed, *kind.encode(), 0, *name.encode()])
+
+
+def _some(count: int, fraction: float, random: np.random.Generator) -> npt.NDArray[Any]:
+    """An exact number of rows, rounded down."""
+    return random.permutation(count)[: int(fraction * count)]
+
+
+def _stretches(
+    times: Float[np.ndarray, " sample"],
+    fraction: float,
+    duration: float,
+    random: np.random.Generator,
+) -> npt.NDArray[np.bool_]:
+    """Rows in stretches of a duration, as many as the fraction needs, the last one cut."""
+    lost = np.zeros(len(times), bool)
+    count = int(fraction * len(times))
+    while (left := count - int(lost.sum())) > 0:
+        begin = random.uniform(times[0] - duration / 2, times[-1])
+        rows = np.flatnonzero((times >= begin) & (times < begin + duration) & ~lost)
+        lost[rows[:left]] = True
+        # A duration below the spacing may hit no row.
+        if duration < np.min(np.diff(times)) and not len(rows):
+            lost[random.integers(len(times))] = True
+    return lost
+
+
+# Runs made by a model instead of an experiment, with noise and gaps.
+
+
+def synthesise(
+    model: AbstractModel,
+    times: npt.ArrayLike | None,
+    inputs: Mapping[str, npt.ArrayLike],
+    channels: Sequence[str],
+    *,
+    noise: Mapping[str, float] | None = None,
+    missing: float = 0.0,
+    seed: int = 0,
+    definition: Definition | Mapping[str, Any] | None = None,
+    constants: AbstractModel | None = None,
+    name: str = "synthetic",
+) -> Run:
+    """A run as an experiment would record it: what the model predicts, with noise and gaps.
+
+    The model gets the inputs as the run would give them, between whose rows they are linear
+    or held as `definition` says: predicting the returned run with the same model gives the same
+    channels without noise.
+
+    The noise is white and normal. Each channel has a random stream of its own, made from the
+    seed and its name, so that recording more channels does not change the others.
+
+    Arguments:
+        model: the truth.
+        times: increasing, s, shape (sample,); None for a static run.
+        inputs: what drives the model, by channel (`joint01_command`, `wind_x`), SI, each of
+            shape (sample,). Without any the definition must allow a free motion.
+        channels: names of the channels to record (`link06_z`, `tip_x`).
+        noise: standard deviations, SI, by quantity (`position`, `angle`, `rate`) or channel;
+            beside those that the definition states.
+        missing: fraction of the samples of each channel that are left empty, in [0, 1).
+        seed: of the noise and the gaps.
+        definition: what a sidecar would say of the run; the model's constants are added.
+        constants: the model whose constants are added instead, such as one that knows nothing of a
+            turned camera.
+        name: of the run.
+
+    Returns:
+        The run, SI, NaN where a cell is empty.
+
+    Raises:
+        InputError: a channel that the model cannot predict, or `missing` outside [0, 1).
+        SimulationError: the model cannot be evaluated.
+
+    Example:
+        >>> import giajax, numpy as np
+        >>> from giajax.apps.synthetic import synthesise
+        >>> times = np.linspace(0.0, 10.0, 101)
+        >>> command = np.interp(times, [0.5, 1.5], [0.0, 0.5])
+        >>> model = giajax.ArmModel(giajax.takeichi_20m())
+        >>> run = synthesise(
+        ...     model, times, {"joint01_command": command}, ["link20_z"], noise={"position": 0.02}
+        ... )
+        >>> sorted(run.observations)
+        ['link20_z']
+    """
+    if not 0 <= missing < 1:
+        raise InputError(f"the missing fraction is {missing:g}: give at least 0 and less than 1")
+    times = None if times is None else np.asarray(times, dtype=float)
+    if not isinstance(definition, Definition):
+        definition = Definition.parse(definition or {}, f"{name}: definition")
+    # The model is prepared by a run that has the channels, as yet without values.
+    samples = len(np.asarray(next(iter(inputs.values()))) if times is None else times)
+    blank = {channel: np.zeros(samples) for channel in channels}
+    plan = Run.from_arrays(
+        times,
+        {**inputs, **blank},
+        name=name,
+        noise=noise,
+        definition=definition.merged_with(_constants(constants or model)),
+    )
+    unknown = [channel for channel in channels if channel not in plan.observations]
+    if unknown:
+        raise InputError(
+            f"'{unknown[0]}' drives the model, which does not predict it: record another channel"
+        )
+    prepared = model.prepare(plan)
+    predicted, successful = predict_prepared(model, prepared, tuple(channels))
+    if not successful:
+        raise SimulationError(model.failure(prepared))
+    hidden = model.unseen(prepared, tuple(channels))
+    recorded = {
+        channel: _record(
+            blanked(predicted[channel], hidden.get(channel)),
+            plan.noise(channel),
+            missing,
+            seed,
+            channel,
+        )
+        for channel in channels
+    }
+    return Run.from_arrays(times, {**inputs, **recorded}, name=name, definition=plan.definition)
+
+
+def _constants(model: AbstractModel) -> Definition:
+    """What the model knows of itself that a sidecar can state."""
+    constants = model.definition()
+    known = {key: constants[key] for key in constants if key in Definition.model_fields}
+    return Definition.parse({"model": model.kind, **known}, "model")
+
+
+@program
+def predict_prepared(
+    model: AbstractModel, inputs: Any, channels: tuple[str, ...]
+) -> tuple[Channels, Bool[Array, ""]]:
+    """What a model predicts for a prepared run, compiled, and whether that succeeded."""
+    return model.predict(inputs, channels)
+
+
+def blanked(values: npt.ArrayLike, hidden: npt.NDArray[np.bool_] | None) -> npt.NDArray[np.float64]:
+    """What a model predicts of a channel, NaN where no experiment could record it."""
+    shown = np.array(values, dtype=float)
+    if hidden is not None:
+        shown[hidden] = np.nan
+    return shown
+
+
+def _record(
+    values: np.ndarray, deviation: float | None, missing: float, seed: int, channel: str
+) -> np.ndarray:
+    random = np.random.default_rng([seed, *channel.encode()])
+    recorded = values + (deviation or 0.0) * random.standard_normal(len(values))
+    # An exact number, rounded down: a channel is never left without a value.
+    recorded[random.permutation(len(values))[: int(missing * len(values))]] = np.nan
+    return recorded
+
+
+# What a sidecar says of one recording, and not of what was recorded.
+_OF_THE_FILE = ("noise", "truth", "sha256", "fit", "figures", "origin", "licence")
+
+
+def recorded_again(
+    model: AbstractModel,
+    run: Run,
+    errors: RecordingErrors | None = None,
+    *,
+    channels: Sequence[str] | None = None,
+    seed: int = 0,
+    truth: Sequence[str] = (),
+    name: str = "synthetic",
+) -> Run:
+    """The run that an experiment with the inputs of `run` would record, if the model were true.
+
+    The sidecar of `run` is kept, apart from its noise: what the model knows better than it, such
+    as a turned camera, stands in `[truth]` alone, for a fit to find. The noise in the sidecar is
+    white and correlated noise together.
+
+    Arguments:
+        model: the truth.
+        run: gives inputs, times and sidecar; what it recorded counts for its first row only.
+        errors: of the recording; none by default.
+        channels: to record, without unit; those of `run` by default.
+        seed: of all errors. Each kind and channel has a random stream of its own.
+        truth: paths of parameters to state in `[truth]`, beside those that a fit frees.
+        name: of the new run.
+
+    Raises:
+        InputError: nothing to record, a channel that the model cannot predict, or errors that
+            need times of a run that has none.
+        SimulationError: the model cannot be evaluated.
+    """
+    errors = RecordingErrors() if errors is None else errors
+    names = tuple(run.observations if channels is None else channels)
+    if not names:
+        raise InputError(f"'{run.name}' has no measured channel: give the channels to record")
+    prepared = model.prepare(run)
+    predicted, successful = predict_prepared(model, prepared, names)
+    if not successful:
+        raise SimulationError(model.failure(prepared))
+    hidden = model.unseen(prepared, names)
+    known = [path for path in default_free(model) if path not in truth]
+    sidecar = run.definition.contents()
+    sections = {key: sidecar[key] for key in sidecar if key not in _OF_THE_FILE}
+    facts = {path: np.asarray(get(model, path), dtype=float).tolist() for path in (*known, *truth)}
+    made = dataclasses.asdict(errors)
+    facts["recording"] = {key: value for key, value in made.items() if value not in ({}, 0.0)}
+    if run.definition.section(InitialSection).first_row:
+        # The first row of the new run has noise, or is not recorded.
+        kept = {key: value for key, value in sections["initial"].items() if key != "first_row"}
+        sections["initial"] = {**kept, **model.initial_section(prepared)}
+    exact = Run.from_arrays(
+        run.times,
+        {**run.commands, **run.winds, **{n: blanked(predicted[n], hidden.get(n)) for n in names}},
+        name=name,
+        definition=Definition.parse({"model": model.kind, **sections, "truth": facts}, name),
+    )
+    return with_errors(exact, errors, seed=seed)

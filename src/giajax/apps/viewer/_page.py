@@ -1,0 +1,368 @@
+"""The page of a live viewer, its clock, one live scene, and a recording as one file."""
+
+import dataclasses
+import threading
+import time
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...models import Scene
+from ._gate import LOOPBACK, Gate
+from ._show import Posable, Show, frames, span
+from ._stage import offsets, stages, start, stop
+
+if TYPE_CHECKING:
+    from ._stage import Stage
+
+SPEEDS = ("1/4", "1/2", "1", "2", "4", "8", "16")
+"""How much faster than real time a motion is played."""
+
+
+@dataclasses.dataclass
+class Player:
+    """A time that runs while it is played.
+
+    Attributes:
+        first, last: times between which it runs, s.
+        time: that is shown, s.
+        playing: whether it runs.
+        speed: how much faster than real time.
+        again: whether it starts again at its end.
+    """
+
+    first: float
+    last: float
+    time: float = 0.0
+    playing: bool = False
+    speed: float = 1.0
+    again: bool = True
+
+    def __post_init__(self) -> None:
+        self.time = self.first
+
+    def tick(self, elapsed: float) -> bool:
+        """Let time pass.
+
+        Arguments:
+            elapsed: real time since the last tick, s.
+
+        Returns:
+            Whether another time is shown than before.
+        """
+        if not self.playing or self.last <= self.first:
+            return False
+        before = self.time
+        self.time += elapsed * self.speed
+        if self.time >= self.last:
+            if self.again and before >= self.last:
+                self.time = self.first
+            else:
+                # The end is shown for one tick at least.
+                self.time = self.last
+                self.playing = self.again
+        return self.time != before
+
+    def play(self) -> None:
+        """Run; from the beginning where the end is shown."""
+        self.playing = True
+        if self.time >= self.last:
+            self.time = self.first
+
+    def seek(self, time: float) -> None:
+        """Show a time, s."""
+        self.time = min(max(time, self.first), self.last)
+
+
+def factor(speed: str) -> float:
+    """The number of one of `SPEEDS`."""
+    above, _, below = speed.partition("/")
+    return float(above) / float(below or 1)
+
+
+# The page of a live viewer: time bar, layers, legend, and the joints of an arm without a motion.
+
+# Poses a second at most: smooth, and no more than two cores can draw.
+_RATE = 30.0
+
+_TITLES = {
+    "balloons": "balloons",
+    "muscles": "muscles, by pressure",
+    "markers": "markers of the model",
+    "recorded": "recorded markers",
+    "air": "drag of the air",
+    "contact": "contact",
+    "surroundings": "surroundings",
+}
+
+# Of an arm without a motion: as far as a joint of the paper's goes.
+_LARGEST = 60.0
+
+
+class Viewer:
+    """A page on which shows are played, behind an address with a token.
+
+    Arguments:
+        shown: motions on one clock, or one arm without a motion.
+        overlay: all in one place instead of side by side.
+        host: where to listen; "127.0.0.1": for browsers of this machine alone.
+        port: where to listen; 0 for a free one.
+
+    Raises:
+        InputError: viser is not installed, or the port is in use.
+    """
+
+    def __init__(
+        self,
+        shown: Sequence[Show | Posable],
+        *,
+        overlay: bool = False,
+        host: str = LOOPBACK,
+        port: int = 0,
+    ) -> None:
+        self._lock = threading.RLock()
+        self._posable = next((each for each in shown if isinstance(each, Posable)), None)
+        self.shows = [
+            each.show(np.zeros(each.arm.count)) if isinstance(each, Posable) else each
+            for each in shown
+        ]
+        self.player = Player(*span(self.shows))
+        self._server = start()
+        try:
+            self._gate = Gate({"": self._server.get_port()}, host=host, port=port)
+        except BaseException:
+            stop(self._server)
+            raise
+        self._overlay = overlay
+        self.stages: list[Stage] = stages(self._server, self.shows, overlay=overlay)
+        self._ended = threading.Event()
+        self._build()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    @property
+    def address(self) -> str:
+        """Where a browser finds the page; whoever has it, sees it."""
+        return self._gate.address
+
+    @property
+    def is_open(self) -> bool:
+        """Whether other machines can reach the page."""
+        return self._gate.is_open
+
+    @property
+    def server(self) -> Any:
+        """Of viser, for whoever adds something to the page."""
+        return self._server
+
+    def close(self) -> None:
+        """End the page."""
+        self._ended.set()
+        self._thread.join(timeout=5)
+        self._gate.close()
+        stop(self._server)
+
+    def draw(self) -> None:
+        """Show the time of the player."""
+        with self._lock, self._server.atomic():
+            for stage in self.stages:
+                stage.draw(stage.show.sample_at(self.player.time))
+            self._say()
+
+    def pose(self, angles: Any) -> None:
+        """Set the joints of an arm without a motion, rad, shape (joint,)."""
+        assert self._posable is not None
+        with self._lock, self._server.atomic():
+            stage = self.stages[0]
+            stage.show = self._posable.show(np.asarray(angles))
+            stage.draw(0)
+            self._say()
+
+    def _run(self) -> None:
+        """Play, until the page ends."""
+        before = time.monotonic()
+        while not self._ended.wait(1 / _RATE):
+            now = time.monotonic()
+            if self.player.tick(now - before):
+                self.draw()
+                self._place_slider()
+            before = now
+
+    def _build(self) -> None:
+        gui = self._server.gui
+        gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(0, 90, 140))
+        gui.main_panel.dock_right()
+        gui.set_panel_label("giajax")
+        self._words = gui.add_markdown("")
+        if self._posable is not None:
+            self._joints()
+        elif self.player.last > self.player.first:
+            self._clock()
+        with gui.add_folder("Show"):
+            there = {layer for stage in self.stages for layer in stage.layers()}
+            for layer, title in _TITLES.items():
+                if layer in there:
+                    self._layer(layer, title)
+            if len(self.stages) > 1:
+                box = gui.add_checkbox("one in the other", self._overlay)
+                box.on_update(lambda _: self._place(overlay=box.value))
+        self.draw()
+
+    def _clock(self) -> None:
+        """Time bar, play, speed."""
+        gui, player = self._server.gui, self.player
+        with gui.add_folder("Time"):
+            step = max((player.last - player.first) / 2000, 1e-3)
+            bar = gui.add_slider("time (s)", player.first, player.last, step, player.first)
+            play = gui.add_button("play")
+            speed = gui.add_dropdown("speed", SPEEDS, initial_value="1")
+            again = gui.add_checkbox("again and again", player.again)
+        self._bar: Any = bar
+        self._play: Any = play
+
+        @bar.on_update
+        def _(event: Any) -> None:
+            # What the player itself moves comes without a client.
+            if event.client is not None:
+                player.playing = False
+                player.seek(bar.value)
+                self._label()
+                self.draw()
+
+        @play.on_click
+        def _(_: Any) -> None:
+            if player.playing:
+                player.playing = False
+            else:
+                player.play()
+            self._label()
+
+        @speed.on_update
+        def _(_: Any) -> None:
+            player.speed = factor(speed.value)
+
+        @again.on_update
+        def _(_: Any) -> None:
+            player.again = again.value
+
+    def _label(self) -> None:
+        self._play.label = "pause" if self.player.playing else "play"
+
+    def _place_slider(self) -> None:
+        self._bar.value = self.player.time
+        self._label()
+
+    def _joints(self) -> None:
+        """A slider for each joint, in degrees."""
+        assert self._posable is not None
+        gui, count = self._server.gui, self._posable.arm.count
+        sliders: list[Any] = []
+
+        def moved(_: Any) -> None:
+            self.pose(np.deg2rad([slider.value for slider in sliders]))
+
+        with gui.add_folder("Joints (deg)"):
+            straight = gui.add_button("straight")
+            for joint in range(1, count + 1):
+                sliders.append(gui.add_slider(f"{joint}", -_LARGEST, _LARGEST, 0.5, 0.0))
+        for slider in sliders:
+            slider.on_update(moved)
+
+        @straight.on_click
+        def _(_: Any) -> None:
+            for slider in sliders:
+                slider.value = 0.0
+
+    def _layer(self, layer: str, title: str) -> None:
+        box = self._server.gui.add_checkbox(title, True)
+
+        @box.on_update
+        def _(_: Any) -> None:
+            for stage in self.stages:
+                stage.visible(layer, box.value)
+
+    def _place(self, *, overlay: bool) -> None:
+        for stage, place in zip(self.stages, offsets(self.shows, overlay=overlay), strict=True):
+            stage.place(place)
+
+    def _say(self) -> None:
+        """What is seen, in words."""
+        self._words.content = "\n\n".join(
+            stage.words(stage.show.sample_at(self.player.time)) for stage in self.stages
+        )
+
+
+# One scene of a single sample that is drawn anew all the time.
+
+
+class LiveStage:
+    """A page of viser with an arm that somebody else moves.
+
+    Arguments:
+        scene: of one sample.
+
+    Raises:
+        InputError: viser is not installed.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._server = start()
+        (self._stage,) = stages(self._server, [Show("arm", scene)])
+        self._server.gui.configure_theme(show_logo=False, show_share_button=False)
+        self._server.gui.main_panel.minimize()
+
+    @property
+    def port(self) -> int:
+        """Where it listens on the loopback."""
+        return self._server.get_port()
+
+    @property
+    def watched(self) -> bool:
+        """Whether a browser shows it."""
+        return bool(self._server.get_clients())
+
+    def draw(self, scene: Scene) -> None:
+        """Show another scene of the same parts."""
+        with self._server.atomic():
+            self._stage.show = Show("arm", scene)
+            self._stage.draw(0)
+
+    def close(self) -> None:
+        """End the page."""
+        stop(self._server)
+
+
+# A page that plays without a server: one file.
+
+RATE = 30.0
+"""Most frames in a second of the motion."""
+
+MOST_FRAMES = 1500
+"""In a file: twenty links in this many are about 2 MB."""
+
+
+def recording(shows: Sequence[Show], *, overlay: bool = False, dark: bool = False) -> bytes:
+    """A page for a browser in which shows are played, with a time bar and a choice of speeds.
+
+    Arguments:
+        shows: at least one, on one clock.
+        overlay: all in one place instead of side by side.
+        dark: light on dark.
+
+    Returns:
+        HTML that needs nothing else, in UTF-8.
+    """
+    server = start()
+    try:
+        drawn = stages(server, shows, overlay=overlay)
+        recorder = server.get_scene_serializer()
+        times = frames(shows, RATE, MOST_FRAMES)
+        for index, time in enumerate(times):
+            for stage in drawn:
+                stage.draw(stage.show.sample_at(float(time)))
+            if index + 1 < len(times):
+                recorder.insert_sleep(float(times[index + 1] - time))
+        return recorder.as_html(dark).encode()
+    finally:
+        stop(server)

@@ -1,0 +1,236 @@
+"""What is shown: a scene with its recorded markers, and several of them on one clock."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from ...fitting import load_result, predict
+from ...mechanics.arm import Arm
+from ...models import (
+    AbstractModel,
+    ArmModel,
+    Scene,
+    arm_from_definition,
+    arm_scene,
+    model_for,
+    recorded_markers,
+    sensors_from_definition,
+)
+from ...recordings import Definition, Run, read_run
+from ...runtime.arrays import Float
+from ...runtime.text import InputError
+from ...simulation import SimulationError, at_rest
+from ...tasks import fitted_runs, stored_result
+
+
+@dataclasses.dataclass(frozen=True)
+class Show:
+    """A scene, and what a camera saw of it.
+
+    Attributes:
+        name: what a legend says.
+        scene: of a model.
+        recorded: recorded points by the names of the scene's markers, m, shape (sample, 3).
+        notes: what is not shown, and why.
+    """
+
+    name: str
+    scene: Scene
+    recorded: Mapping[str, Float[np.ndarray, "sample 3"]] = dataclasses.field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        wrong = [name for name, points in self.recorded.items() if len(points) != self.samples]
+        if wrong:
+            raise InputError(
+                f"the recorded marker '{wrong[0]}' has {len(self.recorded[wrong[0]])} samples and "
+                f"the scene {self.samples}: give as many"
+            )
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return self.scene.samples
+
+    @property
+    def clock(self) -> Float[np.ndarray, " sample"]:
+        """Times of the samples, s; where they are not in time, ten of them are a second."""
+        if self.scene.times is None:
+            return np.arange(self.samples) / 10
+        return self.scene.times
+
+    def sample_at(self, time: float) -> int:
+        """The last sample that is not after a time (s); the first one before all."""
+        # Half a nanosecond: times that were added up are samples still.
+        after = int(np.searchsorted(self.clock, time + 5e-10, side="right"))
+        return max(after - 1, 0)
+
+    def marker_error(self, sample: int) -> float | None:
+        """Root mean square distance of recorded from shown markers at a sample, m."""
+        off = [
+            self.recorded[name][sample] - self.scene.markers[name][sample] for name in self.recorded
+        ]
+        known = [each for each in off if np.all(np.isfinite(each))]
+        return float(np.sqrt(np.mean(np.sum(np.square(known), axis=1)))) if known else None
+
+
+def span(shows: Sequence[Show]) -> tuple[float, float]:
+    """First and last time of several shows, s."""
+    return min(float(show.clock[0]) for show in shows), max(float(show.clock[-1]) for show in shows)
+
+
+def frames(shows: Sequence[Show], rate: float, most: int) -> Float[np.ndarray, " frame"]:
+    """Times at which to draw, s: every sample, but no more than a rate and a number.
+
+    Arguments:
+        shows: at least one.
+        rate: most frames in a second.
+        most: most frames.
+    """
+    first, last = span(shows)
+    finest = min(float(np.min(np.diff(show.clock), initial=np.inf)) for show in shows)
+    count = int(np.ceil((last - first) / max(finest, 1 / rate) - 1e-9)) + 1 if last > first else 1
+    return np.linspace(first, last, min(count, most))
+
+
+# What a file has to show: a run, a fit, or the arm of a definition.
+
+
+class Posable:
+    """An arm whose joints are set by hand: no motion, only where links are.
+
+    Arguments:
+        model: of the arm.
+        name: what a legend says.
+    """
+
+    def __init__(self, model: ArmModel, name: str) -> None:
+        self.model = model
+        self.name = name
+
+    @property
+    def arm(self) -> Arm:
+        """The arm."""
+        return self.model.arm
+
+    def show(self, angles: Float[np.ndarray, " joint"]) -> Show:
+        """The arm at angles of its joints, rad."""
+        pose = at_rest(self.arm, jnp.asarray(angles, dtype=jnp.result_type(float)))
+        return Show(self.name, arm_scene(pose, self.model.sensors.marker))
+
+
+def shown(
+    path: str | Path,
+    *,
+    data: Sequence[str | Path] = (),
+    rename: Mapping[str, str] | None = None,
+    run: str | None = None,
+    name: str | None = None,
+) -> Show | Posable:
+    """What there is to see of a file.
+
+    Arguments:
+        path: a recorded or simulated run (`RUN.csv`), the folder of a fit or its `result.json`, or
+            a TOML file that states an arm.
+        data: the runs of a fit, where they lie elsewhere now.
+        rename: a run's column name -> the name it has in the column table.
+        run: name of the run of a fit; the first one by default.
+        name: what a legend says; of the file by default.
+
+    Returns:
+        A motion with its recorded markers; of a TOML file an arm without a motion.
+
+    Raises:
+        InputError: there is no such file or run, or nothing is seen of its model.
+    """
+    path = Path(path)
+    if path.is_dir() or path.suffix == ".json":
+        folder, _ = stored_result(path)
+        result = load_result(path)
+        chosen = _chosen(fitted_runs(result, data, rename=rename), run, path)
+        return _followed(result.model_of(chosen), chosen, name or folder.name)
+    if path.suffix == ".toml":
+        return _posable(path, name or path.stem)
+    chosen = read_run(path, rename=rename)
+    return _followed(model_for([chosen]), chosen, name or chosen.name)
+
+
+def _chosen(runs: list[Run], name: str | None, path: Path) -> Run:
+    if not runs:
+        raise InputError(f"nothing of the runs of {path} was fitted: there is nothing to show")
+    if name is None:
+        return runs[0]
+    known = {each.name: each for each in runs}
+    if name not in known:
+        raise InputError(
+            f"{path} was not fitted to a run '{name}': choose one of {', '.join(known)}"
+        )
+    return known[name]
+
+
+def _posable(path: Path, name: str) -> Posable:
+    definition = Definition.load(path)
+    if definition.model not in (None, ArmModel.kind):
+        raise InputError(f"{path} describes a {definition.model}: give the TOML file of an arm")
+    arm, sensors = arm_from_definition(definition), sensors_from_definition(definition)
+    return Posable(ArmModel(arm, sensors=sensors), name)
+
+
+def _followed(model: AbstractModel, run: Run, name: str) -> Show:
+    """A model along a run, and what was recorded of it."""
+    try:
+        scene = model.scene(run)
+    except SimulationError as error:
+        raise InputError(f"the motion of '{run.name}' cannot be simulated: {error}") from None
+    if scene is None:
+        raise InputError(
+            f"'{run.name}' is of a {run.model}, of which nothing is seen: give an arm's"
+        )
+    recorded = recorded_markers(scene, run, predict(model, run))
+    notes = []
+    if recorded is None:
+        notes.append("recorded markers are not shown: the axes of their camera are others")
+    return Show(name, _finite(scene, run), recorded or {}, tuple(notes))
+
+
+def _finite(scene: Scene, run: Run) -> Scene:
+    if not all(np.all(np.isfinite(line.points)) for line in scene.lines):
+        raise InputError(f"the motion of '{run.name}' is not finite: check its parameters")
+    return scene
+
+
+# What is seen, in words.
+
+_FORCES = {"air": "largest drag on a link", "contact": "largest force of a contact"}
+
+
+def words(show: Show, sample: int, colour: str) -> str:
+    """What a show has at a sample, as Markdown.
+
+    Arguments:
+        show: the show.
+        sample: the sample.
+        colour: of its bodies.
+    """
+    said = [f"**{show.name}** ({colour})"]
+    if show.scene.times is not None and show.samples > 1:
+        said.append(f"time {show.clock[sample]:.2f} s")
+    if (tip := show.scene.markers.get("tip")) is not None and np.all(np.isfinite(tip[sample])):
+        said.append("tip at " + ", ".join(f"{part:.3f}" for part in tip[sample]) + " m")
+    if (off := show.marker_error(sample)) is not None:
+        said.append(f"recorded markers off by {_length(off)} (RMS)")
+    for arrows in show.scene.arrows:
+        force = float(np.max(np.linalg.norm(arrows.vectors[sample], axis=-1), initial=0.0))
+        if np.any(arrows.vectors):
+            said.append(f"{_FORCES.get(arrows.name, arrows.name)} {force:.3g} {arrows.unit}")
+    pressures = [line.pressure[sample] for line in show.scene.lines if line.pressure is not None]
+    if pressures:
+        said.append(f"pressures up to {max(pressures) / 1e5:.2f} bar")
+    return "  \n".join([*said, *(f"*{note}*" for note in show.notes)])
+
+
+def _length(metres: float) -> str:
+    return f"{metres:.2f} m" if metres >= 1 else f"{1e3 * metres:.1f} mm"

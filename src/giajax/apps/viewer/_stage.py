@@ -1,0 +1,519 @@
+"""Scenes in viser: what is drawn once, and what moves."""
+
+import contextlib
+import io
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from ...models import Block, Scene
+from ...runtime.arrays import Float, Int
+from ...runtime.text import InputError
+from ._gate import LOOPBACK
+from ._show import Show, words
+
+if TYPE_CHECKING:
+    from viser import SceneApi, ViserServer
+
+# The server of viser: on the loopback, quiet, and only where the extra is installed.
+
+
+def check_viser() -> None:
+    """Refuse to go on where the library is missing.
+
+    Raises:
+        InputError: it is not installed.
+    """
+    try:
+        import viser  # noqa: F401
+    except ImportError:
+        raise InputError(
+            "the viewer needs viser, which is not installed: pip install 'giajax[view]'"
+        ) from None
+
+
+def start() -> "ViserServer":
+    """A server for one page, at a free port of the loopback."""
+    check_viser()
+    import viser
+
+    # It would print its own address, which is not the one of the page.
+    with contextlib.redirect_stdout(io.StringIO()):
+        server = viser.ViserServer(host=LOOPBACK, port=0, label="giajax", verbose=False)
+    server.scene.set_up_direction("+z")
+    return server
+
+
+def stop(server: "ViserServer") -> None:
+    """End it; without its last word."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        server.stop()
+
+
+# What is drawn in which colour: of a palette that the colour-blind tell apart.
+
+Colour = tuple[int, int, int]
+
+INK: Colour = (40, 40, 40)
+RECORDED: Colour = (213, 94, 0)
+AIR: Colour = (0, 158, 115)
+CONTACT: Colour = (204, 51, 17)
+BUILDING: Colour = (176, 168, 158)
+BODIES: dict[str, Colour] = {
+    "blue": (86, 140, 190),
+    "orange": (222, 150, 60),
+    "green": (110, 165, 95),
+    "purple": (165, 110, 175),
+}
+"""Of the balloons of one show after the other."""
+
+# From an empty muscle to the highest pressure: blue, white, red would vanish on the page.
+_EMPTY, _FULL = np.array([70.0, 90.0, 160.0]), np.array([215.0, 48.0, 39.0])
+
+
+def darker(colour: Colour) -> Colour:
+    """A colour for dots within bodies of this colour."""
+    red, green, blue = (int(0.45 * part) for part in colour)
+    return red, green, blue
+
+
+def thread_colours(scene: Scene, sample: int, highest: float) -> Int[np.ndarray, "piece 3"]:
+    """The colour of each piece of each thread of a scene: by its pressure, where it has one.
+
+    Arguments:
+        scene: the scene.
+        sample: which sample.
+        highest: pressure that is the brightest, Pa.
+    """
+    colours = []
+    for line in scene.lines:
+        if np.any(line.radii > 0):
+            continue
+        colour = np.array(INK, dtype=float)
+        if line.pressure is not None and highest > 0:
+            share = np.clip(line.pressure[sample] / highest, 0, 1)
+            colour = (1 - share) * _EMPTY + share * _FULL
+        colours += [colour] * (line.points.shape[1] - 1)
+    return np.array(colours).reshape(-1, 3).astype(np.uint8)
+
+
+# Triangles and turns of the few shapes that a scene is drawn with.
+
+_ROUND = 24
+
+
+class Mesh(NamedTuple):
+    """A triangle mesh.
+
+    Attributes:
+        vertices: shape (vertex, 3).
+        faces: indices of vertices, counterclockwise from outside, shape (face, 3).
+    """
+
+    vertices: Float[np.ndarray, "vertex 3"]
+    faces: Int[np.ndarray, "face 3"]
+
+
+def tube() -> Mesh:
+    """A cylinder about the x axis from -1/2 to 1/2, of radius 1, with ends that are drawn in."""
+    return _turned([(-0.5, 0.0), (-0.5, 0.7), (-0.47, 1.0), (0.47, 1.0), (0.5, 0.7), (0.5, 0.0)])
+
+
+def ball() -> Mesh:
+    """A sphere of radius 1."""
+    places = np.linspace(-np.pi / 2, np.pi / 2, _ROUND // 2)
+    return _turned([(float(np.sin(place)), float(np.cos(place))) for place in places])
+
+
+def brick() -> Mesh:
+    """A box from -1/2 to 1/2 along each axis, with corners of its own for each face."""
+    corners: list[np.ndarray] = []
+    faces: list[tuple[int, int, int]] = []
+    for axis in range(3):
+        for side in (-1.0, 1.0):
+            across = np.roll(np.eye(3), axis, axis=1)
+            ahead, right, up = across[0] * side, across[1] * side, across[2]
+            first = len(corners)
+            corners += [
+                (ahead + a * right + b * up) / 2 for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))
+            ]
+            faces += [(first, first + 1, first + 2), (first, first + 2, first + 3)]
+    return Mesh(np.array(corners), np.array(faces))
+
+
+def _turned(outline: list[tuple[float, float]]) -> Mesh:
+    """A body of revolution about x from pairs of x and radius."""
+    turns = 2 * np.pi * np.arange(_ROUND) / _ROUND
+    rings = [
+        np.stack([np.full(_ROUND, x), radius * np.cos(turns), radius * np.sin(turns)], axis=1)
+        for x, radius in outline
+    ]
+    here = np.arange(_ROUND)
+    after = np.roll(here, -1)
+    faces = []
+    for index in range(len(outline) - 1):
+        near, far = index * _ROUND, (index + 1) * _ROUND
+        faces.append(np.stack([near + here, far + after, far + here], axis=1))
+        faces.append(np.stack([near + here, near + after, far + after], axis=1))
+    return Mesh(np.concatenate(rings), np.concatenate(faces))
+
+
+def turns_to(directions: Float[np.ndarray, "row 3"]) -> Float[np.ndarray, "row 4"]:
+    """Unit quaternions (w, x, y, z) of the shortest turns from the x axis to directions.
+
+    Arguments:
+        directions: of any length but 0; where it is 0 nothing is turned.
+    """
+    lengths = np.linalg.norm(directions, axis=1, keepdims=True)
+    ahead = np.where(lengths > 0, directions / np.where(lengths > 0, lengths, 1), [1.0, 0.0, 0.0])
+    x, y, z = ahead.T
+    turns = np.stack([1 + x, np.zeros_like(x), -z, y], axis=1)
+    # Straight back every turn by half a circle is as short.
+    turns[np.linalg.norm(turns, axis=1) < 1e-8] = [0.0, 0.0, 0.0, 1.0]
+    turns /= np.linalg.norm(turns, axis=1, keepdims=True)
+    return turns
+
+
+# What scenes are drawn of: their sizes, and the pieces of their lines.
+
+# Of a box without an end so much is drawn beyond the scene, and below its surface, in extents.
+_GROUND, _PLATE = 0.6, 0.02
+
+# In extents: what is larger has no end that anybody sees.
+_ENDLESS = 5.0
+
+
+class Scale(NamedTuple):
+    """Sizes that all shows of a stage have in common.
+
+    Attributes:
+        extent: of everything, m.
+        force: that the longest arrow stands for, N.
+        pressure: of the brightest muscle, Pa.
+    """
+
+    extent: float
+    force: float
+    pressure: float
+
+
+def scale_of(shows: Sequence[Show]) -> Scale:
+    """The sizes of what belongs to some shows."""
+    low, high = bounds(shows)
+    arrows = [arrows for show in shows for arrows in show.scene.arrows]
+    force = max((_largest(np.linalg.norm(each.vectors, axis=-1)) for each in arrows), default=0.0)
+    lines = [line for show in shows for line in show.scene.lines if line.pressure is not None]
+    pressure = max((_largest(line.pressure) for line in lines), default=0.0)
+    return Scale(float(np.max(high - low)) or 1.0, force, pressure)
+
+
+def _largest(values: Any) -> float:
+    return float(np.nanmax(values, initial=0.0))
+
+
+def bounds(shows: Sequence[Show]) -> Float[np.ndarray, "2 3"]:
+    """Least and greatest coordinates of what moves in some shows, m."""
+    extents = np.stack([show.scene.extent() for show in shows])
+    return np.stack([extents[:, 0].min(axis=0), extents[:, 1].max(axis=0)])
+
+
+def cut(centre: Any, size: Any, axes: Any, low: Any, high: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Of a box that is far larger than a scene, the part about it.
+
+    Arguments:
+        centre, size, axes: of the box, as of a `Block`.
+        low, high: least and greatest coordinates of the scene, m.
+
+    Returns:
+        Centre and size of that part, m.
+    """
+    extent = float(np.max(high - low))
+    middle = axes.T @ ((low + high) / 2 - centre)
+    reach = np.abs(axes.T) @ ((high - low) / 2)
+    # Of ground that the scene is above, a thin plate will do.
+    above = np.abs(middle) > size / 2
+    room = np.where(above, _PLATE, _GROUND) * extent
+    near = np.where(above, np.sign(middle) * size / 2, middle - reach)
+    far = np.where(above, near, middle + reach)
+    endless = size > _ENDLESS * extent
+    least = np.where(endless, np.maximum(-size / 2, near - room), -size / 2)
+    most = np.where(endless, np.minimum(size / 2, far + room), size / 2)
+    return centre + axes @ ((least + most) / 2), most - least
+
+
+def ends(block: Block, extent: float) -> Float[np.ndarray, "2 3"] | None:
+    """Least and greatest coordinates of a box, m; None of one without an end."""
+    if np.any(block.size > _ENDLESS * extent):
+        return None
+    reach = np.abs(block.axes) @ block.size / 2
+    return np.stack([block.centre - reach, block.centre + reach])
+
+
+def segments(scene: Scene, sample: int, *, bodies: bool) -> tuple[np.ndarray, ...]:
+    """Starts, ends and radii of the pieces of bodies, or of threads."""
+    starts, ends, radii = [], [], []
+    for line in scene.lines:
+        if bool(np.any(line.radii > 0)) is bodies:
+            points = line.points[sample]
+            starts.append(points[:-1])
+            ends.append(points[1:])
+            radii.append((line.radii[1:] + line.radii[:-1]) / 2)
+    if not starts:
+        return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
+    return np.concatenate(starts), np.concatenate(ends), np.concatenate(radii)
+
+
+def joints(scene: Scene, sample: int) -> tuple[np.ndarray, np.ndarray]:
+    """Where the links of an arm begin, and their radii."""
+    links = [line for line in scene.lines if line.name == "link"]
+    points = np.array([line.points[sample, 0] for line in links]).reshape(-1, 3)
+    return points, np.array([line.radii[0] for line in links])
+
+
+LAYERS = ("balloons", "muscles", "markers", "recorded", "air", "contact", "surroundings")
+"""What can be hidden: a folder of each show's scene."""
+
+# Of the largest extent.
+_THREAD, _DOT, _LONGEST_ARROW = 0.002, 0.004, 0.15
+
+
+class Stage:
+    """One show on a page.
+
+    Arguments:
+        api: of viser, where it is drawn.
+        show: what is drawn.
+        scale: of all shows on the page.
+        index: which show of the page this is, from 0 on: it has colours of its own.
+        offset: where its base is, m, shape (3,).
+    """
+
+    def __init__(
+        self,
+        api: "SceneApi",
+        show: Show,
+        scale: Scale,
+        *,
+        index: int = 0,
+        offset: Float[np.ndarray, "3"] | None = None,
+    ) -> None:
+        self.show = show
+        self.scale = scale
+        self._api = api
+        self._root = f"/{index + 1} {show.name.replace('/', '_')}"
+        self._name = list(BODIES)[index % len(BODIES)]
+        self._colour = BODIES[self._name]
+        self._base = api.add_frame(
+            self._root, show_axes=False, position=np.zeros(3) if offset is None else offset
+        )
+        self._layers = {
+            layer: api.add_frame(f"{self._root}/{layer}", show_axes=False)
+            for layer in self.layers()
+        }
+        self._handles: dict[str, Any] = {}
+        self._surroundings()
+        self.draw(0)
+
+    def layers(self) -> list[str]:
+        """Names of the layers that have something in them."""
+        scene = self.show.scene
+        there = {
+            "balloons": any(np.any(line.radii > 0) for line in scene.lines),
+            "muscles": any(not np.any(line.radii > 0) for line in scene.lines),
+            "markers": bool(scene.markers),
+            "recorded": bool(self.show.recorded),
+            "surroundings": bool(scene.blocks),
+        }
+        there |= {arrows.name: bool(np.any(arrows.vectors)) for arrows in scene.arrows}
+        return [layer for layer in LAYERS if there.get(layer)]
+
+    def visible(self, layer: str, shown: bool) -> None:
+        """Show or hide a layer; one that this show does not have is none."""
+        if layer in self._layers:
+            self._layers[layer].visible = shown
+
+    def words(self, sample: int) -> str:
+        """What is seen at a sample, as Markdown."""
+        return words(self.show, sample, self._name)
+
+    def place(self, offset: Float[np.ndarray, "3"]) -> None:
+        """Put the base of the show elsewhere, m."""
+        self._base.position = offset
+
+    def draw(self, sample: int) -> None:
+        """Everything that moves, at a sample."""
+        scene = self.show.scene
+        bodies = segments(scene, sample, bodies=True)
+        self._tubes("balloons/links", bodies, self._colour, opacity=0.55)
+        centres, radii = joints(scene, sample)
+        self._balls("balloons/joints", centres, 0.35 * radii, INK)
+        threads = segments(scene, sample, bodies=False)
+        threads[2][:] = _THREAD * self.scale.extent
+        self._tubes("muscles/threads", threads, thread_colours(scene, sample, self.scale.pressure))
+        self._points("markers/points", scene.markers, sample, darker(self._colour))
+        self._points("recorded/points", self.show.recorded, sample, RECORDED)
+        for arrows in scene.arrows:
+            if arrows.name in self._layers:
+                colour = CONTACT if arrows.name == "contact" else AIR
+                self._arrows(arrows.name, arrows.origins[sample], arrows.vectors[sample], colour)
+
+    def _tubes(self, name: str, pieces: Any, colour: Any, opacity: float | None = None) -> None:
+        starts, ends, radii = pieces
+        if not len(starts):
+            return
+        lengths = np.linalg.norm(ends - starts, axis=1)
+        moved = {
+            "batched_positions": (starts + ends) / 2,
+            "batched_wxyzs": turns_to(ends - starts),
+            "batched_scales": np.stack([lengths, radii, radii], axis=1),
+            "batched_colors": np.asarray(colour, dtype=np.uint8),
+        }
+        self._batch(name, tube(), moved, opacity)
+
+    def _balls(self, name: str, centres: np.ndarray, radii: np.ndarray, colour: Colour) -> None:
+        if not len(centres):
+            return
+        moved = {
+            "batched_positions": centres,
+            "batched_wxyzs": np.tile([1.0, 0.0, 0.0, 0.0], (len(centres), 1)),
+            "batched_scales": np.stack([radii] * 3, axis=1),
+            "batched_colors": np.array(colour, dtype=np.uint8),
+        }
+        self._batch(name, ball(), moved, None)
+
+    def _points(self, name: str, markers: Any, sample: int, colour: Colour) -> None:
+        if not markers:
+            return
+        points = np.stack([each[sample] for each in markers.values()])
+        there = np.all(np.isfinite(points), axis=1)
+        # One that is missing is made so small that it is not seen: batches keep their size.
+        radii = np.where(there, _DOT * self.scale.extent, 1e-9)
+        self._balls(name, np.where(there[:, None], points, 0.0), radii, colour)
+
+    def _batch(self, name: str, mesh: Any, moved: dict[str, Any], opacity: float | None) -> None:
+        known = self._handles.get(name)
+        if known is None:
+            handle = self._api.add_batched_meshes_simple(
+                f"{self._root}/{name}", *mesh, lod="off", cast_shadow=False, receive_shadow=False,
+                opacity=opacity, **moved,
+            )  # fmt: skip
+            self._handles[name] = (handle, dict(moved))
+            return
+        handle, before = known
+        for key, value in moved.items():
+            # What did not change need not travel.
+            if not np.array_equal(before[key], value):
+                setattr(handle, key, value)
+                before[key] = value
+
+    def _arrows(self, name: str, origins: Any, vectors: Any, colour: Colour) -> None:
+        longest = _LONGEST_ARROW * self.scale.extent / (self.scale.force or 1.0)
+        # One that is shorter than its head is no arrow.
+        seen = np.linalg.norm(longest * vectors, axis=-1) > 2 * _THREAD * self.scale.extent
+        points = np.stack([origins, origins + longest * vectors], axis=1)[seen]
+        known = self._handles.get(name)
+        if known is not None:
+            known.visible = bool(np.any(seen))
+        if not np.any(seen):
+            return
+        width = _THREAD * self.scale.extent
+        if known is None:
+            self._handles[name] = self._api.add_arrows(
+                f"{self._root}/{name}/arrows", points, colour,
+                shaft_radius=0.7 * width, head_radius=1.8 * width, head_length=4 * width,
+            )  # fmt: skip
+        else:
+            known.points = points.astype(np.float32)
+
+    def _surroundings(self) -> None:
+        blocks = self.show.scene.blocks
+        if not blocks:
+            return
+        low, high = self.show.scene.extent()
+        for number, block in enumerate(blocks):
+            centre, size = cut(block.centre, block.size, block.axes, low, high)
+            vertices = brick().vertices * size @ block.axes.T + centre
+            self._api.add_mesh_simple(
+                f"{self._root}/surroundings/{number + 1} {block.name.replace('/', '_')}",
+                vertices, brick().faces, color=BUILDING, flat_shading=True, opacity=0.75,
+                cast_shadow=False, receive_shadow=False,
+            )  # fmt: skip
+
+
+# Several shows on one page: where each stands, and where one looks from.
+
+# Between two shows, in extents of the widest; and how far off one looks from.
+_GAP, _DISTANCE = 0.25, 1.0
+
+# Vertical angle of view, rad.
+_FIELD = 0.75
+
+
+def offsets(shows: Sequence[Show], *, overlay: bool) -> Float[np.ndarray, "show 3"]:
+    """Where the base of each show stands, m: beside the last one, or all in one place."""
+    places = np.zeros((len(shows), 3))
+    if overlay:
+        return places
+    low, high = bounds(shows)
+    # Across the arm, to the right, as one reads.
+    width = float(high[1] - low[1]) + _GAP * float(np.max(high - low))
+    places[:, 1] = -width * np.arange(len(shows))
+    return places
+
+
+def stages(server: "ViserServer", shows: Sequence[Show], *, overlay: bool = False) -> list[Stage]:
+    """Draw shows, with a grid below them, and look at them from the side.
+
+    Arguments:
+        server: of viser.
+        shows: at least one.
+        overlay: all in one place instead of side by side.
+    """
+    scale = scale_of(shows)
+    places = offsets(shows, overlay=overlay)
+    drawn = [
+        Stage(server.scene, show, scale, index=index, offset=place)
+        for index, (show, place) in enumerate(zip(shows, places, strict=True))
+    ]
+    low, high = bounds(shows)
+    low, high = low + places.min(axis=0), high + places.max(axis=0)
+    _grid(server, low, high)
+    look_from_the_side(server.initial_camera, *_with_building(shows, low, high))
+    return drawn
+
+
+def _with_building(
+    shows: Sequence[Show], low: np.ndarray, high: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """A box about what moves, and about what stands around and has an end."""
+    extent = float(np.max(high - low))
+    blocks = [ends(block, extent) for show in shows for block in show.scene.blocks]
+    corners = np.concatenate([[low, high], *(each for each in blocks if each is not None)])
+    return np.min(corners, axis=0), np.max(corners, axis=0)
+
+
+def look_from_the_side(camera: Any, low: np.ndarray, high: np.ndarray) -> None:
+    """Put a camera of viser where it sees a box from the right, a little from above."""
+    middle, size = (low + high) / 2, float(np.linalg.norm(high - low)) or 1.0
+    ahead = np.array([0.25, -1.0, 0.3])
+    camera.look_at = tuple(middle)
+    camera.position = tuple(middle + ahead / np.linalg.norm(ahead) * size * _DISTANCE)
+    camera.up = (0.0, 0.0, 1.0)
+    camera.fov = _FIELD
+
+
+def _grid(server: "ViserServer", low: np.ndarray, high: np.ndarray) -> None:
+    """A floor of metres below everything that moves."""
+    size, middle = high - low, (low + high) / 2
+    step = 1.0 if np.max(size) > 3 else 0.1
+    across = np.ceil((size[:2] + 2 * step) / step / 2) * 2 * step
+    server.scene.add_grid(
+        "/grid",
+        width=float(across[0]),
+        height=float(across[1]),
+        plane="xy",
+        cell_size=step,
+        section_size=5 * step,
+        position=(float(middle[0]), float(middle[1]), float(low[2]) - 1e-3 * float(np.max(size))),
+    )

@@ -1,0 +1,370 @@
+"""The wind that an arm at rest undulates in, from the spectra of its recording."""
+
+import dataclasses
+import itertools
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from scipy.optimize import OptimizeResult
+
+from ...models import ArmModel
+from ...noise import from_differences
+from ...recordings import Run
+from ...runtime.text import InputError
+from ...schema import WindSection
+from ...schema.parameters import replace
+from ..synthetic import DECAY
+from ._model import (
+    NUMBERS,
+    TURNS,
+    UNITS,
+    USUALLY,
+    Expected,
+    Numbers,
+    Recorded,
+    WindModel,
+    first_guess,
+    most_likely,
+    whitened,
+)
+from ._record import Resting, resting, tapered
+from ._response import Turbulence
+
+# What the recording cannot tell of a wind, in words.
+
+# Standard error of a logarithm beyond which nothing is known: a factor of e.
+OPEN = 1.0
+_TOGETHER = 0.9
+_OFF = 5.0
+_ASIDE = 3.0
+_SWINGS = 0.3
+_GUSTS = 30
+
+
+def wind_notes(
+    wind: Turbulence,
+    *,
+    names: tuple[str, ...],
+    covariance: np.ndarray,
+    converged: bool,
+    misfit: tuple[float, float],
+    means: np.ndarray,
+    left_out: tuple[str, ...],
+    swing: float,
+    lasts: float,
+    filled: float,
+    followed: bool,
+) -> tuple[str, ...]:
+    """Sentences on a fit.
+
+    Arguments:
+        wind: at its end.
+        names: of the free numbers.
+        covariance: of their logarithms, and of angles.
+        converged: whether it ended at a maximum.
+        misfit: of the spectra, and its standard error.
+        means: recorded, fitted and standard error, shape (3, channel).
+        left_out: channels.
+        swing: largest deviation of a joint, rad.
+        lasts: the record, s.
+        filled: share of empty cells.
+        followed: whether the means counted.
+    """
+    notes = []
+    errors = np.sqrt(np.diag(covariance))
+    if not converged:
+        notes.append(
+            "the fit did not end at a maximum, and its standard errors mean little: begin nearer "
+            "to the truth, or hold more"
+        )
+    for name, error in zip(names, errors, strict=True):
+        if error > OPEN:
+            notes.append(f"{name} is not determined: hold it, or record longer or more links")
+    for one, other in itertools.combinations(range(len(names)), 2):
+        together = covariance[one, other] / (errors[one] * errors[other])
+        if abs(together) > _TOGETHER:
+            sign = np.sign(together)
+            left = covariance[one, one] + covariance[other, other]
+            known = np.sqrt(max(left - 2 * sign * covariance[one, other], 0.0))
+            what = "ratio" if sign > 0 else "product"
+            notes.append(
+                f"{names[one]} and {names[other]} trade off (correlation {together:.2f}): their "
+                f"{what} is known to {known:.1%}"
+            )
+    if abs(misfit[0] - 1) > _OFF * misfit[1]:
+        much = "larger" if misfit[0] > 1 else "smaller"
+        notes.append(
+            f"the spectra are {misfit[0]:.2f} times what is expected, {much} than chance: another "
+            "arm, noise or wind than assumed, and standard errors that do not know of it"
+        )
+    if followed:
+        off = np.abs(means[0] - means[1]) / means[2]
+        if np.max(off) > _ASIDE:
+            notes.append(
+                f"the mean of a channel is {np.max(off):.0f} standard errors off: the wind comes "
+                "from elsewhere, or the arm rests elsewhere without it than its model; free the "
+                "direction, or leave the means out"
+            )
+    else:
+        notes.append(
+            "the resting position was not used, so that the mean flow is known from how quickly "
+            "gusts pass alone"
+        )
+    gusts = lasts * wind.speed / wind.length_scale
+    if gusts < _GUSTS:
+        notes.append(
+            f"the record is {gusts:.0f} times as long as a gust, and standard errors are rough "
+            f"with less than {_GUSTS}"
+        )
+    if swing > _SWINGS:
+        notes.append(
+            f"a joint swings by {np.rad2deg(swing):.0f} deg, and its response is not linear"
+        )
+    if left_out:
+        notes.append(f"left out because they bend more than they move: {', '.join(left_out)}")
+    if filled:
+        notes.append(f"{filled:.1%} of the cells were empty and are filled by straight lines")
+    return tuple(notes)
+
+
+# What a fit of a wind says: numbers with standard errors, spectra, and sentences.
+
+
+@dataclasses.dataclass(frozen=True)
+class WindNumber:
+    """One number of a wind: its value, standard error (None where held or open), unit."""
+
+    value: float
+    standard_error: float | None
+    unit: str
+    free: bool
+
+
+@dataclasses.dataclass(frozen=True)
+class WindFit:
+    """A wind fitted to the spectra of a resting arm.
+
+    Attributes:
+        numbers: speed, deviation, length_scale, decay, heading and climb; the deviation of noise
+            that was not stated; and derived from them `intensity` and `lasting`, the length scale
+            over the speed, s.
+        wind: the same as an object that has spectra.
+        correlation: between the free numbers (logarithms, but for angles), shape (free, free).
+        free: their names.
+        converged: whether the optimiser ended at a maximum.
+        log_likelihood: at the end, but for a constant.
+        misfit: square of the transforms over what is expected, with its standard error; 1 is good.
+        channels: what was fitted.
+        left_out: channels that bend more than they move, and were left out.
+        frequencies: middles of the bands, Hz.
+        measured, fitted: one-sided spectra of each channel, SI^2/Hz, shape (band, channel).
+        means: recorded and fitted mean of each channel and its standard error, SI, shape
+            (3, channel); NaN where the mean was not used.
+        swing: largest standard deviation of a joint, rad.
+        notes: sentences on what the recording cannot tell.
+    """
+
+    numbers: dict[str, WindNumber]
+    wind: Turbulence
+    correlation: np.ndarray
+    free: tuple[str, ...]
+    converged: bool
+    log_likelihood: float
+    misfit: tuple[float, float]
+    channels: tuple[str, ...]
+    left_out: tuple[str, ...]
+    frequencies: np.ndarray
+    measured: np.ndarray
+    fitted: np.ndarray
+    means: np.ndarray
+    swing: float
+    notes: tuple[str, ...]
+
+
+def wind_result(
+    expects: WindModel,
+    numbers: Numbers,
+    recorded: Recorded,
+    found: OptimizeResult,
+    left_out: tuple[str, ...],
+) -> WindFit:
+    """The result of an optimiser's end."""
+    wind, white = numbers.at(found.x)
+    expected = expects.expected(wind, white)
+    covariance = _covariance(np.asarray(found.hess))
+    errors = np.sqrt(np.diag(covariance))
+    converged = bool(found.success)
+    whites = np.abs(whitened(expected, recorded)) ** 2
+    misfit = (float(whites.mean()), float(whites.size**-0.5))
+    covariances = expects.about(wind)[1]
+    swing = float(np.sqrt(np.max(np.diag(covariances))))
+    means = np.full((3, len(expects.record.names)), np.nan)
+    if expected.mean is not None and expected.covariance is not None:
+        means = np.stack([recorded.mean, expected.mean, np.sqrt(np.diag(expected.covariance))])
+    return WindFit(
+        numbers=_numbers(numbers, wind, white, covariance),
+        wind=wind,
+        correlation=covariance / np.outer(errors, errors),
+        free=numbers.names,
+        converged=converged,
+        log_likelihood=-float(found.fun),
+        misfit=misfit,
+        channels=expects.record.names,
+        left_out=left_out,
+        frequencies=expects.bands.middles,
+        measured=np.mean(np.abs(recorded.transforms) ** 2, axis=1),
+        fitted=np.diagonal(expected.spectra, axis1=1, axis2=2).real,
+        means=means,
+        swing=swing,
+        notes=wind_notes(
+            wind,
+            names=numbers.names,
+            covariance=covariance,
+            converged=converged,
+            misfit=misfit,
+            means=means,
+            left_out=left_out,
+            swing=swing,
+            lasts=expects.lasts,
+            filled=expects.record.filled,
+            followed=expects.use_mean,
+        ),
+    )
+
+
+def _covariance(information: np.ndarray) -> np.ndarray:
+    """Inverse of the information; directions without any get a large variance, not infinity."""
+    values, vectors = np.linalg.eigh(information)
+    return (vectors / np.maximum(values, 1e-6)) @ vectors.T
+
+
+def _numbers(
+    numbers: Numbers, wind: Turbulence, white: np.ndarray, covariance: np.ndarray
+) -> dict[str, WindNumber]:
+    where = {name: index for index, name in enumerate(numbers.names)}
+    errors = np.sqrt(np.diag(covariance))
+
+    def one(name: str, value: float, unit: str) -> WindNumber:
+        if name not in where:
+            return WindNumber(value, None, unit, free=False)
+        error = errors[where[name]]
+        told = None if error > OPEN else float(error if name in TURNS else error * value)
+        return WindNumber(value, told, unit, free=True)
+
+    def ratio(above: str, below: str, value: float, unit: str) -> WindNumber:
+        """Of two positive numbers, whose logarithms are subtracted."""
+        sides = np.zeros(len(errors))
+        for name, sign in ((above, 1.0), (below, -1.0)):
+            if name in where:
+                sides[where[name]] = sign
+        error = float(np.sqrt(sides @ covariance @ sides))
+        told = None if error > OPEN or not sides.any() else error * value
+        return WindNumber(value, told, unit, free=bool(sides.any()))
+
+    table = {name: one(name, numbers.value(name, wind), UNITS[name]) for name in NUMBERS}
+    for name, which in zip(numbers.names[len(numbers.free) :], numbers.which, strict=True):
+        table[name] = one(name, float(white[which][0]), "SI")
+    table["intensity"] = ratio("deviation", "speed", wind.deviation / wind.speed, "")
+    table["lasting"] = ratio("length_scale", "speed", wind.length_scale / wind.speed, "s")
+    return table
+
+
+# A channel that bends by more than this of what it moves is none of a linear response.
+_BENT = 0.25
+
+# Fits until no channel bends any more.
+_TIMES = 3
+
+
+def fit_wind(
+    model: ArmModel,
+    run: Run,
+    *,
+    mean: Sequence[float] | None = None,
+    intensity: float | Sequence[float] = 0.2,
+    length_scale: float = 5.0,
+    decay: float = DECAY,
+    free: Sequence[str] = USUALLY,
+    use_mean: bool = True,
+    skip: float = 0.0,
+    highest: float | None = None,
+) -> WindFit:
+    """Fit mean flow and turbulence to the spectra and the mean of a resting arm.
+
+    The arm is linearised statistically about its rest in the wind, gusts have von Karman's
+    spectra and the coherence of `giajax.gusts`, and Whittle's likelihood of sine-tapered spectra
+    is maximised. Recorded winds of the run are not used.
+
+    Arguments:
+        model: the arm and its sensors, all of whose parameters are held.
+        run: of the arm under constant commands, evenly sampled.
+        mean: velocity of the mean flow to begin with, m/s; its direction is held unless `heading`
+            or `climb` are free. By default that of the run's [wind], or the arm's own.
+        intensity: to begin with; of three the ratios are held.
+        length_scale: to begin with, m.
+        decay: of the coherence; 0 for one wind but for its lag along the mean flow.
+        free: of `speed`, `deviation`, `length_scale`, `decay`, `heading` and `climb`.
+        use_mean: whether the mean of each channel counts, too, which needs an arm whose pose
+            without wind is right.
+        skip: what is left out at the beginning, s.
+        highest: frequency to look up to, Hz; by default half of what rows resolve.
+
+    Returns:
+        The wind with standard errors from Fisher's information.
+
+    Raises:
+        InputError: a run that moves, is uneven or too short, an arm with friction or memory, no
+            mean flow to begin with, or an arm without a rest in it.
+
+    Example:
+        >>> found = fit_wind(model, run, mean=[0.0, 0.2, 0.0])  # doctest: +SKIP
+    """
+    strange = [name for name in free if name not in NUMBERS]
+    if strange or not free:
+        raise InputError(
+            f"free is {', '.join(free) or 'empty'}: give at least one of {', '.join(NUMBERS)}"
+        )
+    if "decay" in free and not decay > 0:
+        raise InputError("the decay is free and begins at 0: give a positive one")
+    own = model.arm.air.wind
+    if mean is None:
+        mean = run.definition.section(WindSection).velocity_m_per_s
+    if mean is None and own is not None:
+        mean = [float(part) for part in own]
+    wind = first_guess(mean, intensity, length_scale, decay)
+    if own is not None:
+        model = replace(model, {"air.wind": np.zeros(3)})
+    whole = resting(model, run, skip=skip, highest=highest)
+    record = _straight(model, whole, wind)
+    for _ in range(_TIMES):
+        expects = WindModel(model, record, use_mean)
+        expects.places = expects.about(wind)[2]
+        numbers = Numbers(wind, free, record)
+        recorded = Recorded(
+            tapered(record.values, record.interval, expects.bands.middles),
+            record.values.mean(axis=0),
+        )
+        noise = np.array([from_differences(column) for column in record.values.T])
+        found = most_likely(_expectation(expects, numbers), numbers.start(noise), recorded)
+        wind = numbers.at(found.x)[0]
+        still = _straight(model, record, wind)
+        if len(still.names) == len(record.names):
+            break
+        record = still
+    left_out = tuple(name for name in whole.names if name not in record.names)
+    return wind_result(expects, numbers, recorded, found, left_out)
+
+
+def _expectation(expects: WindModel, numbers: Numbers) -> Callable[[np.ndarray], Expected]:
+    return lambda at: expects.expected(*numbers.at(at))
+
+
+def _straight(model: ArmModel, record: Resting, wind: Turbulence) -> Resting:
+    """The record without channels that bend more than a linear response allows."""
+    bent = WindModel(model, record, use_mean=False).bent(wind) > _BENT
+    if bent.all():
+        raise InputError(
+            "every channel bends more than it moves in such a wind, and is none of a linear "
+            "response: record others, or begin with a weaker wind"
+        )
+    return record.of(np.flatnonzero(~bent).tolist())

@@ -1,0 +1,388 @@
+"""What an arm's record should be like in a wind, by the wind's numbers."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.optimize import OptimizeResult, minimize
+
+from ...models import ArmModel
+from ...runtime.text import InputError
+from ._record import TAPERS, Resting, bands
+from ._response import Linear, Turbulence, at_rest, channel_spectra, motion_covariances
+
+# A wind as numbers that may be fitted: logarithms, and turns of the mean flow.
+
+NUMBERS = ("speed", "deviation", "length_scale", "decay", "heading", "climb")
+"""What a wind has, in the order of a result."""
+
+UNITS = {"speed": "m/s", "deviation": "m/s", "length_scale": "m", "decay": ""}
+UNITS |= {"heading": "rad", "climb": "rad"}
+USUALLY = ("speed", "deviation", "length_scale")
+TURNS = ("heading", "climb")
+
+
+class Numbers:
+    """The free numbers of a wind and of noise, as coordinates of a fit.
+
+    Arguments:
+        wind: what is held, and where a fit begins.
+        free: of `NUMBERS`.
+        record: whose noise is free by quantity where none is stated.
+    """
+
+    def __init__(self, wind: Turbulence, free: Sequence[str], record: Resting) -> None:
+        self.wind = wind
+        self.free = tuple(name for name in NUMBERS if name in free)
+        stated = record.noise
+        self.white = np.array([0.0 if one is None else one[0] for one in stated])
+        open_noise = [
+            quantity for quantity, one in zip(record.quantities, stated, strict=True) if one is None
+        ]
+        self.open = tuple(dict.fromkeys(open_noise))
+        self.which = [
+            np.array(
+                [
+                    one is None and quantity == name
+                    for quantity, one in zip(record.quantities, stated, strict=True)
+                ]
+            )
+            for name in self.open
+        ]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the coordinates."""
+        return self.free + tuple(f"noise of {quantity.replace('_', ' ')}" for quantity in self.open)
+
+    def start(self, deviations: np.ndarray) -> np.ndarray:
+        """Coordinates of the beginning, with such deviations of each channel's noise, SI."""
+        turns = dict(zip(TURNS, _turns(self.wind.mean), strict=True))
+        wind = [turns[n] if n in TURNS else np.log(self._held(n)) for n in self.free]
+        return np.array(wind + [np.log(np.median(deviations[which])) for which in self.which])
+
+    def at(self, coordinates: np.ndarray) -> tuple[Turbulence, np.ndarray]:
+        """The wind, and the deviation of white noise of each channel, SI."""
+        split = len(self.free)
+        value = dict(zip(self.free, coordinates[:split], strict=True))
+        heading, climb = (
+            value.get(name, turn) for name, turn in zip(TURNS, _turns(self.wind.mean), strict=True)
+        )
+        flat = np.cos(climb)
+        along = np.array([flat * np.cos(heading), flat * np.sin(heading), np.sin(climb)])
+        positive = {
+            name: float(np.exp(value[name])) if name in value else self._held(name)
+            for name in ("speed", "deviation", "length_scale", "decay")
+        }
+        white = self.white.copy()
+        for which, level in zip(self.which, coordinates[split:], strict=True):
+            white[which] = np.exp(level)
+        return (
+            Turbulence(
+                along * positive["speed"],
+                positive["deviation"],
+                positive["length_scale"],
+                positive["decay"],
+                self.wind.shares,
+            ),
+            white,
+        )
+
+    def value(self, name: str, wind: Turbulence) -> float:
+        """A number of a wind."""
+        if name in TURNS:
+            return float(_turns(wind.mean)[TURNS.index(name)])
+        return float(getattr(wind, name))
+
+    def _held(self, name: str) -> float:
+        return float(getattr(self.wind, name))
+
+
+def first_guess(
+    mean: Sequence[float] | np.ndarray | None,
+    intensity: float | Sequence[float],
+    length_scale: float,
+    decay: float,
+) -> Turbulence:
+    """The wind that a fit begins with.
+
+    Raises:
+        InputError: no mean flow, or numbers that are not positive.
+    """
+    flow = np.zeros(3) if mean is None else np.asarray(mean, float)
+    if flow.shape != (3,) or not np.all(np.isfinite(flow)) or not np.any(flow):
+        raise InputError(
+            "no mean wind is stated to begin with, or one that is 0, about which drag has no "
+            "slope: give its rough velocity, three numbers in m/s"
+        )
+    parts = np.asarray(intensity, float)
+    sound = np.all(np.isfinite(parts) & (parts >= 0))
+    if parts.shape not in ((), (3,)) or not sound or not parts.flat[0] > 0:
+        raise InputError(
+            f"the intensity to begin with is {np.array2string(parts)}: give one number or three, "
+            "the first of them positive"
+        )
+    if not (0 < length_scale < np.inf and 0 <= decay < np.inf):
+        raise InputError(
+            f"the length scale to begin with is {length_scale:g} m and the decay {decay:g}: give "
+            "a positive one, and one of at least 0"
+        )
+    shares = np.broadcast_to(parts / parts.flat[0], 3)
+    return Turbulence(
+        flow,
+        float(parts.flat[0] * np.linalg.norm(flow)),
+        length_scale,
+        decay,
+        (float(shares[0]), float(shares[1]), float(shares[2])),
+    )
+
+
+def _turns(mean: np.ndarray) -> tuple[float, float]:
+    """Heading from x towards y, and climb, rad."""
+    return float(np.arctan2(mean[1], mean[0])), float(np.arctan2(mean[2], np.hypot(*mean[:2])))
+
+
+# Whittle's likelihood of a record's spectra and mean, with its gradient and information.
+#
+# Transforms of a stationary record through tapers are independent complex normal variables in
+# bands apart (Whittle, Estimation and information in stationary time series, Arkiv for Matematik
+# 2, 1953, p. 423), whose covariance is the spectrum that the tapers see. The mean of the record
+# is normal, with the spectrum about zero.
+
+
+class Expected(NamedTuple):
+    """What a model says of a record.
+
+    Attributes:
+        spectra: one-sided, as the tapers see them, SI^2/Hz, shape (band, channel, channel).
+        mean: of the channels, shape (channel,); None where nothing is said of it.
+        covariance: of that mean, shape (channel, channel).
+    """
+
+    spectra: np.ndarray
+    mean: np.ndarray | None
+    covariance: np.ndarray | None
+
+
+class Recorded(NamedTuple):
+    """What a record is: transforms, shape (band, taper, channel), and means, shape (channel,)."""
+
+    transforms: np.ndarray
+    mean: np.ndarray
+
+
+Model = Callable[[np.ndarray], Expected]
+
+# In logarithms and radians.
+_STEP = 1e-3
+_FARTHEST = 0.7
+
+
+def log_likelihood(expected: Expected, recorded: Recorded) -> float:
+    """Logarithm of the likelihood, but for a constant."""
+    sizes = np.linalg.slogdet(expected.spectra)[1]
+    total = -TAPERS * np.sum(sizes) - np.sum(np.abs(whitened(expected, recorded)) ** 2)
+    if expected.mean is not None and expected.covariance is not None:
+        off = recorded.mean - expected.mean
+        total -= 0.5 * off @ np.linalg.solve(expected.covariance, off)
+        total -= 0.5 * np.linalg.slogdet(expected.covariance)[1]
+    return float(total)
+
+
+def whitened(expected: Expected, recorded: Recorded) -> np.ndarray:
+    """The transforms as independent numbers of size 1, shape (band, channel, taper)."""
+    lower = np.linalg.cholesky(expected.spectra)
+    return np.linalg.solve(lower, recorded.transforms.swapaxes(1, 2))
+
+
+def slopes(model: Model, at: np.ndarray) -> list[Expected]:
+    """Derivatives of what a model says by each of its numbers, by central differences."""
+    found = []
+    for index in range(len(at)):
+        step = np.zeros(len(at))
+        step[index] = _STEP
+        up, down = model(at + step), model(at - step)
+        parts: Any = [
+            None if a is None or b is None else (a - b) / (2 * _STEP)
+            for a, b in zip(up, down, strict=True)
+        ]
+        found.append(Expected(*parts))
+    return found
+
+
+def gradient_and_information(
+    expected: Expected, by: list[Expected], recorded: Recorded
+) -> tuple[np.ndarray, np.ndarray]:
+    """Gradient of the log-likelihood, and Fisher's information.
+
+    Arguments:
+        expected: what the model says.
+        by: its derivatives by each number.
+        recorded: the record.
+    """
+    count = len(by)
+    inverse = np.linalg.inv(expected.spectra)
+    shares = [inverse @ part.spectra for part in by]
+    seen = recorded.transforms @ inverse.swapaxes(1, 2)  # rows are S^-1 y
+    gradient = np.array(
+        [
+            -TAPERS * np.trace(share, axis1=1, axis2=2).real.sum()
+            + np.einsum("bkc,bcd,bkd->", seen.conj(), part.spectra, seen).real
+            for share, part in zip(shares, by, strict=True)
+        ]
+    )
+    information = np.array(
+        [[TAPERS * np.einsum("bij,bji->", one, other).real for one in shares] for other in shares]
+    ).reshape(count, count)
+    if expected.mean is None or expected.covariance is None:
+        return gradient, information
+    precision = np.linalg.inv(expected.covariance)
+    pull = precision @ (recorded.mean - expected.mean)
+    moves = np.array([part.mean for part in by])
+    widths = [precision @ np.asarray(part.covariance) for part in by]
+    gradient += moves @ pull
+    gradient += [
+        0.5 * pull @ np.asarray(part.covariance) @ pull - 0.5 * np.trace(width)
+        for part, width in zip(by, widths, strict=True)
+    ]
+    information += moves @ precision @ moves.T
+    information += [[0.5 * np.trace(one @ other) for one in widths] for other in widths]
+    return gradient, information
+
+
+def most_likely(model: Model, start: np.ndarray, recorded: Recorded) -> OptimizeResult:
+    """The numbers that make a record most likely, by SciPy's exact trust region.
+
+    Fisher's information stands for the second derivatives.
+
+    Returns:
+        Of SciPy; `x` are the numbers, `fun` is minus the log-likelihood, `hess` the information.
+
+    Raises:
+        InputError: the model says nothing at the start.
+    """
+    model(start)
+    known: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+
+    def cost(at: np.ndarray) -> float:
+        try:
+            return -log_likelihood(model(at), recorded)
+        except (InputError, np.linalg.LinAlgError):
+            return np.inf  # a step too far, and a shorter one follows
+
+    def slopes_at(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        key = at.tobytes()
+        if key not in known:
+            known.clear()
+            known[key] = gradient_and_information(model(at), slopes(model, at), recorded)
+        return known[key]
+
+    return minimize(
+        cost,
+        start,
+        jac=lambda at: -slopes_at(at)[0],
+        hess=lambda at: slopes_at(at)[1],
+        method="trust-exact",
+        options={
+            "initial_trust_radius": 0.3,
+            "max_trust_radius": _FARTHEST,
+            "gtol": 0.1,
+            "maxiter": 40,
+        },
+    )
+
+
+# How closely the spread of the relative velocities is that of the motion.
+_CLOSE = 1e-7
+_ROUNDS = 40
+
+# Of the spectrum about zero that makes the mean of a record, in bins.
+_ABOUT_ZERO = np.linspace(0.0, 20.0, 161)
+
+
+@dataclasses.dataclass
+class WindModel:
+    """The expected spectra and means of a record, as functions of a wind.
+
+    Where the last wind was balanced is where the next one begins.
+    """
+
+    model: ArmModel
+    record: Resting
+    use_mean: bool
+    places: np.ndarray | None = None
+    _angles: np.ndarray | None = None
+    _spread: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        samples = len(self.record.values)
+        self.bands = bands(samples, self.record.interval, self.record.highest)
+        self.lasts = samples * self.record.interval
+
+    def about(self, wind: Turbulence) -> tuple[Linear, np.ndarray, np.ndarray]:
+        """The arm about its rest, the covariance of its angles and its places in the wind.
+
+        Raises:
+            InputError: it has no rest.
+        """
+        spread = self._spread
+        if spread is None:
+            spread = np.tile(np.linalg.cholesky(wind.covariance()), (self.model.arm.count, 1, 1))
+        angles = self.record.command if self._angles is None else self._angles
+        given = (self.model, self.record.names, self.record.command)
+        for _ in range(_ROUNDS):
+            angles, here = at_rest(*given, angles, wind.mean, spread)
+            places = np.asarray(here.places) if self.places is None else self.places
+            covariance, relative = motion_covariances(here, wind, places)
+            before, spread = spread, np.linalg.cholesky(relative)
+            if np.max(np.abs(spread - before)) < _CLOSE * wind.speed:
+                break
+        else:
+            raise InputError(
+                "the gusts and the arm's motion in them are too strong to be linearised about its "
+                "rest: begin with a weaker wind"
+            )
+        self._angles, self._spread = angles, spread
+        return here, covariance, places
+
+    def expected(self, wind: Turbulence, noise: np.ndarray) -> Expected:
+        """Spectra as tapers see them, and the mean.
+
+        Arguments:
+            wind: the wind.
+            noise: deviation of white noise of each channel, SI.
+        """
+        here, covariance, places = self.about(wind)
+
+        def spectra(frequencies: np.ndarray) -> np.ndarray:
+            total = channel_spectra(here, wind, places, frequencies, self.record.delays)
+            return total + self.noise(frequencies, noise)
+
+        seen = spectra(self.bands.frequencies)[self.bands.members].mean(axis=1)
+        if not self.use_mean:
+            return Expected(seen, None, None)
+        # Channels bend with the arm: the mean of a curve is beside its middle.
+        mean = here.rest + 0.5 * np.einsum("cij,ij->c", here.bend, covariance)
+        slow = spectra(np.maximum(_ABOUT_ZERO, 1e-6) / self.lasts).real
+        window = np.sinc(_ABOUT_ZERO) ** 2 / self.lasts
+        return Expected(seen, mean, np.trapezoid(window[:, None, None] * slow, _ABOUT_ZERO, axis=0))
+
+    def noise(self, frequencies: np.ndarray, white: np.ndarray) -> np.ndarray:
+        """One-sided spectra of the noise, diagonal, shape (frequency, channel, channel)."""
+        levels = np.tile(2 * white**2 * self.record.interval, (len(frequencies), 1))
+        for index, stated in enumerate(self.record.noise):
+            if stated is not None and stated[1]:
+                _, deviation, lasts = stated
+                turn = 2 * np.pi * frequencies * lasts
+                levels[:, index] += 4 * deviation**2 * lasts / (1 + turn**2)
+        return levels[:, :, None] * np.eye(levels.shape[1])
+
+    def bent(self, wind: Turbulence) -> np.ndarray:
+        """Deviation of what bends of each channel over that of what does not."""
+        here, covariance, _ = self.about(wind)
+        straight = np.einsum("ci,ij,cj->c", here.shows_angle, covariance, here.shows_angle)
+        curved = here.bend @ covariance
+        bent = 0.5 * np.einsum("cij,cji->c", curved, curved)
+        moving = np.any(here.shows_rate, axis=1)
+        return np.where(moving, 0.0, np.sqrt(bent / np.maximum(straight, 1e-300)))

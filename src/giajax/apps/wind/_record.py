@@ -1,0 +1,268 @@
+"""Spectra of a record by sine tapers, in bands that share no frequency.
+
+The tapers are Riedel and Sidorenko's (Minimum bias multiple taper spectral estimation, IEEE
+Transactions on Signal Processing 43, 1995, p. 188). The k-th is a window at half a bin's distance
+k / 2T on either side, so that K of them see a band of (K + 1) / T, and that far apart bands are
+all but independent of each other.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ...models import ArmModel, camera_of, clock_of
+from ...recordings import Run
+from ...runtime.arrays import Float
+from ...runtime.text import InputError
+from ..synthetic import RESOLVED
+
+# Spectra of a record by sine tapers, in bands that share no frequency.
+#
+# The tapers are Riedel and Sidorenko's (Minimum bias multiple taper spectral estimation, IEEE
+# Transactions on Signal Processing 43, 1995, p. 188). The k-th is a window at half a bin's
+# distance k / 2T on either side, so that K of them see a band of (K + 1) / T, and that far apart
+# bands are all but independent of each other.
+
+TAPERS = 5
+
+# Bands of a long record that are quick compared with its length: a choice of them says as much of
+# what is smooth there.
+_ALL, _MORE = 150, 150
+
+
+class Bands(NamedTuple):
+    """Bands of a record.
+
+    Attributes:
+        middles: Hz, shape (band,).
+        frequencies: where a model's spectra are needed, Hz, shape (frequency,).
+        members: for each band the frequencies that its tapers see, alike, shape (band, 2 TAPERS).
+    """
+
+    middles: Float[np.ndarray, " band"]
+    frequencies: Float[np.ndarray, " frequency"]
+    members: np.ndarray
+
+
+def bands(samples: int, interval: float, highest: float) -> Bands:
+    """The bands of a record from just above zero up to a frequency.
+
+    Arguments:
+        samples: number of them.
+        interval: between two, s.
+        highest: Hz.
+    """
+    half = 1 / (2 * (samples + 1) * interval)
+    apart = 2 * (TAPERS + 1)
+    # The mean is taken off, which empties the first bin.
+    steps = np.arange(apart // 2 + 2, int(highest / half) - TAPERS, apart)
+    if len(steps) > _ALL + _MORE:
+        chosen = np.geomspace(_ALL, len(steps) - 1, _MORE).astype(int)
+        steps = np.concatenate([steps[:_ALL], steps[np.unique(chosen)]])
+    seen = np.concatenate([np.arange(-TAPERS, 0), np.arange(1, TAPERS + 1)])
+    needed, members = np.unique(steps[:, None] + seen, return_inverse=True)
+    return Bands(steps * half, needed * half, members.reshape(len(steps), len(seen)))
+
+
+def tapered(
+    values: Float[np.ndarray, "sample channel"], interval: float, middles: np.ndarray
+) -> np.ndarray:
+    """Transforms of a record through each taper, whose products are one-sided spectra.
+
+    Arguments:
+        values: evenly sampled; their mean is taken off.
+        interval: between two samples, s.
+        middles: of bands, Hz; multiples of half a bin.
+
+    Returns:
+        Complex, shape (band, taper, channel), in units per root of Hz.
+    """
+    samples = len(values)
+    about = values - values.mean(axis=0)
+    order = np.arange(1, TAPERS + 1)
+    turns = np.pi * np.outer(np.arange(1, samples + 1), order) / (samples + 1)
+    tapers = np.sqrt(2 / (samples + 1)) * np.sin(turns)
+    # Padded to twice its length plus two, a transform has half bins.
+    length = 2 * (samples + 1)
+    at = np.rint(middles * length * interval).astype(int)
+    transformed = np.fft.rfft(tapers[:, :, None] * about[:, None, :], length, axis=0)
+    return np.sqrt(2 * interval) * transformed[at]
+
+
+# A record of an arm at rest in a wind: what of a run is one, and refused otherwise.
+
+# Fewer bands know no three numbers.
+_FEWEST = 8
+_MISSING = 0.05
+_UNEVEN = 0.01
+# What a command may move by, rad: rounding of a file.
+_STILL = 1e-6
+
+
+@dataclasses.dataclass(frozen=True)
+class Resting:
+    """Evenly sampled channels of an arm whose commands rest.
+
+    Attributes:
+        names: of the channels.
+        values: SI, shape (sample, channel).
+        interval: between two samples, s.
+        highest: frequency that is looked at, Hz.
+        command: of the joints, rad, shape (joint,).
+        delays: of each channel's clock, s.
+        quantities: of each channel, whose noise is alike where it is not stated.
+        noise: for each channel the deviation of its white noise, and that of its noise with a
+            memory with its time (s), SI; None where nothing is stated.
+        filled: share of the cells that were empty.
+    """
+
+    names: tuple[str, ...]
+    values: np.ndarray
+    interval: float
+    highest: float
+    command: np.ndarray
+    delays: np.ndarray
+    quantities: tuple[str, ...]
+    noise: tuple[tuple[float, float, float] | None, ...]
+    filled: float
+
+    def of(self, chosen: Sequence[int]) -> "Resting":
+        """Only some of the channels."""
+        return dataclasses.replace(
+            self,
+            names=tuple(self.names[index] for index in chosen),
+            values=self.values[:, chosen],
+            delays=self.delays[list(chosen)],
+            quantities=tuple(self.quantities[index] for index in chosen),
+            noise=tuple(self.noise[index] for index in chosen),
+        )
+
+
+def resting(
+    model: ArmModel, run: Run, *, skip: float = 0.0, highest: float | None = None
+) -> Resting:
+    """The record of a run.
+
+    Arguments:
+        model: the arm.
+        run: of it.
+        skip: what is left out at the beginning, s.
+        highest: frequency to look up to, Hz; by default half of what rows resolve.
+
+    Raises:
+        InputError: the run or the arm is none of which gusts have spectra.
+    """
+    if run.model != "arm" or run.times is None:
+        raise InputError(f"'{run.name}' is a run of the {run.model} model: give a run of an arm")
+    joints = model.arm.joints
+    if joints.hysteresis.rows or (joints.friction is not None and np.any(joints.friction)):
+        raise InputError(
+            "the arm has friction or joints with memory, which hold against small gusts and have "
+            "no slope at rest: leave them out of [arm]"
+        )
+    run.require_observations()
+    for name in run.observations:
+        if (run.channels[name].index or 0) > model.arm.count:
+            raise InputError(
+                f"'{run.name}' has {name}, but the arm has {model.arm.count} links: give the arm "
+                "that was recorded"
+            )
+    kept = run.times >= run.times[0] + skip
+    times = run.times[kept]
+    if not 0 <= skip < np.inf or len(times) < 2:
+        raise InputError(
+            f"{skip:g} s are to be skipped of '{run.name}', which lasts {np.ptp(run.times):g} s: "
+            "give at least 0 s and less than that"
+        )
+    steps = np.diff(times)
+    interval = float(np.ptp(times) / len(steps))
+    if np.max(np.abs(steps - interval)) > _UNEVEN * interval:
+        raise InputError(
+            f"'{run.name}' has steps of {steps.min():.4g} to {steps.max():.4g} s between its rows, "
+            "but a spectrum needs even ones: sample it again"
+        )
+    resolved = RESOLVED / (2 * interval)
+    top = resolved if highest is None else highest
+    if not 0 < top <= 2 * resolved:
+        raise InputError(
+            f"the highest frequency is {top:g} Hz: give a positive one of at most "
+            f"{2 * resolved:g} Hz, which is half of the rows of '{run.name}' in a second"
+        )
+    least = (_FEWEST + 1) * (TAPERS + 1) / top
+    if np.ptp(times) < least:
+        raise InputError(
+            f"'{run.name}' rests for {np.ptp(times):.4g} s, too short for spectra up to {top:g} "
+            f"Hz: give at least {least:.4g} s, and many times what a gust lasts"
+        )
+    values, filled = _filled(run, kept, times)
+    return Resting(
+        names=tuple(run.observations),
+        values=values,
+        interval=interval,
+        highest=top,
+        command=_command(model, run, kept),
+        delays=np.array([_delay(model, run, name) for name in run.observations]),
+        quantities=tuple(run.channels[name].quantity for name in run.observations),
+        noise=tuple(_noise(run, name) for name in run.observations),
+        filled=filled,
+    )
+
+
+def _command(model: ArmModel, run: Run, kept: np.ndarray) -> np.ndarray:
+    command = np.zeros(model.arm.count)
+    for name, column in run.commands.items():
+        channel = run.channels[name]
+        moved = float(np.ptp(column[kept]))
+        if moved > _STILL:
+            raise InputError(
+                f"{name} of '{run.name}' moves by {moved:.3g}, but the arm has to rest under "
+                "constant commands: cut the run, or leave out its beginning with skip"
+            )
+        if channel.kind != "joint_command" and np.any(column[kept]):
+            raise InputError(
+                f"'{run.name}' drives the arm by {name}: give a run that rests under commanded "
+                "angles"
+            )
+        if channel.kind == "joint_command" and channel.index is not None:
+            if channel.index > len(command):
+                raise InputError(
+                    f"'{run.name}' drives joint {channel.index}, but the arm has {len(command)} "
+                    "joints: give a longer arm"
+                )
+            command[channel.index - 1] = column[kept][0]
+    return command
+
+
+def _filled(run: Run, kept: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, float]:
+    """The channels with straight lines through their gaps, and the share of those."""
+    table = np.stack([column[kept] for column in run.observations.values()], axis=1)
+    empty = np.isnan(table)
+    for index, name in enumerate(run.observations):
+        gaps = empty[:, index]
+        if gaps.mean() > _MISSING:
+            raise InputError(
+                f"{name} of '{run.name}' is empty in {gaps.mean():.0%} of its rows, and a spectrum "
+                f"has at most {_MISSING:.0%} filled: leave the channel out, or cut the run"
+            )
+        table[gaps, index] = np.interp(times[gaps], times[~gaps], table[~gaps, index])
+    return table, float(empty.mean())
+
+
+def _delay(model: ArmModel, run: Run, name: str) -> float:
+    channel = run.channels[name]
+    if channel.quantity == "pixel":
+        delay = clock_of(model.sensors, camera_of(model.sensors, channel))
+    else:
+        position = channel.quantity == "length"
+        delay = (model.sensors.camera if position else model.sensors.encoder).delay
+    return 0.0 if delay is None else float(delay)
+
+
+def _noise(run: Run, name: str) -> tuple[float, float, float] | None:
+    deviation, correlated = run.noise(name), run.correlated_noise(name)
+    if deviation is None:
+        return None
+    memory = (0.0, 0.0) if correlated is None else correlated
+    return (float(np.sqrt(max(deviation**2 - memory[0] ** 2, 0.0))), *memory)

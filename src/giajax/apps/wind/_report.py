@@ -1,0 +1,92 @@
+"""A fitted wind as a picture and as plain data."""
+
+import json
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ...recordings import Channel, Run
+from ...report import BLUE, GREY, new_figure, plain
+from ._fit import WindFit
+
+# Spectra of more channels than this are small print.
+_MOST = 9
+_ACROSS = 3
+
+
+def wind_figure(found: WindFit, title: str = "") -> Figure:
+    """Measured and fitted spectra of the channels; of many those that move most.
+
+    Arguments:
+        found: the wind.
+        title: of the whole.
+
+    Returns:
+        The picture.
+    """
+    moves = np.sum(found.fitted, axis=0)
+    drawn = np.sort(np.argsort(-moves, kind="stable")[:_MOST])
+    across = min(_ACROSS, len(drawn))
+    down = -(-len(drawn) // across)
+    figure = new_figure(3.4 * across + 0.4, 2.4 * down + 0.5, title or "Spectra at rest in a wind")
+    for place, index in enumerate(drawn):
+        axes = figure.add_subplot(down, across, place + 1)
+        axes.loglog(
+            found.frequencies, found.measured[:, index], ".", color=GREY, ms=3, label="measured"
+        )
+        axes.loglog(found.frequencies, found.fitted[:, index], color=BLUE, label="fitted")
+        plain(axes, found.channels[index])
+        unit = Channel.named(found.channels[index]).si_unit
+        # A rate's unit is a fraction.
+        axes.set_ylabel(f"({unit})$^2$/Hz" if "/" in unit else f"{unit}$^2$/Hz")
+        axes.tick_params(which="both", labelsize=8)
+        axes.set_xlabel("frequency (Hz)")
+        if place == 0:
+            axes.legend(fontsize=8, frameon=False)
+    return figure
+
+
+def wind_json(found: WindFit, run: Run) -> str:
+    """A wind as JSON text, without its spectra.
+
+    Arguments:
+        found: the wind.
+        run: that it was fitted to.
+    """
+    facts: dict[str, Any] = {
+        "run": run.name,
+        "sha256": run.sha256,
+        "numbers": {
+            name: {
+                "value": one.value,
+                "standard_error": one.standard_error,
+                "unit": one.unit,
+                "free": one.free,
+            }
+            for name, one in found.numbers.items()
+        },
+        "mean_m_per_s": found.wind.mean.tolist(),
+        "free": list(found.free),
+        "correlation": found.correlation.tolist(),
+        "converged": found.converged,
+        "log_likelihood": found.log_likelihood,
+        "misfit": {"value": found.misfit[0], "standard_error": found.misfit[1]},
+        "channels": list(found.channels),
+        "left_out": list(found.left_out),
+        "highest_frequency_Hz": float(found.frequencies[-1]),
+        "swing_rad": found.swing,
+        "means": _means(found),
+        "notes": list(found.notes),
+    }
+    return json.dumps(facts, indent=2, allow_nan=False)
+
+
+def _means(found: WindFit) -> dict[str, dict[str, float]] | None:
+    if np.isnan(found.means).any():
+        return None
+    names = ("recorded", "fitted", "standard_error")
+    return {
+        channel: dict(zip(names, map(float, column), strict=True))
+        for channel, column in zip(found.channels, found.means.T, strict=True)
+    }

@@ -1,0 +1,168 @@
+"""What every command is made of: its registration, its words, and how it ends."""
+
+import contextlib
+import inspect
+import os
+import re
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, get_args, get_type_hints
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+from ..runtime.files import check_path
+from ..runtime.signals import stopped_status
+from ..runtime.text import InputError, abridged, shown
+from ._values import number
+
+COMMANDS: dict[str, tuple[Callable[..., None], str]] = {}
+"""Functions and their examples, by the name of the command."""
+
+
+def command(examples: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Make a function a command of `giajax`, whose help ends with examples."""
+
+    def register(function: Callable[..., None]) -> Callable[..., None]:
+        # `import` is a word of Python: its function is called import_.
+        COMMANDS[function.__name__.rstrip("_")] = (function, examples)
+        return function
+
+    return register
+
+
+# What was typed for a number or a path, looked at before it is converted.
+#
+# Python reads `1_0` as ten, and digits of every script; neither is how a number is written here.
+
+_WHOLE = re.compile(r"[-+]?[0-9]{1,18}")
+
+
+def command_of(function: Callable[..., None]) -> type[TyperCommand]:
+    """A class for the command of a function, which checks numbers and paths by its signature."""
+    hints = get_type_hints(function)
+    types = {name: _type_of(hints[name]) for name in inspect.signature(function).parameters}
+
+    class Command(TyperCommand):
+        def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+            """Check the words, then convert them."""
+            typed = self.make_parser(ctx).parse_args(args=list(args))[0]
+            for name, value in typed.items():
+                for word in _words(value):
+                    _check(types.get(name), word, name)
+            return super().parse_args(ctx, args)
+
+    return Command
+
+
+def _type_of(hint: Any) -> Any:
+    """`int`, `float` or `Path` of an annotation, which may be a list of them or leave them out."""
+    if hint in (int, float, Path):
+        return hint
+    return next(filter(None, map(_type_of, get_args(hint))), None)
+
+
+def _words(value: Any) -> Iterator[str]:
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, list | tuple):
+        for item in value:
+            yield from _words(item)
+
+
+def _check(of: Any, word: str, name: str) -> None:
+    option = f"--{name.replace('_', '-')}"
+    if of is Path:
+        check_path(word)
+    elif of is int and not _WHOLE.fullmatch(word):
+        raise InputError(f"{option} {shown(word)} must be a whole number, such as 10: correct it")
+    elif of is float and number(word) is None:
+        raise InputError(f"{option} {shown(word)} must be a number, such as 0.5: correct it")
+
+
+# How every command ends: one sentence on standard error, and an exit status.
+
+BAD_INPUT = 2
+BROKEN_PIPE = 141
+
+# Typer brings its own click since 0.16 or so, and used the installed one before: what it raises
+# for a wrong option is a base of its BadParameter in both.
+UsageError: Any = typer.BadParameter.__mro__[1]
+
+
+class Ended(Exception):  # noqa: N818
+    """A command that was stopped from outside, with the exit status that says so."""
+
+    def __init__(self, status: int) -> None:
+        super().__init__(status)
+        self.status = status
+
+
+class Commands(TyperGroup):
+    """Typer's group, without its own endings for Ctrl-C and a closed pipe."""
+
+    def make_context(self, *args: Any, **kwargs: Any) -> Any:
+        """Read the words; typer would end Ctrl-C here without one of its own."""
+        with _endings():
+            return super().make_context(*args, **kwargs)
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command that the context names."""
+        with _endings():
+            return super().invoke(ctx)
+
+
+@contextlib.contextmanager
+def _endings() -> Iterator[None]:
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise Ended(stopped_status()) from None
+    except BrokenPipeError:
+        raise Ended(BROKEN_PIPE) from None
+
+
+def run(command: Any, arguments: list[str]) -> int:
+    """Run the command line. An `InputError` and a usage error are one line on standard error.
+
+    Returns:
+        The exit status: 0, or that of the command's `typer.Exit(status)`; 2 for bad input or
+        usage; 130 when interrupted, 143 when terminated.
+    """
+    try:
+        result = command.main(args=arguments, prog_name="giajax", standalone_mode=False)
+        sys.stdout.flush()
+    except InputError as error:
+        return _say(str(error), BAD_INPUT)
+    except UsageError as error:
+        return _say(_usage(error), BAD_INPUT)
+    except Ended as ended:
+        if ended.status == BROKEN_PIPE:
+            return _close_quietly()
+        return _say("interrupted", ended.status)
+    except (KeyboardInterrupt, typer.Abort):
+        return _say("interrupted", stopped_status())
+    except BrokenPipeError:
+        return _close_quietly()
+    # Without standalone mode typer returns the status of `typer.Exit`, else what the command did.
+    return result if isinstance(result, int) else 0
+
+
+def _say(sentence: str, status: int) -> int:
+    print(f"giajax: {abridged(' '.join(sentence.split()))}", file=sys.stderr)
+    return status
+
+
+def _usage(error: Any) -> str:
+    sentence = " ".join(error.format_message().split()).rstrip(".")
+    # Click says two sentences where it has a suggestion, each with its capital.
+    sentence = re.sub(r"(^|\. )([A-Z])", lambda m: (m[1] and ": ") + m[2].lower(), sentence)
+    command = error.ctx.command_path if error.ctx is not None else "giajax"
+    return f"{sentence}; '{command} --help' shows what there is"
+
+
+def _close_quietly() -> int:
+    # The reader has gone. Python flushes standard output once more at exit: into nothing.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return BROKEN_PIPE

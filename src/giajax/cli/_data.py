@@ -1,0 +1,399 @@
+"""`giajax check`: what a recording holds."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ..runtime.text import InputError
+from ._commands import command
+from ._options import Renamed
+
+# `giajax check`: what a recording holds.
+
+
+@command("""\b
+Examples:
+  giajax check run.csv
+  giajax check camera.csv --rename t=time_s --rename "z 6"=link06_z_m
+  giajax check run.csv --json""")
+def check(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="The run, a .csv or .parquet file.")],
+    rename: Renamed = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+) -> None:
+    """Say what a run holds.
+
+    Model, samples, commands, channels with their range and noise, and what is assumed because
+    the sidecar does not state it.
+    """
+    from ..recordings import describe, parse_rename, read_run
+
+    facts = describe(read_run(run, rename=parse_rename(rename or [])))
+    if as_json:
+        import json
+
+        typer.echo(json.dumps(facts, indent=2))
+    else:
+        _show_facts(facts)
+
+
+def _show_facts(facts: dict[str, Any]) -> None:
+    from ._options import print_table
+
+    print_table(["", ""], _summary(facts), left=2)
+    print()
+    headings = ["channel", "part", "unit", "values", "missing %", "min", "max", "noise"]
+    print_table(headings, [_row(channel) for channel in facts["channels"]], left=3)
+    if facts["notes"]:
+        print()
+    for note in facts["notes"]:
+        print(f"note: {note}")
+
+
+def _summary(facts: dict[str, Any]) -> list[tuple[str, str]]:
+    from ..schema import KINDS
+
+    rows = [("run", facts["path"]), ("model", facts["model"]), ("rows", str(facts["rows"]))]
+    if facts["time"] is not None:
+        rows.append(("time", _time(facts["time"])))
+    command, wind, sidecar = facts["command"], facts["wind"], facts["sidecar"]
+    if command is not None:
+        names, corners = ", ".join(command["channels"]), command["corners"]
+        rows.append(("command", f"{names}; {command['interpolation']}, {corners} corners"))
+    elif KINDS[facts["model"]].uncommanded:
+        rows.append(("command", KINDS[facts["model"]].uncommanded))
+    if wind is not None and wind["source"] == "constant":
+        rows.append(("wind", f"constant, {wind['velocity_m_per_s']} m/s"))
+    elif wind is not None:
+        rows.append(("wind", f"{', '.join(wind['channels'])}; {wind['interpolation']}"))
+    if sidecar is None:
+        rows.append(("sidecar", "none"))
+    else:
+        sections = dict.fromkeys(key.partition(".")[0] for key in sidecar["keys"])
+        rows.append(("sidecar", f"{sidecar['path']}, checksum {sidecar['checksum']}"))
+        rows.append(("stated", ", ".join(sections)))
+    return rows
+
+
+def _time(time: dict[str, float]) -> str:
+    span = f"{time['start_s']:.6g} to {time['end_s']:.6g} s"
+    median, least, most = (time[f"interval_{which}_s"] for which in ("median", "min", "max"))
+    if most - least <= 1e-6 * median:
+        return f"{span}, every {median:.6g} s"
+    return f"{span}, every {median:.6g} s (median; from {least:.6g} to {most:.6g} s)"
+
+
+def _row(channel: dict[str, Any]) -> list[Any]:
+    texts = channel.get("texts")
+    if texts is not None:
+        counts = ", ".join(f"{count} {text}" for text, count in texts.items())
+        return [channel["name"], channel["part"], "text", counts, "0", None, None, None]
+    missing = f"{channel['missing_percent']:.3g}"
+    measured = [channel[key] for key in ("min", "max", "noise")]
+    unit = channel["unit"] or None
+    return [channel["name"], channel["part"], unit, channel["count"], missing, *measured]
+
+
+# `giajax init`: a sidecar to fill in.
+
+
+@command("""\b
+Example:
+  giajax init run.csv       writes run.toml; then edit it, and: giajax check run.csv""")
+def init(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="The run, a .csv or .parquet file.")],
+    rename: Renamed = None,
+    force: Annotated[bool, typer.Option("--force", help="Write over a sidecar.")] = False,
+) -> None:
+    """Write a sidecar to fill in.
+
+    It states what the file tells, and offers every other key that applies, with its unit and
+    meaning, as a comment.
+    """
+    from ..recordings import parse_rename, sidecar_path, sidecar_template, write_files
+
+    sidecar = sidecar_path(run)
+    text = sidecar_template(run, parse_rename(rename or []))
+    write_files({sidecar: text.encode()}, force=force)
+    typer.echo(f"wrote {sidecar}: fill it in, then see: giajax check {run}")
+
+
+# `giajax import`: a run from points that another program tracked in a film.
+
+
+@command("""\b
+Examples:
+  giajax import filmDLC_resnet50.csv --rate 60 --camera side --out run.csv \\
+         --point elbow=link03 --point tip=tip --commands log.csv
+  giajax import trajectories.csv --kinovea-origin 0,1079 --camera side --out run.csv \\
+         --point "Marker 1"=link03
+Then: giajax init run.csv, which offers the camera's section, and giajax fit --data run.csv.""")
+def import_(
+    tracked: Annotated[
+        Path, typer.Argument(metavar="FILE", help="A CSV file of DeepLabCut or of Kinovea.")
+    ],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="The run to write, a .csv file.")],
+    point: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=PART", help="What a tracked point is: link06, tip or mark01. Repeatable."
+        ),
+    ] = None,
+    camera: Annotated[
+        str | None, typer.Option(metavar="NAME", help="The camera; needed where there are several.")
+    ] = None,
+    rate: Annotated[
+        float | None, typer.Option(metavar="HZ", help="DeepLabCut: pictures a second of the film.")
+    ] = None,
+    likelihood: Annotated[
+        float,
+        typer.Option(metavar="P", help="DeepLabCut: a point that is less likely is left empty."),
+    ] = 0.6,
+    kinovea_origin: Annotated[
+        str | None,
+        typer.Option(
+            metavar="U,V",
+            help="Kinovea: where the origin of its coordinates is in the picture, px, from the "
+            "upper left corner.",
+        ),
+    ] = None,
+    time_unit: Annotated[
+        str, typer.Option(metavar="UNIT", help="Kinovea: unit of its times, s or ms.")
+    ] = "s",
+    commands: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="A run with the commands, on the film's clock, or with the points of another "
+            "camera.",
+        ),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Write over a run.")] = False,
+) -> None:
+    """Make a run of points that DeepLabCut or Kinovea tracked in a film.
+
+    Each point becomes the pixel channels of a link, of the tip or of a landmark. Commands of
+    another rate keep their own rows.
+    """
+    import numpy as np
+
+    from ..recordings import (
+        filmed,
+        filmed_beside,
+        parse_rename,
+        read_beside,
+        read_deeplabcut,
+        read_kinovea,
+        write_run,
+    )
+    from ..runtime.text import InputError
+    from ._values import number
+
+    if (rate is None) == (kinovea_origin is None):
+        raise InputError(
+            "give --rate for a file of DeepLabCut, or --kinovea-origin for one of Kinovea"
+        )
+    if rate is not None:
+        points = read_deeplabcut(tracked, rate=rate, likelihood=likelihood)
+    else:
+        place = [number(part) for part in (kinovea_origin or "").split(",")]
+        if len(place) != 2 or place[0] is None or place[1] is None:
+            raise InputError(
+                f"--kinovea-origin {kinovea_origin!r} must be two numbers: write it like 0,1079"
+            )
+        points = read_kinovea(tracked, origin=(place[0], place[1]), time_unit=time_unit)
+    values = filmed(points, parse_rename(point or [], "--point"), camera)
+    seen = {name: int(np.isfinite(column).sum()) for name, column in values.items()}
+    empty = [name for name, count in seen.items() if count == 0]
+    if empty:
+        raise InputError(
+            f"{tracked} has no picture in which the point of {empty[0]} was found: leave it out, "
+            "or lower --likelihood"
+        )
+    times, table = points.times, values
+    if commands is not None:
+        times, table = filmed_beside(times, values, read_beside(commands))
+    write_run(out, times, table, digits=9, force=force)
+    cells = sum(seen.values()) // 2
+    typer.echo(
+        f"wrote {out}: {len(points.times)} pictures, {cells} points found of "
+        f"{len(values) // 2 * len(points.times)}; next: giajax init {out}"
+    )
+
+
+# `giajax examples`: the runs, fit definitions and missions that ship with giajax.
+
+_DATA = ("data/synthetic", "data/independent", "data/recorded")
+_FOLDERS = ("fits", "missions", *_DATA)
+_MANY = 5
+# A licence has no suffix.
+_COPIED = (".csv", ".toml", ".md", "")
+
+
+@command("""\b
+Examples:
+  giajax examples
+  giajax examples --copy work
+  giajax fit work/fits/base_step.toml""")
+def examples(
+    copy: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Copy them all to this folder.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Write over files.")] = False,
+) -> None:
+    """List the runs, fits and missions that ship with giajax, or copy them to start from."""
+    root = examples_root()
+    if copy is None:
+        _show_examples(root)
+        return
+    files = list(_files(root))
+    _copy(root, files, copy, force)
+    typer.echo(f"copied {len(files)} files to {copy}; see: giajax fit {copy}/fits/base_step.toml")
+
+
+def examples_root() -> Path:
+    """The folder that holds `fits/`, `missions/` and `data/`.
+
+    In an installed package it is `giajax/_examples`; in a checkout (an editable install) the
+    root of the repository.
+
+    Raises:
+        InputError: neither is there.
+    """
+    from importlib import resources
+
+    package = Path(str(resources.files("giajax")))
+    checkout = package.parents[1]
+    for root in (package / "_examples", checkout):
+        if all((root / folder).is_dir() for folder in _FOLDERS):
+            return root
+    raise InputError(
+        f"the examples are not part of this installation ({package}): install giajax again"
+    )
+
+
+def _show_examples(root: Path) -> None:
+    from ._options import print_table
+
+    fits = sorted((root / "fits").glob("*.toml"))
+    print_table(["fit definition", "fits", "to"], [_fit(path, root) for path in fits], left=3)
+    print()
+    missions = sorted((root / "missions").glob("*.toml"))
+    print_table(["mission", "through"], [_mission(path, root) for path in missions], left=2)
+    print()
+    tables = [path for data in _DATA for path in sorted((root / data).rglob("*.csv"))]
+    # A table without a sidecar is something that a run was made from.
+    runs = [path for path in tables if path.with_suffix(".toml").exists()]
+    headings = ["run", "driven", "rows", "seconds", "channels", "missing %"]
+    print_table(headings, [_run(path, root) for path in runs], left=2)
+    print(f"\nThey are in {root}; to start from them: giajax examples --copy DIR")
+
+
+def _fit(path: Path, root: Path) -> list[str | None]:
+    from ..recordings import Definition
+
+    fit = Definition.load(path).fit
+    names = [Path(name).name for name in fit.data or []]
+    data = ", ".join(names) if len(names) < _MANY else f"{names[0]} and {len(names) - 1} others"
+    free = "the default parameters" if fit.free is None else ", ".join(fit.free)
+    return [path.relative_to(root).as_posix(), free, data]
+
+
+def _mission(path: Path, root: Path) -> list[str | None]:
+    from ..recordings import Definition
+
+    mission = Definition.load(path).mission
+    return [path.relative_to(root).as_posix(), None if mission is None else mission.opening]
+
+
+def _run(path: Path, root: Path) -> list[str | int | float | None]:
+    from ..recordings import describe, read_run
+    from ..schema import KINDS
+
+    facts = describe(read_run(path))
+    measured = [channel for channel in facts["channels"] if channel["part"] == "measured"]
+    gaps = sum(channel["missing_percent"] for channel in measured) / max(len(measured), 1)
+    names = [name.removesuffix("_command") for name in (facts["command"] or {}).get("channels", [])]
+    windy = [] if facts["wind"] is None else ["wind"]
+    time = facts["time"]
+    seconds = None if time is None else time["end_s"] - time["start_s"]
+    unnamed = bool(KINDS[facts["model"]].uncommanded)
+    driven = ", ".join([*names, *windy]) or (None if unnamed else facts["model"])
+    return [path.relative_to(root).as_posix(), driven, facts["rows"], seconds, len(measured), gaps]
+
+
+def _files(root: Path) -> Iterator[Path]:
+    for folder in _FOLDERS:
+        for path in sorted((root / folder).rglob("*")):
+            if path.is_file() and path.suffix in _COPIED:
+                yield path
+
+
+def _copy(root: Path, files: list[Path], target: Path, force: bool) -> None:
+    from ..recordings import check_output_folder, make_folder, write_files
+
+    contents = {target / path.relative_to(root): path.read_bytes() for path in files}
+    names = [path.relative_to(target).as_posix() for path in contents]
+    check_output_folder(target, names, force=force)
+    for folder in {path.parent for path in contents}:
+        make_folder(folder)
+    write_files(contents, force=force)
+
+
+# `giajax cache`: what is kept between processes.
+
+
+@command("""\b
+Examples:
+  giajax cache              where it is, how many programs it holds, and their size
+  giajax cache --clear      removes them; the next fit traces and compiles again""")
+def cache(
+    clear: Annotated[bool, typer.Option("--clear", help="Remove what is there.")] = False,
+) -> None:
+    """Show or clear the programs that are kept between commands.
+
+    Each command finds those of its model and its data there. A file that is of another version of
+    giajax, or was damaged, is not used; none is ever removed but by --clear. The folder is giajax
+    in the user's cache directory, or what JAX_COMPILATION_CACHE_DIR says: of that, only what
+    giajax alone wrote is removed.
+    """
+    from ..runtime.process import PROGRAMS, compilation_cache
+    from ..runtime.programs import SUFFIX
+    from ..runtime.text import InputError
+    from ._options import print_table
+
+    directory, stated = compilation_cache()
+    if directory is None:
+        typer.echo(
+            "there is no folder for a cache, and nothing is kept: set XDG_CACHE_HOME to one that "
+            "can be written"
+        )
+        return
+    traced = sorted((directory / PROGRAMS).glob(f"*{SUFFIX}"))
+    compiled = sorted(directory.glob("*-cache"))
+    if clear:
+        removed = traced if stated else [*traced, *compiled]
+        for path in removed:
+            try:
+                path.unlink(missing_ok=True)
+            except OSError as error:
+                raise InputError(
+                    f"{path} cannot be removed ({error.strerror}): remove the folder yourself"
+                ) from None
+        typer.echo(f"{directory}: removed {len(removed)} of {len(traced) + len(compiled)} programs")
+        return
+    typer.echo(str(directory))
+    print_table(
+        ["", "programs", "MB"],
+        [
+            (name, len(paths), _megabytes(paths))
+            for name, paths in (("traced", traced), ("compiled", compiled))
+        ],
+    )
+
+
+def _megabytes(paths: list[Path]) -> str:
+    # Another process may remove one meanwhile.
+    return f"{sum(path.stat().st_size for path in paths if path.exists()) / 1e6:.1f}"

@@ -1,0 +1,349 @@
+"""From a coordinate that a fit moves along to a parameter within its bounds, and back."""
+
+import difflib
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any, NamedTuple, Protocol, Self
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import numpy.typing as npt
+
+from ..recordings import Run
+from ..runtime.arrays import Array, Float, on_device
+from ..runtime.text import InputError
+
+# From a coordinate that a fit moves along to a parameter within its bounds, and back.
+
+# Part of the distance between a start and its bound within which the coordinate is linear: so much
+# that what was driven to its bound by mistake comes back as it went. With all of it a first step
+# may lead to the bound, which costs kinked operators their optimum.
+_NEAR = 0.5
+
+# A start that is nearer to its bound than this part of the size of the parameter is at it.
+_AT_BOUND = 1e-6
+
+
+class Bijector(eqx.Module):
+    """Smooth, increasing map of an interval of coordinates onto the one between two bounds.
+
+    Far from a bound the coordinate is a logarithm of the distance from it, so that a step is a
+    relative change and a poor model of the cost cannot send a parameter far. Near the bound it is
+    linear in the parameter and ends there: a logarithm would go on for ever towards an optimum
+    that is at the bound, and would bend every valley on the way. A parameter without bounds is
+    its own coordinate.
+
+    Arguments:
+        lower, upper: bounds, infinite where there is none, shape (parameter,).
+        above_lower, below_upper: distances from a bound up to which the coordinate is linear,
+            shape (parameter,); not used where there is no bound.
+        last: coordinates of the upper bounds, infinite where there is none, shape (parameter,).
+    """
+
+    lower: tuple[float, ...] = eqx.field(static=True)
+    upper: tuple[float, ...] = eqx.field(static=True)
+    above_lower: Float[Array, " parameter"]
+    below_upper: Float[Array, " parameter"]
+    last: Float[Array, " parameter"]
+
+    @classmethod
+    def of(
+        cls,
+        lower: Sequence[float],
+        upper: Sequence[float],
+        start: Sequence[float],
+        size: npt.ArrayLike = 1.0,
+    ) -> Self:
+        """The map for a fit from a start.
+
+        Arguments:
+            lower, upper: bounds, infinite where there is none, shape (parameter,).
+            start: of the parameters, shape (parameter,).
+            size: typical size of each, which tells how near is near where the start is at its
+                bound; shape (parameter,).
+        """
+        low, high, begun = (np.asarray(each, dtype=float) for each in (lower, upper, start))
+        width = np.where(np.isfinite(low) & np.isfinite(high), high - low, np.inf)
+        usual = np.minimum(size, width)
+
+        def near(distance: np.ndarray) -> np.ndarray:
+            known = np.isfinite(distance) & (distance > _AT_BOUND * usual)
+            return np.asarray(_NEAR * np.where(known, distance, usual))
+
+        linear = near(begun - low), near(high - begun)
+        with np.errstate(invalid="ignore"):
+            both = np.log1p(width / linear[0]) + np.log1p(width / linear[1])
+        last = np.where(np.isfinite(high), np.where(np.isfinite(low), both, 0), np.inf)
+        numbers = [on_device(each, jnp.result_type(float)) for each in (*linear, last)]
+        return cls(tuple(low.tolist()), tuple(high.tolist()), *numbers)
+
+    def at(self, columns: Sequence[int] | np.ndarray) -> "Bijector":
+        """The map of some of the parameters, by their positions."""
+        places = np.asarray(columns, dtype=int)
+        return Bijector(
+            tuple(self.lower[i] for i in places),
+            tuple(self.upper[i] for i in places),
+            self.above_lower[places],
+            self.below_upper[places],
+            self.last[places],
+        )
+
+    def _kinds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        lower, upper = np.asarray(self.lower), np.asarray(self.upper)
+        below, above = np.isfinite(lower), np.isfinite(upper)
+        # Stand-ins that keep the branches which are not taken free of NaN.
+        return below, above, np.where(below, lower, 0.0), np.where(above, upper, 1.0)
+
+    def _near(self, maths: Any = np) -> tuple[Any, Any, Any]:
+        """The distances, and how soon the upper bound is felt: near / (width + near), or 0."""
+        below, above, lower, upper = self._kinds()
+        low, high = maths.asarray(self.above_lower), maths.asarray(self.below_upper)
+        return low, high, maths.where(below & above, low / (upper - lower + high), 0)
+
+    def forward(self, coordinate: Float[Any, " parameter"]) -> Float[Any, " parameter"]:
+        """Parameters at coordinates between those of their bounds; by NumPy for its arrays."""
+        maths = np if isinstance(coordinate, np.ndarray) else jnp
+        below, above, lower, upper = self._kinds()
+        low, high, bend = self._near(maths)
+        # Of what has no such bound exp(t) may overflow, in the branch that is not taken.
+        t = maths.where(below, coordinate, 0)
+        up = lower + low * maths.expm1(t) / (1 + bend * maths.exp(t))
+        # Rounding must not lead beyond the bound; the slope there stays that of the map.
+        beyond = maths.where(below & above, maths.maximum(up - upper, 0), 0)
+        up = up - (beyond if maths is np else jax.lax.stop_gradient(beyond))
+        t = maths.where(above & ~below, coordinate, 0)
+        down = upper - high * maths.expm1(-t)
+        return maths.where(below, up, maths.where(above, down, coordinate))
+
+    def inverse(self, value: np.ndarray) -> np.ndarray:
+        """Coordinates of parameters within the bounds."""
+        below, above, lower, upper = self._kinds()
+        value = np.asarray(value, dtype=float)
+        low, high, bend = self._near()
+        with np.errstate(all="ignore"):
+            part = (value - lower) / low
+            up = np.log1p(part) - np.log1p(-bend * part)
+            down = -np.log1p((upper - value) / high)
+        return np.where(below, up, np.where(above, down, value))
+
+    def slope(self, coordinate: np.ndarray) -> np.ndarray:
+        """d(parameter)/d(coordinate), shape (parameter,)."""
+        below, above, _, _ = self._kinds()
+        coordinate = np.asarray(coordinate, dtype=float)
+        low, high, bend = self._near()
+        with np.errstate(all="ignore"):
+            grown = np.exp(coordinate)
+            up = low * grown * (1 + bend) / (1 + bend * grown) ** 2
+            down = high / grown
+        return np.where(below, up, np.where(above, down, 1.0))
+
+    def ends(self) -> tuple[Float[Any, " parameter"], Float[Any, " parameter"]]:
+        """Coordinates of the lower and of the upper bounds, infinite where there is none."""
+        first = np.where(np.isfinite(self.lower), 0.0, -np.inf)
+        return np.asarray(first, self.last.dtype), self.last
+
+
+# From the real line to a parameter within its bounds, smoothly: what a sampler moves along.
+
+Row = Float[Array, " parameter"]
+
+# In widths: what ended nearer to a bound is seen from here.
+_INSIDE = 0.5
+
+# Of the range of a parameter: its width is at most this, so that the two bounds are apart.
+_MOST_OF_RANGE = 0.25
+
+
+class Unbounded(eqx.Module):
+    """Increasing map of all numbers onto the interval between two bounds, which it never meets.
+
+    A fit may end on a bound, and so its own map (`Bijector`) does; a sampler that reached the end
+    of it would have to turn back. This one is linear as long as a bound is many widths away, and
+    bends into an exponential within one width of it: lower + width softplus(u), and with an upper
+    bound as well lower + width (softplus(u) - softplus(u - range / width)).
+
+    Attributes:
+        lower, upper: bounds, infinite where there is none, shape (parameter,).
+        width: how near to a bound is near, the standard error; shape (parameter,).
+    """
+
+    lower: tuple[float, ...] = eqx.field(static=True)
+    upper: tuple[float, ...] = eqx.field(static=True)
+    width: Row
+
+    @classmethod
+    def of(cls, lower: np.ndarray, upper: np.ndarray, width: np.ndarray) -> Self:
+        """The map for bounds and a width each, which the range of the parameter limits."""
+        limited = np.isfinite(lower) & np.isfinite(upper)
+        ranges = np.where(limited, upper - lower, np.inf)
+        narrow = np.minimum(width, _MOST_OF_RANGE * ranges)
+        return cls(
+            tuple(lower.tolist()), tuple(upper.tolist()), on_device(narrow, jnp.result_type(float))
+        )
+
+    def forward(self, u: Row) -> tuple[Row, Row, Row, Row]:
+        """Parameters at some coordinates, and what a density becomes by them.
+
+        Arguments:
+            u: coordinates, shape (parameter,).
+
+        Returns:
+            Parameters; the logarithms of their derivatives by their coordinates; the first and the
+            second derivatives of these logarithms, each of shape (parameter,).
+        """
+        below, above, lower, upper, end = self._kinds()
+        plus, minus = jax.nn.softplus, jax.nn.log_sigmoid
+        up = lower + self.width * (plus(u) - jnp.where(above, plus(u - end), 0))
+        down = upper - self.width * (plus(end - u) - jnp.where(below, plus(-u), 0))
+        # The form whose terms do not cancel: that of the nearer bound.
+        from_below = below & (~above | (u < end / 2))
+        value = jnp.where(from_below, up, jnp.where(above, down, self.width * u))
+        # Rounding must not lead beyond a bound.
+        value = jnp.clip(value, np.asarray(self.lower), np.asarray(self.upper))
+        slope = jnp.log(self.width) + jnp.where(below, minus(u), 0)
+        slope = slope + jnp.where(above, minus(end - u), 0)
+        slope = slope + jnp.where(below & above, jnp.log1p(-jnp.exp(-end)), 0)
+        near_lower, near_upper = jax.nn.sigmoid(-u), jax.nn.sigmoid(u - end)
+        first = jnp.where(below, near_lower, 0) - jnp.where(above, near_upper, 0)
+        second = -jnp.where(below, near_lower * (1 - near_lower), 0)
+        second = second - jnp.where(above, near_upper * (1 - near_upper), 0)
+        return value, slope, first, second
+
+    def inverse(self, value: np.ndarray) -> np.ndarray:
+        """Coordinates of parameters, those at a bound a little inside of it; by NumPy."""
+        lower, upper = np.asarray(self.lower), np.asarray(self.upper)
+        width = np.asarray(self.width)
+        value = np.clip(value, lower + _INSIDE * width, upper - _INSIDE * width)
+        below, above = np.isfinite(lower), np.isfinite(upper)
+        with np.errstate(all="ignore"):
+            up, down, end = (
+                (value - lower) / width,
+                (upper - value) / width,
+                (upper - lower) / width,
+            )
+            both = up + np.log(-np.expm1(-up)) - np.log(-np.expm1(up - end))
+            up, down = (each + np.log(-np.expm1(-each)) for each in (up, down))
+        return np.where(
+            below & above, both, np.where(below, up, np.where(above, -down, value / width))
+        )
+
+    def _kinds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Row]:
+        """Which bounds there are, with stand-ins for those that are not; where the upper one is."""
+        lower, upper = np.asarray(self.lower), np.asarray(self.upper)
+        below, above = np.isfinite(lower), np.isfinite(upper)
+        lower, upper = np.where(below, lower, 0.0), np.where(above, upper, 0.0)
+        end = jnp.where(below & above, (upper - lower) / self.width, 0)
+        return below, above, lower, upper, end
+
+
+# Where the values of the model's parameters stand in the free coordinate.
+#
+# A parameter has one value for all runs, or one for each group of runs.
+
+Groups = Mapping[str, Sequence[Sequence[int]]]
+"""By path, the groups of runs (by position) that have a value of their own."""
+
+
+class Named(Protocol):
+    """A run, or what a result says of one."""
+
+    @property
+    def name(self) -> str:
+        """Of the run."""
+
+    @property
+    def recording(self) -> str:
+        """Name of the recording that it is, or is a window of."""
+
+
+class Layout(NamedTuple):
+    """Positions in the free coordinate, which begins with the parameters of the model.
+
+    Attributes:
+        places: by parameter, the positions of its values: one, or one for each group of runs.
+        of_runs: by run, the position of the value of each parameter.
+    """
+
+    places: tuple[tuple[int, ...], ...]
+    of_runs: tuple[tuple[int, ...], ...]
+
+    @classmethod
+    def of(cls, paths: Sequence[str], groups: Groups, runs: int) -> "Layout":
+        """The layout of the parameters of some runs.
+
+        Arguments:
+            paths: of the parameters, in their order.
+            groups: of runs, each run in one; nothing for what all runs share.
+            runs: how many there are.
+        """
+        places, first = [], 0
+        of_runs = np.zeros((runs, len(paths)), dtype=int)
+        for column, path in enumerate(paths):
+            sharing = groups.get(path, [range(runs)])
+            places.append(tuple(range(first, first + len(sharing))))
+            for place, members in zip(places[-1], sharing, strict=True):
+                of_runs[list(members), column] = place
+            first += len(sharing)
+        return cls(tuple(places), tuple(map(tuple, of_runs.tolist())))
+
+    @property
+    def size(self) -> int:
+        """Number of values."""
+        return sum(map(len, self.places))
+
+
+def names_of(runs: Sequence[Run]) -> str:
+    """Names of runs that share something, for a person; windows of one recording are one."""
+    if len(runs) == 1:
+        return f"'{runs[0].name}'"
+    return ", ".join(dict.fromkeys(f"'{run.recording}'" for run in runs))
+
+
+def sharing(
+    runs: Sequence[Run], per_run: Sequence[str], groups: Mapping[str, Sequence[Sequence[str]]]
+) -> dict[str, list[list[str]]]:
+    """By path, names of the runs that share a value: each recording alone, or those of a group.
+
+    Raises:
+        InputError: a path is in both, or two recordings have one name.
+    """
+    recordings: dict[str, object] = {}
+    for run in runs if per_run or groups else ():
+        name, recording = run.recording, run.path or id(run)
+        if recordings.setdefault(name, recording) != recording:
+            raise InputError(
+                f"two runs are called '{name}', so that nothing can be said of one of them: "
+                "rename one"
+            )
+    alone = [[name] for name in dict.fromkeys(run.recording for run in runs)]
+    for path in sorted(set(per_run) & set(groups)):
+        raise InputError(f"'{path}' has a value for each run and groups of runs: give one of them")
+    each = {path: [list(names) for names in sharing] for path, sharing in groups.items()}
+    return {**dict.fromkeys(per_run, alone), **each}
+
+
+def members(
+    path: str, runs: Sequence[Named], groups: Sequence[Collection[str]]
+) -> tuple[tuple[int, ...], ...]:
+    """Positions of the runs in each group of a path, by their names or those of recordings.
+
+    Raises:
+        InputError: a name that no run has, or a run that is not in exactly one group.
+    """
+    known = {name for run in runs for name in (run.name, run.recording)}
+    for name in (name for names in groups for name in names):
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1)
+            remedy = f"did you mean '{near[0]}'?" if near else "name runs as their files"
+            raise InputError(f"the groups of '{path}' name '{name}', which is no run: {remedy}")
+    positions = tuple(
+        tuple(i for i, run in enumerate(runs) if {run.name, run.recording} & set(names))
+        for names in groups
+    )
+    for index, run in enumerate(runs):
+        count = sum(index in group for group in positions)
+        if count != 1:
+            where = "no group" if count == 0 else "several groups"
+            raise InputError(f"run '{run.name}' is in {where} of '{path}': put it in one")
+    return tuple(group for group in positions if group)

@@ -1,0 +1,462 @@
+"""What residuals are weighted with: noise, a loss, whitening; and priors as rows of their own."""
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, Self
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..noise import ChannelNoise, Stated, from_differences, gains
+from ..recordings import Run
+from ..runtime.arrays import Array, Float, on_device
+from ..runtime.text import InputError
+from ..schema import Prior
+from ._coordinates import Bijector
+
+NoiseModel = Literal["correlated", "white"]
+
+# Names of the models, for a message.
+NOISE_MODELS: tuple[NoiseModel, ...] = ("correlated", "white")
+
+
+@dataclasses.dataclass(frozen=True)
+class Noise:
+    """Noise of each channel of each run, SI.
+
+    Attributes:
+        stated: what the sidecar of each run says, by channel.
+        values: what the channels are weighted with.
+        keys: of each channel of each run: those of the same key have the same noise.
+        memory: whether noise may be correlated.
+        weights: what robust statistics leave of each sample, by channel; None where outliers
+            are not weighted that way.
+        estimated: whether what the sidecars leave out comes from the residuals of a fit.
+    """
+
+    stated: tuple[Mapping[str, Stated], ...]
+    values: tuple[Mapping[str, ChannelNoise], ...]
+    keys: tuple[Mapping[str, str], ...]
+    memory: bool
+    weights: tuple[Mapping[str, np.ndarray], ...] | None = None
+    estimated: bool = False
+
+    @classmethod
+    def of(cls, runs: Sequence[Run], model: NoiseModel = "correlated", *, per_run: bool) -> Self:
+        """What the sidecars say; else white, from the differences of neighbouring samples.
+
+        Arguments:
+            runs: what is fitted to.
+            model: whether noise may be correlated.
+            per_run: whether a channel has another noise in every run, instead of one in all.
+        """
+        stated = tuple({name: _stated(run, name) for name in run.observations} for run in runs)
+        several = len({run.model for run in runs}) > 1
+        keys = tuple(
+            {
+                # A load cell of a joint's bench is not that of a stand for muscles.
+                name: _key(f"{run.model} {name}" if several else name, number, known, per_run)
+                for name, known in of_run.items()
+            }
+            for number, (run, of_run) in enumerate(zip(runs, stated, strict=True))
+        )
+        guesses: dict[str, list[float]] = {}
+        for run, names in zip(runs, keys, strict=True):
+            for name, key in names.items():
+                guesses.setdefault(key, []).append(from_differences(run.observations[name]))
+        values = tuple(
+            {
+                name: known.noise_of(memory=model == "correlated")
+                or ChannelNoise(float(np.median(guesses[names[name]])))
+                for name, known in of_run.items()
+            }
+            for of_run, names in zip(stated, keys, strict=True)
+        )
+        return cls(stated, values, keys, memory=model == "correlated")
+
+    @property
+    def complete(self) -> bool:
+        """Whether the sidecars say the size of all of it."""
+        return all(s.deviation is not None for of_run in self.stated for s in of_run.values())
+
+    @property
+    def is_white(self) -> bool:
+        """Whether no channel has a memory."""
+        return all(noise.is_white for of_run in self.values for noise in of_run.values())
+
+    def by_key(self) -> dict[str, ChannelNoise]:
+        """The noise of each key."""
+        pairs = zip(self.keys, self.values, strict=True)
+        return {keys[name]: noise for keys, of_run in pairs for name, noise in of_run.items()}
+
+    def stated_by_key(self) -> dict[str, Stated]:
+        """What is known beforehand of each key."""
+        pairs = zip(self.keys, self.stated, strict=True)
+        return {keys[name]: known for keys, of_run in pairs for name, known in of_run.items()}
+
+    def with_values(
+        self,
+        by_key: Mapping[str, ChannelNoise],
+        weights: tuple[Mapping[str, np.ndarray], ...] | None = None,
+    ) -> Self:
+        """With the noise that a fit showed."""
+        values = tuple({name: by_key[key] for name, key in names.items()} for names in self.keys)
+        return dataclasses.replace(self, values=values, weights=weights, estimated=True)
+
+    def to_plain(self) -> dict[str, Any]:
+        """What a fit changes of it, as numbers, for `with_plain`."""
+        return {
+            "estimated": self.estimated,
+            "values": [
+                {name: dataclasses.asdict(noise) for name, noise in of_run.items()}
+                for of_run in self.values
+            ],
+            "weights": None
+            if self.weights is None
+            else [{name: w.tolist() for name, w in of_run.items()} for of_run in self.weights],
+        }
+
+    def with_plain(self, plain: Mapping[str, Any]) -> Self:
+        """The noise that `to_plain` gave the numbers of."""
+        values = tuple(
+            {name: ChannelNoise(**noise) for name, noise in of_run.items()}
+            for of_run in plain["values"]
+        )
+        weights = plain["weights"]
+        if weights is not None:
+            weights = tuple(
+                {name: np.asarray(w) for name, w in of_run.items()} for of_run in weights
+            )
+        return dataclasses.replace(
+            self, values=values, weights=weights, estimated=plain["estimated"]
+        )
+
+
+def _stated(run: Run, name: str) -> Stated:
+    deviation = run.noise(name)
+    part = run.correlated_noise(name)
+    if part is None:
+        return Stated(deviation)
+    return Stated(deviation, correlated=part[0], time_s=part[1])
+
+
+def _key(name: str, number: int, stated: Stated, per_run: bool) -> str:
+    """Runs that state different noise, or none, do not share what is not stated either."""
+    said = (
+        ""
+        if stated.deviation is None
+        else f" {stated.deviation!r} {stated.correlated!r} {stated.time_s!r}"
+    )
+    return f"{name}{said}" + (f" of run {number}" if per_run else "")
+
+
+# Loss functions of the weighted residual, as transformations that keep least squares.
+#
+# The cost is half the sum of rho(r). With t(r) = sign(r) sqrt(rho(r)) it is half the sum of t^2,
+# and a least-squares solver needs to know nothing else.
+
+LOSSES = ("linear", "huber", "soft_l1")
+
+
+def check_loss(loss: str) -> None:
+    """Refuse an unknown loss.
+
+    Raises:
+        InputError: naming the known ones.
+    """
+    if loss not in LOSSES:
+        raise InputError(f"there is no loss '{loss}': use one of: {', '.join(LOSSES)}")
+
+
+def mean_square_of_influence(loss: str) -> float:
+    """The mean of psi^2 of normal noise of deviation 1, by which a robust chi-square is one."""
+    if loss == "linear":
+        return 1.0
+    r, step = np.linspace(-12.0, 12.0, 24_001, retstep=True)
+    density = np.exp(-(r**2) / 2) / np.sqrt(2 * np.pi)
+    return float(np.sum(scores(loss, r)[0] ** 2 * density) * step)
+
+
+def transform(loss: str, r: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """t(r): `huber` is quadratic up to |r| = 1, `soft_l1` is 2 (sqrt(1 + r^2) - 1).
+
+    Arguments:
+        loss: one of `LOSSES`.
+        r: weighted residuals, any shape.
+
+    Returns:
+        t, of the shape of r.
+    """
+    if loss == "linear":
+        return r
+    if loss == "soft_l1":
+        # r sqrt(2 / (1 + sqrt(1 + r^2))) is the same without the cancellation near 0.
+        return r * jnp.sqrt(2 / (1 + jnp.sqrt(1 + r * r)))
+    outside = jnp.maximum(jnp.abs(r), 1)
+    return jnp.where(jnp.abs(r) <= 1, r, jnp.sign(r) * jnp.sqrt(2 * outside - 1))
+
+
+def rho(loss: str, r: np.ndarray) -> np.ndarray:
+    """Of each residual what it counts as: r^2 with the linear loss, else less.
+
+    Arguments:
+        loss: one of `LOSSES`.
+        r: weighted residuals, any shape.
+    """
+    if loss == "linear":
+        return np.asarray(r**2)
+    if loss == "soft_l1":
+        return np.asarray(2 * (np.sqrt(1 + r * r) - 1))
+    return np.where(np.abs(r) <= 1, r**2, 2 * np.maximum(np.abs(r), 1) - 1)
+
+
+def scores(loss: str, r: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """psi = rho'/2, its derivative, and t', each at the residuals: what a covariance needs.
+
+    Arguments:
+        loss: one of `LOSSES`.
+        r: weighted residuals, any shape.
+
+    Returns:
+        psi, psi' and t', each of the shape of r.
+    """
+    if loss == "linear":
+        return r, np.ones_like(r), np.ones_like(r)
+    if loss == "soft_l1":
+        root = np.sqrt(1 + r * r)
+        psi = r / root
+        t = r * np.sqrt(2 / (1 + root))
+    else:
+        root = np.ones_like(r)
+        psi = np.clip(r, -1, 1)
+        t = np.where(np.abs(r) <= 1, r, np.sign(r) * np.sqrt(2 * np.maximum(np.abs(r), 1) - 1))
+    # rho = t^2, so psi = t t'; at 0 every loss is quadratic with t' = 1.
+    slope = np.where(t == 0, 1.0, psi / np.where(t == 0, 1.0, t))
+    curvature = root**-3 if loss == "soft_l1" else (np.abs(r) <= 1).astype(float)
+    return psi, curvature, slope
+
+
+# Shares of a run's cells outside the quadratic part of a loss: of a third, noise alone is the
+# cause; of two thirds, the model is still far from the data.
+_NOISE_ALONE, _FAR = 0.35, 0.65
+
+# Part of the curvature of far cells that is kept at an optimum, where they have none or little.
+_KEPT = 0.05
+
+
+def curvature_ratio(
+    loss: str, t: Float[Array, " cell"], measured: Float[Array, " cell"]
+) -> Float[Array, " cell"]:
+    """By what to multiply rows of the Jacobian of t for a good second derivative of the cost.
+
+    Gauss-Newton on t takes t'^2 for the curvature of a cell, which is right for none of the far
+    ones. Where the model is off, psi / r is: the step of reweighted least squares, which would
+    remove all residuals, where that of t would be twice as long. At the optimum, where outliers
+    stay, it is psi'. What is between the two is told by the share of the cells that are far.
+
+    Arguments:
+        loss: one of `LOSSES`, not linear.
+        t: transformed residuals.
+        measured: 1 for measured cells, 0 for others.
+
+    Returns:
+        Root of the curvature over t'. With rows of t divided by it the gradient stays the same.
+    """
+    square = t * t
+    if loss == "soft_l1":
+        root = 1 + square / 2
+        # r^2 / t^2 = 1 + t^2 / 4.
+        slope = (1 + square / 4) / root**2
+        reweighted, curvature = 1 / root, 1 / root**3
+        far = square > 2 * (jnp.sqrt(2.0) - 1)
+    else:
+        far = square > 1
+        slope = 1 / jnp.where(far, square, 1)
+        reweighted = jnp.where(far, 2 / (square + 1), 1)
+        curvature = jnp.where(far, 0.0, 1.0)
+    share = jnp.sum(jnp.where(far, measured, 0)) / jnp.maximum(jnp.sum(measured), 1)
+    off = jnp.clip((share - _NOISE_ALONE) / (_FAR - _NOISE_ALONE), _KEPT, 1)
+    return jnp.sqrt((off * reweighted + (1 - off) * curvature) / slope)
+
+
+# Correlated residuals made independent, by a pass over the samples of each run.
+#
+# It is a Kalman filter whose gains depend on the noise alone, and so a linear map of the
+# residuals: whitened residuals and a whitened Jacobian make generalised least squares of least
+# squares.
+
+
+class Whitening(eqx.Module):
+    """The gains of a run, or of several along a first axis, for residuals over their deviation.
+
+    Attributes:
+        keep, gain: what goes on from one sample to the next, of the memory and of the cell.
+        scale: deviation of a cell over that of what the cells before it do not foretell; 0 where
+            a cell is not measured.
+    """
+
+    keep: Float[Array, "*run sample channel"]
+    gain: Float[Array, "*run sample channel"]
+    scale: Float[Array, "*run sample channel"]
+
+    @classmethod
+    def of(
+        cls,
+        noise: Mapping[str, ChannelNoise],
+        times: Float[np.ndarray, " sample"],
+        weights: Mapping[str, Float[np.ndarray, " sample"]],
+        length: int | None = None,
+    ) -> Self:
+        """The gains of a run.
+
+        Arguments:
+            noise: of its channels.
+            times: of the samples, s.
+            weights: of the cells of each channel, 0 where not measured.
+            length: number of samples with further ones, which are not measured; none by default.
+        """
+        parts = []
+        for name, of_channel in noise.items():
+            keep, gain, deviation = gains(of_channel, times, weights[name])
+            scale = np.where(weights[name] > 0, of_channel.deviation / deviation, 0.0)
+            parts.append((keep, gain, scale))
+        more = 0 if length is None else length - len(times)
+        # By numpy: each shape would be a program of its own, compiled before the fit begins.
+        leaves = [
+            on_device(np.pad(np.stack(part, axis=-1), ((0, more), (0, 0))))
+            for part in zip(*parts, strict=True)
+        ]
+        return cls(*leaves)
+
+    def of_run(self, row: int) -> Self:
+        """The gains of one of several runs."""
+        return jax.tree.map(lambda leaf: np.asarray(leaf)[row], self)
+
+    def apply(self, rows: Float[Array, "residual column"]) -> Float[Array, "residual column"]:
+        """Columns over the cells of a run, sample by sample, made independent."""
+        samples, channels = self.keep.shape
+        cells = rows.reshape(samples, channels, -1)
+
+        def step(memory: Array, each: tuple[Array, ...]) -> tuple[Array, Array]:
+            cell, keep, gain, scale = each
+            fresh = cell - memory
+            return keep[:, None] * memory + gain[:, None] * fresh, scale[:, None] * fresh
+
+        def through(cells: Array) -> Array:
+            start = jnp.zeros(cells.shape[1:], cells.dtype)
+            return jax.lax.scan(step, start, (cells, self.keep, self.gain, self.scale))[1]
+
+        # White noise has nothing to pass on.
+        idle = jnp.all((self.gain == 0) & ((self.scale == 0) | (self.scale == 1)))
+        white = jax.lax.cond(idle, lambda cells: cells, through, cells)
+        return white.reshape(rows.shape)
+
+    def undone(self, rows: Float[np.ndarray, "residual column"]) -> np.ndarray:
+        """The columns before `apply`; cells that are not measured are zero."""
+        keep, gain, scale = (np.asarray(leaf) for leaf in (self.keep, self.gain, self.scale))
+        cells = np.asarray(rows).reshape(*keep.shape, -1)
+        result = np.empty_like(cells)
+        memory = np.zeros(cells.shape[1:])
+        for i, row in enumerate(cells):
+            fresh = row / np.where(scale[i] > 0, scale[i], 1.0)[:, None]
+            result[i] = np.where(scale[i][:, None] > 0, memory + fresh, 0.0)
+            memory = keep[i][:, None] * memory + gain[i][:, None] * fresh
+        return result.reshape(np.shape(rows))
+
+
+# Priors as rows of the residual: what is known of a parameter counts as one more measurement.
+
+Rows = Float[Array, " prior"]
+
+
+class Priors(eqx.Module):
+    """What is known of some free coordinates before the fit, a row of the residual each.
+
+    A row is (p - centre) / spread, of the parameter p or of its logarithm. It is not whitened,
+    no loss transforms it, and no noise is estimated from it.
+
+    Attributes:
+        centre, spread: mean and standard deviation, of the parameter or its logarithm.
+        columns: positions of the parameters in the free coordinate.
+        logarithmic: whether the logarithm of each is normal.
+    """
+
+    centre: Rows
+    spread: Rows
+    columns: tuple[int, ...] = eqx.field(static=True, default=())
+    logarithmic: tuple[bool, ...] = eqx.field(static=True, default=())
+
+    @classmethod
+    def of(cls, priors: Mapping[str, Prior], paths: Sequence[str]) -> Self:
+        """The rows of some priors.
+
+        Arguments:
+            priors: by path, of an element or of a whole array.
+            paths: of the parameter at each position of the free coordinate.
+        """
+        known = [prior_of(priors, path) for path in paths]
+        rows = [(column, prior) for column, prior in enumerate(known) if prior is not None]
+        dtype = jnp.result_type(float)
+        return cls(
+            centre=on_device([prior.centre for _, prior in rows], dtype),
+            spread=on_device([prior.spread for _, prior in rows], dtype),
+            columns=tuple(column for column, _ in rows),
+            logarithmic=tuple(prior.logarithmic for _, prior in rows),
+        )
+
+    @classmethod
+    def none(cls) -> Self:
+        """No prior at all."""
+        return cls.of({}, ())
+
+    def __len__(self) -> int:
+        return len(self.columns)
+
+    def rows(self, coordinate: Float[Array, " parameter"], bijector: Bijector) -> tuple[Rows, Rows]:
+        """Rows of the residual, and the derivative of each by its own free coordinate."""
+        columns = np.asarray(self.columns, dtype=int)
+        bounds = bijector.at(columns)
+        logarithmic = np.asarray(self.logarithmic, dtype=bool)
+
+        def row(part: Array) -> Array:
+            values = bounds.forward(part)
+            # A stand-in that keeps the branch which is not taken free of NaN.
+            logarithms = jnp.log(jnp.where(logarithmic, values, 1))
+            return (jnp.where(logarithmic, logarithms, values) - self.centre) / self.spread
+
+        part = coordinate[columns]
+        return jax.jvp(row, (part,), (jnp.ones_like(part),))
+
+
+def prior_of(priors: Mapping[str, Prior], path: str) -> Prior | None:
+    """What is known of a scalar parameter: by itself, or as an element of its array."""
+    return priors.get(path, priors.get(path.partition("[")[0]))
+
+
+def prior_row(prior: Prior, value: float) -> tuple[float, float]:
+    """The row of the residual that a prior is, and its derivative by the parameter itself."""
+    if prior.logarithmic:
+        return (math.log(value) - prior.centre) / prior.spread, 1 / (value * prior.spread)
+    return (value - prior.centre) / prior.spread, 1 / prior.spread
+
+
+def checked_priors(priors: Mapping[str, Any]) -> dict[str, Prior]:
+    """The priors, also where they are given as `{"value": ..., "deviation": ...}`.
+
+    Raises:
+        InputError: what is no prior.
+    """
+    checked = {}
+    for path, prior in priors.items():
+        try:
+            checked[path] = prior if isinstance(prior, Prior) else Prior(**prior)
+        except InputError as error:
+            raise InputError(f"the prior of '{path}' is not right, because {error}") from None
+        except TypeError:
+            raise InputError(
+                f"the prior of '{path}' is no prior: give giajax.Prior(value, deviation=...)"
+            ) from None
+    return checked

@@ -1,0 +1,7 @@
+from . import (
+    arm as arm,
+    hysteresis as hysteresis,
+    inflation as inflation,
+    joint as joint,
+    obstacles as obstacles,
+)

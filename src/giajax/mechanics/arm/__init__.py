@@ -1,0 +1,60 @@
+"""The multibody arm: chain, presets, kinematics, dynamics, air, buoyancy and energy."""
+
+from ._air import cylinder_drag_coefficient as cylinder_drag_coefficient, drag_force as drag_force
+from ._arm import Arm as Arm, Bodies as Bodies, bodies as bodies, lift as lift
+from ._build import (
+    PRESETS as PRESETS,
+    STANDARD_GRAVITY as STANDARD_GRAVITY,
+    chain as chain,
+    net_lift as net_lift,
+    pendulum as pendulum,
+    preset as preset,
+    takeichi_20m as takeichi_20m,
+    takeichi_20m_full as takeichi_20m_full,
+    trimmed as trimmed,
+)
+from ._contact import (
+    Stiffness as Stiffness,
+    Touch as Touch,
+    contact_energy as contact_energy,
+    contact_stiffness as contact_stiffness,
+    touch as touch,
+    touched as touched,
+)
+from ._dynamics import (
+    acceleration as acceleration,
+    damping_power as damping_power,
+    drag_power as drag_power,
+    forward_dynamics as forward_dynamics,
+    hysteresis_power as hysteresis_power,
+    joint_torque as joint_torque,
+    kinetic_energy as kinetic_energy,
+    muscle_power as muscle_power,
+    potential_energy as potential_energy,
+)
+from ._inverse_dynamics import inverse_dynamics as inverse_dynamics, mass_matrix as mass_matrix
+from ._kinematics import (
+    Pose as Pose,
+    link_centres as link_centres,
+    link_velocities as link_velocities,
+    pose as pose,
+    tip_position as tip_position,
+)
+from ._memory import JointHysteresis as JointHysteresis, Memory as Memory, Stops as Stops
+from ._parts import (
+    ADDED_MASSES as ADDED_MASSES,
+    DRAG_CURVES as DRAG_CURVES,
+    DRAGS as DRAGS,
+    Air as Air,
+    Buoyancy as Buoyancy,
+    Contact as Contact,
+    Joints as Joints,
+    Links as Links,
+    PointMasses as PointMasses,
+    named_axes as named_axes,
+)
+from ._pneumatics import (
+    MUSCLE_BLEND as MUSCLE_BLEND,
+    MuscleDrive as MuscleDrive,
+    Pneumatics as Pneumatics,
+)

@@ -1,0 +1,321 @@
+"""What the air does to the links: wind, drag, added mass and lift."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from ...runtime.arrays import Array, Float, cross, dot, safe_norm, scaled
+from ._arm import Arm, lift
+from ._kinematics import Pose, Rows, angular_velocities, centre_velocities, pose
+from ._parts import Air
+
+# log10 C_D is a line in log10 Re and three smooth steps: the end of creeping flow, the growth of
+# the wake, and the drag crisis. The coefficients are a least-squares fit to 247 digitised points
+# (Re 0.1 to 8.5e6) that scatter by 0.037 about it; `data/recorded/cylinder_cd` holds them and the
+# fit.
+
+_LINE = (3.75991, -0.90015)
+_HEIGHT = np.asarray([-0.27163, 2.87305, 0.48415])
+_PLACE = np.asarray([5.56961, 3.91454, 6.32711])
+_WIDTH = np.asarray([0.04694, 2.98417, 0.46406])
+
+# The curve goes on level outside; the points end at 0.1 and 8.5e6.
+_LOWEST, _HIGHEST = 0.01, 1e7
+
+# The Reynolds number at which `air.drag_coefficient` is meant.
+_REFERENCE = 1e5
+
+
+def cylinder_drag_coefficient(reynolds: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    """C_D of a smooth circular cylinder in cross flow, referred to length times diameter.
+
+    Arguments:
+        reynolds: |V| d / nu, not negative.
+
+    Returns:
+        C_D, of the shape of the argument.
+    """
+    return jnp.exp(np.log(10) * _log10(reynolds))
+
+
+def _log10(reynolds: Array) -> Array:
+    # Smooth at Re = 0, where an arm at rest is differentiated.
+    square = jnp.minimum(reynolds * reynolds + _LOWEST**2, _HIGHEST**2)
+    x = jnp.log(square) / (2 * np.log(10))
+    value = _LINE[0] + _LINE[1] * x
+    for height, place, width in zip(_HEIGHT, _PLACE, _WIDTH, strict=True):
+        value = value + float(height) * jnp.tanh((x - float(place)) / float(width))
+    return value
+
+
+def drag_factor(
+    air: Air, speed: Float[Array, "*shape"], diameter: Float[Array, "*shape"]
+) -> Float[Array, "*shape"] | float:
+    """C_D at a speed (m/s) over `air.drag_coefficient`."""
+    if air.drag_curve == "constant":
+        return 1.0
+    x = np.log10(_REFERENCE)
+    reference = _LINE[0] + _LINE[1] * x + np.sum(_HEIGHT * np.tanh((x - _PLACE) / _WIDTH))
+    reynolds = speed * diameter / air.viscosity
+    return jnp.exp(np.log(10) * (_log10(reynolds) - float(reference)))
+
+
+# Drag of the bodies that links carry: a ball on a string, an instrument in the wind.
+
+
+def body_drag(arm: Arm, here: Pose, relative: Rows, omega: Rows) -> tuple[Rows, Rows] | None:
+    """Drag of the point masses, as it acts on the links that carry them.
+
+    F = -1/2 rho (C_D A) |V| V at each body, with V its velocity relative to the air: that of the
+    link's centre, and what the link's turning adds. C_D A does not depend on the direction, as
+    for a sphere, nor on the Reynolds number.
+
+    Arguments:
+        arm: the arm.
+        here: its pose.
+        relative: velocity of the links' centres relative to the air, m/s.
+        omega: angular velocity of the links, rad/s.
+
+    Returns:
+        Force on each link, N, and couple about its geometric centre, N m; None where no body has
+        a drag of its own.
+    """
+    bodies = arm.point_masses
+    if bodies is None or bodies.drag_area is None:
+        return None
+    carriers = np.asarray(bodies.links) - 1
+
+    def each(value: Array) -> Array:
+        return jnp.broadcast_to(value, carriers.shape)
+
+    along = each(bodies.position) - arm.links.length[carriers] / 2
+    lever = scaled(along, here.direction[:, carriers])
+    if bodies.left is not None:
+        assert here.left is not None
+        lever = lever + scaled(each(bodies.left), here.left[:, carriers])
+    if bodies.up is not None:
+        lever = lever + scaled(each(bodies.up), here.up[:, carriers])
+    velocity = relative[:, carriers] + cross(omega[:, carriers], lever)
+    size = 0.5 * arm.air.density * each(bodies.drag_area) * safe_norm(velocity)
+    force = -scaled(size, velocity)
+    # Sums over the bodies of each link, of which it may carry several.
+    carried = np.eye(arm.count, dtype=force.dtype)[carriers]
+    return force @ carried, cross(lever, force) @ carried
+
+
+# What the air does to the links: wind, drag at their centres or along them, and lift.
+
+Wind = Float[Array, "3"] | Float[Array, "link 3"]
+"""Of the air: one vector for the whole arm, or one for each link."""
+
+
+class Flow(NamedTuple):
+    """The wind at one time: the velocity of the air (m/s) and its rate of change (m/s^2).
+
+    One column for the whole arm, or one for each link.
+    """
+
+    velocity: Float[Array, "3 places"]
+    rate: Float[Array, "3 places"]
+
+
+class Load(NamedTuple):
+    """Force on each link at its geometric centre, N, and couple, N m (None: no couple)."""
+
+    force: Rows
+    couple: Rows | None
+
+
+def flow(arm: Arm, wind: Wind | None, rate: Wind | None = None) -> Flow:
+    """The wind of a run; what is None is zero."""
+
+    def columns(vectors: Wind | None) -> Array:
+        if vectors is None:
+            return jnp.zeros((3, 1), arm.links.length.dtype)
+        return vectors[:, None] if vectors.ndim == 1 else vectors.T
+
+    return Flow(columns(wind), columns(rate))
+
+
+def relative_velocity(arm: Arm, centre_velocity: Rows, wind: Flow) -> Rows:
+    """Velocity of each link's centre relative to the air, the arm's own wind included."""
+    own = arm.air.wind
+    return centre_velocity - (wind.velocity if own is None else wind.velocity + own[:, None])
+
+
+def drag(arm: Arm, here: Pose, relative: Rows, omega: Rows) -> Load:
+    """Drag on each link, and on the bodies that it carries.
+
+    Arguments:
+        arm: the arm.
+        here: its pose.
+        relative: velocity of the links' centres relative to the air.
+        omega: angular velocity of the links.
+    """
+    load, carried = (
+        _drag_of_links(arm, here, relative, omega),
+        body_drag(arm, here, relative, omega),
+    )
+    if carried is None:
+        return load
+    force, couple = carried
+    return Load(load.force + force, couple if load.couple is None else load.couple + couple)
+
+
+def _drag_of_links(arm: Arm, here: Pose, relative: Rows, omega: Rows) -> Load:
+    air, links = arm.air, arm.links
+    half_rho_area = 0.5 * air.density * links.length * links.diameter
+    if air.drag == "centre":
+        speed = safe_norm(relative)
+        factor = half_rho_area * air.drag_coefficient * drag_factor(air, speed, links.diameter)
+        return Load(-scaled(factor * speed, relative), None)
+    along = dot(here.direction, relative)
+    across = across_link(here.direction, relative)
+    # Gauss points on [-1, 1]; half the weights, which then sum to 1.
+    gauss, weight = np.polynomial.legendre.leggauss(air.strip_points)
+    places, weights = (jnp.asarray(x, relative.dtype) for x in (gauss, weight / 2))
+    # The velocity across the link is linear along it.
+    lean = scaled(links.length / 2, cross(omega, here.direction))
+    local = across[:, None] + places[None, :, None] * lean[:, None]
+    speed = safe_norm(local)
+    curve = drag_factor(air, speed, jnp.broadcast_to(links.diameter, speed.shape))
+    factor = (half_rho_area * air.drag_coefficient)[None] * curve
+    pieces = -scaled(weights[:, None] * factor * speed, local)
+    force = pieces.sum(axis=1)
+    if air.axial_coefficient is not None:
+        skin = half_rho_area * air.axial_coefficient * jnp.abs(along) * along
+        force = force - scaled(skin, here.direction)
+    moment = (places[None, :, None] * pieces).sum(axis=1)
+    return Load(force, cross(scaled(links.length / 2, here.direction), moment))
+
+
+def lift_force(arm: Arm) -> Rows | None:
+    """Buoyancy of the links at their centres, N; None where it is left out."""
+    upwards = lift(arm)
+    if upwards is None:
+        return None
+    return jnp.zeros((3, arm.count), upwards.dtype).at[2].set(upwards)
+
+
+def across_link(direction: Rows, vector: Rows) -> Rows:
+    """The part of a vector that is normal to each link."""
+    return vector - scaled(dot(direction, vector), direction)
+
+
+def drag_force(
+    arm: Arm,
+    angles: Float[Array, " joint"],
+    rates: Float[Array, " joint"],
+    wind: Wind | None = None,
+) -> Float[Array, "link 3"]:
+    """Drag force of the air on each link, N.
+
+    With `drag = "centre"`: F_D = -1/2 rho C_D L d |V| V at the link's centre, with V the velocity
+    of the centre relative to the air (paper, eq. 1). With `drag = "strip"`: the sum over the
+    link of what acts across it, and the axial drag. Bodies with a drag of their own add theirs.
+
+    Arguments:
+        arm: the arm.
+        angles: joint angles, rad.
+        rates: joint rates, rad/s.
+        wind: velocity of the air in the base frame, m/s, one for the arm or one for each link;
+            still air by default.
+
+    Returns:
+        Force in the base frame, N, shape (link, 3).
+    """
+    return drag_in_motion(arm, angles, rates, wind).load.force.T
+
+
+class Dragged(NamedTuple):
+    """Drag on each link, and how the links move through the air."""
+
+    load: Load
+    velocity: Rows
+    omega: Rows
+
+
+def drag_in_motion(
+    arm: Arm,
+    angles: Float[Array, " joint"],
+    rates: Float[Array, " joint"],
+    wind: Wind | None,
+) -> Dragged:
+    """Drag in one state of motion, with the velocities of the links' centres and turns."""
+    here = pose(arm, angles)
+    omega = angular_velocities(here, rates)
+    velocity = centre_velocities(arm, here, omega)
+    relative = relative_velocity(arm, velocity, flow(arm, wind))
+    return Dragged(drag(arm, here, relative, omega), velocity, omega)
+
+
+# Added mass: the air that a link must move out of its way (Kirchhoff).
+
+
+class AddedMass(NamedTuple):
+    """The fluid that a link moves, a rod that has inertia across the link alone.
+
+    A long cylinder with added-mass coefficient C_a moves C_a times the air that it displaces
+    when it moves across itself, and none along itself (Lamb, Hydrodynamics, art. 42; Newman,
+    Marine Hydrodynamics, sec. 4.15). Its kinetic energy is that of this rod, and Kirchhoff's
+    equations follow from it (Lamb, ch. VI).
+
+    Attributes:
+        mass: of the rod, across the link, kg.
+        inertia: about the link's centre, across the link, kg m^2.
+    """
+
+    mass: Float[Array, " link"]
+    inertia: Float[Array, " link"]
+
+
+def added_mass(arm: Arm) -> AddedMass | None:
+    """The rods of all links; None where added mass is left out."""
+    if arm.air.added_mass_coefficient is None:
+        return None
+    mass = arm.air.added_mass_coefficient * arm.air.density * arm.links.volume
+    return AddedMass(mass, mass * arm.links.length**2 / 12)
+
+
+def added_mass_load(
+    arm: Arm,
+    rod: AddedMass,
+    here: Pose,
+    relative: Rows,
+    turning: Rows,
+    omega: Rows,
+    alpha: Rows,
+    acceleration: Rows,
+    wind: Flow,
+) -> tuple[Rows, Rows]:
+    """Force and couple of the fluid on each link, from the rate of its impulse.
+
+    With the impulse P = m (w - (e.w) e) of the fluid at the link's centre, which moves with w
+    through it, and the impulse couple L = J (omega - (e.omega) e), the force is -dP/dt and the
+    couple about the centre -(w x P + dL/dt). A wind that changes in time also carries a pressure
+    gradient, which pushes the displaced volume: rho V du/dt.
+
+    Arguments:
+        arm: the arm.
+        rod: its added mass.
+        here: its pose.
+        relative: velocity of the links' centres relative to the air.
+        turning: rate of change of the links' directions.
+        omega, alpha: angular velocity and acceleration of the links.
+        acceleration: of the links' centres.
+        wind: its rate of change counts here.
+    """
+    e = here.direction
+    through = acceleration - wind.rate
+
+    def rate_of_across(vector: Rows, rate: Rows) -> Rows:
+        """d/dt of the part of a vector that is normal to the link."""
+        along = dot(turning, vector) + dot(e, rate)
+        return rate - scaled(along, e) - scaled(dot(e, vector), turning)
+
+    impulse = scaled(rod.mass, across_link(e, relative))
+    force = -scaled(rod.mass, rate_of_across(relative, through))
+    force = force + scaled(arm.air.density * arm.links.volume, wind.rate)
+    couple = scaled(rod.inertia, rate_of_across(omega, alpha)) + cross(relative, impulse)
+    return force, -couple

@@ -1,0 +1,316 @@
+"""Equation of motion: accelerations of the joints under their torques; energy and powers."""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from ...runtime.arrays import Array, Float, Scalar, dot
+from ._air import (
+    Flow,
+    Wind,
+    across_link,
+    added_mass,
+    drag_in_motion,
+    flow,
+    lift_force,
+    relative_velocity,
+)
+from ._arm import Arm, bodies
+from ._contact import touch
+from ._inverse_dynamics import (
+    Piece,
+    carried_inertia,
+    carried_load,
+    eliminate_and_solve,
+    load_torque,
+    mass_matrix,
+    motion_and_momentum,
+    required_torque,
+    solve_eliminated,
+)
+from ._kinematics import Pose, pose, sum_from_tip
+
+
+def acceleration(
+    arm: Arm,
+    angles: Float[Array, " joint"],
+    rates: Float[Array, " joint"],
+    command: Float[Array, " joint"],
+    wind: Wind | None = None,
+    wind_rate: Wind | None = None,
+    torque: Float[Array, " joint"] | None = None,
+    memory: Float[Array, "row joint"] | None = None,
+    pressures: Float[Array, "2 joint"] | None = None,
+    skin: Float[Array, "3 link"] | None = None,
+) -> Float[Array, " joint"]:
+    """Joint accelerations of the arm under its commands, rad/s^2: its equation of motion.
+
+    Arguments:
+        arm: the arm.
+        angles: joint angles, rad.
+        rates: joint rates, rad/s.
+        command: commanded angles, rad.
+        wind: velocity of the air in the base frame, m/s, one for the arm or one for each
+            link; still air by default.
+        wind_rate: its rate of change, m/s^2, which added mass feels; 0 by default.
+        torque: of the joints' drives, beside springs and dampers, N m; none by default.
+        memory: states of the joints' hysteresis (`JointHysteresis`); without strain by default.
+        pressures: in the muscles of joints that have some (`Pneumatics`), Pa; by default those with
+            which their controller holds the command.
+        skin: stretch of the links' skin along obstacles (`Contact`), m; none by default.
+
+    Returns:
+        Accelerations, rad/s^2, shape (joint,).
+    """
+    total = joint_torque(arm, angles, rates, command, memory, pressures)
+    if torque is not None:
+        total = total + torque
+    if arm.contact is not None:
+        total = total + touch(arm, angles, rates, skin).torque
+    return forward_dynamics(arm, angles, rates, total, wind, wind_rate)
+
+
+def joint_torque(
+    arm: Arm,
+    angles: Float[Array, " joint"],
+    rates: Float[Array, " joint"],
+    command: Float[Array, " joint"],
+    memory: Float[Array, "row joint"] | None = None,
+    pressures: Float[Array, "2 joint"] | None = None,
+) -> Float[Array, " joint"]:
+    """Torque of the joints' springs or muscles, dampers, friction and hysteresis, N m.
+
+    The spring of a joint pulls towards its commanded angle (paper, III.A: a spring whose
+    initial length can change); damping c and Coulomb friction f act against the joint's rate
+    by c v + f tanh(v / v0).
+
+    Arguments:
+        arm: the arm.
+        angles: joint angles, rad.
+        rates: joint rates, rad/s.
+        command: commanded angles, rad.
+        memory: states of the joints' hysteresis (`JointHysteresis`); without strain by default.
+        pressures: in the muscles of joints that have some (`Pneumatics`), Pa; by default those with
+            which their controller holds the command.
+
+    Returns:
+        Torques, N m, shape (joint,).
+    """
+    torque = arm.spring_stiffness * (command - angles) - arm.joints.resistance(rates)
+    if arm.pneumatics is not None:
+        if pressures is None:
+            pressures = arm.pneumatics.commanded(command)
+        torque = torque + arm.pneumatics.torque(angles, pressures)
+    if memory is None or not arm.joints.hysteresis.rows:
+        return torque
+    return torque - arm.joints.hysteresis.torque(angles, memory)
+
+
+def forward_dynamics(
+    arm: Arm,
+    angles: Float[Array, " joint"],
+    rates: Float[Array, " joint"],
+    torques: Float[Array, " joint"],
+    wind: Wind | None = None,
+    wind_rate: Wind | None = None,
+) -> Float[Array, " joint"]:
+    """Joint accelerations under joint torques, gravity and drag, rad/s^2.
+
+    Arguments:
+        arm: the arm.
+        angles: joint angles, rad.
+        rates: joint rates, rad/s.
+        torques: joint torques, N m.
+        wind: velocity of the air in the base frame, m/s, one for the arm or one for each
+            link; still air by default.
+        wind_rate: its rate of change, m/s^2, which added mass feels; 0 by default.
+
+    Returns:
+        Accelerations, rad/s^2, shape (joint,).
+    """
+    return _accelerations(arm, angles, rates, torques, flow(arm, wind, wind_rate))
+
+
+@eqx.filter_custom_jvp
+def _accelerations(arm: Arm, angles: Array, rates: Array, torques: Array, wind: Flow) -> Array:
+    return _eliminate_and_solve(arm, pose(arm, angles), rates, torques, wind)[1]
+
+
+@_accelerations.def_jvp
+def _accelerations_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Array, Array]:
+    """Differentiate M a + h = tau at fixed a, and reuse the factors of M.
+
+    Differentiating the Cholesky factorisation itself costs twice as much.
+    """
+    arm, angles, rates, torques, wind = primals
+    t_arm, t_angles, t_rates, t_torques, t_wind = tangents
+    here, t_here = eqx.filter_jvp(pose, (arm, angles), (t_arm, t_angles))
+    pieces, accelerations = _eliminate_and_solve(arm, here, rates, torques, wind)
+
+    def unbalanced(arm: Arm, here: Pose, rates: Array, torques: Array, wind: Flow) -> Array:
+        return torques - required_torque(arm, here, rates, accelerations, wind)
+
+    _, tangent = eqx.filter_jvp(
+        unbalanced,
+        (arm, here, rates, torques, wind),
+        (t_arm, t_here, t_rates, t_torques, t_wind),
+    )
+    return accelerations, solve_eliminated(pieces, tangent)
+
+
+def _eliminate_and_solve(
+    arm: Arm, here: Pose, rates: Array, torques: Array, wind: Flow
+) -> tuple[tuple[Piece, ...], Array]:
+    load, inertia = carried_load(arm, here, rates, None, wind), carried_inertia(arm, here)
+    carried = sum_from_tip(jnp.concatenate([load, inertia]))
+    motion, momentum = motion_and_momentum(arm, here, carried[6:])
+    torque = torques - load_torque(here, carried[:6])
+    return eliminate_and_solve(motion, momentum, arm.joints.armature, torque)
+
+
+# Energy of the arm, and the powers that change it.
+
+
+def kinetic_energy(
+    arm: Arm, angles: Float[Array, " joint"], rates: Float[Array, " joint"]
+) -> Scalar:
+    """Kinetic energy of the links, and of the air that they move where added mass is on, J.
+
+    Arguments:
+        arm: the arm.
+        angles: joint angles, rad.
+        rates: joint rates, rad/s.
+
+    Returns:
+        Energy, J, shape ().
+    """
+    return rates @ mass_matrix(arm, angles) @ rates / 2
+
+
+def potential_energy(
+    arm: Arm,
+    angles: Float[Array, " joint"],
+    command: Float[Array, " joint"],
+    wind: Wind | None = None,
+    memory: Float[Array, "row joint"] | None = None,
+) -> Scalar:
+    """Energy of the joints' springs, of gravity and of buoyancy, J; zero at z = 0 and rest.
+
+    Of joints with muscles it has what the balloons resist; the muscles' own is the air's, and
+    `muscle_power` what they deliver.
+
+    In a steady wind u added mass adds -1/2 u . M_a(q) u, which turns a link across the wind
+    (the Munk moment): with it the sum of kinetic and potential energy changes by the powers of
+    drag and of the joints alone.
+
+    Arguments:
+        arm: the arm.
+        angles: joint angles, rad.
+        command: commanded angles, rad.
+        wind: steady velocity of the air in the base frame, m/s, one for the arm or one for each
+            link; still air by default.
+        memory: states of the joints' hysteresis (`JointHysteresis`); without strain by default.
+
+    Returns:
+        Energy, J, shape ().
+    """
+    here = pose(arm, angles)
+    springs = (arm.spring_stiffness * (angles - command) ** 2).sum() / 2
+    if arm.pneumatics is not None:
+        springs = springs + arm.pneumatics.energy(angles).sum()
+    if memory is not None:
+        springs = springs + arm.joints.hysteresis.energy(angles, memory).sum()
+    energy = springs + arm.gravity * (bodies(arm).mass * here.mass_centre[2]).sum()
+    lifted = lift_force(arm)
+    if lifted is not None:
+        energy = energy - dot(lifted, here.centre).sum()
+    rod = added_mass(arm)
+    if rod is not None and arm.air.added_mass == "kirchhoff":
+        still = jnp.zeros_like(here.centre)
+        stream = across_link(here.direction, relative_velocity(arm, still, flow(arm, wind)))
+        energy = energy - (rod.mass * dot(stream, stream)).sum() / 2
+    return energy
+
+
+def drag_power(
+    arm: Arm,
+    angles: Float[Array, " joint"],
+    rates: Float[Array, " joint"],
+    wind: Wind | None = None,
+) -> Scalar:
+    """Power that the air's drag delivers to the links, W; negative in still air.
+
+    Arguments:
+        arm: the arm.
+        angles: joint angles, rad.
+        rates: joint rates, rad/s.
+        wind: velocity of the air in the base frame, m/s, one for the arm or one for each
+            link; still air by default.
+
+    Returns:
+        Power, W, shape ().
+    """
+    (force, couple), velocity, omega = drag_in_motion(arm, angles, rates, wind)
+    power = dot(force, velocity)
+    if couple is not None:
+        power = power + dot(couple, omega)
+    return power.sum()
+
+
+def damping_power(arm: Arm, rates: Float[Array, " joint"]) -> Scalar:
+    """Power that the joints' damping and friction deliver, W; never positive.
+
+    Arguments:
+        arm: the arm.
+        rates: joint rates, rad/s.
+
+    Returns:
+        Power, W, shape ().
+    """
+    return -(arm.joints.resistance(rates) * rates).sum()
+
+
+def hysteresis_power(
+    arm: Arm,
+    angles: Float[Array, " joint"],
+    rates: Float[Array, " joint"],
+    memory: Float[Array, "row joint"],
+) -> Scalar:
+    """Power that the joints' hysteresis takes from the motion for good, W; never positive.
+
+    Arguments:
+        arm: the arm.
+        angles: joint angles, rad.
+        rates: joint rates, rad/s.
+        memory: states of the joints' hysteresis (`JointHysteresis`).
+
+    Returns:
+        Power, W, shape ().
+    """
+    return -arm.joints.hysteresis.dissipation(angles, rates, memory).sum()
+
+
+def muscle_power(
+    arm: Arm,
+    angles: Float[Array, " joint"],
+    rates: Float[Array, " joint"],
+    pressures: Float[Array, "2 joint"],
+) -> Scalar:
+    """Power that the pressures in the muscles deliver to the joints, W.
+
+    Muscles are without friction, so that it is the pressure times the rate of the volume where
+    the law is virtual work of the gas (the ideal braid).
+
+    Arguments:
+        arm: an arm with muscles; without, it is 0.
+        angles: joint angles, rad.
+        rates: joint rates, rad/s.
+        pressures: of both muscles of each joint, Pa.
+
+    Returns:
+        Power, W, shape ().
+    """
+    if arm.pneumatics is None:
+        return jnp.zeros(())
+    return (arm.pneumatics.pull(angles, pressures) * rates).sum()

@@ -1,0 +1,193 @@
+"""Where the links are and how they move, all in the base frame.
+
+With every vector in one frame, each recursion along the chain is a cumulative sum; only the
+rotations need a loop of their own. Rows are `(3, link)` inside and `(link, 3)` in public functions.
+"""
+
+import functools
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...runtime.arrays import (
+    Array,
+    Float,
+    cross,
+    quaternion_product,
+    rotate,
+    rotation_vector_to_quaternion,
+    scaled,
+)
+from ...runtime.chain_loops import running_sum
+from ._arm import Arm, Bodies, bodies
+from ._parts import Axis
+
+Rows = Float[Array, "3 link"]
+
+
+class Pose(NamedTuple):
+    """Configuration of the chain in the base frame, component first.
+
+    Attributes:
+        direction: unit vector along each link.
+        axis: unit vector of each joint's axis.
+        joint: position of each link's joint, m.
+        centre: position of each link's geometric centre, m.
+        mass_centre: position of each link's centre of mass, with all that it carries, m.
+        left: unit vector to the left of each link; None where nothing lies off the axis.
+    """
+
+    direction: Rows
+    axis: Rows
+    joint: Rows
+    centre: Rows
+    mass_centre: Rows
+    left: Rows | None = None
+
+    @property
+    def up(self) -> Rows:
+        """Unit vector upwards of each link, in its own frame."""
+        assert self.left is not None
+        return cross(self.direction, self.left)
+
+
+def sum_from_base(x: Float[Array, "*row link"]) -> Float[Array, "*row link"]:
+    """Sum over this link and all links before it."""
+    return running_sum(x)
+
+
+def sum_from_tip(x: Float[Array, "*row link"]) -> Float[Array, "*row link"]:
+    """Sum over this link and all links after it."""
+    return running_sum(x, backwards=True)
+
+
+@eqx.filter_custom_jvp
+def _orient(
+    base: Array, angles: Array, axes: tuple[Axis, ...], sideways: bool
+) -> tuple[Rows, Rows, Rows | None]:
+    """Directions of the links, axes of the joints and, if asked for, directions to the left.
+
+    `base` is a unit quaternion.
+    """
+    fixed = jnp.asarray(axes, dtype=angles.dtype).T
+    turns = jnp.concatenate([jnp.cos(angles / 2)[None], scaled(jnp.sin(angles / 2), fixed)])
+    first = quaternion_product(base[:, None], turns[:, :1])
+
+    def compose(k: Array, turned: Array) -> Array:
+        column = functools.partial(jax.lax.dynamic_slice_in_dim, turned, slice_size=1, axis=1)
+        after = quaternion_product(column(k - 1), column(k))
+        return jax.lax.dynamic_update_slice_in_dim(turned, after, k, 1)
+
+    # In their own places: a scan would copy what it reads and what it writes.
+    whole = jnp.concatenate([first, turns[:, 1:]], axis=1)
+    orientations = jax.lax.fori_loop(1, angles.size, compose, whole)
+    w, x, y, z = orientations
+    direction = jnp.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)])
+    left = jnp.stack([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)])
+    return direction, rotate(orientations, fixed), left if sideways else None
+
+
+@_orient.def_jvp
+def _orient_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Any, Any]:
+    """A change of the angles turns each link by a small rotation, which is a sum along the chain.
+
+    The loop then stays out of every derivative, and with it most of their cost.
+    """
+    base, angles, axes, sideways = primals
+    t_base, t_angles, *_ = tangents
+    direction, axis, left = _orient(base, angles, axes, sideways)
+    turn = jnp.zeros_like(axis)
+    if t_angles is not None:
+        turn = turn + sum_from_base(scaled(t_angles, axis))
+    if t_base is not None:
+        conjugate = base * np.asarray([1, -1, -1, -1], base.dtype)
+        turn = turn + 2 * quaternion_product(t_base, conjugate)[1:, None]
+    t_left = None if left is None else cross(turn, left)
+    return (direction, axis, left), (cross(turn, direction), cross(turn, axis), t_left)
+
+
+def pose(arm: Arm, angles: Float[Array, " joint"], *, sideways: bool = False) -> Pose:
+    """Forward kinematics; `sideways` asks for the links' whole frames.
+
+    Arguments:
+        arm: the arm.
+        angles: joint angles, rad.
+        sideways: whether the links' whole frames are needed.
+
+    Returns:
+        Positions and directions of links and joints in the base frame.
+    """
+    base = rotation_vector_to_quaternion(arm.base_rotation)
+    body = bodies(arm)
+    sideways = sideways or body.across is not None
+    direction, axis, left = _orient(base, angles, arm.joints.axes, sideways)
+    span = scaled(arm.links.length, direction)
+    joint = sum_from_base(span) - span
+    here = Pose(direction, axis, joint, joint + span / 2, joint, left)
+    beside, mass_centre = beside_axis(body, here), joint + scaled(body.along, direction)
+    return here._replace(mass_centre=mass_centre if beside is None else mass_centre + beside)
+
+
+def beside_axis(body: Bodies, here: Pose) -> Rows | None:
+    """From each link's axis to its centre of mass, m; None where all lie on their axes."""
+    if body.across is None:
+        return None
+    assert here.left is not None
+    return scaled(body.across[0], here.left) + scaled(body.across[1], here.up)
+
+
+def angular_velocities(pose: Pose, rates: Float[Array, " joint"]) -> Rows:
+    """Angular velocity of each link."""
+    return sum_from_base(scaled(rates, pose.axis))
+
+
+def centre_velocities(arm: Arm, pose: Pose, angular_velocity: Rows) -> Rows:
+    """Velocity of each link's geometric centre: V_Gi of eq. (1)."""
+    span = cross(angular_velocity, scaled(arm.links.length, pose.direction))
+    return sum_from_base(span) - span / 2
+
+
+def link_centres(arm: Arm, angles: Float[Array, " joint"]) -> Float[Array, "link 3"]:
+    """Positions of the links' geometric centres in the base frame, m.
+
+    Arguments:
+        arm: the arm.
+        angles: joint angles, rad.
+
+    Returns:
+        Positions, m, shape (link, 3).
+    """
+    return pose(arm, angles).centre.T
+
+
+def tip_position(arm: Arm, angles: Float[Array, " joint"]) -> Float[Array, "3"]:
+    """Position of the end of the last link in the base frame, m.
+
+    Arguments:
+        arm: the arm.
+        angles: joint angles, rad.
+
+    Returns:
+        Position, m, shape (3,).
+    """
+    return scaled(arm.links.length, pose(arm, angles).direction).sum(axis=-1)
+
+
+def link_velocities(
+    arm: Arm, angles: Float[Array, " joint"], rates: Float[Array, " joint"]
+) -> Float[Array, "link 3"]:
+    """Velocities of the links' geometric centres in the base frame, m/s.
+
+    Arguments:
+        arm: the arm.
+        angles: joint angles, rad.
+        rates: joint rates, rad/s.
+
+    Returns:
+        Velocities, m/s, shape (link, 3).
+    """
+    here = pose(arm, angles)
+    return centre_velocities(arm, here, angular_velocities(here, rates)).T

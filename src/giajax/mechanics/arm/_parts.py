@@ -1,0 +1,334 @@
+"""The parts of an arm: links, joints with their axes, masses, air, and the law of contact."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from ...runtime.arrays import Array, Bool, Float, Scalar, safe_norm, scaled
+from ...runtime.text import InputError
+from ...schema import AIR, BUOYANCY, CONTACT, JOINTS, LINKS, POINT_MASSES
+from ...schema.parameters import inline, is_concrete, parameter
+from ..obstacles import AbstractObstacle
+from ._memory import JointHysteresis
+
+Axis = tuple[float, float, float]
+
+PITCH: Axis = (0.0, -1.0, 0.0)
+"""Axis of a pitch joint: a positive angle raises the arm."""
+
+YAW: Axis = (0.0, 0.0, 1.0)
+"""Axis of a yaw joint: a positive angle turns the arm to the left."""
+
+
+def named_axes(axes: str | Sequence[str | Sequence[float]], count: int) -> tuple[Axis, ...]:
+    """Unit axes of the joints from their names.
+
+    Arguments:
+        axes: "pitch_yaw" (odd joints pitch, even joints yaw) or, for each joint, "pitch", "yaw"
+            or a vector, which is normalised.
+        count: number of joints.
+
+    Returns:
+        One unit vector (x, y, z) for each joint, in the frame of the straight arm.
+
+    Raises:
+        InputError: an unknown name, a zero vector, or a list of another length.
+    """
+    if axes == "pitch_yaw":
+        return tuple(YAW if joint % 2 else PITCH for joint in range(count))
+    if isinstance(axes, str) or len(axes) != count:
+        raise InputError(
+            f'joint_axes is {axes!r}: give "pitch_yaw" or a list of {count} axes, '
+            'each "pitch", "yaw" or [x, y, z]'
+        )
+    return tuple(_unit_axis(axis) for axis in axes)
+
+
+def _unit_axis(axis: str | Sequence[float]) -> Axis:
+    if isinstance(axis, str):
+        try:
+            return {"pitch": PITCH, "yaw": YAW}[axis]
+        except KeyError:
+            raise InputError(
+                f'the joint axis {axis!r} is unknown: use "pitch", "yaw" or [x, y, z]'
+            ) from None
+    vector = np.asarray(axis, dtype=float)
+    norm = np.linalg.norm(vector)
+    if vector.shape != (3,) or not norm > 0:
+        raise InputError(
+            f"the joint axis {list(axis)} is no direction: give three numbers, not all zero"
+        )
+    # A unit vector stays as it is, so that an arm comes back from its file bit for bit.
+    unit = vector if abs(norm - 1) < 1e-15 else vector / norm
+    x, y, z = (float(component) for component in unit)
+    return x, y, z
+
+
+# The air around an arm: its properties, and which of its effects count.
+
+DRAGS = ("centre", "strip")
+"""Where drag acts: at each link's centre (eq. 1), or along the link."""
+
+DRAG_CURVES = ("constant", "cylinder")
+"""How C_D depends on the Reynolds number."""
+
+ADDED_MASSES = ("kirchhoff", "inertia")
+"""What added mass does beside resisting accelerations."""
+
+
+class Air(eqx.Module):
+    """The air: by default as the paper's eq. (1) sees it, and on request all of it.
+
+    - `drag = "centre"`: eq. (1), with the full velocity of each link's centre.
+    - `drag = "strip"`: cross-flow drag, from the velocity normal to the link alone, integrated
+      along the link by `strip_points` Gauss points; `axial_coefficient` adds what acts along it.
+    - `drag_curve = "constant"`: C_D is `drag_coefficient`. "cylinder": it follows the Reynolds
+      number as that of a smooth circular cylinder does, scaled so that `drag_coefficient` is its
+      value at Re = 1e5.
+    - `added_mass_coefficient`: the air that a link must move out of its way.
+    - `added_mass = "kirchhoff"`: with the terms that follow from its energy, which are products of
+      velocities. "inertia": without them, as in engines that add it to their mass matrix alone;
+      energy is not conserved then. It is here to compare with those.
+    - `wind`: a constant wind, beside that of the run.
+    """
+
+    density: Scalar = parameter(AIR.density)
+    drag_coefficient: Scalar = parameter(AIR.drag_coefficient)
+    axial_coefficient: Scalar | None = parameter(AIR.axial_coefficient)
+    added_mass_coefficient: Scalar | None = parameter(AIR.added_mass_coefficient)
+    wind: Float[Array, "3"] | None = parameter(AIR.wind)
+    viscosity: Scalar = parameter(AIR.viscosity)
+    drag: str = eqx.field(static=True, default="centre")
+    strip_points: int = eqx.field(static=True, default=3)
+    drag_curve: str = eqx.field(static=True, default="constant")
+    added_mass: str = eqx.field(static=True, default="kirchhoff")
+
+    def __check_init__(self) -> None:
+        _check_choice("drag", self.drag, DRAGS)
+        _check_choice("drag_curve", self.drag_curve, DRAG_CURVES)
+        _check_choice("added_mass", self.added_mass, ADDED_MASSES)
+        if self.strip_points < 1:
+            raise InputError(f"strip_points is {self.strip_points}: give at least 1")
+        if self.axial_coefficient is not None and self.drag == "centre":
+            raise InputError(
+                "drag = 'centre' has the full velocity already and no axial coefficient: "
+                "use drag = 'strip', or leave air.axial_coefficient out"
+            )
+
+
+def _check_choice(name: str, value: str, choices: Sequence[str]) -> None:
+    """Refuse a value that is not among the choices.
+
+    Raises:
+        InputError: naming the choices.
+    """
+    if value not in choices:
+        raise InputError(f"{name} is {value!r}: use one of {', '.join(choices)}")
+
+
+# The rigid links of an arm: sizes, masses and moments of inertia.
+
+
+class Links(eqx.Module):
+    """The rigid links, one element of each array per link."""
+
+    length: Float[Array, " link"] = parameter(LINKS.length)
+    diameter: Float[Array, " link"] = parameter(LINKS.diameter)
+    mass: Float[Array, " link"] = parameter(LINKS.mass)
+    centre_of_mass: Float[Array, " link"] = parameter(LINKS.centre_of_mass)
+    inertia_transverse: Float[Array, " link"] = parameter(LINKS.inertia_transverse)
+    inertia_axial: Float[Array, " link"] = parameter(LINKS.inertia_axial)
+    fullness: Float[Array, " link"] = parameter(LINKS.fullness)
+
+    def __check_init__(self) -> None:
+        shapes = {getattr(self, name).shape for name in self.__dataclass_fields__}
+        if len(shapes) != 1 or len(next(iter(shapes))) != 1:
+            raise InputError(
+                f"the arrays of Links have shapes {sorted(shapes)}: "
+                "give each the shape (number of links,)"
+            )
+
+    @property
+    def count(self) -> int:
+        """Number of links."""
+        return self.length.shape[0]
+
+    @property
+    def volume(self) -> Float[Array, " link"]:
+        """Air that each link displaces, m^3."""
+        return np.pi / 4 * self.diameter**2 * self.length * self.fullness
+
+
+# The joints of an arm: axes, springs, dampers, friction and the inertia of drives.
+
+
+class Joints(eqx.Module):
+    """The joints: fixed axes, and a spring towards the commanded angle beside a damper.
+
+    A joint whose axis is nearer to vertical than to horizontal (in its own straight pose) is a
+    yaw joint and takes the yaw stiffness; every other one takes the pitch stiffness.
+    """
+
+    axes: tuple[Axis, ...] = eqx.field(static=True)
+    pitch_stiffness: Scalar = parameter(JOINTS.pitch_stiffness)
+    yaw_stiffness: Scalar = parameter(JOINTS.yaw_stiffness)
+    damping: Float[Array, ""] | Float[Array, " joint"] = parameter(JOINTS.damping)
+    friction: Float[Array, ""] | Float[Array, " joint"] | None = parameter(JOINTS.friction)
+    friction_rate: Scalar = parameter(JOINTS.friction_rate)
+    armature: Float[Array, ""] | Float[Array, " joint"] | None = parameter(JOINTS.armature)
+    hysteresis: JointHysteresis = inline(default_factory=JointHysteresis)
+
+    def __check_init__(self) -> None:
+        norms = np.linalg.norm(np.asarray(self.axes, dtype=float), axis=-1)
+        if not np.allclose(norms, 1.0, rtol=0, atol=1e-12):
+            raise InputError("a joint axis is no unit vector: build the arm with chain(...)")
+
+    @property
+    def is_yaw(self) -> Bool[np.ndarray, " joint"]:
+        """Which joints take the yaw stiffness."""
+        return np.abs(np.asarray(self.axes))[:, 2] > np.sqrt(0.5)
+
+    @property
+    def stiffness(self) -> Float[Array, " joint"]:
+        """Stiffness of each joint, N m/rad."""
+        return jnp.where(self.is_yaw, self.yaw_stiffness, self.pitch_stiffness)
+
+    def resistance(self, rates: Float[Array, " joint"]) -> Float[Array, " joint"]:
+        """Torque against the motion of each joint, damping and friction, N m."""
+        torque = self.damping * rates
+        if self.friction is None:
+            return torque
+        return torque + self.friction * jnp.tanh(rates / self.friction_rate)
+
+    @property
+    def stiffest_damping(self) -> Float[Array, " joint"]:
+        """Steepest slope of `resistance` of each joint, N m s/rad."""
+        slope = self.damping
+        if self.friction is not None:
+            slope = slope + self.friction / self.friction_rate
+        return jnp.broadcast_to(slope, (len(self.axes),))
+
+
+# What hangs on the links and what lifts them: helium, trim weights and point masses.
+
+PerLink = Float[Array, ""] | Float[Array, " link"]
+PerBody = Float[Array, ""] | Float[Array, " body"]
+
+
+class Buoyancy(eqx.Module):
+    """Archimedes: displaced air lifts each link at its centre; helium and trim move with it.
+
+    With trim weights that balance the rest (`trimmed`), each link floats, and moves with a total
+    mass equal to that of the air it displaces, whatever its structure weighs. The helium moves
+    with the link, but does not spin with it about the link's own axis.
+    """
+
+    helium_density: Scalar = parameter(BUOYANCY.helium_density)
+    trim_mass: PerLink = parameter(BUOYANCY.trim_mass)
+    trim_position: PerLink = parameter(BUOYANCY.trim_position)
+    trim_depth: PerLink | None = parameter(BUOYANCY.trim_depth)
+    imbalance: PerLink | None = parameter(BUOYANCY.imbalance)
+
+
+class PointMasses(eqx.Module):
+    """Small bodies fixed to links: a camera at the tip, cables, tubes, the ball of a pendulum.
+
+    Arguments:
+        links: the link that carries each of them, counted from 1.
+        mass: of each, kg.
+        position: of each from its link's joint along the link, m.
+        left, up: of each from the link's axis, in the straight arm, m; None: on the axis.
+        drag_area: C_D A of each, m^2; None: no body has a drag of its own.
+    """
+
+    links: tuple[int, ...] = eqx.field(static=True)
+    mass: PerBody = parameter(POINT_MASSES.mass)
+    position: PerBody = parameter(POINT_MASSES.position)
+    left: PerBody | None = parameter(POINT_MASSES.left)
+    up: PerBody | None = parameter(POINT_MASSES.up)
+    drag_area: PerBody | None = parameter(POINT_MASSES.drag_area)
+
+    def __check_init__(self) -> None:
+        if not self.links or min(self.links) < 1:
+            raise InputError("a point mass has no link, or one below 1: number its link from 1")
+        for name in ("mass", "position", "left", "up", "drag_area"):
+            value = getattr(self, name)
+            if value is not None and value.shape not in ((), (len(self.links),)):
+                raise InputError(
+                    f"the point masses have {len(self.links)} links and a {name} of shape "
+                    f"{value.shape}: give one number, or one each"
+                )
+
+
+# Contact of inflated links with obstacles: the law, and its numbers.
+
+
+class Contact(eqx.Module):
+    """Links are inextensible tubes under pressure, and flatten where they meet an obstacle.
+
+    A tube of length L under gauge pressure p that two plates flatten by delta presses with
+    (pi / 2) p L delta: the flat part is as wide as pi delta / 2. Each wall meets half of that, so
+    that the axis of a link that is nearer to a wall than its radius by w is pushed away by
+    pi p w for each metre (`shape_factor` is that pi).
+
+    Friction is elastic up to Coulomb's limit: where a link touches, its skin sticks, and slides
+    once the force reaches `friction` times the pressing one. The stretch of the skin is a state
+    of shape (3, link), m; without friction there is none.
+
+    Arguments:
+        obstacles: what stands around the arm, at least one.
+        pressure: gauge pressure in the links, Pa; one number, or one each.
+        shape_factor: force over pressure, length and penetration.
+        damping: s/m; a closing contact presses (1 + damping times closing speed) times as hard
+            (Hunt and Crossley, J. Appl. Mech. 42 (1975) 440), an opening one softer, and none
+            pulls: it never creates energy.
+        friction: coefficient of friction; None for none.
+        friction_stiffness: of a link along a surface that it sticks to, N/m.
+        points: Gauss points of each of the three pieces of a contact of a link with a box.
+
+    Raises:
+        InputError: no obstacles, two of the same name, or friction without a stiffness.
+    """
+
+    obstacles: tuple[AbstractObstacle, ...]
+    pressure: Float[Array, ""] | Float[Array, " link"] = parameter(CONTACT.pressure)
+    shape_factor: Scalar = parameter(CONTACT.shape_factor)
+    damping: Scalar = parameter(CONTACT.damping)
+    friction: Scalar | None = parameter(CONTACT.friction)
+    friction_stiffness: Scalar = parameter(CONTACT.friction_stiffness)
+    points: int = eqx.field(static=True, default=5)
+
+    def __check_init__(self) -> None:
+        if not self.obstacles:
+            raise InputError("contact without an obstacle: give at least one, or leave contact out")
+        names = [obstacle.name for obstacle in self.obstacles]
+        twice = next((name for name in names if names.count(name) > 1), None)
+        if twice is not None:
+            raise InputError(f"two obstacles are called '{twice}': give each its own name")
+        stiffness = self.friction_stiffness
+        if self.friction is not None and is_concrete(stiffness) and not float(stiffness) > 0:
+            raise InputError(
+                f"contact.friction_stiffness is {float(stiffness):g}: make it positive"
+            )
+
+    @property
+    def rows(self) -> int:
+        """States of each link."""
+        return 0 if self.friction is None else 3
+
+    def line(self, links: int) -> Float[Array, " link"]:
+        """Force of each metre of link over its penetration, N/m^2."""
+        return self.shape_factor * jnp.broadcast_to(self.pressure, (links,))
+
+    def hold(
+        self, strain: Float[Array, "3 link"], normal: Float[Array, " link"]
+    ) -> Float[Array, "3 link"]:
+        """The stretch (m) that friction can hold where normal forces (N) press."""
+        if self.friction is None:
+            return strain
+        most = self.friction * normal / self.friction_stiffness
+        size = safe_norm(strain)
+        over = size > most
+        return scaled(jnp.where(over, most / jnp.where(over, size, 1), 1), strain)

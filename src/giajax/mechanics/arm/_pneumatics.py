@@ -1,0 +1,279 @@
+"""Muscles that drive joints: pairs of the paper's controller (fig. 6) in place of springs.
+
+The statics of a pair are those of `giajax.mechanics.joint`; here they act in the arm's equation of
+motion.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...runtime.arrays import Array, Float, Scalar
+from ...runtime.text import InputError
+from ...schema import DRIVE
+from ...schema.parameters import held, parameter
+from ..joint import (
+    LARGEST_ANGLE,
+    AbstractMuscle,
+    BraidedMuscle,
+    Correction,
+    Joint,
+    JointPair,
+    PairCommand,
+    commanded,
+    muscle_torques,
+    net_torque,
+    resistance,
+    resistance_energy,
+)
+from ._parts import Joints
+
+# How stiff muscles make a joint at most: what steps of the integration must resolve.
+
+# Angles at which the steepest slope is looked for.
+_ANGLES = np.linspace(-LARGEST_ANGLE, LARGEST_ANGLE, 121)
+
+
+def stiffest_pair(pair: JointPair) -> Scalar:
+    """Bound of the stiffness of a pair at any pressures within its range, N m/rad.
+
+    One pressure may be high where the other is low, so that what each muscle adds counts by itself.
+
+    Arguments:
+        pair: the joint and its muscles.
+    """
+    angles = jnp.asarray(_ANGLES)
+    ahead, pressures = angles >= 0, jnp.full(2, 1.0) * pair.muscle.limit
+
+    def torques(angle: Array) -> tuple[Array, Array]:
+        own = resistance(pair.joint.correction, angle, ahead)
+        return muscle_torques(pair, pressures, angle, ahead), own
+
+    (first, second), own = jax.jvp(torques, (angles,), (jnp.ones_like(angles),))[1]
+    return jnp.max(jnp.maximum(-first, 0) + jnp.maximum(second, 0) + own)
+
+
+# What is between the pressures of muscles and the arm, beside the muscles themselves.
+
+
+class MuscleDrive(eqx.Module):
+    """Lag of the pressures, and what else acts on joints with muscles.
+
+    Arguments:
+        lag: time in which a pressure follows its command to 63 %, s; None where it does at once.
+        passive_stiffness: of what else pulls a joint with muscles to its straight pose, N m/rad;
+            None for nothing.
+        stop_stiffness: with which a joint stops beyond 60 deg, N m/rad.
+    """
+
+    lag: Scalar | None = parameter(DRIVE.lag)
+    passive_stiffness: Scalar | None = parameter(DRIVE.passive_stiffness)
+    stop_stiffness: Scalar = parameter(DRIVE.stop_stiffness)
+
+
+MUSCLE_BLEND = float(np.deg2rad(1.0))
+"""Half-width about 0 within which alpha and beta join unless stated, rad."""
+
+# The largest angle as other conversions from degrees round it.
+_END = LARGEST_ANGLE * (1 + 1e-14)
+
+# A pressure as a state of the motion is in this unit, Pa: of the size of an angle.
+_UNIT = 1e5
+
+
+def _blended() -> Joint:
+    return Joint(correction=Correction(blend=MUSCLE_BLEND))
+
+
+class Pneumatics(eqx.Module):
+    """Pairs of muscles in some joints, in place of their springs; the same pair in each.
+
+    Pressures are arrays of shape (2, joint), Pa: of the first muscles, towards which a positive
+    angle bends, and of the second ones; 0 in joints without muscles. Beyond 60 deg a joint has
+    the torque of its pair at 60 deg, and a stop.
+
+    Arguments:
+        joints: numbers of the joints, increasing; 1 is the base joint.
+        joint: its parameters keep the paths that they have in the model of a joint
+            (`geometry.anchor_x`, `alpha.offset`, `torque`).
+        muscle: the law of all muscles (`muscle.effectiveness`).
+        drive: lag, passive stiffness and stop.
+
+    Raises:
+        InputError: no joint or the same twice, a law that pushes, or corrections that jump.
+    """
+
+    joints: tuple[int, ...] = eqx.field(static=True)
+    # A recording of an arm hardly tells them: a fit finds those that it is asked for.
+    joint: Joint = held(inline=True, default_factory=_blended)
+    muscle: AbstractMuscle = held(default_factory=BraidedMuscle)
+    drive: MuscleDrive = eqx.field(default_factory=MuscleDrive)
+
+    def __check_init__(self) -> None:
+        if not self.joints or np.any(np.diff(self.joints) <= 0) or self.joints[0] < 1:
+            raise InputError(
+                f"muscles are in joints {list(self.joints)}: give numbers of joints from 1 on, "
+                "increasing, each once"
+            )
+        if self.muscle.pushes:
+            raise InputError(
+                f'the law of an arm\'s muscles is "{self.muscle.name}", which pushes, and a pair '
+                "of muscles pulls: use another law"
+            )
+        correction = self.joint.correction
+        if correction.reading == "printed":
+            raise InputError(
+                "the corrections of an arm's muscles are as printed, where beta jumps at 2 and 20 "
+                'deg, and a joint would stick there: use "continuous" or "none"'
+            )
+        if correction.reading == "continuous" and not correction.blend > 0:
+            raise InputError(
+                "the corrections of an arm's muscles jump at 0, and a joint would stick there: "
+                "blend them over a half-width such as 1 deg"
+            )
+
+    @property
+    def pair(self) -> JointPair:
+        """The pair in each of these joints."""
+        return JointPair(joint=self.joint, muscle=self.muscle)
+
+    @property
+    def rows(self) -> int:
+        """States of each joint: its two pressures where they lag."""
+        return 0 if self.drive.lag is None else 2
+
+    def filled(self, pressures: Float[Array, "2 joint"]) -> Float[Array, "row joint"]:
+        """The states of muscles in which pressures (Pa) have settled."""
+        return pressures[: self.rows] / _UNIT
+
+    def inside(self, states: Float[Array, "row joint"]) -> Float[Array, "2 joint"]:
+        """Pressures (Pa) of states, where pressures lag."""
+        return states * _UNIT
+
+    def rate(
+        self, supplied: Float[Array, "2 joint"], states: Float[Array, "row joint"]
+    ) -> Float[Array, "row joint"]:
+        """How fast the states change under supplied pressures (Pa), 1/s."""
+        if self.drive.lag is None:
+            return states
+        return (supplied / _UNIT - states) / self.drive.lag
+
+    def asked(self, angle: Float[Array, "*shape"]) -> PairCommand:
+        """What the controller asks of both muscles of a joint at angles (rad)."""
+        angle = self._limited(angle)
+        load = jnp.zeros_like(angle)
+        if self.drive.passive_stiffness is not None:
+            load = self.drive.passive_stiffness * angle
+        torque = jnp.broadcast_to(self.joint.torque, angle.shape)
+        return commanded(self.pair, angle, load, torque)
+
+    def commanded(self, command: Float[Array, " joint"]) -> Float[Array, "2 joint"]:
+        """Pressures with which the controller holds commanded angles (rad), Pa."""
+        pressures = self.asked(self._of(command)).pressures
+        return self._in(command, jnp.moveaxis(pressures, -1, 0))
+
+    def torque(
+        self, angles: Float[Array, " joint"], pressures: Float[Array, "2 joint"]
+    ) -> Float[Array, " joint"]:
+        """Torque on each joint at pressures (Pa), N m; 0 in a joint without muscles."""
+        angle = self._of(angles)
+        bent = self._limited(angle)
+        torque = net_torque(self.pair, self._of(pressures), jnp.zeros(()), bent, bent >= 0)
+        torque = torque - self.drive.stop_stiffness * (angle - bent)
+        if self.drive.passive_stiffness is not None:
+            torque = torque - self.drive.passive_stiffness * angle
+        return self._in(angles, torque)
+
+    def pull(
+        self, angles: Float[Array, " joint"], pressures: Float[Array, "2 joint"]
+    ) -> Float[Array, " joint"]:
+        """The part of the torque that the pressures do, N m."""
+        bent = self._limited(self._of(angles))
+        first, second = muscle_torques(self.pair, self._of(pressures), bent, bent >= 0)
+        return self._in(angles, first - second)
+
+    def energy(self, angles: Float[Array, " joint"]) -> Float[Array, " joint"]:
+        """Energy that joints store whatever the pressures are, J; 0 in the straight arm."""
+        angle, correction = self._of(angles), self.joint.correction
+        bent = self._limited(angle)
+        beyond = angle - bent
+        energy = resistance_energy(correction, bent)
+        energy = energy + resistance(correction, bent, bent >= 0) * beyond
+        energy = energy + self.drive.stop_stiffness * beyond**2 / 2
+        if self.drive.passive_stiffness is not None:
+            energy = energy + self.drive.passive_stiffness * angle**2 / 2
+        return self._in(angles, energy)
+
+    def stiffest(self, count: int) -> Float[Array, " joint"]:
+        """Bound of the stiffness that any pressures give each of so many joints, N m/rad.
+
+        It is that of the range. A motion that reaches the stop is left to the control of errors.
+        """
+        stiffest = stiffest_pair(self.pair)
+        if self.drive.passive_stiffness is not None:
+            stiffest = stiffest + self.drive.passive_stiffness
+        return self._in(jnp.zeros(count), jnp.full(len(self.joints), stiffest))
+
+    def _limited(self, angle: Array) -> Array:
+        # Not `clip`, whose slope is a half at 60 deg itself, a usual command.
+        return jnp.where(jnp.abs(angle) <= _END, angle, jnp.sign(angle) * LARGEST_ANGLE)
+
+    @property
+    def _stride(self) -> int | None:
+        """The distance between these joints, where it is the same everywhere."""
+        steps = set(np.diff(self.joints).tolist())
+        return None if len(steps) > 1 else next(iter(steps), 1)
+
+    def _of(self, each: Array) -> Array:
+        """What of each joint belongs to these, along the last axis."""
+        if self._stride is not None:
+            return each[..., self.joints[0] - 1 : self.joints[-1] : self._stride]
+        return each[..., np.asarray(self.joints) - 1]
+
+    def _in(self, like: Array, values: Array) -> Array:
+        """Values of these joints among all, as many as `like` has, and 0 elsewhere."""
+        count = like.shape[-1]
+        zero = jnp.zeros((), values.dtype)
+        if self._stride is not None:
+            # A slice and a padding cost nothing; gathering and scattering do.
+            within = (self.joints[0] - 1, count - self.joints[-1], self._stride - 1)
+            around = [(0, 0, 0)] * (values.ndim - 1)
+            return jax.lax.pad(values, zero, [*around, within])
+        every = jnp.zeros((*values.shape[:-1], count), values.dtype)
+        return every.at[..., np.asarray(self.joints) - 1].set(values)
+
+
+# Joints with muscles, by a name or by their numbers.
+
+
+def muscles_in(muscles: str | Sequence[int], pair: JointPair | None, joints: Joints) -> Pneumatics:
+    """Muscles in the joints of a name or of these numbers."""
+    named = {"pitch": ~joints.is_yaw, "all": np.ones(len(joints.axes), bool)}
+    if isinstance(muscles, str) and muscles in named:
+        numbers = np.flatnonzero(named[muscles]) + 1
+    else:
+        numbers = np.asarray(muscles)
+    if numbers.ndim != 1 or numbers.dtype.kind not in "iu":
+        raise InputError(
+            f'muscles is {muscles!r}: use "pitch", "all" or a list of numbers of joints'
+        )
+    chosen = tuple(numbers.tolist())
+    if pair is None:
+        return Pneumatics(chosen)
+    return Pneumatics(chosen, joint=pair.joint, muscle=pair.muscle)
+
+
+def without_idle_springs(joints: Joints, pneumatics: Pneumatics) -> Joints:
+    """Joints in which a stiffness that no spring has is 0, so that no fit looks for it."""
+    sprung = np.setdiff1d(np.arange(len(joints.axes)), np.asarray(pneumatics.joints) - 1)
+    yaws = joints.is_yaw[sprung]
+    none = jnp.zeros(())
+    return dataclasses.replace(
+        joints,
+        pitch_stiffness=joints.pitch_stiffness if np.any(~yaws) else none,
+        yaw_stiffness=joints.yaw_stiffness if np.any(yaws) else none,
+    )

@@ -1,0 +1,326 @@
+"""The Prandtl-Ishlinskii operator, of either kind, and its exact inverse.
+
+References: K. Kuhnen, "Modeling, identification and compensation of complex hysteretic
+nonlinearities: a modified Prandtl-Ishlinskii approach", Eur. J. Control 9 (2003) 407-418;
+P. Krejci, K. Kuhnen, "Inverse control of systems with hysteresis and creep", IEE Proc. 148
+(2001) 185-192.
+"""
+
+from typing import Any, Literal, Self
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from ...runtime.arrays import Array, Float, Scalar
+from ...runtime.text import InputError
+from ...schema import DEAD_ZONES, MODIFIED_PRANDTL_ISHLINSKII, PRANDTL_ISHLINSKII
+from ...schema.parameters import is_concrete, parameter
+from ._operator import AbstractExactOperator, check_thresholds, clip, play
+
+# A memoryless, monotone, piecewise linear curve: a superposition of one-sided dead zones.
+#
+# Reference: K. Kuhnen, Eur. J. Control 9 (2003) 407-418.
+
+# A piece whose slope is less than this part of the largest is level, as far as an inverse goes.
+_LEVEL = 1e-6
+
+
+class DeadZones(eqx.Module):
+    """S(x) = slope x between the dead zones nearest to 0, with a slope of its own beyond each.
+
+    In the usual notation the weight of a dead zone is the change of the slope at its threshold.
+    Here the slopes are the parameters: S increases where all of them are positive.
+
+    Arguments:
+        slope: at 0.
+        upper_thresholds: positive, where the slope changes, shape (upper,).
+        upper_slopes: slope beyond each of them, shape (upper,).
+        lower_thresholds: distances below 0, positive, shape (lower,).
+        lower_slopes: slope beyond each of them, shape (lower,).
+
+    Raises:
+        InputError: a list of slopes that is not as long as its thresholds, or a threshold that
+            is not positive.
+    """
+
+    slope: Scalar = parameter(DEAD_ZONES.slope)
+    upper_thresholds: Float[Array, " upper"] = parameter(DEAD_ZONES.upper_thresholds)
+    upper_slopes: Float[Array, " upper"] = parameter(DEAD_ZONES.upper_slopes)
+    lower_thresholds: Float[Array, " lower"] = parameter(DEAD_ZONES.lower_thresholds)
+    lower_slopes: Float[Array, " lower"] = parameter(DEAD_ZONES.lower_slopes)
+
+    def __check_init__(self) -> None:
+        for name in ("upper", "lower"):
+            thresholds = getattr(self, f"{name}_thresholds")
+            slopes = getattr(self, f"{name}_slopes")
+            if not is_concrete((thresholds, slopes)):
+                continue
+            if thresholds.shape != slopes.shape or thresholds.ndim != 1:
+                raise InputError(
+                    f"there are {name} dead zones of shape {thresholds.shape} and slopes of shape "
+                    f"{slopes.shape}: give one slope for each dead zone"
+                )
+            if not bool(jnp.all(thresholds > 0)):
+                raise InputError(
+                    f"a threshold of the {name} dead zones is not positive: give distances from 0"
+                )
+
+    def __call__(self, x: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+        """The curve at x."""
+        above = _beyond(x, self.slope, self.upper_thresholds, self.upper_slopes)
+        below = _beyond(-x, self.slope, self.lower_thresholds, self.lower_slopes)
+        return self.slope * x + above - below
+
+    def inverse(self) -> "DeadZones":
+        """The curve that undoes this one, of the same form; where this one is level, it jumps.
+
+        Raises:
+            InputError: a slope below 0, or none above.
+        """
+        slopes = jnp.concatenate([self.slope[None], self.upper_slopes, self.lower_slopes])
+        if is_concrete(slopes) and not bool(jnp.all(slopes >= 0) & jnp.any(slopes > 0)):
+            raise InputError(
+                f"a dead zone has the slope {float(jnp.min(slopes)):.3g}, without an "
+                "inverse: make no slope negative, and one positive"
+            )
+        # A jump is a piece that is very steep.
+        least = _LEVEL * jnp.max(slopes)
+        slope, upper, lower = (
+            jnp.maximum(each, least) for each in (self.slope, self.upper_slopes, self.lower_slopes)
+        )
+        return DeadZones(
+            1 / slope,
+            *_inverted(slope, self.upper_thresholds, upper),
+            *_inverted(slope, self.lower_thresholds, lower),
+        )
+
+
+def per_row(values: Float[Array, " n"], x: Array) -> Array:
+    """Values along a new last axis, beside any number of axes of x."""
+    return jnp.reshape(values, (1,) * x.ndim + values.shape)
+
+
+def _sorted(thresholds: Array, slopes: Array) -> tuple[Array, Array]:
+    order = jnp.argsort(thresholds)
+    return thresholds[order], slopes[order]
+
+
+def _before(slope: Array, slopes: Array) -> Array:
+    """Slope of the piece before each threshold."""
+    return jnp.concatenate([slope[None], slopes[:-1]])
+
+
+def _beyond(x: Array, slope: Array, thresholds: Array, slopes: Array) -> Array:
+    thresholds, slopes = _sorted(thresholds, slopes)
+    over = jnp.maximum(jnp.expand_dims(x, -1) - per_row(thresholds, x), 0)
+    return over @ (slopes - _before(slope, slopes))
+
+
+def _inverted(slope: Array, thresholds: Array, slopes: Array) -> tuple[Array, Array]:
+    thresholds, slopes = _sorted(thresholds, slopes)
+    lengths = jnp.diff(thresholds, prepend=jnp.zeros_like(thresholds[:1]))
+    return jnp.cumsum(_before(slope, slopes) * lengths), 1 / slopes
+
+
+Elements = Literal["play", "stop"]
+ELEMENTS = ("play", "stop")
+
+
+class PrandtlIshlinskii(AbstractExactOperator):
+    """y = elastic u + sum of weights times plays (or stops) of the input.
+
+    Arguments:
+        elastic: w_0, output per input of the element without memory.
+        weights: w_i, output per input, shape (threshold,).
+        thresholds: r_i, in the unit of the input, shape (threshold,).
+        elements: "play" or "stop".
+
+    Raises:
+        InputError: lists of different lengths, or a negative threshold.
+    """
+
+    elastic: Scalar = parameter(PRANDTL_ISHLINSKII.elastic)
+    weights: Float[Array, " threshold"] = parameter(PRANDTL_ISHLINSKII.weights)
+    thresholds: Float[Array, " threshold"] = parameter(PRANDTL_ISHLINSKII.thresholds)
+    elements: Elements = eqx.field(default="play", static=True)
+
+    def __check_init__(self) -> None:
+        check_thresholds(self.thresholds)
+        if self.elements not in ELEMENTS:
+            raise InputError(f"there are no elements '{self.elements}': use play or stop")
+        if is_concrete(self.weights) and self.weights.shape != self.thresholds.shape:
+            raise InputError(
+                f"there are weights of shape {self.weights.shape} and thresholds of shape "
+                f"{self.thresholds.shape}: give one weight for each threshold"
+            )
+
+    def of_plays(self) -> tuple[Scalar, Float[Array, " threshold"]]:
+        """Elastic weight and weights of the same operator written with plays.
+
+        A stop is the input less the play.
+        """
+        if self.elements == "play":
+            return self.elastic, self.weights
+        return self.elastic + jnp.sum(self.weights), -self.weights
+
+    def reset(self) -> Float[Array, " threshold"]:
+        """All plays at 0."""
+        return jnp.zeros_like(self.thresholds)
+
+    def step(
+        self, state: Float[Array, " threshold"], value: Scalar
+    ) -> tuple[Float[Array, " threshold"], Scalar]:
+        """Plays and output after the input has moved."""
+        elastic, weights = self.of_plays()
+        state = clip(state, value - self.thresholds, value + self.thresholds)
+        return state, elastic * value + weights @ state
+
+    def history(
+        self, inputs: Float[Array, " sample"], state: Float[Array, " threshold"] | None = None
+    ) -> tuple[Float[Array, " sample"], Float[Array, " threshold"]]:
+        """Outputs at all samples."""
+        elastic, weights = self.of_plays()
+        plays = play(inputs, self.thresholds, state)
+        return elastic * inputs + plays @ weights, plays[-1]
+
+    def loading(self, amplitude: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+        """The initial loading curve: output of the virgin operator on the way up from 0."""
+        elastic, weights = self.of_plays()
+        over = jnp.maximum(jnp.expand_dims(amplitude, -1) - per_row(self.thresholds, amplitude), 0)
+        return elastic * amplitude + over @ weights
+
+    def inverse(self) -> Self:
+        """The operator that undoes this one, a Prandtl-Ishlinskii operator of plays.
+
+        Its thresholds are the loading curve at the thresholds, its slopes the inverse slopes:
+        exact for any history, minor loops included.
+
+        Raises:
+            InputError: the loading curve does not increase everywhere, so that one output
+                belongs to several inputs.
+        """
+        elastic, weights = self.of_plays()
+        order = jnp.argsort(self.thresholds)
+        thresholds, weights = self.thresholds[order], weights[order]
+        slopes = jnp.concatenate([elastic[None], elastic + jnp.cumsum(weights)])
+        if is_concrete(slopes) and not bool(jnp.all(slopes > 0)):
+            raise InputError(
+                f"the slope of the loading curve falls to {float(jnp.min(slopes)):.3g}, which has "
+                "no inverse: fit with a positive elastic weight"
+            )
+        # The loading curve at each threshold, from the slope of each piece before it.
+        lengths = jnp.diff(thresholds, prepend=jnp.zeros_like(thresholds[:1]))
+        inverse_slopes = 1 / slopes
+        return type(self)(
+            elastic=inverse_slopes[0],
+            weights=jnp.diff(inverse_slopes),
+            thresholds=jnp.cumsum(slopes[:-1] * lengths),
+            elements="play",
+        )
+
+    def inverse_state(self, state: Float[Array, " threshold"]) -> Float[Array, " threshold"]:
+        """Memory of the inverse that belongs to a memory of this operator."""
+        elastic, weights = self.of_plays()
+        order = jnp.argsort(self.thresholds)
+        weights, state = weights[order], state[order]
+        below = jnp.cumsum(weights)
+        above = jnp.sum(weights * state) - jnp.cumsum(weights * state)
+        return (elastic + below) * state + above
+
+
+# The modified Prandtl-Ishlinskii operator: dead zones behind, for loops without symmetry.
+#
+# Reference: K. Kuhnen, Eur. J. Control 9 (2003) 407-418.
+
+
+class ModifiedPrandtlIshlinskii(AbstractExactOperator):
+    """y = S(H[u]): a memoryless curve of the output of a Prandtl-Ishlinskii operator of plays.
+
+    H alone is odd and does not know where 0 is; S is neither: it gives loops without symmetry,
+    and a region that is soft at an angle fixed on the joint.
+
+    H = (u + sum of weights times plays) / (1 + sum of weights) has the slope 1 in large loops,
+    because its scale and that of S cannot be separated.
+
+    Arguments:
+        dead_zones: S.
+        weights: of the plays, relative to that of the input, shape (threshold,).
+        thresholds: of the plays, in the unit of the input, shape (threshold,).
+
+    Raises:
+        InputError: lists of different lengths, or a negative threshold.
+    """
+
+    dead_zones: DeadZones
+    weights: Float[Array, " threshold"] = parameter(MODIFIED_PRANDTL_ISHLINSKII.weights)
+    thresholds: Float[Array, " threshold"] = parameter(MODIFIED_PRANDTL_ISHLINSKII.thresholds)
+
+    def __check_init__(self) -> None:
+        check_thresholds(self.thresholds)
+        if is_concrete(self.weights) and self.weights.shape != self.thresholds.shape:
+            raise InputError(
+                f"there are weights of shape {self.weights.shape} and thresholds of shape "
+                f"{self.thresholds.shape}: give one weight for each threshold"
+            )
+
+    @property
+    def hysteresis(self) -> PrandtlIshlinskii:
+        """H."""
+        total = 1 + jnp.sum(self.weights)
+        return PrandtlIshlinskii(1 / total, self.weights / total, self.thresholds)
+
+    def reset(self) -> Float[Array, " threshold"]:
+        """All plays at 0."""
+        return jnp.zeros_like(self.thresholds)
+
+    def step(
+        self, state: Float[Array, " threshold"], value: Scalar
+    ) -> tuple[Float[Array, " threshold"], Scalar]:
+        """Plays and output after the input has moved."""
+        state, output = self.hysteresis.step(state, value)
+        return state, self.dead_zones(output)
+
+    def history(
+        self, inputs: Float[Array, " sample"], state: Float[Array, " threshold"] | None = None
+    ) -> tuple[Float[Array, " sample"], Float[Array, " threshold"]]:
+        """Outputs at all samples."""
+        outputs, state = self.hysteresis.history(inputs, state)
+        return self.dead_zones(outputs), state
+
+    def inverse(self) -> "InverseModified":
+        """The operator that undoes this one: first the inverse curve, then the inverse of H.
+
+        Raises:
+            InputError: H or S does not increase everywhere.
+        """
+        return InverseModified(self.dead_zones.inverse(), self.hysteresis.inverse())
+
+    def inverse_state(self, state: Float[Array, " threshold"]) -> Float[Array, " threshold"]:
+        """Memory of the inverse that belongs to a memory of this operator."""
+        return self.hysteresis.inverse_state(state)
+
+
+class InverseModified(AbstractExactOperator):
+    """u = H^-1[S^-1(y)]: the exact inverse of a modified Prandtl-Ishlinskii operator.
+
+    Arguments:
+        dead_zones: the inverse of S.
+        hysteresis: the inverse of H.
+    """
+
+    dead_zones: DeadZones
+    hysteresis: PrandtlIshlinskii
+
+    def reset(self) -> Any:
+        """All plays at 0."""
+        return self.hysteresis.reset()
+
+    def step(self, state: Any, value: Scalar) -> tuple[Any, Scalar]:
+        """Plays and output after the input has moved."""
+        return self.hysteresis.step(state, self.dead_zones(value))
+
+    def history(
+        self, inputs: Float[Array, " sample"], state: Any = None
+    ) -> tuple[Float[Array, " sample"], Any]:
+        """Outputs at all samples."""
+        return self.hysteresis.history(self.dead_zones(inputs), state)

@@ -1,0 +1,107 @@
+"""The Preisach operator on a triangular mesh, with exact memory and a density of few parameters.
+
+Written with the half-width r and the centre s of a relay instead of its two thresholds s + r and
+s - r, the line that divides the relays that are up from those that are down is s = w(r), the
+play of threshold r. So the memory needs no smoothing and no list of extremes: it is the plays of
+the rows of the mesh. Along a row the density is integrated exactly up to w.
+
+References: I. D. Mayergoyz, "Mathematical Models of Hysteresis", Springer 1991; M. Brokate,
+J. Sprekels, "Hysteresis and Phase Transitions", Springer 1996, ch. 2.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from ...runtime.arrays import Array, Float, Scalar
+from ...runtime.text import InputError
+from ...schema import PREISACH
+from ...schema.parameters import parameter
+from ._operator import AbstractExactOperator, clip, play
+
+
+class Preisach(AbstractExactOperator):
+    """y = slope u + saturation times the mean of all relays, weighted by their density.
+
+    The density is a log-normal distribution of the half-width r of the relays times a normal
+    distribution of their centre s, over the triangle r > 0, |s| + r < extent. It is constant
+    within a cell of the mesh.
+
+    Arguments:
+        slope: reversible part, output per input.
+        saturation: output of all relays up.
+        coercivity: median half-width of the relays, in the unit of the input.
+        coercivity_spread: standard deviation of the logarithm of the half-width.
+        bias: mean centre of the relays, in the unit of the input.
+        interaction: standard deviation of the centres, in the unit of the input.
+        extent: largest input that switches a relay; the size of the triangle.
+        rows: number of rows of the mesh (half-widths); each has twice as many cells.
+
+    Raises:
+        InputError: an extent that is not positive, or fewer than 2 rows.
+    """
+
+    slope: Scalar = parameter(PREISACH.slope)
+    saturation: Scalar = parameter(PREISACH.saturation)
+    coercivity: Scalar = parameter(PREISACH.coercivity)
+    coercivity_spread: Scalar = parameter(PREISACH.coercivity_spread)
+    bias: Scalar = parameter(PREISACH.bias)
+    interaction: Scalar = parameter(PREISACH.interaction)
+    extent: float = eqx.field(default=1.0, static=True)
+    rows: int = eqx.field(default=40, static=True)
+
+    def __check_init__(self) -> None:
+        if not 0 < self.extent < float("inf"):
+            raise InputError(f"the extent is {self.extent:g}: give the largest input, positive")
+        if self.rows < 2:
+            raise InputError(f"the mesh has {self.rows} rows: give at least 2")
+
+    @property
+    def half_widths(self) -> Float[Array, " row"]:
+        """r of each row: the middle of its strip of the triangle."""
+        fractions = (jnp.arange(self.rows, dtype=jnp.result_type(float)) + 0.5) / self.rows
+        return self.extent * fractions
+
+    def cells(self) -> Float[Array, "row cell"]:
+        """Weight of each cell: the density times its area, in total 1."""
+        r = self.half_widths[:, None]
+        count = 2 * self.rows
+        middles = (jnp.arange(count, dtype=r.dtype) + 0.5) / self.rows - 1
+        room = self.extent - r
+        s = room * middles[None]
+        across = ((s - self.bias) / self.interaction) ** 2
+        along = (jnp.log(r / self.coercivity) / self.coercivity_spread) ** 2
+        logarithm = -(across + along) / 2 - jnp.log(r) + jnp.log(room)
+        # Far from the truth all cells would round to 0: only their ratios matter.
+        weights = jnp.exp(logarithm - jnp.max(logarithm))
+        return weights / jnp.sum(weights)
+
+    def reset(self) -> Float[Array, " row"]:
+        """The demagnetised state: relays below s = 0 are up, those above down."""
+        return jnp.zeros_like(self.half_widths)
+
+    def step(
+        self, state: Float[Array, " row"], value: Scalar
+    ) -> tuple[Float[Array, " row"], Scalar]:
+        """Plays and output after the input has moved."""
+        state = clip(state, value - self.half_widths, value + self.half_widths)
+        return state, self._output(value[None], state[None])[0]
+
+    def history(
+        self, inputs: Float[Array, " sample"], state: Float[Array, " row"] | None = None
+    ) -> tuple[Float[Array, " sample"], Float[Array, " row"]]:
+        """Outputs at all samples."""
+        plays = play(inputs, self.half_widths, state)
+        return self._output(inputs, plays), plays[-1]
+
+    def _output(self, inputs: Array, plays: Array) -> Array:
+        weights = self.cells()
+        nothing = jnp.zeros_like(weights[:, :1])
+        below = jnp.concatenate([nothing, jnp.cumsum(weights, axis=1)], axis=1)
+        # Where the dividing line cuts each row, counted in cells.
+        position = (plays / (self.extent - self.half_widths)[None] + 1) * self.rows
+        position = clip(position, jnp.zeros_like(position), jnp.full_like(position, 2 * self.rows))
+        cell = jnp.clip(jnp.floor(position).astype(int), 0, 2 * self.rows - 1)
+        row = jnp.arange(self.rows)[None]
+        within = position - cell.astype(position.dtype)
+        up = jnp.sum(below[row, cell] + within * weights[row, cell], axis=1)
+        return self.slope * inputs + self.saturation * (2 * up - 1)

@@ -1,0 +1,511 @@
+"""Laws of muscles: force from pressure and contraction, and the inverse."""
+
+import abc
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import numpy.typing as npt
+
+from ...runtime.arrays import Array, Bool, Float, Int, Scalar
+from ...runtime.text import InputError
+from ...schema import BRAIDED, EMPIRICAL, FRICTION, PISTON
+from ...schema.parameters import is_concrete, parameter
+from ..hysteresis import stop
+
+REACHED, NEEDS_PUSH, NEEDS_PRESSURE, TOO_SHORT, PULLS_ANYWAY = range(5)
+
+_MEANING = {
+    REACHED: "reached",
+    NEEDS_PUSH: "the muscle would have to push, which it cannot: raise the co-contraction torque",
+    NEEDS_PRESSURE: "it takes more than the pressure limit: ask for less, or a wider muscle",
+    TOO_SHORT: "the muscle does not shorten so far at any pressure: ask for less contraction",
+    PULLS_ANYWAY: "it has more force than that without any pressure: ask for more",
+}
+
+
+class PressureAnswer(eqx.Module):
+    """Pressure for a force; arrays of one shape.
+
+    Attributes:
+        pressure: within 0 and the muscle's limit, Pa. Where the force is out of reach, the
+            pressure that comes nearest to it.
+        force: what the muscle pulls with at that pressure, N.
+        code: 0 reached, 1 the muscle would have to push, 2 more than the pressure limit, 3 it
+            does not shorten so far at any pressure, 4 it has more force without any pressure.
+    """
+
+    pressure: Float[Array, "*shape"]
+    force: Float[Array, "*shape"]
+    code: Int[Array, "*shape"]
+
+    @property
+    def reached(self) -> Bool[Array, "*shape"]:
+        """Whether the force is what was asked for."""
+        return self.code == REACHED
+
+    def message(self, index: int | tuple[int, ...] = ()) -> str:
+        """What the code of one element means, and what to do.
+
+        Arguments:
+            index: of the element.
+
+        Returns:
+            The sentence; "reached" where the force is.
+        """
+        return _MEANING[int(self.code[index])]
+
+
+# What every muscle law offers: force from pressure and contraction, and the inverse.
+
+# Below this (N) a force is the rounding of zero, not a push.
+_NO_FORCE = 1e-9
+
+
+class AbstractMuscle(eqx.Module):
+    """A muscle, or another actuator, by its statics without friction."""
+
+    name: ClassVar[str]
+    own_motion: ClassVar[int]
+    """Sign of the recorded displacement in which it moves by itself: +1 where it shortens."""
+    pushes: ClassVar[bool]
+    """Whether its force may be negative; else it is slack beyond its reach."""
+
+    @abc.abstractmethod
+    def signed_force(
+        self,
+        pressure: Float[Array, "*shape"],
+        contraction: Float[Array, "*shape"],
+        length: Float[Array, ""],
+    ) -> Float[Array, "*shape"]:
+        """Force by the law alone, N; negative beyond its reach.
+
+        Arguments:
+            pressure: above the surroundings, Pa.
+            contraction: relative to the length at rest.
+            length: of the muscle at rest, m.
+
+        Returns:
+            Force, N.
+        """
+
+    @abc.abstractmethod
+    def pressure_for(
+        self,
+        force: Float[Array, "*shape"],
+        contraction: Float[Array, "*shape"],
+        length: Float[Array, ""],
+    ) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
+        """Pressure that the law says for a force >= 0, Pa, and the force gained per pascal.
+
+        Where nothing is gained there is no such pressure, and its value means nothing.
+
+        Arguments:
+            force: at least 0, N.
+            contraction: relative to the length at rest.
+            length: of the muscle at rest, m.
+
+        Returns:
+            Pressure, Pa, and force gained per pascal, N/Pa.
+        """
+
+    @property
+    @abc.abstractmethod
+    def limit(self) -> Float[Array, ""]:
+        """Highest pressure, Pa."""
+
+    def force(
+        self,
+        pressure: Float[Array, "*shape"],
+        contraction: Float[Array, "*shape"],
+        length: Float[Array, ""],
+    ) -> Float[Array, "*shape"]:
+        """Force, N: that of the law, or 0 where the actuator is slack.
+
+        Arguments:
+            pressure: above the surroundings, Pa.
+            contraction: relative to the length at rest.
+            length: of the muscle at rest, m.
+
+        Returns:
+            Force, N.
+        """
+        force = self.signed_force(pressure, contraction, length)
+        return force if self.pushes else jnp.maximum(force, 0)
+
+    def answer(
+        self,
+        force: Float[Array, "*shape"],
+        contraction: Float[Array, "*shape"],
+        length: Float[Array, ""],
+    ) -> PressureAnswer:
+        """Pressure for a force at a contraction; nothing is checked.
+
+        Arguments:
+            force: to be reached, N.
+            contraction: relative to the length at rest.
+            length: of the muscle at rest, m.
+
+        Returns:
+            The pressure, or the nearest one, and why the force is out of reach.
+        """
+        needed, gain = self.pressure_for(jnp.maximum(force, 0), contraction, length)
+        able = gain > 0
+        pressure = jnp.where(able, jnp.clip(needed, 0, self.limit), self.limit)
+        code = jnp.where(
+            able,
+            jnp.where(
+                needed > self.limit,
+                NEEDS_PRESSURE,
+                jnp.where(needed * gain < -_NO_FORCE, PULLS_ANYWAY, REACHED),
+            ),
+            jnp.where(force > _NO_FORCE, TOO_SHORT, REACHED),
+        )
+        # Where the muscle cannot pull, it has no force without pressure.
+        pressure = jnp.where(~able & (force <= _NO_FORCE), 0, pressure)
+        push = force < -_NO_FORCE
+        return PressureAnswer(
+            pressure=jnp.where(push, 0, pressure),
+            force=self.force(jnp.where(push, 0, pressure), contraction, length),
+            code=jnp.where(push, NEEDS_PUSH, code),
+        )
+
+
+# Friction of a muscle or a cylinder: the difference between filling and exhausting.
+
+
+class Friction(eqx.Module):
+    """Coulomb friction whose half-width depends on the pressure.
+
+    Where the motion is recorded, friction is a stop operator of the displacement: after the
+    motion turns back, the force runs linearly from one side of the loop to the other within
+    twice `presliding`. A sign of the velocity would jump there with every flicker of noise, and
+    would have no derivative.
+
+    Arguments:
+        pressures: of the half-widths, increasing, Pa; between them they are
+            linear, beyond them constant.
+        half_width: half of the force between the two directions, N, shape (node,).
+        presliding: displacement from rest to full friction, m.
+    """
+
+    half_width: Float[Array, " node"] = parameter(FRICTION.half_width)
+    presliding: Scalar = parameter(FRICTION.presliding)
+    pressures: tuple[float, ...] = eqx.field(default=(0.0,), static=True)
+
+    def __check_init__(self) -> None:
+        if np.any(np.diff(self.pressures) <= 0) or not self.pressures:
+            raise InputError("the pressures of friction do not increase: sort them, each once")
+
+    @classmethod
+    def at_pressures(cls, pressures: tuple[float, ...]) -> "Friction":
+        """The default friction, with one half-width for each pressure (Pa)."""
+        default = cls()
+        return cls(
+            half_width=jnp.full(len(pressures), default.half_width),
+            presliding=default.presliding,
+            pressures=pressures,
+        )
+
+    def width(self, pressure: Float[Array, " sample"]) -> Float[Array, " sample"]:
+        """Half-width at pressures (Pa), N."""
+        nodes = jnp.asarray(self.pressures, dtype=pressure.dtype)
+        return jnp.interp(pressure, nodes, self.half_width)
+
+    def engagement(self, displacement: Float[Array, " sample"]) -> Float[Array, " sample"]:
+        """Share of the friction that resists a history of displacements (m), from -1 to 1.
+
+        +1 where the displacement grows; the first sample is at rest.
+        """
+        thresholds = jnp.atleast_1d(self.presliding)
+        return stop(displacement - displacement[0], thresholds)[:, 0] / self.presliding
+
+
+# Braided muscles: the statics of Chou and Hannaford, as Tondu and Lopez write them.
+
+
+class BraidedMuscle(AbstractMuscle):
+    """F = eta (p - p_0) A [a (1 - k epsilon)^2 - b], a = 3 / tan^2(theta), b = 1 / sin^2(theta).
+
+    A is the cross-section and theta the braid angle (from the axis) at rest. The ideal law
+    (eta = k = 1, p_0 = 0) is virtual work of the gas in a cylinder of inextensible threads. Thin
+    muscles of 18 deg contract by 20 to 25 % where it says 39 %: their ends do not widen, and the
+    tube takes part of the pressure. k, the end correction, shortens the contraction (k = 1.6
+    gives 24.6 %); p_0 is the dead band in which the tube does not yet press on the braid; eta,
+    the effectiveness, covers what is left. Force alone does not separate A from eta.
+
+    Chou, Hannaford, IEEE Trans. Robotics and Automation 12 (1996) 90; Tondu, Lopez, IEEE Control
+    Systems 20 (2000) 15.
+    """
+
+    name: ClassVar[str] = "braided"
+    own_motion: ClassVar[int] = 1
+    pushes: ClassVar[bool] = False
+
+    diameter: Scalar = parameter(BRAIDED.diameter)
+    braid_angle: Scalar = parameter(BRAIDED.braid_angle)
+    end_correction: Scalar = parameter(BRAIDED.end_correction)
+    effectiveness: Scalar = parameter(BRAIDED.effectiveness)
+    dead_band: Scalar = parameter(BRAIDED.dead_band)
+    pressure_limit: Scalar = parameter(BRAIDED.pressure_limit)
+
+    @property
+    def limit(self) -> Float[Array, ""]:
+        """Highest pressure, Pa."""
+        return self.pressure_limit
+
+    @property
+    def largest_contraction(self) -> Float[Array, ""]:
+        """Contraction at which the force vanishes at any pressure."""
+        return (1 - 1 / (jnp.sqrt(3.0) * jnp.cos(self.braid_angle))) / self.end_correction
+
+    def _per_pascal(self, contraction: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+        area = jnp.pi / 4 * self.diameter**2
+        # A muscle that k has used up does not pull again: the square must not grow on.
+        left = jnp.maximum(1 - self.end_correction * contraction, 0)
+        shrunk = 3 / jnp.tan(self.braid_angle) ** 2 * left**2
+        return self.effectiveness * area * (shrunk - 1 / jnp.sin(self.braid_angle) ** 2)
+
+    def signed_force(
+        self,
+        pressure: Float[Array, "*shape"],
+        contraction: Float[Array, "*shape"],
+        length: Float[Array, ""],
+    ) -> Float[Array, "*shape"]:
+        """Force by the law, N."""
+        return jnp.maximum(pressure - self.dead_band, 0) * self._per_pascal(contraction)
+
+    def pressure_for(
+        self,
+        force: Float[Array, "*shape"],
+        contraction: Float[Array, "*shape"],
+        length: Float[Array, ""],
+    ) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
+        """Pressure for a force, Pa, and the force per pascal."""
+        gain = self._per_pascal(contraction)
+        return self.dead_band + force / jnp.where(gain > 0, gain, 1), gain
+
+
+# An empirical law for muscles of any length: a largest force times one normalised shape.
+
+
+class EmpiricalMuscle(AbstractMuscle):
+    """F = F_max(L) f(e, q), e = epsilon / contraction_limit, q = p / pressure_limit.
+
+    F_max(L) = force_limit (2 / pi) atan((L - end_length) / length_scale) grows with the length L
+    of the muscle at rest, because the ends do not pull, and saturates. The shape
+
+        f(e, q) = q exp(-(bell e)^2) - exp(-bell^2) (1 - exp(-decay e)) / (1 - exp(-decay))
+
+    is a passive part that does not depend on the pressure and an active part that is
+    proportional to it. By construction f(0, 1) = 1 and f(1, 1) = 0: at the pressure limit the
+    muscle pulls with F_max at rest and contracts by contraction_limit without a load.
+
+    After Hunt, Graber-Tilton, Quinn, "Modeling length effects of braided pneumatic actuators",
+    ASME IDETC 2017, with the coefficients of the shape tied by f(1, 1) = 0.
+    """
+
+    name: ClassVar[str] = "empirical"
+    own_motion: ClassVar[int] = 1
+    pushes: ClassVar[bool] = False
+
+    force_limit: Scalar = parameter(EMPIRICAL.force_limit)
+    contraction_limit: Scalar = parameter(EMPIRICAL.contraction_limit)
+    bell: Scalar = parameter(EMPIRICAL.bell)
+    decay: Scalar = parameter(EMPIRICAL.decay)
+    end_length: Scalar = parameter(EMPIRICAL.end_length)
+    length_scale: Scalar = parameter(EMPIRICAL.length_scale)
+    pressure_limit: Scalar = parameter(EMPIRICAL.pressure_limit)
+
+    @property
+    def limit(self) -> Float[Array, ""]:
+        """Highest pressure, Pa."""
+        return self.pressure_limit
+
+    def largest_force(self, length: Float[Array, ""]) -> Float[Array, ""]:
+        """F_max of a muscle of this length at rest (m), N."""
+        reach = jnp.maximum(length - self.end_length, 0) / self.length_scale
+        return self.force_limit * (2 / jnp.pi) * jnp.arctan(reach)
+
+    def _passive(self, strain: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+        rise = jnp.expm1(-self.decay * strain) / jnp.expm1(-self.decay)
+        return jnp.exp(-(self.bell**2)) * rise
+
+    def signed_force(
+        self,
+        pressure: Float[Array, "*shape"],
+        contraction: Float[Array, "*shape"],
+        length: Float[Array, ""],
+    ) -> Float[Array, "*shape"]:
+        """Force by the law, N; 0 or less without pressure."""
+        strain = contraction / self.contraction_limit
+        active = pressure / self.pressure_limit * jnp.exp(-((self.bell * strain) ** 2))
+        return self.largest_force(length) * (active - self._passive(strain))
+
+    def pressure_for(
+        self,
+        force: Float[Array, "*shape"],
+        contraction: Float[Array, "*shape"],
+        length: Float[Array, ""],
+    ) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
+        """Pressure for a force, Pa, and the force per pascal."""
+        strain = contraction / self.contraction_limit
+        largest = self.largest_force(length)
+        gain = largest * jnp.exp(-((self.bell * strain) ** 2)) / self.pressure_limit
+        lacking = force + largest * self._passive(strain)
+        return lacking / jnp.where(gain > 0, gain, 1), gain
+
+
+# A pneumatic cylinder: the simplest actuator, and one with a public recording.
+
+
+class Piston(AbstractMuscle):
+    """F = p A + offset, A = pi bore^2 / 4.
+
+    Its force pushes outwards, and is of either sign, as a load cell shows it; its recorded position
+    grows where it is pressed in.
+    """
+
+    name: ClassVar[str] = "piston"
+    own_motion: ClassVar[int] = -1
+    pushes: ClassVar[bool] = True
+
+    bore: Scalar = parameter(PISTON.bore)
+    offset: Scalar = parameter(PISTON.offset)
+    pressure_limit: Scalar = parameter(PISTON.pressure_limit)
+
+    @property
+    def limit(self) -> Float[Array, ""]:
+        """Highest pressure, Pa."""
+        return self.pressure_limit
+
+    @property
+    def area(self) -> Float[Array, ""]:
+        """Cross-section of the bore, m^2."""
+        return jnp.pi / 4 * self.bore**2
+
+    def signed_force(
+        self,
+        pressure: Float[Array, "*shape"],
+        contraction: Float[Array, "*shape"],
+        length: Float[Array, ""],
+    ) -> Float[Array, "*shape"]:
+        """Force by the law, N."""
+        return pressure * self.area + self.offset
+
+    def pressure_for(
+        self,
+        force: Float[Array, "*shape"],
+        contraction: Float[Array, "*shape"],
+        length: Float[Array, ""],
+    ) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
+        """Pressure for a force, Pa, and the force per pascal."""
+        return (force - self.offset) / self.area, jnp.broadcast_to(self.area, force.shape)
+
+
+# The laws of muscles by name.
+
+MUSCLE_LAWS: dict[str, type[AbstractMuscle]] = {
+    law.name: law for law in (BraidedMuscle, EmpiricalMuscle, Piston)
+}
+"""The laws by the name that files give them."""
+
+
+# Force of any muscle from its pressure, and the pressure for a force, with checked arguments.
+
+
+def muscle_force(
+    muscle: AbstractMuscle,
+    pressure: npt.ArrayLike | Array,
+    contraction: npt.ArrayLike | Array,
+    length: npt.ArrayLike | Array = 1.96,
+) -> Float[Array, "*shape"]:
+    """Force of a muscle without friction, N.
+
+    Arguments:
+        muscle: the law.
+        pressure: above the surroundings, Pa, of any shape.
+        contraction: relative to the length at rest, of the same shape or one number.
+        length: of the muscle at rest, m.
+
+    Returns:
+        Force, N, of the shape of the arguments; 0 where the muscle is slack.
+
+    Raises:
+        InputError: a number that is not finite, a negative pressure, or a contraction of 1 or
+            more.
+
+    Example:
+        >>> import giajax
+        >>> float(giajax.muscle_force(giajax.BraidedMuscle(dead_band=0.0), 100e3, 0.0)) > 17
+        True
+    """
+    pressure, contraction, length = _arrays(pressure, contraction, length)
+    _check(contraction, length, pressure=pressure)
+    return muscle.force(pressure, contraction, length)
+
+
+def muscle_pressure(
+    muscle: AbstractMuscle,
+    force: npt.ArrayLike | Array,
+    contraction: npt.ArrayLike | Array,
+    length: npt.ArrayLike | Array = 1.96,
+) -> PressureAnswer:
+    """Pressure at which a muscle pulls with a force at a contraction, in closed form.
+
+    Arguments:
+        muscle: the law.
+        force: to be reached, N, of any shape.
+        contraction: relative to the length at rest, of the same shape or one number.
+        length: of the muscle at rest, m.
+
+    Returns:
+        The pressure, or where the force is out of reach the nearest one, and why.
+
+    Raises:
+        InputError: a number that is not finite, or a contraction of 1 or more.
+
+    Example:
+        >>> import giajax
+        >>> answer = giajax.muscle_pressure(giajax.BraidedMuscle(), 2.0, 0.35)
+        >>> bool(answer.reached), answer.message()
+        (False, 'the muscle does not shorten so far at any pressure: ask for less contraction')
+    """
+    force, contraction, length = _arrays(force, contraction, length)
+    _check(contraction, length, force=force)
+    return muscle.answer(force, contraction, length)
+
+
+def _arrays(
+    first: npt.ArrayLike | Array, contraction: npt.ArrayLike | Array, length: npt.ArrayLike | Array
+) -> tuple[Array, Array, Array]:
+    dtype = jnp.result_type(float)
+    first, contraction, length = (
+        jnp.asarray(item, dtype=dtype) for item in (first, contraction, length)
+    )
+    if length.ndim or (first.ndim and contraction.ndim and first.shape != contraction.shape):
+        raise InputError(
+            f"values have the shapes {first.shape}, {contraction.shape} and {length.shape}: give "
+            "arrays of one shape, or numbers, and one length"
+        )
+    shape = first.shape or contraction.shape
+    return jnp.broadcast_to(first, shape), jnp.broadcast_to(contraction, shape), length
+
+
+def _check(contraction: Array, length: Array, **others: Array) -> None:
+    if not is_concrete((contraction, length, *others.values())):
+        return
+    for what, values in {"contraction": contraction, "length": length, **others}.items():
+        if not bool(jnp.all(jnp.isfinite(values))):
+            raise InputError(f"a {what} is not finite: give finite numbers")
+    if bool(jnp.any(contraction >= 1)):
+        raise InputError(
+            f"a contraction is {float(jnp.max(contraction)):g}, and at 1 nothing is left of the "
+            "muscle: give the fraction of its length at rest, not percent"
+        )
+    if "pressure" in others and bool(jnp.any(others["pressure"] < 0)):
+        raise InputError(
+            f"a pressure is {float(jnp.min(others['pressure'])):g} Pa: give the pressure above the "
+            "surroundings, 0 or more"
+        )

@@ -1,0 +1,322 @@
+"""The bending-angle controller (fig. 6): two muscles against each other, and their pressures."""
+
+from typing import NamedTuple, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import numpy.typing as npt
+
+from ...runtime.arrays import Array, Bool, Float, Scalar, polish
+from ...runtime.programs import program
+from ...runtime.text import InputError
+from ...schema.parameters import is_concrete
+from ._geometry import LARGEST_ANGLE, check_geometry
+from ._muscle import AbstractMuscle, BraidedMuscle, PressureAnswer
+from ._statics import Joint, MuscleState, balanced, muscle_balance, resistance
+
+T = TypeVar("T")
+
+
+class JointPair(eqx.Module):
+    """A joint with two equal muscles on opposite sides, and no friction.
+
+    The angle of the pair is positive where the joint bends towards the first muscle, which is
+    then the inner one.
+
+    Arguments:
+        joint: geometry and corrections, of either side.
+        muscle: the law of both muscles.
+    """
+
+    joint: Joint = eqx.field(default_factory=Joint)
+    muscle: AbstractMuscle = eqx.field(default_factory=BraidedMuscle)
+
+    @property
+    def length(self) -> Scalar:
+        """Length of each muscle at rest, m."""
+        return self.joint.geometry.muscle_length
+
+
+class PairCommand(eqx.Module):
+    """What holds the joint at an angle.
+
+    Attributes:
+        angle: of the pair, rad, any shape.
+        first, second: states of the muscle towards which a positive angle bends, and of the
+            other one.
+        first_pressure, second_pressure: their pressures, and whether they give these forces.
+    """
+
+    angle: Float[Array, "*shape"]
+    first: MuscleState
+    second: MuscleState
+    first_pressure: PressureAnswer
+    second_pressure: PressureAnswer
+
+    @property
+    def pressures(self) -> Float[Array, "*shape 2"]:
+        """Both pressures along a last axis, Pa."""
+        both = (self.first_pressure.pressure, self.second_pressure.pressure)
+        return jnp.stack(both, axis=-1)
+
+    @property
+    def reached(self) -> Array:
+        """Whether both muscles can do what they must."""
+        return self.first_pressure.reached & self.second_pressure.reached
+
+
+def pair_command(
+    pair: JointPair,
+    angle: npt.ArrayLike | Array,
+    load: npt.ArrayLike | Array = 0.0,
+    cocontraction: npt.ArrayLike | Array | None = None,
+) -> PairCommand:
+    """Pressures that hold a pair at an angle against a load (fig. 6).
+
+    The inner muscle balances the co-contraction torque, alpha and what of the load acts against
+    the bending; the outer one the co-contraction torque and beta.
+
+    Arguments:
+        pair: the joint and its muscles.
+        angle: to be held, rad, any shape, within -60 to 60 deg.
+        load: torque from outside, towards negative angles, N m, one number or one an angle.
+        cocontraction: torque of each muscle against the other, N m; the joint's 0.3 by default.
+
+    Returns:
+        Contractions, forces and pressures of both muscles. Where no pressure gives a
+        force, its answer says why.
+
+    Raises:
+        InputError: an angle beyond 60 deg, a number that is not finite, or an impossible
+            geometry.
+
+    Example:
+        >>> import giajax, numpy as np
+        >>> command = giajax.pair_command(giajax.JointPair(), np.deg2rad(20.0))
+        >>> [round(float(pressure) / 1e3, 1) for pressure in command.pressures]
+        [29.5, 27.2]
+    """
+    dtype = jnp.result_type(float)
+    angle = jnp.asarray(angle, dtype=dtype)
+    load = jnp.broadcast_to(jnp.asarray(load, dtype=dtype), angle.shape)
+    torque = pair.joint.torque if cocontraction is None else cocontraction
+    torque = jnp.broadcast_to(jnp.asarray(torque, dtype=dtype), angle.shape)
+    if is_concrete((pair, angle, load, torque)):
+        check_range(angle)
+        if not bool(jnp.all(jnp.isfinite(load) & jnp.isfinite(torque))):
+            raise InputError("a load or co-contraction torque is not finite: give finite numbers")
+        angles = np.asarray(angle).ravel()
+        check_geometry(pair.joint.geometry, np.concatenate([angles, -angles]))
+    return _pair_command(pair, angle, load, torque)
+
+
+def check_range(angle: Array) -> None:
+    """Refuse angles beyond the range of the joint."""
+    inside = jnp.abs(angle) <= LARGEST_ANGLE * (1 + 1e-12)
+    if not bool(jnp.all(inside)):
+        worst = float(jnp.rad2deg(angle.ravel()[jnp.argmin(inside)]))
+        raise InputError(
+            f"the angle is {worst:.4g} deg, and a joint bends by at most 60 deg: give "
+            "radians, and a smaller angle"
+        )
+
+
+def commanded(pair: JointPair, angle: Array, load: Array, torque: Array) -> PairCommand:
+    """What holds a pair at an angle, as `pair_command` does; nothing is checked.
+
+    Arguments:
+        pair: the joint and its muscles.
+        angle: to be held, rad.
+        load: torque from outside, towards negative angles, N m, of the same shape.
+        torque: co-contraction torque, N m, of the same shape.
+
+    Returns:
+        Contractions, forces and pressures of both muscles.
+    """
+    ahead = angle >= 0
+    share = jnp.stack([jnp.where(ahead, load, 0), jnp.where(ahead, 0, -load)])
+    sides, angles = jnp.stack([ahead, ~ahead]), jnp.stack([angle, -angle])
+    # Both muscles at once are half of the operations.
+    state = balanced(pair.joint, angles, torque[None] + share, sides)
+    answer = pair.muscle.answer(state.force, state.contraction, pair.length)
+
+    def of(muscle: int, both: T) -> T:
+        return jax.tree.map(lambda values: values[muscle], both)
+
+    return PairCommand(
+        angle=angle,
+        first=of(0, state),
+        second=of(1, state),
+        first_pressure=of(0, answer),
+        second_pressure=of(1, answer),
+    )
+
+
+_pair_command = program(commanded)
+
+
+# Torque of a pair of muscles at two pressures, as a function of the angle, and its slopes.
+
+
+def net_torque(
+    pair: JointPair,
+    pressures: Float[Array, "2 ..."],
+    load: Float[Array, ""],
+    angle: Float[Array, "*shape"],
+    ahead: Array,
+) -> Float[Array, "*shape"]:
+    """Torque towards positive angles that two pressures leave over, N m: 0 in equilibrium.
+
+    The corrections resist the bending: alpha - beta, towards 0, whichever side is bent to.
+
+    Arguments:
+        pair: the joint and its muscles.
+        pressures: of the first and the second muscle, Pa, the same at all angles or each with a
+            last axis for each of theirs.
+        load: torque from outside, towards negative angles, N m.
+        angle: of the pair, rad.
+        ahead: whether the first muscle is the inner one, of the angle's shape; what decides at 0.
+
+    Returns:
+        Torque, N m, of the shape of the angle.
+    """
+    first, second = muscle_torques(pair, pressures, angle, ahead)
+    return first - second - resistance(pair.joint.correction, angle, ahead) - load
+
+
+def muscle_torques(
+    pair: JointPair,
+    pressures: Float[Array, "2 ..."],
+    angle: Float[Array, "*shape"],
+    ahead: Array,
+) -> Float[Array, "2 *shape"]:
+    """Torque of each muscle of a pair towards its own side, N m; arguments as of `net_torque`."""
+    angles, inner = jnp.stack([angle, -angle]), jnp.stack([ahead, ~ahead])
+    state = muscle_balance(pair.joint.geometry, angles, jnp.ones_like(angles), inner)
+    spread = pressures.reshape(pressures.shape + (1,) * (angles.ndim - pressures.ndim))
+    pressure = jnp.broadcast_to(spread, angles.shape)
+    return pair.muscle.force(pressure, state.contraction, pair.length) * state.lever
+
+
+class OneSide(NamedTuple):
+    """A pair at two pressures, and the side of 0 on which it is looked at.
+
+    Attributes:
+        pair: the joint and its muscles.
+        pressures: of the first and the second muscle, Pa, shape (2,).
+        load: torque from outside, towards negative angles, N m.
+        ahead: whether the side is that of positive angles; it counts at 0.
+    """
+
+    pair: JointPair
+    pressures: Float[Array, "2"]
+    load: Scalar
+    ahead: Bool[Array, ""]
+
+
+def side_torque(angle: Float[Array, "*shape"], side: OneSide) -> Float[Array, "*shape"]:
+    """Torque on the joint at angles (rad) of one side, N m."""
+    ahead = jnp.broadcast_to(side.ahead, angle.shape)
+    return net_torque(side.pair, side.pressures, side.load, angle, ahead)
+
+
+def side_slope(angle: Float[Array, "*shape"], side: OneSide) -> Float[Array, "*shape"]:
+    """Slope of the torque over the angle, N m/rad."""
+    return jax.jvp(lambda a: side_torque(a, side), (angle,), (jnp.ones_like(angle),))[1]
+
+
+def correction_slope(angle: Float[Array, "*shape"], side: OneSide) -> Float[Array, "*shape"]:
+    """Slope of what the corrections of both muscles resist, N m/rad."""
+    correction, ahead = side.pair.joint.correction, jnp.broadcast_to(side.ahead, angle.shape)
+    return jax.jvp(lambda a: resistance(correction, a, ahead), (angle,), (jnp.ones_like(angle),))[1]
+
+
+def checked_pressures(pressures: npt.ArrayLike | Array) -> Float[Array, "2"]:
+    """Two pressures as an array, Pa.
+
+    Raises:
+        InputError: they are not two finite numbers of at least 0.
+    """
+    pressures = jnp.asarray(pressures, dtype=jnp.result_type(float))
+    if pressures.shape != (2,):
+        raise InputError(
+            f"the pressures have the shape {pressures.shape}: give two numbers, of the first and "
+            "of the second muscle"
+        )
+    if is_concrete(pressures) and not bool(jnp.all((pressures >= 0) & jnp.isfinite(pressures))):
+        raise InputError(
+            f"the pressures are {pressures.tolist()} Pa: give pressures above the surroundings, "
+            "finite and not negative"
+        )
+    return pressures
+
+
+# A pair of muscles near one equilibrium as the spring of a joint of the arm.
+
+
+class Spring(eqx.Module):
+    """A joint held by two pressures, near one stable equilibrium: what a joint of the arm needs.
+
+    Attributes:
+        rest_angle: rad, the command of the arm's joint.
+        stiffness: N m/rad, the stiffness of the arm's joint.
+    """
+
+    rest_angle: Scalar
+    stiffness: Scalar
+
+
+def joint_spring(
+    pair: JointPair,
+    pressures: npt.ArrayLike | Array,
+    near: float | Array,
+    load: float | Array = 0.0,
+) -> Spring:
+    """Rest angle and stiffness of the equilibrium near an angle; differentiable.
+
+    The derivative of the rest angle is that of the equation which it solves (implicit), so it is
+    right whatever led to the root. To be used as the spring of section III.A, whose constant
+    and initial length change.
+
+    Arguments:
+        pair: the joint and its muscles.
+        pressures: of the first and the second muscle, Pa, shape (2,).
+        near: where to look, rad; not 0, where the corrections have their step.
+        load: torque from outside, towards negative angles, N m.
+
+    Returns:
+        Rest angle (rad) and stiffness (N m/rad).
+
+    Raises:
+        InputError: there is no equilibrium near, or it is not stable, or it lies at 0.
+
+    Example:
+        >>> import giajax, numpy as np
+        >>> pair, angle = giajax.JointPair(), np.deg2rad(20.0)
+        >>> spring = giajax.joint_spring(pair, giajax.pair_command(pair, angle).pressures, angle)
+        >>> round(float(spring.stiffness), 3)
+        0.358
+    """
+    pressures = checked_pressures(pressures)
+    near = jnp.asarray(near, dtype=pressures.dtype)
+    load = jnp.asarray(load, dtype=pressures.dtype)
+    spring, converged = _spring(pair, pressures, load, near)
+    if is_concrete((spring, converged)):
+        shown = float(jnp.rad2deg(near))
+        remedy = "call equilibria, which lists them all"
+        same_side = float(spring.rest_angle) * float(near) > 0
+        inside = abs(float(spring.rest_angle)) <= LARGEST_ANGLE * (1 + 1e-9)
+        if not (bool(converged) and same_side and inside):
+            raise InputError(f"these pressures have no equilibrium near {shown:.4g} deg: {remedy}")
+        if not float(spring.stiffness) > 0:
+            raise InputError(f"the equilibrium near {shown:.4g} deg is not stable: {remedy}")
+    return spring
+
+
+@program
+def _spring(pair: JointPair, pressures: Array, load: Array, near: Array) -> tuple[Spring, Array]:
+    side = OneSide(pair, pressures, load, jax.lax.stop_gradient(near) >= 0)
+    angle, converged = polish(side_torque, near, side)
+    return Spring(rest_angle=angle, stiffness=-side_slope(angle, side)), converged

@@ -1,0 +1,405 @@
+"""One joint at rest: the forces that balance its torque, and the corrections alpha and beta."""
+
+from itertools import pairwise
+from typing import Literal, get_args
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import numpy.typing as npt
+
+from ...runtime.arrays import Array, Bool, Float, Scalar
+from ...runtime.programs import program
+from ...runtime.text import InputError
+from ...schema import ALPHA, BETA, LOAD
+from ...schema.parameters import inline, is_concrete, parameter
+from ._geometry import JointGeometry, MusclePath, Point, check_geometry, muscle_path
+
+# An erratum. With the angle negative on the outer side, the paper prints
+#
+#     beta = 0.01 (1 - theta / 2)            for -2 <= theta <= 0 (deg),
+#     beta = -0.3 (theta - 20)^2 / 1600      for theta <= -20.
+#
+# Read so, beta jumps from 0.02 N m to 0 at -2 deg, from 0 to -0.3 N m at -20 deg, and reaches
+# -1.2 N m at -60 deg: the muscle would have to balance 0.3 - 1.2 = -0.9 N m, that is to push.
+# With the magnitude of the angle instead, beta falls from 0.01 N m at 0 to 0 at 2 deg, stays there
+# to 20 deg, and reaches -0.3 N m at 60 deg, where the force of the outer muscle is then 0: it is
+# continuous, and "connecting the whole smoothly", as the text says. This reading is the default;
+# the printed one is kept by name.
+
+Reading = Literal["continuous", "printed", "none"]
+READINGS: tuple[str, ...] = get_args(Reading)
+
+
+class Alpha(eqx.Module):
+    """Correction on the inner side: a constant, and beyond a threshold the balloons' resistance.
+
+    alpha = offset + curvature max(angle - threshold, 0)^2.
+    """
+
+    offset: Scalar = parameter(ALPHA.offset)
+    threshold: Scalar = parameter(ALPHA.threshold)
+    curvature: Scalar = parameter(ALPHA.curvature)
+
+    def __call__(self, angle: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+        """Alpha at bending angles (rad), N m."""
+        return self.offset + self.curvature * _beyond(angle, self.threshold) ** 2
+
+
+class Beta(eqx.Module):
+    """Correction on the outer side: a wedge at the straight joint, and a fall beyond a threshold.
+
+    With the magnitude of the angle,
+    beta = offset max(1 - |angle| / width, 0) - curvature max(|angle| - threshold, 0)^2.
+    """
+
+    offset: Scalar = parameter(BETA.offset)
+    width: Scalar = parameter(BETA.width)
+    threshold: Scalar = parameter(BETA.threshold)
+    curvature: Scalar = parameter(BETA.curvature)
+
+    def __call__(self, angle: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+        """Beta at bending angles (rad, of either sign), N m, in the continuous reading."""
+        size = jnp.abs(angle)
+        wedge = self.offset * jnp.maximum(1 - size / self.width, 0)
+        return wedge - self.curvature * _beyond(size, self.threshold) ** 2
+
+    def printed(self, angle: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+        """Beta as the paper prints it, for angles <= 0 (rad), N m; 0 where it says nothing."""
+        wedge = self.offset * (1 - angle / self.width)
+        fall = -self.curvature * (angle - self.threshold) ** 2
+        far = angle <= -self.threshold
+        return jnp.where(angle >= -self.width, wedge, jnp.where(far, fall, 0))
+
+
+class Correction(eqx.Module):
+    """What is added to the torque that the muscles balance.
+
+    Arguments:
+        alpha, beta: the families of the inner and the outer side.
+        reading: "continuous", "printed" (the paper's formulae to the letter; see the erratum in
+            this module), or "none" for both zero (fig. 9).
+        blend: half-width of the range about 0 in which alpha and beta are joined by a cubic with
+            their values and slopes at its ends, rad. With 0, the default and the paper's, the
+            correction jumps at 0 from beta's offset to alpha's.
+    """
+
+    alpha: Alpha = eqx.field(default_factory=Alpha)
+    beta: Beta = eqx.field(default_factory=Beta)
+    reading: str = eqx.field(default="continuous", static=True)
+    blend: float = eqx.field(default=0.0, converter=float, static=True)
+
+    def __check_init__(self) -> None:
+        if self.reading not in READINGS:
+            raise InputError(
+                f"there is no correction '{self.reading}': use one of {', '.join(READINGS)}"
+            )
+        if not 0 <= self.blend <= np.pi / 6:
+            raise InputError(
+                f"the correction is blended over {np.rad2deg(self.blend):g} deg about 0: give a "
+                "half-width of 0 to 30 deg"
+            )
+
+    def __call__(
+        self, angle: Float[Array, "*shape"], inner: Bool[Array, "*shape"]
+    ) -> Float[Array, "*shape"]:
+        """Correction of a muscle's balanced torque, N m.
+
+        Arguments:
+            angle: bending angle of the muscle, rad; positive where it is the inner one.
+            inner: whether alpha holds, or beta: what decides at 0.
+        """
+        if self.reading == "none":
+            return jnp.zeros_like(angle)
+        outside = self.beta.printed(angle) if self.reading == "printed" else self.beta(angle)
+        correction = jnp.where(inner, self.alpha(angle), outside)
+        if self.blend == 0:
+            return correction
+        return jnp.where(jnp.abs(angle) < self.blend, self._bridge(angle), correction)
+
+    def _bridge(self, angle: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+        width = jnp.asarray(self.blend, dtype=angle.dtype)
+        start, start_slope = eqx.filter_jvp(self.beta, (-width,), (jnp.ones_like(width),))
+        end, end_slope = eqx.filter_jvp(self.alpha, (width,), (jnp.ones_like(width),))
+        s = (angle + width) / (2 * width)
+        return (
+            (1 + 2 * s) * (1 - s) ** 2 * start
+            + s**2 * (3 - 2 * s) * end
+            + 2 * width * s * (1 - s) * ((1 - s) * start_slope - s * end_slope)
+        )
+
+
+def _beyond(angle: Array, threshold: Array) -> Array:
+    return jnp.maximum(angle - threshold, 0)
+
+
+# What a joint itself resists to bending, whatever its muscles do: alpha and beta of both sides.
+
+# Of the Gauss rule of two points, on an interval from 0 to 1; exact for a cubic.
+_POINTS = (0.5 - np.sqrt(1 / 12), 0.5 + np.sqrt(1 / 12))
+
+
+def resistance(
+    correction: Correction, angle: Float[Array, "*shape"], ahead: Bool[Array, "*shape"]
+) -> Float[Array, "*shape"]:
+    """Torque with which the corrections of both muscles resist, towards 0, N m.
+
+    Arguments:
+        correction: of either side.
+        angle: of the pair, rad.
+        ahead: whether the first muscle is the inner one; what decides at 0.
+    """
+    return correction(angle, ahead) - correction(-angle, ~ahead)
+
+
+def resistance_energy(
+    correction: Correction, angle: Float[Array, "*shape"]
+) -> Float[Array, "*shape"]:
+    """Energy that bending stores against `resistance`, J; 0 in the straight joint.
+
+    Between two kinks the resistance is a cubic of the angle, so that the sum over the pieces is
+    exact.
+
+    Arguments:
+        correction: of either side, in the continuous reading or none.
+        angle: of the pair, rad.
+    """
+    size = jnp.abs(angle)
+    beta = correction.beta
+    bends = [jnp.asarray(correction.blend), beta.width, beta.threshold, correction.alpha.threshold]
+    kinks = jnp.sort(jnp.stack([jnp.asarray(x, size.dtype) for x in bends]))
+    ends = [jnp.zeros_like(size), *(jnp.minimum(size, kink) for kink in kinks), size]
+    energy = jnp.zeros_like(size)
+    for start, end in pairwise(ends):
+        width = end - start
+        for point in _POINTS:
+            at = start + point * width
+            energy = energy + width / 2 * resistance(correction, at, jnp.ones(at.shape, bool))
+    return energy
+
+
+# Forces of one muscle that balance a torque on a joint at rest (eqs 4 to 6, 9 to 11).
+#
+# The frame, the angle and the four branches are those of the muscle's path.
+
+
+class MuscleState(eqx.Module):
+    """A muscle of a joint at rest; arrays of one shape, that of the angles.
+
+    Attributes:
+        angle: bending angle of the muscle, rad.
+        torque: that the muscle balances, its correction included, N m.
+        path: its path.
+        contraction: epsilon of eq. (2), relative to L_pam.
+        lever: of the muscle's force about the joint's centre, m.
+        force: tension F of the muscle, N. Negative where it would have to push.
+        wire_tension: F_w, N; 0 where the wire is slack.
+        push_x, push_y: push F_b of the muscle on the balloon of the right link (eq. 9), N; 0
+            where it touches no balloon.
+    """
+
+    angle: Float[Array, "*shape"]
+    torque: Float[Array, "*shape"]
+    path: MusclePath
+    contraction: Float[Array, "*shape"]
+    lever: Float[Array, "*shape"]
+    force: Float[Array, "*shape"]
+    wire_tension: Float[Array, "*shape"]
+    push_x: Float[Array, "*shape"]
+    push_y: Float[Array, "*shape"]
+
+    @property
+    def branch(self) -> Array:
+        """0 inner and taut, 1 inner and slack, 2 outer and straight, 3 outer and wrapped."""
+        inside = jnp.where(self.path.engaged, 0, 1)
+        return jnp.where(self.path.inner, inside, jnp.where(self.path.engaged, 3, 2))
+
+
+def muscle_balance(
+    geometry: JointGeometry,
+    angle: Float[Array, "*shape"],
+    torque: Float[Array, "*shape"],
+    inner: Bool[Array, "*shape"] | None = None,
+) -> MuscleState:
+    """Forces that balance a torque, the correction already in it (eqs 4 to 6, 9 to 11).
+
+    Everything is in closed form: the paper's equations are linear in the forces.
+
+    Arguments:
+        geometry: of the joint.
+        angle: bending angles of the muscle, rad.
+        torque: balanced torque, N m.
+        inner: the side, as in `muscle_path`.
+
+    Returns:
+        The state of the muscle; nothing is checked.
+    """
+    path = muscle_path(geometry, angle, inner)
+    anchor = geometry.anchor(angle)
+    wire_end = geometry.wire_end(angle)
+    contact = geometry.contact(jnp.where(path.inner, 0, angle))
+    bush = (jnp.zeros_like(path.height), path.height)
+    taut, wrapped = path.inner & path.engaged, ~path.inner & path.engaged
+
+    # Force of the muscle on the right link at C or N, per newton of tension. A straight muscle
+    # pulls along -x.
+    bend = (jnp.where(path.inner, 0, contact[0]), path.height)
+    pull = _where(path.engaged, _unit(anchor, bend), _leftwards(angle))
+    # Eq. (4): the wire takes what the muscle pushes the bush along the bisector.
+    hold = _unit(wire_end, bush)
+    tension = jnp.where(taut, -pull[1] / jnp.where(taut, hold[1], 1), 0)
+    # Eq. (9): the push on the balloon's shoulder; the muscle leaves it towards N and towards P.
+    push = _where(wrapped, _add(_minus(pull), _leftwards(angle)), _nothing(angle))
+    # Moments about E (eqs 5, 6, 10, 11), per newton of tension.
+    lever = (
+        _moment(anchor, pull)
+        + tension * _moment(wire_end, hold)
+        + jnp.where(wrapped, _moment(contact, push), 0)
+    )
+    force = torque / lever
+    return MuscleState(
+        angle=angle,
+        torque=torque,
+        path=path,
+        contraction=1 - path.length / geometry.muscle_length,
+        lever=lever,
+        force=force,
+        wire_tension=force * tension,
+        push_x=force * push[0],
+        push_y=force * push[1],
+    )
+
+
+def _unit(tail: Point, head: Point) -> Point:
+    x, y = head[0] - tail[0], head[1] - tail[1]
+    length = jnp.hypot(x, y)
+    return x / length, y / length
+
+
+def _moment(at: Point, force: Point) -> Array:
+    return at[0] * force[1] - at[1] * force[0]
+
+
+def _add(a: Point, b: Point) -> Point:
+    return a[0] + b[0], a[1] + b[1]
+
+
+def _minus(a: Point) -> Point:
+    return -a[0], -a[1]
+
+
+def _leftwards(like: Array) -> Point:
+    return -jnp.ones_like(like), jnp.zeros_like(like)
+
+
+def _nothing(like: Array) -> Point:
+    return jnp.zeros_like(like), jnp.zeros_like(like)
+
+
+def _where(condition: Array, a: Point, b: Point) -> Point:
+    return jnp.where(condition, a[0], b[0]), jnp.where(condition, a[1], b[1])
+
+
+# One joint at rest: its parameters, and the state of a muscle on either side of it.
+
+
+class Joint(eqx.Module):
+    """One joint: its geometry, the corrections, and the torque that is on it at all times.
+
+    Arguments:
+        geometry: where muscle, wire and balloon are.
+        correction: alpha and beta; their parameters are `alpha.offset`, `beta.curvature`, ...
+        torque: what each muscle balances beside the correction, N m.
+    """
+
+    geometry: JointGeometry = eqx.field(default_factory=JointGeometry)
+    correction: Correction = eqx.field(default_factory=Correction, metadata=dict(inline().metadata))
+    torque: Scalar = parameter(LOAD.torque)
+
+
+def muscle_state(
+    joint: Joint,
+    angle: npt.ArrayLike | Array,
+    torque: npt.ArrayLike | Array | None = None,
+    side: str | None = None,
+) -> MuscleState:
+    """Contraction and forces of one muscle that balances a torque on the joint at rest.
+
+    Arguments:
+        joint: the joint.
+        angle: bending angle of the muscle, rad, of any shape: positive where the joint bends
+            towards it (inner), negative where it bends away (outer).
+        torque: on the joint, without the correction, N m, a number or of the angle's shape; that
+            of the joint (0.3 N m) by default.
+        side: "inner" or "outer" at an angle of 0, where both hold; "inner" by default.
+
+    Returns:
+        The state, in closed form on every branch. It is continuous across the branches; at 0 the
+        force steps by the difference of alpha and beta, unless the correction is blended.
+
+    Raises:
+        InputError: the geometry is impossible at one of the angles, an angle beyond 90 deg, a
+            number that is not finite, or a side that contradicts an angle.
+
+    Example:
+        >>> import giajax, numpy as np
+        >>> state = giajax.muscle_state(giajax.Joint(), np.deg2rad([40.0, -60.0]))
+        >>> [round(float(force), 2) for force in state.force]
+        [1.56, 0.0]
+    """
+    dtype = jnp.result_type(float)
+    angle = jnp.asarray(angle, dtype=dtype)
+    torque = joint.torque if torque is None else jnp.asarray(torque, dtype=dtype)
+    if torque.shape not in ((), angle.shape):
+        raise InputError(
+            f"the torque has the shape {torque.shape} and the angle {angle.shape}: give one "
+            "torque, or one for each angle"
+        )
+    torque = jnp.broadcast_to(torque, angle.shape)
+    if side not in (None, "inner", "outer"):
+        raise InputError(f"the side is {side!r}: use 'inner' or 'outer'")
+    if is_concrete((joint, angle, torque)):
+        _check(joint, angle, torque, side)
+    inner = angle >= 0 if side is None else jnp.full(angle.shape, side == "inner")
+    return _muscle_state(joint, angle, torque, inner)
+
+
+@program
+def _muscle_state(joint: Joint, angle: Array, torque: Array, inner: Array) -> MuscleState:
+    return balanced(joint, angle, torque, inner)
+
+
+def balanced(joint: Joint, angle: Array, torque: Array, inner: Array) -> MuscleState:
+    """State of a muscle, its correction added to the torque; nothing is checked.
+
+    Arguments:
+        joint: the joint.
+        angle: bending angles of the muscle, rad.
+        torque: on the joint, N m, of the same shape.
+        inner: whether the muscle is the inner one, of the same shape.
+
+    Returns:
+        The state of the muscle.
+    """
+    corrected = torque + joint.correction(angle, inner)
+    return muscle_balance(joint.geometry, angle, corrected, inner)
+
+
+def _check(joint: Joint, angle: Array, torque: Array, side: str | None) -> None:
+    if not bool(jnp.all(jnp.isfinite(angle)) & jnp.all(jnp.isfinite(torque))):
+        raise InputError("an angle or a torque is not finite: give finite numbers")
+    if bool(jnp.any(jnp.abs(angle) > jnp.pi / 2)):
+        worst = float(jnp.rad2deg(angle.ravel()[jnp.argmax(jnp.abs(angle))]))
+        raise InputError(
+            f"the bending angle is {worst:.4g} deg, and a joint bends by at most 90 deg: give "
+            "radians, not degrees"
+        )
+    wrong = {"inner": angle < 0, "outer": angle > 0}.get(side or "")
+    if wrong is not None and bool(jnp.any(wrong)):
+        at = float(jnp.rad2deg(angle.ravel()[jnp.argmax(wrong)]))
+        raise InputError(
+            f"at {at:.4g} deg the muscle is not the {side} one: give no side, or the angle with "
+            "the other sign"
+        )
+    check_geometry(joint.geometry, jax.device_get(angle))

@@ -1,0 +1,403 @@
+"""Obstacles from the TOML vocabulary, and back."""
+
+from collections.abc import Mapping, Sequence
+from inspect import signature
+from typing import Any, TypeVar
+
+import jax.numpy as jnp
+import numpy as np
+
+from ..mechanics.arm import (
+    MUSCLE_BLEND,
+    Arm,
+    Contact,
+    Pneumatics,
+    PointMasses,
+    chain,
+    named_axes,
+    preset,
+)
+from ..mechanics.joint import MUSCLE_LAWS as LAWS, Correction, Joint, JointPair
+from ..mechanics.obstacles import AbstractObstacle, Box, Plane, WallWithOpening
+from ..recordings import Definition, Run
+from ..runtime.text import InputError
+from ..schema import (
+    BUOYANCY,
+    DEFAULT_PRESET,
+    POINT_MASSES,
+    ArmSection,
+    CamerasSection,
+    Declaration,
+    LandmarksSection,
+    Obstacle,
+    PinholeSection,
+    PointMass,
+    Section,
+    SensorsSection,
+    check_obstacles,
+    sections_of_cameras,
+)
+from ..schema.parameters import declared, default_free, replace
+from ._arm_sensors import Camera, Landmark, Sensors
+from ._cameras import Pinhole
+from ._protocol import parameter_values
+
+# Obstacles from the TOML vocabulary, and back.
+
+
+def obstacles_from(entries: Sequence[Obstacle]) -> tuple[AbstractObstacle, ...]:
+    """The obstacles that entries of `[[arm.obstacles]]` state."""
+    return tuple(_obstacle(entry) for entry in entries)
+
+
+def _obstacle(entry: Obstacle) -> AbstractObstacle:
+    about: dict[str, Any] = {"centre": entry.centre_m, "name": entry.name}
+    sizes: dict[str, Any]
+    if entry.shape == "plane":
+        sizes = {"normal": entry.normal}
+        return Plane(**about, **sizes)
+    about["rotation"] = np.deg2rad(entry.rotation_deg or [0.0, 0.0, 0.0])
+    if entry.shape == "box":
+        sizes = {"size": entry.size_m}
+        return Box(**about, **sizes)
+    sizes = {
+        "opening": entry.opening_m,
+        "margins": entry.margins_m,
+        "thickness": entry.thickness_m,
+    }
+    return WallWithOpening(**about, **sizes)
+
+
+def entries_of(obstacles: Sequence[AbstractObstacle]) -> list[dict[str, Any]]:
+    """The entries of `[[arm.obstacles]]` that state obstacles."""
+    return [_entry(obstacle) for obstacle in obstacles]
+
+
+def _entry(obstacle: AbstractObstacle) -> dict[str, Any]:
+    def numbers(value: Any) -> Any:
+        return np.asarray(value, dtype=float).tolist()
+
+    about: dict[str, Any] = {"name": obstacle.name, "centre_m": numbers(obstacle.centre)}
+    if isinstance(obstacle, Plane):
+        return {"shape": "plane", **about, "normal": numbers(obstacle.normal)}
+    if isinstance(obstacle, Box):
+        shape, sizes = "box", {"size_m": numbers(obstacle.size)}
+    elif isinstance(obstacle, WallWithOpening):
+        shape, sizes = (
+            "wall",
+            {
+                "opening_m": numbers(obstacle.opening),
+                "margins_m": numbers(obstacle.margins),
+                "thickness_m": numbers(obstacle.thickness),
+            },
+        )
+    else:
+        raise TypeError(f"an obstacle of type {type(obstacle).__name__} has no entry in files")
+    turn = numbers(np.rad2deg(np.asarray(obstacle.rotation)))
+    return {"shape": shape, **about, **sizes, "rotation_deg": turn}
+
+
+# From the TOML vocabulary to the sensors of an arm, its cameras and landmarks, and back.
+
+SECTIONS = ("sensors", "camera", "landmark")
+
+
+def sensors_from_definition(definition: Definition) -> Sensors:
+    """What `[sensors]`, `[camera]` and `[landmark]` state; what they do not state is left out.
+
+    Raises:
+        InputError: a camera without what it cannot be without.
+    """
+    cameras, marks = definition.section(CamerasSection), definition.section(LandmarksSection)
+    sensors = Sensors(
+        camera=Camera(pinholes={name: _pinhole(name, of) for name, of in cameras.named().items()}),
+        landmark={name: Landmark() for name in marks.named()},
+    )
+    stated = definition.section(SensorsSection).values() | cameras.values() | marks.values()
+    return replace(sensors, stated)
+
+
+def _pinhole(name: str, section: PinholeSection) -> Pinhole:
+    """The camera of a section, apart from the values of its parameters."""
+    keys = section.contents()
+    needed = ["size_px", "focal_length_px"]
+    if keys.get("mount", "room") == "room":
+        needed += ["position_m", "rotation_deg"]
+    for key in needed:
+        if keys.get(key) is None:
+            raise InputError(
+                f"[camera.{name}] does not state {key}: give it, as well as it is known (a fit can "
+                "find what is not whole pixels)"
+            )
+    width, height = keys["size_px"]
+    # The middle of the picture, where the middle of its first pixel is (0, 0).
+    return Pinhole(
+        mount=keys.get("mount", "room"),
+        size=(width, height),
+        centre=jnp.array([(width - 1) / 2, (height - 1) / 2]),
+    )
+
+
+def sensors_to_definition(sensors: Sensors) -> dict[str, dict[str, Any]]:
+    """`[sensors]`, `[camera]` and `[landmark]`: what the sensors do not leave out, as in files."""
+    values = parameter_values(sensors)
+    errors = SensorsSection.keys_of(values)
+    sections = {**({"sensors": errors} if errors else {}), **sections_of_cameras(values)}
+    for name, camera in sensors.camera.pinholes.items():
+        about = {"mount": camera.mount, "size_px": list(camera.size)}
+        sections["camera"][name] = about | sections["camera"][name]
+    return sections
+
+
+# From the TOML vocabulary to an arm and its sensors, and back.
+
+# Keys of [arm] that are arguments of `chain`.
+_CHOICES = (
+    "joint_axes",
+    "drag",
+    "strip_points",
+    "drag_curve",
+    "added_mass",
+    "buoyancy",
+    "trim",
+)
+_ARGUMENTS = frozenset(signature(chain).parameters)
+
+
+def arm_from_definition(definition: Definition) -> Arm:
+    """The arm that the `[arm]` section of a sidecar, a fit definition or an arm file states.
+
+    What is not in it is that of the preset.
+
+    Raises:
+        InputError: an unknown preset or parameter, or lists that do not have one element per
+            link.
+    """
+    section = definition.section(ArmSection)
+    check_obstacles(section)
+    keys, values = section.contents(), section.values()
+    changes: dict[str, Any] = {name: keys[name] for name in _CHOICES if name in keys}
+    others = dict(keys.get("parameters") or {})
+    for path, value in values.items():
+        if (argument := _argument(path)) in _ARGUMENTS:
+            changes[argument] = value
+        else:
+            others.setdefault(path, value)
+    if others:
+        changes["parameters"] = others
+    if "muscles" in keys:
+        changes |= {"muscles": keys["muscles"], "pair": _pair(section)}
+    if "point_masses" in keys:
+        changes["point_masses"] = _point_masses(section.point_masses or [])
+    if section.obstacles:
+        changes["contact"] = Contact(obstacles=obstacles_from(section.obstacles))
+    name = keys.get("preset", DEFAULT_PRESET)
+    return preset(name, keys.get("links") or _listed(section), **changes)
+
+
+def _pair(section: ArmSection) -> JointPair:
+    """The pair of muscles that the keys of a section state."""
+    blend = (
+        MUSCLE_BLEND if section.muscle_blend_deg is None else np.deg2rad(section.muscle_blend_deg)
+    )
+    correction = Correction(reading=section.muscle_correction or "continuous", blend=blend)
+    return JointPair(Joint(correction=correction), LAWS[section.muscle_law or "braided"]())
+
+
+def _muscle_keys(pneumatics: Pneumatics, arm: Arm) -> dict[str, Any]:
+    """The keys that state which muscles an arm has."""
+    named = {"pitch": ~arm.joints.is_yaw, "all": np.ones(arm.count, bool)}
+    joints = {name: (np.flatnonzero(on) + 1).tolist() for name, on in named.items()}
+    own = list(pneumatics.joints)
+    correction = pneumatics.joint.correction
+    about: dict[str, Any] = {
+        "muscles": next((name for name, numbers in joints.items() if numbers == own), own),
+        "muscle_law": pneumatics.muscle.name,
+        "muscle_correction": correction.reading,
+    }
+    if correction.blend > 0:
+        about["muscle_blend_deg"] = _degrees(correction.blend)
+    return about
+
+
+def _degrees(radians: float) -> float:
+    """The degrees that become these radians again, bit for bit."""
+    degrees = float(np.rad2deg(radians))
+    near = (round(degrees, 12), degrees, np.nextafter(degrees, 0), np.nextafter(degrees, np.inf))
+    return next((float(each) for each in near if np.deg2rad(each) == radians), degrees)
+
+
+def _argument(path: str) -> str:
+    """The argument of `chain` for a parameter, if it has one: `mass`, `air_density`."""
+    return path.removeprefix("links.").replace(".", "_")
+
+
+def _listed(section: ArmSection) -> int | None:
+    """The number of links of a section that does not state it: the length of its lists."""
+    return next((len(value) for value in section.lists().values()), None)
+
+
+def _point_masses(entries: list[PointMass]) -> PointMasses | None:
+    if not entries:
+        return None
+    bodies = [entry.values() for entry in entries]
+    columns = {}
+    for declaration in POINT_MASSES:
+        row = [values.get(declaration.path, 0.0) for values in bodies]
+        if not declaration.optional or any(row):
+            columns[_name(declaration)] = jnp.asarray(row, dtype=float)
+    return PointMasses(links=tuple(entry.link for entry in entries), **columns)
+
+
+def _name(declaration: Declaration) -> str:
+    return declaration.path.rpartition(".")[2]
+
+
+def arm_to_definition(arm: Arm) -> dict[str, Any]:
+    """The `[arm]` section of an arm: all of its constants, in the TOML vocabulary.
+
+    What a fit frees by default (stiffness, damping, C_D) is not a constant.
+    """
+    fitted = default_free(arm)
+    constants = {path: v for path, v in parameter_values(arm).items() if path not in fitted}
+    facts: dict[str, Any] = {
+        "links": arm.count,
+        **ArmSection.keys_of(constants),
+        "joint_axes": _axes(arm),
+        "drag": arm.air.drag,
+        "strip_points": arm.air.strip_points,
+        "drag_curve": arm.air.drag_curve,
+        "buoyancy": arm.buoyancy is not None,
+    }
+    if arm.air.added_mass_coefficient is not None or arm.air.added_mass != "kirchhoff":
+        facts["added_mass"] = arm.air.added_mass
+    if arm.pneumatics is not None:
+        facts |= _muscle_keys(arm.pneumatics, arm)
+    if arm.contact is not None:
+        facts["obstacles"] = entries_of(arm.contact.obstacles)
+    if arm.point_masses is not None:
+        facts["point_masses"] = _entries(arm.point_masses)
+    keyed = {part.path for parts in ArmSection.quantities.values() for part in parts}
+    keyed |= {part.path for part in POINT_MASSES}
+    others = {}
+    for path, parameter in declared(arm).items():
+        if path in keyed or path not in constants:
+            continue
+        declaration, value = parameter.declaration, np.asarray(constants[path])
+        # `chain` hangs trim weights at half a link's length, whatever the declared default.
+        usual = declaration.frozen and not declaration.optional
+        usual = usual and bool(np.all(value == declaration.default))
+        if not usual or path == BUOYANCY.trim_position.path:
+            # A list of equal stops is not one stop.
+            others[path] = value.tolist() if declaration.any_number else _plain(value)
+    if others:
+        facts["parameters"] = others
+    return facts
+
+
+def _plain(values: Any) -> Any:
+    """One number where all are the same."""
+    values = np.asarray(values, dtype=float)
+    if values.ndim == 0:
+        return float(values)
+    return float(values[0]) if np.all(values == values[0]) else values.tolist()
+
+
+def _entries(fixed: PointMasses) -> list[dict[str, Any]]:
+    def row(declaration: Declaration) -> Any:
+        value = getattr(fixed, _name(declaration))
+        return np.broadcast_to(0.0 if value is None else np.asarray(value), len(fixed.links))
+
+    rows = {declaration.path: row(declaration) for declaration in POINT_MASSES}
+    if fixed.drag_area is None:
+        # As earlier versions wrote it, so that a result of theirs is of the same configuration.
+        del rows[POINT_MASSES.drag_area.path]
+    return [
+        {"link": link, **PointMass.keys_of({path: row[body] for path, row in rows.items()})}
+        for body, link in enumerate(fixed.links)
+    ]
+
+
+def _axes(arm: Arm) -> str | list[list[float]]:
+    if arm.joints.axes == named_axes("pitch_yaw", arm.count):
+        return "pitch_yaw"
+    return [list(axis) for axis in arm.joints.axes]
+
+
+# Whether the sidecars of runs that are fitted together agree.
+
+S = TypeVar("S", bound=Section)
+
+_SECTIONS = (ArmSection, SensorsSection, CamerasSection, LandmarksSection)
+
+
+def agreed_parts(runs: Sequence[Run]) -> tuple[Arm, Sensors]:
+    """The arm and the sensors of some runs.
+
+    Raises:
+        InputError: the sidecars disagree in [arm], [sensors], [camera] or [landmark].
+    """
+    first, *others = runs
+    arm = arm_from_definition(first.definition)
+    sensors = sensors_from_definition(first.definition)
+    sections = [first.definition.section(of) for of in _SECTIONS]
+    for other in others:
+        if [other.definition.section(type(of)) for of in sections] == sections:
+            continue
+        their_arm = arm_from_definition(other.definition)
+        their_sensors = sensors_from_definition(other.definition)
+        check_agreement(
+            "arm", (first, arm_to_definition(arm)), (other, arm_to_definition(their_arm))
+        )
+        ours, theirs = sensors_to_definition(sensors), sensors_to_definition(their_sensors)
+        for name in SECTIONS:
+            check_agreement(name, (first, ours.get(name, {})), (other, theirs.get(name, {})))
+    return arm, sensors
+
+
+def agreed_section(runs: Sequence[Run], name: str, of: type[S]) -> S:
+    """The section that the sidecars of some runs have alike.
+
+    Arguments:
+        runs: that are fitted together.
+        name: of the section.
+        of: its class.
+
+    Raises:
+        InputError: the sidecars disagree in it.
+    """
+    first, *others = runs
+    section = first.definition.section(of)
+    for other in others:
+        if other.definition.section(of) != section:
+            raise InputError(
+                f"the sidecars of '{first.name}' and '{other.name}' disagree in [{name}]: "
+                "correct one, or fit the runs separately"
+            )
+    return section
+
+
+def check_agreement(
+    section: str, first: tuple[Run, Mapping[str, Any]], other: tuple[Run, Mapping[str, Any]]
+) -> None:
+    """Refuse two runs whose sidecars state a key of a section differently.
+
+    Arguments:
+        section: its name.
+        first: a run, and what it states in the section, by key; None where it states nothing.
+        other: another one.
+
+    Raises:
+        InputError: naming the runs, the key and both values.
+    """
+    (one, ours), (two, theirs) = first, other
+    for key in {**ours, **theirs}:
+        if ours.get(key) != theirs.get(key):
+            both = " and ".join(
+                "nothing" if values.get(key) is None else str(values[key])
+                for values in (ours, theirs)
+            )
+            raise InputError(
+                f"the sidecars of '{one.name}' and '{two.name}' disagree in [{section}] "
+                f"{key} ({both}): correct one, or fit the runs separately"
+            )

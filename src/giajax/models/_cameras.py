@@ -1,0 +1,275 @@
+"""Distortion of a lens: OpenCV's model of five coefficients (Brown-Conrady), and its inverse."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..mechanics.arm import Arm, pose
+from ..runtime.arrays import Array, Bool, Float, Scalar, rotate, rotation_vector_to_quaternion
+from ..runtime.text import InputError
+from ..schema import PINHOLE
+from ..schema.parameters import parameter
+
+# Distortion of a lens: OpenCV's model of five coefficients (Brown-Conrady), and its inverse.
+
+# Beyond this tangent of the angle to the optical axis (84 degrees) the polynomial is held: it is
+# fitted to what a picture shows, and grows with the seventh power.
+_STEEPEST = 10.0
+
+# Newton steps of the inverse; each squares the error, and lenses distort by some per cent.
+_STEPS = 12
+
+
+def distorted(
+    flat: Float[Array, "2 point"], coefficients: Float[Array, "5"] | None
+) -> Float[Array, "2 point"]:
+    """Points of the plane at distance 1, as a lens shows them there.
+
+    With r^2 = x^2 + y^2
+
+        x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2)
+        y' = y (1 + k1 r^2 + k2 r^4 + k3 r^6) + p1 (r^2 + 2 y^2) + 2 p2 x y
+
+    ("Camera Calibration and 3D Reconstruction" of OpenCV's documentation).
+
+    Arguments:
+        flat: x and y over the depth, shape (2, point).
+        coefficients: k1, k2, p1, p2, k3 in OpenCV's order; None: no distortion.
+    """
+    if coefficients is None:
+        return flat
+    k1, k2, p1, p2, k3 = coefficients
+    x, y = flat
+    squared = x * x + y * y
+    held = jnp.minimum(squared, _STEEPEST**2)
+    radial = 1 + held * (k1 + held * (k2 + held * k3))
+    return jnp.stack(
+        [
+            x * radial + 2 * p1 * x * y + p2 * (squared + 2 * x * x),
+            y * radial + p1 * (squared + 2 * y * y) + 2 * p2 * x * y,
+        ]
+    )
+
+
+def undistorted(
+    shown: Float[Array, "point 2"], coefficients: Float[Array, "5"] | None
+) -> Float[Array, "point 2"]:
+    """The points that a lens shows where these are: the inverse of `distorted`, by Newton's method.
+
+    It exists within the part of the picture in which the distortion does not fold it over.
+    """
+    if coefficients is None:
+        return shown
+
+    def one(flat: Array) -> Array:
+        return distorted(flat[:, None], coefficients)[:, 0]
+
+    def inverse(wanted: Array) -> Array:
+        def step(_: int, at: Array) -> Array:
+            return at - jnp.linalg.solve(jax.jacfwd(one)(at), one(at) - wanted)
+
+        return jax.lax.fori_loop(0, _STEPS, step, wanted)
+
+    return jax.vmap(inverse)(shown)
+
+
+# A camera with a lens: from points of the world to pixels of its picture, and back to rays.
+#
+# Its own axes are those of OpenCV: x to the right of the picture, y down, z into it. A camera
+# that is not turned looks along the x axis of what it is mounted on, whose z axis is up in the
+# picture.
+
+# Columns: the camera's x, y and z axes (right, down, forwards) in the frame of an unturned camera.
+_AXES = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+NEAR = 0.1
+"""Where a lens stops showing (m before it): nearer points, and those behind, are not seen."""
+
+
+class Projection(NamedTuple):
+    """Where points appear in a picture.
+
+    Attributes:
+        pixels: u to the right and v down, px; (0, 0) is the middle of the first pixel.
+        depth: distance before the lens along the optical axis, m; negative behind it.
+    """
+
+    pixels: Float[Array, "*point 2"]
+    depth: Float[Array, "*point"]
+
+
+class View(NamedTuple):
+    """Where a camera is and how it looks, in the base frame.
+
+    Attributes:
+        centre: of the lens, m.
+        axes: unit vectors to the right, down and into the picture, as columns. A point p of the
+            base frame is axes^T (p - centre) before the camera: OpenCV's R and t are axes^T and
+            -axes^T centre.
+    """
+
+    centre: Float[Array, "*view 3"]
+    axes: Float[Array, "*view 3 3"]
+
+
+class Pinhole(eqx.Module):
+    """A camera with a lens, in the room or on a link, which it moves with.
+
+    Arguments:
+        position: centre of the lens, m, shape (3,); in the base frame, or of a camera on a link
+            along, left and up from the link's centre, or from the end of the last link.
+        rotation: turn as a rotation vector, rad, shape (3,); at 0 it looks along x.
+        focal_length: px.
+        aspect: of a pixel; None: square ones.
+        centre: where the optical axis meets the picture, px, shape (2,).
+        distortion: k1, k2, p1, p2, k3; None: none.
+        delay: how long before its time stamp a picture was true, s, added to `camera.delay`, which
+            all cameras share; None: nothing is.
+        mount: "room", "tip" or a link such as "link06".
+        size: width and height of the picture, px; by them a point is in it or not.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from giajax.models import Pinhole
+        >>> camera = Pinhole(position=[0.0, -10.0, 0.0], rotation=[0.0, 0.0, jnp.pi / 2],
+        ...     focal_length=1000.0, centre=[960.0, 540.0])
+        >>> seen = camera.project(jnp.array([[1.0, 0.0, 0.5]]))
+        >>> [round(float(each), 6) for each in seen.pixels[0]], round(float(seen.depth[0]), 6)
+        ([1060.0, 490.0], 10.0)
+    """
+
+    position: Float[Array, "3"] = parameter(PINHOLE.position)
+    rotation: Float[Array, "3"] = parameter(PINHOLE.rotation)
+    focal_length: Scalar = parameter(PINHOLE.focal_length)
+    aspect: Scalar | None = parameter(PINHOLE.aspect)
+    centre: Float[Array, "2"] = parameter(PINHOLE.centre)
+    distortion: Float[Array, "5"] | None = parameter(PINHOLE.distortion)
+    delay: Scalar | None = parameter(PINHOLE.delay)
+    mount: str = eqx.field(default="room", static=True)
+    size: tuple[int, int] = eqx.field(default=(1920, 1080), static=True)
+
+    def view(self, arm: Arm | None = None, angles: Float[Array, " joint"] | None = None) -> View:
+        """Where the camera is and how it looks.
+
+        Arguments:
+            arm: that carries it; not needed for a camera in the room.
+            angles: of the arm's joints, rad.
+
+        Raises:
+            InputError: the camera is on an arm, and none is given, or one with too few links.
+        """
+        axes = self._axes()
+        if self.mount == "room":
+            return View(self.position, axes)
+        if arm is None or angles is None:
+            raise InputError(
+                f"a camera on {self.mount!r} needs an arm and the angles of its joints: give both"
+            )
+        place = arm.count if self.mount == "tip" else int(self.mount.removeprefix("link"))
+        if place > arm.count:
+            raise InputError(
+                f"a camera is on link {place}, but the arm has {arm.count} links: correct its mount"
+            )
+        here = pose(arm, angles, sideways=True)
+        assert here.left is not None
+        frame = jnp.stack([rows[:, place - 1] for rows in (here.direction, here.left, here.up)], 1)
+        origin = here.centre[:, place - 1]
+        if self.mount == "tip":
+            origin = here.joint[:, -1] + arm.links.length[-1] * here.direction[:, -1]
+        return View(origin + frame @ self.position, frame @ axes)
+
+    def mounted_at(self, view: View) -> Float[Array, "3"]:
+        """Where a view has the place that the camera is mounted on, m: the end of the last link.
+
+        Of a camera in the room it is the origin of the base frame, as the view believes it.
+        """
+        return view.centre - view.axes @ self._axes().T @ self.position
+
+    def _axes(self) -> Float[Array, "3 3"]:
+        """In the frame of what it is mounted on, as columns."""
+        turn = rotation_vector_to_quaternion(self.rotation)
+        return rotate(
+            jnp.broadcast_to(turn[:, None], (4, 3)), jnp.asarray(_AXES, self.rotation.dtype)
+        )
+
+    def project(
+        self,
+        points: Float[Array, "*point 3"],
+        arm: Arm | None = None,
+        angles: Float[Array, " joint"] | None = None,
+    ) -> Projection:
+        """Where points of the base frame appear in the picture.
+
+        u = f x'' + c_u and v = f aspect y'' + c_v, where x'' and y'' are x / z and y / z before the
+        camera as its lens distorts them: the model of OpenCV ("Camera Calibration and 3D
+        Reconstruction"). Nearer than `NEAR` and behind the camera 1 / z goes on along its tangent,
+        so that pixels and derivatives stay finite; such points are not seen (`sees`).
+
+        Arguments:
+            points: m, in the base frame, shape (..., 3).
+            arm: that carries the camera; not needed for a camera in the room.
+            angles: of the arm's joints, rad.
+
+        Returns:
+            Pixels of shape (..., 2), and depths (m) of shape (...).
+
+        Raises:
+            InputError: as `view`.
+        """
+        return self.project_from(self.view(arm, angles), points)
+
+    def project_from(self, view: View, points: Float[Array, "*point 3"]) -> Projection:
+        """Where points appear to the camera that is where a view says; see `project`."""
+        rows = points.reshape(-1, 3)
+        x, y, depth = ((rows - view.centre[None]) @ view.axes).T
+        far = jnp.where(depth > NEAR, depth, NEAR)
+        inverse = jnp.where(depth > NEAR, 1 / far, (2 - depth / NEAR) / NEAR)
+        flat = distorted(jnp.stack([x * inverse, y * inverse]), self.distortion)
+        scale = self._focal()
+        pixels = (flat * scale[:, None] + self.centre[:, None]).T
+        return Projection(pixels.reshape(*points.shape[:-1], 2), depth.reshape(points.shape[:-1]))
+
+    def sees(self, seen: Projection) -> Bool[Array, "*point"]:
+        """Which projected points are before the lens and in the picture."""
+        edge = jnp.asarray(self.size, seen.pixels.dtype) - 0.5
+        edge = edge.reshape((1,) * (seen.pixels.ndim - 1) + (2,))
+        within = jnp.all((seen.pixels >= -0.5) & (seen.pixels <= edge), axis=-1)
+        return within & (seen.depth > NEAR)
+
+    def rays(
+        self,
+        pixels: Float[Array, "*point 2"],
+        arm: Arm | None = None,
+        angles: Float[Array, " joint"] | None = None,
+    ) -> Float[Array, "*point 3"]:
+        """Unit vectors of the base frame along which the camera sees pixels.
+
+        The inverse of `project`, up to the distance; the distortion is undone by Newton's method.
+
+        Arguments:
+            pixels: u and v, px, shape (..., 2), in the picture or near it.
+            arm: that carries the camera; not needed for a camera in the room.
+            angles: of the arm's joints, rad.
+
+        Raises:
+            InputError: as `view`.
+        """
+        axes = self.view(arm, angles).axes
+        return (self.directions(pixels).reshape(-1, 3) @ axes.T).reshape(*pixels.shape[:-1], 3)
+
+    def directions(self, pixels: Float[Array, "*point 2"]) -> Float[Array, "*point 3"]:
+        """Unit vectors to the right, down and ahead along which pixels are seen; see `rays`."""
+        flat = undistorted(
+            (pixels.reshape(-1, 2) - self.centre[None]) / self._focal()[None], self.distortion
+        )
+        ahead = jnp.concatenate([flat, jnp.ones_like(flat[:, :1])], axis=1)
+        ahead = ahead / jnp.linalg.norm(ahead, axis=1, keepdims=True)
+        return ahead.reshape(*pixels.shape[:-1], 3)
+
+    def _focal(self) -> Float[Array, "2"]:
+        """Focal lengths across and down, px."""
+        across = self.focal_length
+        return jnp.stack([across, across if self.aspect is None else across * self.aspect])

@@ -1,0 +1,338 @@
+"""The scenes of an arm and of a joint at rest: what a person sees of them."""
+
+from collections.abc import Mapping
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import numpy.typing as npt
+
+from ..mechanics.arm import Arm, drag_force, pose
+from ..mechanics.joint import JointGeometry, check_geometry, muscle_path
+from ..mechanics.obstacles import owners, solids
+from ..recordings import Run
+from ..runtime.arrays import Array, Bool, Float, cross, dot, safe_norm, scaled
+from ..runtime.programs import program
+from ..simulation import Trajectory, contacts
+from ._arm_sensors import Marker
+from ._protocol import Arrows, Block, Line, Scene
+
+
+def arm_scene(motion: Trajectory, marker: Marker | None = None) -> Scene:
+    """What is seen of an arm that moves.
+
+    Arguments:
+        motion: of the arm, such as `giajax.simulate` gives.
+        marker: where the tracked points lie; at the links' centres and the tip by default.
+
+    Returns:
+        One line `link` for each link, from its joint to its end; two lines `muscle` for each joint
+        that has some, with their pressures; one marker for each tracked point (`link01`, ...,
+        `tip`); the drag on each link as arrows `air`, and what obstacles press on each as arrows
+        `contact`, both at its centre; and the obstacles.
+
+    Example:
+        >>> import giajax, jax.numpy as jnp
+        >>> from giajax.models import arm_scene
+        >>> arm = giajax.takeichi_20m(4)
+        >>> command = giajax.joint_steps(arm.count, {1: 0.2})
+        >>> scene = arm_scene(giajax.simulate(arm, command, jnp.linspace(0.0, 1.0, 11)))
+        >>> len(scene.lines), scene.lines[0].points.shape, list(scene.markers)[-1]
+        (4, (11, 2, 3), 'tip')
+    """
+    arm = motion.arm
+    corners, centres, tip = map(
+        np.asarray, _points(arm, Marker() if marker is None else marker, motion.angles)
+    )
+    radii = np.broadcast_to(np.asarray(arm.links.diameter) / 2, (arm.count,))
+    lines = tuple(
+        Line("link", corners[:, index : index + 2], np.full(2, radii[index]))
+        for index in range(arm.count)
+    )
+    markers = {f"link{index + 1:02d}": centres[:, index] for index in range(arm.count)}
+    middles = (corners[:, 1:] + corners[:, :-1]) / 2
+    arrows = [Arrows("air", "N", middles, np.asarray(_drag(motion)))]
+    blocks: tuple[Block, ...] = ()
+    if arm.contact is not None:
+        pressed = np.asarray(contacts(motion).force).sum(axis=2)
+        arrows.append(Arrows("contact", "N", middles, pressed))
+        blocks = _blocks(arm)
+    return Scene(
+        lines + _muscles(motion),
+        {**markers, "tip": tip},
+        np.asarray(motion.times),
+        tuple(arrows),
+        blocks,
+    )
+
+
+def _muscles(motion: Trajectory) -> tuple[Line, ...]:
+    """The pairs of muscles along their joints, from link to link."""
+    pneumatics = motion.arm.pneumatics
+    if pneumatics is None:
+        return ()
+    assert motion.pressures is not None
+    paths, pressures = np.asarray(_pairs(motion.arm, motion.angles)), np.asarray(motion.pressures)
+    return tuple(
+        Line(
+            "muscle",
+            paths[:, side, :, joint - 1],
+            np.zeros(3),
+            pressure=pressures[:, side, joint - 1],
+        )
+        for joint in pneumatics.joints
+        for side in (0, 1)
+    )
+
+
+def _blocks(arm: Arm) -> tuple[Block, ...]:
+    """The boxes of all obstacles."""
+    assert arm.contact is not None
+    obstacles = arm.contact.obstacles
+    boxes = solids(obstacles)
+    return tuple(
+        Block(
+            obstacles[owner].name,
+            np.asarray(boxes.centre[:, index]),
+            2 * np.asarray(boxes.half[:, index]),
+            np.asarray(boxes.frame[:, :, index]),
+        )
+        for index, owner in enumerate(owners(obstacles))
+    )
+
+
+@program
+def _points(
+    arm: Arm, marker: Marker, angles: Float[Array, "sample joint"]
+) -> tuple[
+    Float[Array, "sample corner 3"], Float[Array, "sample link 3"], Float[Array, "sample 3"]
+]:
+    """Joints and end of the arm, markers of its links, and the tip's, m."""
+
+    def at(row: Array) -> tuple[Array, Array, Array]:
+        here = pose(arm, row)
+        end = here.joint[:, -1:] + arm.links.length[-1] * here.direction[:, -1:]
+        corners = jnp.concatenate([here.joint, end], axis=1).T
+        return corners, marker.on_links(arm, row), marker.at_tip(arm, row)
+
+    return jax.vmap(at)(angles)
+
+
+@program
+def _drag(motion: Trajectory) -> Float[Array, "sample link 3"]:
+    """Drag of the air on each link, N."""
+    arm = motion.arm
+
+    def at(time: Array, angles: Array, rates: Array) -> Array:
+        wind = None if motion.wind is None else motion.wind(time)
+        if wind is not None and wind.size != 3:
+            wind = wind.reshape(arm.count, 3)
+        return drag_force(arm, angles, rates, wind)
+
+    return jax.vmap(at)(motion.times, motion.angles, motion.rates)
+
+
+@program
+def _pairs(
+    arm: Arm, angles: Float[Array, "sample joint"]
+) -> Float[Array, "sample side point joint 3"]:
+    """Where a muscle would lie on either side of each joint, m: the first, and the second.
+
+    A picture, not the geometry of the wire: on the skin of the balloons, over a quarter of each.
+    """
+
+    def at(row: Array) -> Array:
+        here = pose(arm, row)
+        # The link before, by Rodrigues' formula.
+        before = scaled(jnp.cos(row), here.direction)
+        before = before - scaled(jnp.sin(row), cross(here.axis, here.direction))
+        along = dot(here.axis, here.direction) * (1 - jnp.cos(row))
+        before = before + scaled(along, here.axis)
+        radius = arm.links.diameter / 2 * jnp.ones_like(row)
+        reach = arm.links.length / 4 * jnp.ones_like(row)
+        ends = [scaled(-reach, before), jnp.zeros_like(before), scaled(reach, here.direction)]
+        # A positive angle bends towards the first muscle.
+        sides = [cross(here.axis, each) for each in (before, here.direction)]
+        bow = sides[0] + sides[1]
+        bow = scaled(1 / safe_norm(bow), bow)
+        across = [scaled(radius, each) for each in (sides[0], bow, sides[1])]
+        centres, offsets = here.joint[None] + jnp.stack(ends), jnp.stack(across)
+        return jnp.moveaxis(jnp.stack([centres + offsets, centres - offsets]), 2, -1)
+
+    return jax.vmap(at)(angles)
+
+
+# The scene of a joint at rest: balloons, muscle, wire and the lettered points of figs 7 and 8.
+
+# How far a balloon is drawn from the joint's centre, m: half of one link and more.
+_REACH = 1.0
+
+# Points of each half of the wire: enough for a bow.
+_WIRE_POINTS = 40
+
+Points = Float[np.ndarray, "sample 2"]
+
+
+def joint_scene(
+    geometry: JointGeometry,
+    angles: npt.ArrayLike,
+    inner: npt.ArrayLike | None = None,
+    *,
+    times: Float[np.ndarray, " sample"] | None = None,
+) -> Scene:
+    """What is seen of one joint and one of its muscles, which is on the side of +y.
+
+    The plane is that of the bisector: the joint's centre E is the origin, x goes to the right
+    link, and all z are 0.
+
+    Arguments:
+        geometry: of the joint.
+        angles: bending angles of the muscle, rad, shape (sample,).
+        inner: whether it is the inner muscle, shape (sample,); by the sign of the angle by
+            default.
+        times: of the samples, s, if they are in time.
+
+    Returns:
+        The lines `balloon` (twice), `muscle` and `wire`, and the lettered points as markers: A,
+        B, C, D, E and H of an inner muscle; M, P, O, Q, N, B, D and E of an outer one.
+
+    Raises:
+        InputError: the joint cannot be built at one of the angles.
+    """
+    size = np.asarray(angles, dtype=float)
+    check_geometry(geometry, size)
+    bend = jnp.asarray(size, dtype=jnp.result_type(float))
+    side = size >= 0 if inner is None else np.asarray(inner, dtype=bool)
+    path = muscle_path(geometry, bend, jnp.asarray(side))
+    anchor, wire_end, shoulder = (
+        _plane(point(bend)) for point in (geometry.anchor, geometry.wire_end, geometry.contact)
+    )
+    bush = np.stack([np.zeros_like(size), np.asarray(path.height)], axis=-1)
+    slack = np.asarray(path.wire_slack)
+    lines = (
+        *(_balloon(geometry, size, sign) for sign in (-1.0, 1.0)),
+        Line(
+            "muscle",
+            _in_space(_muscle(anchor, bush, shoulder, side, np.asarray(path.engaged))),
+            np.zeros(4),
+        ),
+        Line(
+            "wire",
+            _in_space(_wire(wire_end, bush, slack)),
+            np.zeros(2 * _WIRE_POINTS),
+            loose=slack > 0,
+        ),
+    )
+    markers = {
+        "A": _where(side, _mirrored(anchor)),
+        "C": _where(side, anchor),
+        "H": _where(side, bush),
+        "M": _where(~side, _mirrored(anchor)),
+        "N": _where(~side, anchor),
+        "O": _where(~side, bush),
+        "P": _where(~side, _mirrored(shoulder)),
+        "Q": _where(~side, shoulder),
+        "E": np.zeros_like(bush),
+        "B": _mirrored(wire_end),
+        "D": wire_end,
+    }
+    return Scene(lines, {name: _in_space(points) for name, points in markers.items()}, times)
+
+
+def _plane(point: tuple[Array, Array]) -> Points:
+    return np.stack([np.asarray(part) for part in point], axis=-1)
+
+
+def _mirrored(points: Points) -> Points:
+    return points * np.array([-1.0, 1.0])
+
+
+def _where(side: Bool[np.ndarray, " sample"], points: Points) -> Points:
+    return np.where(side[:, None], points, np.nan)
+
+
+def _in_space(points: np.ndarray) -> np.ndarray:
+    return np.concatenate([points, np.zeros((*points.shape[:-1], 1))], axis=-1)
+
+
+def _muscle(
+    anchor: Points,
+    bush: Points,
+    shoulder: Points,
+    inner: Bool[np.ndarray, " sample"],
+    engaged: Bool[np.ndarray, " sample"],
+) -> Float[np.ndarray, "sample 4 2"]:
+    """Straight from end to end, over the bush (inner) or over both shoulders (outer)."""
+    right = np.where(inner[:, None], bush, shoulder)
+    right = np.where(engaged[:, None], right, anchor)
+    left = np.where(engaged[:, None] & inner[:, None], bush, _mirrored(right))
+    return np.stack([_mirrored(anchor), left, right, anchor], axis=1)
+
+
+def _wire(
+    end: Points, bush: Points, slack: Float[np.ndarray, " sample"]
+) -> Float[np.ndarray, "sample point 2"]:
+    """From B over the bush to D; where it is slack, each half is a bow of about its length."""
+    along = np.linspace(0.0, 1.0, _WIRE_POINTS)
+    halves = []
+    for foot in (_mirrored(end), end):
+        line = foot[:, None] + along[None, :, None] * (bush - foot)[:, None]
+        span = np.linalg.norm(bush - foot, axis=-1)
+        # A shallow bow of rise r over a span s is 8 r^2 / (3 s) longer than the span.
+        rise = np.sqrt(3 * np.maximum(slack, 0.0) / 2 * span / 8)
+        outwards = np.where(foot[:, :1] < 0, -1.0, 1.0) * np.array([1.0, 0.0])
+        bow = rise[:, None] * 4 * along * (1 - along)
+        halves.append(line + bow[:, :, None] * outwards[:, None])
+    return np.concatenate([halves[0], halves[1][:, ::-1]], axis=1)
+
+
+def _balloon(geometry: JointGeometry, angles: Float[np.ndarray, " sample"], sign: float) -> Line:
+    """One link: narrow at the joint, and as wide as its shoulder from there on."""
+    shoulder, radius = float(geometry.contact_x), float(geometry.contact_y)
+    axis = np.stack([sign * np.cos(angles / 2), np.sin(angles / 2)], axis=-1)
+    distances = np.array([0.0, shoulder, _REACH])
+    points = axis[:, None] * distances[None, :, None]
+    return Line("balloon", _in_space(points), np.array([0.0, radius, radius]))
+
+
+# Where the markers of a scene were recorded.
+
+# Of the extent: where a recording's axes are those of the scene, they agree better than this.
+_ALIGNED = 1e-3
+
+
+def recorded_markers(
+    scene: Scene, run: Run, predicted: Mapping[str, np.ndarray]
+) -> dict[str, np.ndarray] | None:
+    """Where markers were recorded, in the frame of a scene.
+
+    Of a marker whose coordinates were recorded in part, the others are those of the model.
+
+    Arguments:
+        scene: of a model that follows the run.
+        run: the recording.
+        predicted: what the model predicts for it, SI, by channel.
+
+    Returns:
+        Points by the names of the markers, m, of shape (sample, 3), NaN where nothing was
+        recorded; None where the axes of the recording are not those of the scene.
+    """
+    low, high = scene.extent()
+    allowed = _ALIGNED * float(np.max(high - low))
+    found: dict[str, np.ndarray] = {}
+    for name, points in scene.markers.items():
+        here = points.copy()
+        measured = np.zeros(len(here), bool)
+        for axis, letter in enumerate("xyz"):
+            channel = f"{name}_{letter}"
+            if channel not in run.observations or len(predicted[channel]) != len(here):
+                continue
+            if np.nanmax(np.abs(predicted[channel] - points[:, axis])) > allowed:
+                return None
+            cells = run.observations[channel]
+            here[:, axis] = cells
+            measured |= ~np.isnan(cells)
+        if measured.any():
+            here[~measured] = np.nan
+            found[name] = here
+    return found

@@ -1,0 +1,387 @@
+"""Whether a fitted model describes its data, by the residuals before they are whitened."""
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, Literal, Self
+
+import numpy as np
+from scipy.special import chdtrc, fdtrc
+
+from ..runtime.arrays import Bool, Float
+from ._model import ChannelNoise, whitened
+
+# Of the cells, for the variance of white noise by their second differences: 18 / 35, because these
+# have the autocorrelations 1, -2/3 and 1/6.
+DIFFERENCES = 18 / 35
+
+# Deviations beyond which a cell is an outlier, for a loss that lets outliers stand.
+OUTLIER = 3.0
+
+# Second differences tell noise from motion where so many of them are there.
+_SHORT_SERIES = 16
+
+
+@dataclasses.dataclass(frozen=True)
+class Series:
+    """The residuals of one channel of one run.
+
+    Attributes:
+        run: name of the run.
+        channel: name of the channel.
+        residual: predicted minus recorded where measured, SI, shape (cell,).
+        times: of these cells, s; None for a run without time.
+        stated: noise that the run states; None where it states none.
+        key: cells of the same key have the same noise.
+        adopted: deviation of the noise that the fit adopted for a cell, SI.
+        lost: degrees of freedom that the fit took from it.
+    """
+
+    run: str
+    channel: str
+    residual: Float[np.ndarray, " cell"]
+    times: Float[np.ndarray, " cell"] | None
+    stated: ChannelNoise | None
+    key: str
+    adopted: float
+    lost: float
+
+    def __len__(self) -> int:
+        return len(self.residual)
+
+    @property
+    def freedom(self) -> float:
+        """Degrees of freedom."""
+        return max(len(self) - self.lost, 1.0)
+
+    @property
+    def white(self) -> float:
+        """Deviation of what differs from cell to cell: stated, or more by second differences."""
+        stated = 0.0 if self.stated is None else self.stated.deviation
+        return max(stated, self.from_differences)
+
+    @property
+    def white_freedom(self) -> float:
+        """Degrees of freedom of `white`; infinite where it is stated."""
+        known = self.stated is not None and self.stated.deviation >= self.from_differences
+        return np.inf if known else DIFFERENCES * len(self)
+
+    @property
+    def from_differences(self) -> float:
+        """Deviation of white noise by the second differences of the residuals.
+
+        Their mean square is 6 times its variance (`giajax.noise.from_differences`), and knows it
+        as well as `DIFFERENCES` times as many independent cells would.
+        """
+        if len(self) < _SHORT_SERIES:
+            return self.adopted
+        # Residuals without any difference are those of a perfect description.
+        return float(np.sqrt(np.mean(np.diff(self.residual, 2) ** 2) / 6)) or self.adopted
+
+    def without_outliers(self, limit: float) -> Self:
+        """The cells within so many deviations of the noise that was adopted."""
+        return self.where(np.abs(self.residual) <= limit * self.adopted)
+
+    def where(self, kept: Bool[np.ndarray, " cell"]) -> Self:
+        """Some of the cells."""
+        times = None if self.times is None else self.times[kept]
+        return dataclasses.replace(self, residual=self.residual[kept], times=times)
+
+    def known_memory_removed(self) -> Self:
+        """The residuals made independent by the correlation that the run states, if it does."""
+        if self.stated is None or self.stated.is_white:
+            return self
+        white = whitened(self.stated, self.times, self.residual[:, None])[:, 0]
+        unit = ChannelNoise(1.0)
+        return dataclasses.replace(self, residual=white, stated=unit, adopted=1.0)
+
+
+# The verdict on a fit, as data.
+
+VerdictStatus = Literal["adequate", "inadequate", "not evaluated"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Reason:
+    """One way in which residuals are not what the noise alone would leave.
+
+    Attributes:
+        code: "noise", "correlation", "differences", "drift", "runs" or "prediction".
+        sentence: what is seen, and where.
+        p_value: chance of as much from the noise alone, corrected for how often was looked.
+        size: how many times the noise the residuals are for this reason; infinite where the model
+            cannot be evaluated.
+        channels: where it is seen most, by name.
+    """
+
+    code: str
+    sentence: str
+    p_value: float
+    size: float
+    channels: tuple[str, ...] = ()
+
+    @classmethod
+    def of_json(cls, record: Mapping[str, Any]) -> Self:
+        """The record that an object of `result.json` holds."""
+        size = math.inf if record["size"] is None else record["size"]
+        return cls(**{**record, "size": size, "channels": tuple(record.get("channels", ()))})
+
+
+@dataclasses.dataclass(frozen=True)
+class Verdict:
+    """Whether the model describes the data; apart from whether the fit converged.
+
+    Attributes:
+        status: "adequate", "inadequate", or "not evaluated".
+        reasons: why it is inadequate, the surest first; or the one why it was not evaluated.
+    """
+
+    status: VerdictStatus
+    reasons: tuple[Reason, ...] = ()
+
+    @classmethod
+    def inadequate(cls, reasons: Iterable[Reason]) -> Self:
+        """That for some reasons."""
+        surest = sorted(reasons, key=lambda reason: (reason.p_value, -reason.size))
+        return cls("inadequate", tuple(surest))
+
+    def with_reason(self, reason: Reason) -> Self:
+        """With one more reason; what was not evaluated for want of cells is inadequate by it."""
+        others = self.reasons if self.status == "inadequate" else ()
+        return self.inadequate((*others, reason))
+
+    @property
+    def sentence(self) -> str:
+        """Status and reasons in a line."""
+        if not self.reasons:
+            return self.status
+        return f"{self.status}: {'; '.join(reason.sentence for reason in self.reasons)}"
+
+    @classmethod
+    def missing(cls) -> Self:
+        """That of a result which was written without one."""
+        return cls("not evaluated")
+
+    @classmethod
+    def of_json(cls, record: Mapping[str, Any]) -> Self:
+        """The record that an object of `result.json` holds."""
+        return cls(record["status"], tuple(Reason.of_json(item) for item in record["reasons"]))
+
+
+# Tests of residuals against what noise alone would leave; each may give a reason.
+#
+# A reason needs significance and size: with many cells everything is significant, and with few a
+# large misfit may be chance. Each function looks at several things and corrects for how many
+# (Bonferroni), so that noise alone gives a reason with the chance `LEVEL` at most.
+
+# These five tests and that of what was held out (`_prediction`) together have a chance of 2 % to
+# accuse an adequate model.
+LEVEL = 0.02 / 6
+
+# Noise up by a tenth is worth a word.
+SIZE = 1.1
+
+# Lengths of the blocks whose means are compared with those of white noise, in cells.
+_BLOCKS = (2, 4, 8, 16, 32)
+
+# Blocks, at least, for a statement on them.
+_FEWEST_BLOCKS = 4
+
+# Cells of a series, at least, for a statement on it alone.
+_FEWEST_VALUES = 32
+
+
+def beyond_stated(series: Sequence[Series]) -> Reason | None:
+    """Residuals against the noise that is stated."""
+    known = [(each, each.stated.deviation) for each in series if each.stated is not None]
+    groups = alone_and_together([each for each, _ in known])
+
+    def looked_at() -> Iterator[Reason]:
+        for names in groups:
+            chosen = [(each, size) for each, size in known if each.channel in names]
+            total = sum(float(np.sum((each.residual / size) ** 2)) for each, size in chosen)
+            freedom = sum(each.freedom for each, _ in chosen)
+            size = float(np.sqrt(total / freedom))
+            where = "" if names == groups[0] else f" in {', '.join(names)}"
+            sentence = f"the residuals are {size:.3g} times the stated noise{where}"
+            yield Reason("noise", sentence, float(chdtrc(freedom, total)), size, names)
+
+    return largest(looked_at(), len(groups))
+
+
+def correlated(series: Sequence[Series]) -> Reason | None:
+    """Means of blocks of cells against those of white noise.
+
+    The mean of L cells of white noise has a variance of one L-th of a cell's; where residuals go
+    together it has more. A fit takes slow parts out of them, which only lowers the statistic.
+    """
+    usable = [each for each in series if len(each) >= _FEWEST_VALUES]
+    groups = alone_and_together(usable)
+
+    def looked_at() -> Iterator[Reason]:
+        for names, length in itertools.product(groups, _BLOCKS):
+            chosen = [each for each in usable if each.channel in names]
+            means = np.concatenate([_block_means(each, length) for each in chosen])
+            count = len(means)
+            if count < _FEWEST_BLOCKS:
+                continue
+            squares = float(np.sum(means**2))
+            p = tail(count, _together(chosen), squares * length / count)
+            # What the blocks have beyond white noise, for each cell, in units of its variance.
+            share = max(squares / count - 1 / length, 0.0) / (1 - 1 / length)
+            size = float(np.sqrt(1 + share))
+            where = "" if names == groups[0] else f" of {', '.join(names)}"
+            sentence = (
+                f"the residuals{where} are correlated, noise or missing physics: with their "
+                f"memory they are {size:.3g} times what differs from cell to cell"
+            )
+            yield Reason("correlation", sentence, p, size, names)
+
+    return largest(looked_at(), len(_BLOCKS) * len(groups))
+
+
+def beyond_differences(series: Sequence[Series]) -> Reason | None:
+    """Adopted noise against that of second differences, where none is stated.
+
+    Noise that is estimated from residuals hides any wrong model: chi-square is 1 by construction.
+    """
+    unknown = [each for each in series if each.stated is None and len(each) >= _FEWEST_VALUES]
+    channels = sorted({each.channel for each in unknown})
+
+    def looked_at() -> Iterator[Reason]:
+        for name in channels:
+            chosen = [each for each in unknown if each.channel == name]
+            # Each over its own: runs may differ in length and in noise.
+            total = sum(float(np.sum((e.residual / e.from_differences) ** 2)) for e in chosen)
+            freedom = sum(each.freedom for each in chosen)
+            size = float(np.sqrt(total / freedom))
+            sentence = (
+                f"the noise adopted for {name} is {size:.3g} times what its residuals differ by "
+                "from sample to sample"
+            )
+            p = tail(freedom, _together(chosen), size**2)
+            yield Reason("differences", sentence, p, size, (name,))
+
+    return largest(looked_at(), len(channels))
+
+
+def drift(series: Sequence[Series]) -> Reason | None:
+    """A trend of residuals over the run."""
+    usable = [(e, e.times) for e in series if e.times is not None and len(e) >= _FEWEST_VALUES]
+
+    def looked_at() -> Iterator[Reason]:
+        for each, times in usable:
+            line = times - np.mean(times)
+            norm = float(np.sqrt(np.sum(line**2)))
+            along = float(np.sum(line * each.residual)) / norm
+            z = abs(along) / each.white
+            sentence = (
+                f"the residuals of {each.channel} drift over {each.run}, by "
+                f"{z / norm * float(np.ptp(times)):.2g} times its noise"
+            )
+            size = float(np.sqrt(1 + max(z**2 - 1, 0.0) / len(each)))
+            p = tail(1, each.white_freedom, z**2)
+            yield Reason("drift", sentence, p, size, (each.channel,))
+
+    return largest(looked_at(), len(usable))
+
+
+def runs_disagree(series: Sequence[Series]) -> Reason | None:
+    """Residuals of one run against those of the same channel in the others."""
+    by_key: dict[str, list[Series]] = {}
+    for each in series:
+        if len(each) >= _FEWEST_VALUES:
+            by_key.setdefault(each.key, []).append(each)
+    pairs = [(each, those) for those in by_key.values() if len(those) > 1 for each in those]
+
+    def looked_at() -> Iterator[Reason]:
+        for each, those in pairs:
+            others = [other for other in those if other is not each]
+            theirs = sum(float(np.sum(other.residual**2)) for other in others)
+            if not theirs:
+                continue
+            freedom = sum(other.freedom for other in others)
+            ratio = float(np.mean(each.residual**2)) / (theirs / freedom)
+            size = float(np.sqrt(ratio))
+            sentence = (
+                f"the runs disagree: the residuals of {each.channel} are {size:.3g} times as "
+                f"large in {each.run} as in the others"
+            )
+            p = tail(len(each), freedom, ratio)
+            yield Reason("runs", sentence, p, size, (each.channel,))
+
+    return largest(looked_at(), len(pairs))
+
+
+def largest(looked_at: Iterable[Reason], looks: int) -> Reason | None:
+    """The largest of what is seen that is sure and large enough, for so many looks."""
+    corrected = (
+        dataclasses.replace(each, p_value=min(looks * each.p_value, 1.0)) for each in looked_at
+    )
+    known = [each for each in corrected if each.p_value < LEVEL and each.size > SIZE]
+    return max(known, key=lambda each: each.size, default=None)
+
+
+def alone_and_together(series: Sequence[Series]) -> list[tuple[str, ...]]:
+    """All channels of some series, and each of several by itself."""
+    channels = sorted({each.channel for each in series})
+    alone: list[tuple[str, ...]] = [(name,) for name in channels]
+    return [tuple(channels), *alone] if len(alone) > 1 else alone
+
+
+def _together(series: Sequence[Series]) -> float:
+    """Degrees of freedom of the white noise of several series."""
+    return satterthwaite([len(each) for each in series], [each.white_freedom for each in series])
+
+
+def satterthwaite(counts: Sequence[int], freedoms: Sequence[float]) -> float:
+    """Degrees of freedom of the mean of several variances, each known by its own."""
+    sizes = np.array(counts, dtype=float)
+    below = float(np.sum(sizes**2 / np.array(freedoms)))
+    return float(np.sum(sizes)) ** 2 / below if below else np.inf
+
+
+def tail(above: float, below: float, ratio: float) -> float:
+    """Chance of a larger ratio of two variances of these degrees of freedom."""
+    if np.isinf(below):
+        return float(chdtrc(above, above * ratio))
+    return float(fdtrc(above, below, ratio))
+
+
+def _block_means(series: Series, length: int) -> np.ndarray:
+    """Means of consecutive cells over the white noise of a cell."""
+    count = len(series) // length
+    cells = series.residual[: count * length].reshape(count, length)
+    return np.mean(cells, axis=1) / series.white
+
+
+# From residuals to a verdict.
+
+_TESTS = (beyond_stated, correlated, beyond_differences, drift, runs_disagree)
+
+# Degrees of freedom below which nothing is said of a model.
+_FEWEST_RESIDUALS = 10
+
+
+def judge(series: Sequence[Series], *, robust: bool) -> Verdict:
+    """Whether residuals are what noise alone would leave.
+
+    Arguments:
+        series: of all channels of all runs, before they are whitened.
+        robust: whether the loss of the fit lets outliers stand; they are then left out.
+
+    Returns:
+        "adequate" where no test finds a reason against it; at most 2 % of adequate models whose
+        noise is white, or has the correlation that is stated, are called inadequate.
+    """
+    if robust:
+        series = [each.without_outliers(OUTLIER) for each in series]
+    if sum(len(each) - each.lost for each in series) < _FEWEST_RESIDUALS:
+        few = Reason("cells", "there are too few measured values to judge the model", 1.0, 1.0)
+        return Verdict("not evaluated", (few,))
+    series = [each.known_memory_removed() for each in series if len(each)]
+    reasons = [reason for test in _TESTS if (reason := test(series)) is not None]
+    if not reasons:
+        return Verdict("adequate")
+    return Verdict.inadequate(reasons)

@@ -1,0 +1,46 @@
+"""Recorded runs: reading, checking, describing and writing them. Imports no JAX."""
+
+from ._channels import Channel as Channel, parse_column as parse_column
+from ._definition import (
+    Definition as Definition,
+    complaint as complaint,
+    run_keys as run_keys,
+    sidecar_template as sidecar_template,
+    upgraded as upgraded,
+)
+from ._describe import describe as describe
+from ._fit_sections import (
+    Figure as Figure,
+    Fit as Fit,
+    deviation_of as deviation_of,
+    seconds_of as seconds_of,
+)
+from ._hold_out import Parted as Parted, hold_out as hold_out, parted as parted
+from ._read import (
+    observing as observing,
+    parse_rename as parse_rename,
+    read_run as read_run,
+    read_runs as read_runs,
+    read_sidecar as read_sidecar,
+    rows_of as rows_of,
+    sidecar_path as sidecar_path,
+    windows as windows,
+)
+from ._run import Run as Run, unique_names as unique_names
+from ._tracked import (
+    Beside as Beside,
+    TrackedPoints as TrackedPoints,
+    filmed as filmed,
+    filmed_beside as filmed_beside,
+    read_beside as read_beside,
+    read_deeplabcut as read_deeplabcut,
+    read_kinovea as read_kinovea,
+)
+from ._write import (
+    check_output_files as check_output_files,
+    check_output_folder as check_output_folder,
+    check_output_run as check_output_run,
+    make_folder as make_folder,
+    write_files as write_files,
+    write_run as write_run,
+)

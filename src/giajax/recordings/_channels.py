@@ -1,0 +1,376 @@
+"""A channel: one measured or commanded quantity of a run, and what the name of a column means."""
+
+import difflib
+import re
+import shlex
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ..runtime.limits import LINKS
+from ..runtime.text import InputError, one_of, shown
+from ..schema import (
+    KINDS,
+    QUANTITIES,
+    QUANTITY_OF_SUFFIX,
+    ChannelKind,
+    Kind,
+    RecordedChannel,
+    si_factor,
+)
+
+
+def to_si(quantity: str, suffix: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """`values` in the unit of `suffix`, any shape, as float64 in SI."""
+    with np.errstate(over="ignore"):  # what is infinite then is refused as such
+        return np.asarray(np.asarray(values, dtype=np.float64) * si_factor(quantity, suffix))
+
+
+def from_si(quantity: str, suffix: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """`values` in SI, any shape, as float64 in the unit of `suffix`."""
+    return np.asarray(np.asarray(values, dtype=np.float64) / si_factor(quantity, suffix))
+
+
+# How errors name the parts of a run.
+
+
+@dataclass(frozen=True)
+class Wording:
+    """How errors name the parts of a run: `row 5` and columns of a file, samples of arrays."""
+
+    source: str
+    row: str
+    first_row: int
+    columns: bool
+
+    def at(self, index: Any) -> str:
+        """The row of the sample with this index."""
+        return f"{self.row} {int(index) + self.first_row}"
+
+    def of(self, channel: RecordedChannel) -> str:
+        """The name of the channel in the person's file or arrays."""
+        if not self.columns:
+            return f"channel {channel.name!r}"
+        column = f"{channel.name}_{channel.unit}" if channel.unit else channel.name
+        return f"column {column!r}"
+
+
+# The closed table of columns: which channels exist, in which units.
+
+
+def _gathered() -> dict[str, ChannelKind]:
+    """The rows that the kinds of models declare, each once, after time."""
+    table = {"time": ChannelKind("time", "time", "time", "input")}
+    for row in (row for kind in KINDS.values() for row in kind.channels):
+        first = table.setdefault(row.name, row)
+        if (first.column, first.quantity, first.texts) != (row.column, row.quantity, row.texts):
+            raise TypeError(f"two kinds of models declare the row {row.name!r} in different ways")
+    return table
+
+
+TABLE = _gathered()
+_PATTERNS = {
+    kind: re.compile(rf"(?P<name>{row.pattern})(?:_(?P<suffix>.+))?", re.DOTALL)
+    for kind, row in TABLE.items()
+}
+# Columns are written in this order: the order of the table.
+ROWS: tuple[str, ...] = tuple(TABLE)
+
+TEXTS: dict[str, tuple[str, ...]] = {row.name: row.texts for row in TABLE.values() if row.texts}
+NOISE_KEYS: dict[str, str] = {row.name: row.noise for row in TABLE.values() if row.noise}
+"""Key of `[noise]` that holds for a row, beside its own column."""
+
+
+class NameMatch(NamedTuple):
+    """A row that a name begins with.
+
+    Attributes:
+        kind: the row.
+        match: of its pattern; the group `name` is the channel.
+        suffix: what follows the channel: its unit, or None.
+    """
+
+    kind: str
+    match: re.Match[str]
+    suffix: str | None
+
+
+def match_name(name: str) -> NameMatch | None:
+    """The row whose channel is the longest that a name begins with; None where none is."""
+    matches = []
+    for kind, pattern in _PATTERNS.items():
+        match = pattern.fullmatch(name)
+        if match is None:
+            continue
+        number = match.groupdict().get("index")
+        if number is not None and not _is_number(number):
+            continue
+        matches.append(NameMatch(kind, match, match["suffix"]))
+    return max(matches, key=lambda one: len(one.match["name"]), default=None)
+
+
+def _is_number(digits: str) -> bool:
+    """Whether these are how the number of a joint or link is written: link6 is not link06."""
+    # So many digits first: Python refuses to convert thousands of them.
+    short = len(digits) <= len(str(LINKS))
+    return short and 0 < int(digits) <= LINKS and f"{int(digits):02d}" == digits
+
+
+def units_of(kind: str) -> list[str]:
+    """The units that a channel of a row may be recorded in."""
+    quantity = TABLE[kind].quantity
+    return list(QUANTITY_OF_SUFFIX if quantity is None else QUANTITIES[quantity].suffixes)
+
+
+# What is wrong with the name of a column, and which name it may have.
+
+_ARTICLE = {"angle": "an", "angular_velocity": "an"}
+
+
+def bad_suffix(name: str, kind: str, suffix: str | None, what: str) -> str:
+    """What is wrong with the unit of a column or channel (`what`) of a row, and what to do."""
+    quantity = TABLE[kind].quantity
+    units = units_of(kind)
+    if units == [""]:
+        return (
+            f"{what} {shown(name)} ends in {shown(suffix)}, but {TABLE[kind].column} has no unit: "
+            f"rename it with --rename {name}={TABLE[kind].column}"
+        )
+    of = "it" if quantity is None else f"{_ARTICLE.get(quantity, 'a')} {quantity.replace('_', ' ')}"
+    units = [unit for unit in units if unit]
+    if suffix is None:
+        complaint = f"{what} {shown(name)} does not say its unit"
+        remedy = f"rename it, for example with --rename {name}={name}_{units[0]}"
+    else:
+        complaint = f"{what} {shown(name)} has the unknown unit {shown(suffix)}"
+        remedy = "convert the values and rename the column"
+    return f"{complaint}: {of} must be in {one_of(units)}, so {remedy}"
+
+
+def _listed(columns: Iterable[str]) -> Iterator[str]:
+    """Columns, of which those of one part of the arm share its name: `jointNN_angle, _rate`."""
+    before = ""
+    for column in columns:
+        part, _, rest = column.partition("_")
+        yield f"_{rest}" if rest and part == before else column
+        before = part
+
+
+def unknown_name(name: str, what: str) -> str:
+    """What to do with a column or channel (`what`) that the table does not have."""
+    numbered = re.match("(joint|link)([0-9]{3,})", name)
+    if numbered is not None and (len(numbered[2]) > len(str(LINKS)) or int(numbered[2]) > LINKS):
+        return (
+            f"{what} {shown(name)} has the number of a {numbered[1]} beyond {LINKS:,}, the most "
+            "that an arm may have: correct the number"
+        )
+    near = nearest(name, suffixes=what == "column")
+    old = "OLD" if not 0 < len(name) <= 40 or not name.isprintable() else name
+    pair = shlex.quote(f"{old}={near or 'NEW'}")
+    rename = f"--rename {pair}"
+    if near is not None:
+        complaint = f"{what} {shown(name)} is not in the column table: did you mean {near!r}"
+        return f"{complaint} ({rename})?" if what == "column" else f"{complaint}?"
+    known = ", ".join(_listed(row.column for row in TABLE.values()))
+    remedy = f"rename it with {rename}, or remove it" if what == "column" else "correct the name"
+    return f"{what} {shown(name)} is not in the column table ({known}): {remedy}"
+
+
+def nearest(name: str, *, suffixes: bool = True) -> str | None:
+    """The column (without `suffixes`: the channel) whose name is most like `name`, or None."""
+    numbers = re.findall(r"[0-9]+", name)
+    number = f"{int(numbers[0]) or 1:02d}" if numbers and len(numbers[0]) < 5 else "01"
+    candidates = []
+    for kind, row in TABLE.items():
+        plain = row.column.replace("NN", number)
+        for channel in [plain[:-1] + c for c in row.components] or [plain]:
+            candidates += [
+                f"{channel}_{unit}" if unit and suffixes else channel for unit in units_of(kind)
+            ]
+    near = difflib.get_close_matches(name.lower(), candidates, n=1, cutoff=0.7)
+    return near[0] if near else None
+
+
+# A channel: one measured or commanded quantity of a run, and what a column name means.
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One measured or commanded quantity of a run.
+
+    Attributes:
+        name: `link06_z`, `joint01_command`, `tip_x`, `time`, ...
+        kind: the row of the column table: `link_position`, `joint_command`, ...
+        index: 1-based number of the joint, link or landmark, or None.
+        component: 0, 1, 2 for x, y, z; 0, 1 for u, v; or None.
+        quantity: `length`, `pixel`, `angle`, `angular_velocity`, `velocity`, `force`, `torque`,
+            `pressure`, `time`, `ratio` or `text`.
+        unit: the suffix as recorded, `m`, `cm`, `deg`, ...; empty for a ratio or text.
+        camera: that the name begins with, as `side` of `side.link06_u`, or None.
+    """
+
+    name: str
+    kind: str
+    index: int | None
+    component: int | None
+    quantity: str
+    unit: str
+    camera: str | None = None
+
+    @classmethod
+    def named(cls, name: str, unit: str | None = None) -> "Channel":
+        """The channel of a name.
+
+        Arguments:
+            name: without a suffix.
+            unit: a suffix of its quantity. By default that of the SI unit, kPa for a pressure,
+                which the table has in no SI unit; `input` and `output` are then ratios.
+
+        Raises:
+            InputError: there is no such channel, or no such unit for it.
+        """
+        row = match_name(name)
+        if row is None or row.suffix is not None:
+            if row is not None and row.suffix in units_of(row.kind):
+                raise InputError(
+                    f"channel {name!r} ends in a unit, but values are in SI units here: "
+                    f"call it {row.match['name']!r}"
+                )
+            raise InputError(unknown_name(name, "channel"))
+        kind = row.kind
+        if unit is None:
+            units = units_of(kind)
+            quantity = QUANTITIES[TABLE[kind].quantity or "ratio"]
+            plain = [u for u in units if quantity.suffixes.get(u) == quantity.si_unit]
+            unit = plain[0] if plain else units[0]
+        if unit not in units_of(kind):
+            raise InputError(bad_suffix(name, kind, unit, "channel"))
+        return _channel(row, unit)
+
+    @property
+    def column(self) -> str:
+        """The column's name in a file: `link06_z_m`."""
+        return f"{self.name}_{self.unit}" if self.unit else self.name
+
+    @property
+    def si_unit(self) -> str:
+        """The SI unit that values are held in: `m`, `rad`, `rad/s`, `N m`, ...; `` for none."""
+        return QUANTITIES[self.quantity].si_unit
+
+    def to_si(self, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        """`values` as recorded (in `unit`, any shape), in SI."""
+        return to_si(self.quantity, self.unit, values)
+
+    def from_si(self, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        """`values` in SI (any shape), as recorded (in `unit`)."""
+        return from_si(self.quantity, self.unit, values)
+
+
+def parse_column(name: str) -> Channel:
+    """What a column name means.
+
+    The longest channel of the table that the name begins with is the channel; the rest is the
+    unit.
+
+    Raises:
+        InputError: the name is not in the table; the nearest known name, or the units to choose
+            from, are in the sentence.
+    """
+    row = match_name(name)
+    if row is None:
+        raise InputError(unknown_name(name, "column"))
+    unit = row.suffix or ""
+    if unit not in units_of(row.kind):
+        raise InputError(bad_suffix(name, row.kind, row.suffix, "column"))
+    return _channel(row, unit)
+
+
+def parse_columns(names: Iterable[str]) -> dict[str, Channel]:
+    """The channels of a file's header, by column name and in its order.
+
+    Raises:
+        InputError: an unknown column, or a channel that is there twice.
+    """
+    channels: dict[str, Channel] = {}
+    first: dict[str, str] = {}
+    for column in names:
+        channel = parse_column(column)
+        if column in channels:
+            raise InputError(
+                f"column {column!r} is given twice, but must be given once: remove one"
+            )
+        if channel.name in first:
+            raise InputError(
+                f"columns {first[channel.name]!r} and {column!r} both give {channel.name}, "
+                "which must be there once: remove one"
+            )
+        first[channel.name] = column
+        channels[column] = channel
+    return channels
+
+
+def order(channel: Channel) -> tuple[int, str, int, int]:
+    """Sort key of the columns in a written file: kind, then camera, number and component."""
+    row = ROWS.index(channel.kind)
+    return (row, channel.camera or "", channel.index or 0, channel.component or 0)
+
+
+def _channel(row: NameMatch, unit: str) -> Channel:
+    groups = row.match.groupdict()
+    number, component = groups.get("index"), groups.get("component")
+    return Channel(
+        name=row.match["name"],
+        kind=row.kind,
+        index=None if number is None else int(number),
+        component=(None if component is None else TABLE[row.kind].components.index(component)),
+        quantity=TABLE[row.kind].quantity or QUANTITY_OF_SUFFIX[unit],
+        unit=unit,
+        camera=groups.get("camera"),
+    )
+
+
+# Which kind of model a set of channels belongs to.
+
+
+def belongs(channel: Channel, kind: Kind) -> bool:
+    """Whether a run of this kind may hold the channel."""
+    return channel.kind == "time" or any(row.name == channel.kind for row in kind.channels)
+
+
+def infer_model(channels: Iterable[Channel]) -> str | None:
+    """The kind of model that the channels alone say, or None."""
+    rows = frozenset(channel.kind for channel in channels)
+    return next((kind.name for kind in KINDS.values() if kind.recognises(rows)), None)
+
+
+def decide_model(channels: Iterable[Channel], sidecar: str | None, source: str) -> str:
+    """The kind of model of a run: as its sidecar states, else as its channels say.
+
+    Raises:
+        InputError: neither says, or a channel belongs to another kind.
+    """
+    channels = list(channels)
+    inferred = infer_model(channels)
+    model = sidecar or inferred
+    if model is None:
+        names = ", ".join(channel.name for channel in channels)
+        raise InputError(
+            f"{source}: the channels {names} do not say which model the run is of: "
+            f'state it in the sidecar as model = "..." ({one_of(KINDS)})'
+        )
+    for channel in channels:
+        if belongs(channel, KINDS[model]):
+            continue
+        if sidecar is not None and inferred not in (None, sidecar):
+            raise InputError(
+                f"{source}: the sidecar says model = {sidecar!r}, but column {channel.column!r} "
+                f"belongs to {inferred!r}: correct the sidecar or remove the column"
+            )
+        raise InputError(
+            f"{source}: column {channel.column!r} does not belong to the model {model!r} "
+            "of this run: remove or rename it, or state another model in the sidecar"
+        )
+    return model

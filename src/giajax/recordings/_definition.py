@@ -1,0 +1,475 @@
+"""The one TOML vocabulary of sidecars, fit definitions and a user's own arm."""
+
+import difflib
+import json
+import math
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args
+
+import numpy as np
+from pydantic import BaseModel, Field, ValidationError, create_model, field_validator
+from pydantic.fields import FieldInfo
+
+from ..runtime.files import check_size, parse_toml, read_bytes
+from ..runtime.limits import TEXT_BYTES
+from ..runtime.text import InputError, one_of, shown
+from ..schema import KINDS, FillingSection, Kind, MissionSection, Name, Section, key
+from ._channels import NOISE_KEYS, infer_model
+from ._fit_sections import Figure, Fit, Noise
+from ._table import Table, read_table
+
+_BARE = re.compile(r"[A-Za-z0-9_-]+")
+
+
+def to_toml(data: dict[str, Any]) -> str:
+    """TOML text of nested dicts of strings, numbers, booleans and lists; None is left out.
+
+    Deterministic: the order of the dicts is kept, plain values come before tables.
+
+    Raises:
+        InputError: a value that TOML cannot hold.
+    """
+    return "\n".join(_table(data, ())).strip("\n") + "\n"
+
+
+def key_path(parts: tuple[str, ...]) -> str:
+    """A dotted key; a part that is not a bare word is quoted."""
+    return ".".join(part if _BARE.fullmatch(part) else _string(part) for part in parts)
+
+
+def toml_value(value: Any) -> str:
+    """A value on one line, as it stands after `key =`.
+
+    Raises:
+        InputError: a value that TOML cannot hold.
+    """
+    return _value(value, ())
+
+
+def _table(data: dict[str, Any], path: tuple[str, ...]) -> list[str]:
+    lines = [
+        f"{key_path((key,))} = {_value(value, (*path, key))}"
+        for key, value in data.items()
+        if value is not None and not isinstance(value, dict)
+    ]
+    for name, value in data.items():
+        if isinstance(value, dict):
+            inner = _table(value, (*path, name))
+            only_tables = value and all(isinstance(item, dict) for item in value.values())
+            heading = [] if only_tables else ["", f"[{key_path((*path, name))}]"]
+            lines += [*heading, *inner]
+    return lines
+
+
+def _value(value: Any, path: tuple[str, ...]) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, float):
+        # TOML could hold nan and inf; no key of the vocabulary may.
+        if math.isfinite(value):
+            return repr(value)
+    elif isinstance(value, str):
+        return _string(value)
+    elif isinstance(value, list | tuple):
+        return f"[{', '.join(_value(item, path) for item in value)}]"
+    elif isinstance(value, dict):
+        items = (f"{key_path((k,))} = {_value(v, (*path, k))}" for k, v in value.items())
+        return f"{{{', '.join(items)}}}"
+    elif hasattr(value, "isoformat"):  # the dates and times that tomllib reads
+        return str(value.isoformat())
+    raise InputError(
+        f"{key_path(path)} is {value!r}, but must be a string, a finite number, a boolean, "
+        "or a list or table of them: change it"
+    )
+
+
+def _string(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+# Turns what pydantic has to say about a definition into one sentence about one key.
+
+
+def complaint(cls: type[BaseModel], error: ValidationError, source: str) -> InputError:
+    """The first complaint of `error`, raised by `cls`, as an `InputError`.
+
+    What a key must be is what its declaration says, not the wording of pydantic.
+    """
+    first = error.errors(include_url=False)[0]
+    path, owner, field, entry = _locate(cls, first["loc"])
+    name = key_path(path)
+    in_list = "" if entry is None else f" of entry {entry}"
+    if first["type"] == "extra_forbidden":
+        return InputError(f"{source}: unknown key {name}{in_list}{_remedy(cls, owner, path)}")
+    if first["type"] == "value_error":  # raised by a validator of the vocabulary, in full
+        sentence = str(first["ctx"]["error"])
+        where = f"[{name}]" if field is None or sentence.startswith("key ") else name
+        return InputError(f"{source}: {where} {sentence}" if name else f"{source}: {sentence}")
+    if field is None:
+        return InputError(f"{source}: [{name}] must be a table of keys: write it as one")
+    # One bad number in a table of numbers is not the whole table.
+    in_table = _is_dict(field) and owner is None and len(path) > 2
+    must = _declared(field, in_table=in_table)
+    if first["type"] == "missing":
+        return InputError(f"{source}: {name}{in_list} is missing, and must be {must}: give it")
+    value = shown(first["input"])
+    return InputError(f"{source}: {name} = {value}{in_list} must be {must}: correct or remove it")
+
+
+# More keys than this are no list to read in a sentence.
+_MANY = 16
+
+
+def _declared(field: FieldInfo, *, in_table: bool = False) -> str:
+    extra = field.json_schema_extra
+    if not isinstance(extra, dict):
+        return "legal"
+    return str(
+        extra.get("entry", "a finite number or a list of them") if in_table else extra["must"]
+    )
+
+
+def plain(value: Any) -> Any:
+    """Mappings, sequences and arrays as dicts, lists and Python numbers, as TOML would give."""
+    if isinstance(value, Mapping):
+        return {name: plain(item) for name, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    return value
+
+
+def _locate(
+    cls: type[BaseModel], location: tuple[int | str, ...]
+) -> tuple[tuple[str, ...], type[BaseModel] | None, FieldInfo | None, int | None]:
+    """Dotted path, owning section, and field (None for a whole section) of an error's place.
+
+    And which entry of a list of sections it is in, from 1 on. What pydantic adds behind the key
+    (the branch of a union, the place in a list of numbers) is left out.
+    """
+    path: list[str] = []
+    owner: type[BaseModel] | None = cls
+    field: FieldInfo | None = None
+    entry: int | None = None
+    in_dict = False
+    for part in location:
+        if not isinstance(part, str):
+            section = None if field is None else _element_of(field)
+            if section is None:
+                break
+            owner, field, entry = section, None, part + 1
+            continue
+        if in_dict:
+            path.append(part)
+            if owner is None:
+                break
+            in_dict, field = False, None
+            continue
+        if owner is None:
+            break
+        path.append(part)
+        field = owner.model_fields.get(part)
+        entries = getattr(owner, "entries", None)
+        if field is None and entries is not None:
+            owner = entries
+            continue
+        if field is None:  # an unknown key, or a column in [noise]
+            if location[-1] == part and owner.model_config.get("extra") == "allow":
+                field = next(iter(owner.model_fields.values()))
+            break
+        inner = _section_of(field)
+        in_dict = _is_dict(field)
+        owner = inner
+        if inner is not None and not in_dict:
+            field = None
+    return tuple(path), owner, field, entry
+
+
+def _is_dict(field: FieldInfo) -> bool:
+    annotation = field.annotation
+    return any(
+        getattr(item, "__origin__", None) is dict for item in (annotation, *get_args(annotation))
+    )
+
+
+def _section_of(field: FieldInfo) -> type[BaseModel] | None:
+    annotation = field.annotation
+    for item in (annotation, *get_args(annotation)):
+        if isinstance(item, type) and not get_args(item) and issubclass(item, BaseModel):
+            return item
+    return None
+
+
+def _element_of(field: FieldInfo) -> type[BaseModel] | None:
+    """The section that the entries of a list are."""
+    for item in (field.annotation, *get_args(field.annotation)):
+        for element in get_args(item) if getattr(item, "__origin__", None) is list else ():
+            if isinstance(element, type) and issubclass(element, BaseModel):
+                return element
+    return None
+
+
+def _remedy(cls: type[BaseModel], owner: type[BaseModel] | None, path: tuple[str, ...]) -> str:
+    known = list(owner.model_fields) if owner is not None else []
+    unknown = path[-1]
+    near = difflib.get_close_matches(unknown, known, n=1, cutoff=0.7)
+    if near:
+        return f": did you mean {key_path((*path[:-1], near[0]))}?"
+    homes = []
+    for name, field in cls.model_fields.items():
+        section = _section_of(field)
+        if section is not None and not _is_dict(field) and unknown in section.model_fields:
+            homes.append(f"[{name}]")
+    if unknown in cls.model_fields and len(path) > 1:
+        return ": it belongs at the top of the file, so move it there"
+    if homes:
+        return f": it belongs in {one_of(homes)}, so move it there"
+    if len(known) > _MANY:
+        return ": correct or remove it ('giajax init' writes all keys that are known here)"
+    return f": correct or remove it (known here: {', '.join(known)})"
+
+
+S = TypeVar("S", bound=Section)
+
+_QUOTED = [f'"{name}"' for name in KINDS]
+
+if TYPE_CHECKING:
+    KindName = str
+else:
+    KindName = Literal[*KINDS]
+
+
+class _Head(Section):
+    """The keys at the top of a file."""
+
+    schema_version: Literal[1] = key("1", "version of this vocabulary", default=1)
+    model: KindName | None = key(
+        one_of(_QUOTED), "which model the run is of", example=next(iter(KINDS))
+    )
+    origin: str | None = key(
+        "text", "where the run comes from", example="who recorded this, with what, when"
+    )
+    licence: str | None = key("text", "terms under which it may be used", example="CC0-1.0")
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = key(
+        "64 hexadecimal digits", "checksum of the data file"
+    )
+    free_motion: bool | None = key(
+        "true or false", "true: the arm moves without commands", example=True
+    )
+
+
+_CLASSES = {name: section for kind in KINDS.values() for name, section in kind.all_sections.items()}
+_NAMES = {section: name for name, section in _CLASSES.items()}
+
+if TYPE_CHECKING:
+
+    class _Sections(_Head):
+        """The sections of the kinds of models, as fields."""
+
+else:
+    _Sections = create_model(
+        "_Sections",
+        __base__=_Head,
+        **{name: (section, Field(default_factory=section)) for name, section in _CLASSES.items()},
+    )
+
+
+class Definition(_Sections):
+    """A sidecar, a fit definition or a user's own arm. Every section and key is optional.
+
+    A section that is not in the file is there with its defaults, so
+    `definition.section(ArmSection).links` is always legal; `definition.contents()` has only what
+    the file has. Each kind of model brings its sections.
+    """
+
+    noise: Noise = Field(default_factory=Noise)
+    truth: dict[str, Any] = key(
+        "a table", "what the maker of the data knows; never read by a fit", default={}
+    )
+    fit: Fit = Field(default_factory=Fit)
+    filling: FillingSection = Field(default_factory=FillingSection)
+    mission: MissionSection | None = key("a table of keys", "what an operator is to reach")
+    figures: dict[Name, Figure] = key(
+        'a table like [figures."air.drag_coefficient"]', "figures to reach", default={}
+    )
+
+    def section(self, of: type[S]) -> S:
+        """The section of a class, with its defaults where it is not in the file."""
+        section: S = getattr(self, _NAMES[of])
+        return section
+
+    @field_validator("sha256", mode="before")
+    @classmethod
+    def _lower_case(cls, digits: Any) -> Any:
+        return digits.lower() if isinstance(digits, str) else digits
+
+    @classmethod
+    def parse(cls, data: Mapping[str, Any], source: str = "definition") -> "Definition":
+        """The definition that plain data state.
+
+        Arguments:
+            data: as `tomllib` reads it; mappings, sequences and arrays will do.
+            source: what errors call them.
+
+        Raises:
+            InputError: an unknown key (with the nearest known one), or a value that is not what
+                its key must be, or data beyond the limits of a file.
+        """
+        check_size(data, source)
+        try:
+            return cls.model_validate(upgraded(plain(data)))
+        except ValidationError as error:
+            raise complaint(cls, error, source) from None
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Definition":
+        """Read a TOML file.
+
+        Raises:
+            InputError: it is missing, not TOML or not legal.
+        """
+        path = Path(path)
+        try:
+            text = read_bytes(path, TEXT_BYTES).decode("utf-8-sig")
+        except FileNotFoundError:
+            raise InputError(f"{path} does not exist: give the path of a TOML file") from None
+        except UnicodeDecodeError:
+            raise InputError(f"{path} is not text: it must be TOML in UTF-8") from None
+        except OSError as error:
+            raise InputError(
+                f"{path} cannot be read ({error.strerror}): give a TOML file"
+            ) from None
+        return cls.parse(parse_toml(text, path), str(path))
+
+    def merged_with(self, other: "Definition") -> "Definition":
+        """This definition with what `other` gives on top, key by key within each section.
+
+        Raises:
+            InputError: the two together contradict themselves.
+        """
+        merged = self.contents()
+        for name, value in other.contents().items():
+            # An entry of [figures] says one thing, and is replaced as a whole.
+            depth = 1 if name == "figures" else 2
+            merged[name] = _merge(merged.get(name), value, depth)
+        return Definition.parse(merged, "definitions taken together")
+
+    def to_toml(self) -> str:
+        """TOML text of the contents, the version first; `load` reads it back."""
+        return to_toml({"schema_version": self.schema_version, **self.contents()})
+
+
+def upgraded(data: dict[str, Any]) -> dict[str, Any]:
+    """Plain data of an older version, which each kind of model knows to read, as of this one."""
+    for kind in KINDS.values():
+        data = kind.upgraded(data)
+    return data
+
+
+def run_keys(*, model: bool) -> tuple[str, ...]:
+    """What a definition may say about a run: data, checksum and fit are not among it.
+
+    Arguments:
+        model: whether with what it says of the model of the run.
+    """
+    sections = [
+        name
+        for kind in KINDS.values()
+        for name in (kind.all_sections if model else kind.run_sections)
+    ]
+    return (*(("model",) if model else ()), "free_motion", *dict.fromkeys(sections), "noise")
+
+
+def _merge(below: Any, above: Any, depth: int) -> Any:
+    if depth == 0 or not isinstance(below, dict) or not isinstance(above, dict):
+        return above
+    merged = dict(below)
+    for name, value in above.items():
+        merged[name] = _merge(merged.get(name), value, depth - 1)
+    return merged
+
+
+# A sidecar to fill in, made from the declarations of the vocabulary.
+
+
+def sidecar_template(path: str | Path, rename: Mapping[str, str] | None = None) -> str:
+    """TOML text of a sidecar for the run at `path`.
+
+    It states what follows from the file (model, checksum, free motion) and offers, as comments
+    with unit and meaning, every other key of the vocabulary that applies. An old sidecar is not
+    read.
+
+    Arguments:
+        path: of the run.
+        rename: the file's column name -> the name it has in the column table.
+
+    Raises:
+        InputError: the file is not a table of known columns.
+    """
+    path = Path(path)
+    table = read_table(path, rename)
+    model = infer_model(table.channels.values())
+    kind = None if model is None else KINDS[model]
+    lines = [
+        f"# Sidecar of {path.name}. Remove the '#' before a key to state it; what is not stated",
+        "# is assumed or unknown." if kind is None else kind.template_heading,
+        "schema_version = 1",
+        _line(Definition, "model", model),
+        _line(Definition, "origin"),
+        _line(Definition, "licence"),
+        _line(Definition, "sha256", table.sha256),
+    ]
+    if kind is not None:
+        lines += _offered(kind, table)
+        lines += _noise(kind, table)
+    lines += ["", "# [truth]  what you know and a fit should find; no fit reads it"]
+    return "\n".join(lines) + "\n"
+
+
+def _offered(kind: Kind, table: Table) -> list[str]:
+    """The sections that the kind of model offers for these columns."""
+    classes = kind.all_sections
+    lines = []
+    for offer in kind.offers(list(table.channels.values())):
+        first, _, name = offer.section.partition(".")
+        section = classes.get(first, Definition)
+        if name and section.entries is not None:
+            section = section.entries
+        if offer.section:
+            comment = f"  # {offer.comment}" if offer.comment else ""
+            lines += ["", f"[{offer.section}]{comment}"]
+        lines += [_line(section, name, value) for name, value in offer.keys.items()]
+    return lines
+
+
+def _noise(kind: Kind, table: Table) -> list[str]:
+    measured = [c for c in table.channels.values() if c.kind in kind.outputs]
+    if not measured:
+        return []
+    column = measured[-1].column
+    # A column may have the name of a quantity's key: then it stands for itself.
+    known = {NOISE_KEYS.get(channel.kind) for channel in measured} - {column}
+    lines = [_line(Noise, name) for name in Noise.model_fields if name in known]
+    meaning = "one column by its name, in its unit; wins over its quantity"
+    lines.append(f"# {column} = 0.01  # {meaning}")
+    return ["", "[noise]  # not stated: a fit estimates it", *lines]
+
+
+def _line(section: type[BaseModel], name: str, value: Any = None) -> str:
+    """`key = value  # meaning`, commented out unless the value is stated."""
+    field = section.model_fields[name]
+    extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
+    shown = extra["example"] if value is None else value
+    text = f"{key_path((name,))} = {toml_value(shown)}  # {field.description}{_choices(field)}"
+    return text if value is not None else f"# {text}"
+
+
+def _choices(field: FieldInfo) -> str:
+    """The values of a key that is one of a few, as its declaration says them."""
+    extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
+    return f": {extra['must']}" if "Literal[" in str(field.annotation) else ""

@@ -1,0 +1,179 @@
+"""What a run holds, as plain data for a person to check."""
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..schema import WindSection
+from ._read import sidecar_path
+from ._run import Run
+
+# Steps of time that follow each other and differ by a larger factor are noted; with room for
+# rounding, because a change from ms to s is one by 1000.
+_LEAP = 990.0
+
+
+def describe(run: Run) -> dict[str, Any]:
+    """What a run holds.
+
+    Arguments:
+        run: the run.
+
+    Returns:
+        Plain data (dicts, lists, str, int, float, bool, None): `name`, `path`, `model`, `rows`,
+        `time` (s), `command`, `wind`, `channels` (each in its recorded unit), `sidecar` and
+        `notes`, sentences on what is assumed because it is not stated.
+    """
+    rows = len(run.times) if run.times is not None else len(next(iter(run.values.values())))
+    return {
+        "name": run.name,
+        "path": None if run.path is None else str(run.path),
+        "model": run.model,
+        "rows": rows,
+        "time": None if run.times is None else _time(run.times),
+        "command": _command(run),
+        "wind": _wind(run),
+        "channels": [_channel(run, name) for name in run.channels],
+        "sidecar": _sidecar(run),
+        "notes": _notes(run),
+    }
+
+
+def _time(times: npt.NDArray[np.float64]) -> dict[str, float]:
+    steps = np.diff(times)
+    return {
+        "start_s": float(times[0]),
+        "end_s": float(times[-1]),
+        "duration_s": float(times[-1] - times[0]),
+        "interval_median_s": float(np.median(steps)),
+        "interval_min_s": float(steps.min()),
+        "interval_max_s": float(steps.max()),
+    }
+
+
+def _command(run: Run) -> dict[str, Any] | None:
+    commands = {
+        name: array
+        for name, array in run.commands.items()
+        if run.channels[name].kind in run.kind.commands
+    }
+    if not commands:
+        return None
+    interpolation = run.kind.interpolation(run)
+    steps = np.arange(len(next(iter(commands.values())))) if run.times is None else run.times
+    return {
+        "channels": list(commands),
+        "joints": [run.channels[name].index for name in commands if run.channels[name].index],
+        "moving": [name for name, array in commands.items() if np.ptp(array) > 0],
+        "interpolation": interpolation,
+        "corners": _corners(steps, np.stack(list(commands.values()), axis=1), interpolation),
+    }
+
+
+def _corners(times: npt.NDArray[Any], values: npt.NDArray[Any], interpolation: str) -> int:
+    """Number of rows at which a command jumps (zoh) or changes its slope; 0 where it is smooth."""
+    if interpolation == "band_limited":
+        return 0
+    if interpolation == "zoh":
+        return int(np.any(np.diff(values, axis=0) != 0, axis=1).sum())
+    slopes = np.diff(values, axis=0) / np.diff(times)[:, None]
+    # A recorded ramp of six digits changes its slope by one part in 1e4 from row to row.
+    bends = np.abs(np.diff(slopes, axis=0)) > 1e-3 * np.abs(slopes).max(initial=0.0)
+    return int(np.any(bends, axis=1).sum())
+
+
+def _wind(run: Run) -> dict[str, Any] | None:
+    section = run.definition.section(WindSection)
+    constant = section.velocity_m_per_s
+    if constant is not None:
+        return {"source": "constant", "velocity_m_per_s": list(constant)}
+    if run.winds:
+        return {
+            "source": "columns",
+            "channels": list(run.winds),
+            "interpolation": section.interpolation,
+        }
+    return None
+
+
+def _channel(run: Run, name: str) -> dict[str, Any]:
+    channel, values = run.channels[name], run.values[name]
+    facts: dict[str, Any] = {
+        "name": name,
+        "column": channel.column,
+        "unit": channel.unit,
+        "part": _part(run, channel.kind),
+    }
+    if channel.quantity == "text":
+        counts = {text: int((values == text).sum()) for text in sorted(set(values))}
+        return {**facts, "count": len(values), "missing_percent": 0.0, "texts": counts}
+    measured = values[~np.isnan(values)]
+    noise = run.noise(name)
+    return {
+        **facts,
+        "count": len(measured),
+        "missing_percent": 100.0 * (1.0 - len(measured) / len(values)),
+        # Adding zero turns -0.0 into 0.0.
+        "min": float(channel.from_si(measured.min())) + 0.0,
+        "max": float(channel.from_si(measured.max())) + 0.0,
+        "noise": None if noise is None else float(channel.from_si(noise)),
+    }
+
+
+def _part(run: Run, kind: str) -> str:
+    if kind in run.kind.outputs:
+        return "measured"
+    return "command" if kind in run.kind.inputs else "wind"
+
+
+def _sidecar(run: Run) -> dict[str, Any] | None:
+    if run.path is None or not sidecar_path(run.path).is_file():
+        return None
+    keys = []
+    for name, value in run.definition.contents().items():
+        if isinstance(value, dict) and name != "truth":
+            keys += [f"{name}.{key}" for key in value]
+        else:
+            keys.append(name)
+    return {
+        "path": str(sidecar_path(run.path)),
+        "keys": keys,
+        "checksum": "not stated" if run.definition.sha256 is None else "matches",
+    }
+
+
+def _first_row(run: Run) -> int | None:
+    """What the first sample is called in a person's file; None for a run made in memory."""
+    if run.path is None:
+        return None
+    return 2 if run.path.suffix.lower() == ".csv" else 1
+
+
+def _leaps(times: npt.NDArray[np.float64], first_row: int | None) -> list[str]:
+    """A note where the time step changes thousandfold: milliseconds among seconds, or a gap."""
+    steps = np.diff(times)
+    changes = np.abs(np.diff(np.log10(steps))) > np.log10(_LEAP)
+    if not changes.any():
+        return []
+    at = int(np.flatnonzero(changes)[0])
+    # The second of the two steps ends at the sample after the next.
+    row = f"sample {at + 2}" if first_row is None else f"row {at + 2 + first_row}"
+    again = int(changes.sum()) - 1
+    more = f", and again {again} time{'s' * (again > 1)} after it" if again else ""
+    return [
+        f"the time step changes from {steps[at]:.3g} s to {steps[at + 1]:.3g} s in {row}{more}: "
+        "check the unit of the time stamps, and whether rows are missing"
+    ]
+
+
+def _notes(run: Run) -> list[str]:
+    notes = run.kind.notes(run, _sidecar(run) is not None)
+    notes += [] if run.times is None else _leaps(run.times, _first_row(run))
+    if not run.observations:
+        notes.append("no measured channel: the run can be simulated, but not fitted")
+    silent = [name for name in run.observations if run.noise(name) is None]
+    if silent:
+        which = "" if len(silent) == len(run.observations) else f" of {', '.join(silent)}"
+        notes.append(f"noise{which} not stated: a fit estimates it")
+    return notes

@@ -1,0 +1,350 @@
+"""The sections of measuring and fitting: noise, a fit, and the figures that it must reach."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+from pydantic import ConfigDict, Field, field_validator, model_validator
+
+from ..runtime.limits import STARTS
+from ..runtime.text import InputError
+from ..schema import (
+    QUANTITY_OF_SUFFIX,
+    Expression,
+    Finite,
+    Name,
+    Positive,
+    Prior,
+    Section,
+    flat,
+    key,
+)
+from ._channels import NOISE_KEYS, Channel, from_si, parse_column, to_si
+
+# Times as a person writes them: 90s, 10m, 2h.
+
+DURATION = r"^[0-9]{1,9}(\.[0-9]{1,9})?[smh]$"
+"""What such a time looks like; a number without a unit is none."""
+
+_SECONDS = {"s": 1.0, "m": 60.0, "h": 3600.0}
+
+
+def seconds_of(duration: str) -> float:
+    """A time in seconds.
+
+    Arguments:
+        duration: what `DURATION` matches.
+
+    Example:
+        >>> seconds_of("1.5h")
+        5400.0
+    """
+    return float(duration[:-1]) * _SECONDS[duration[-1]]
+
+
+_NOISE = "a positive number, the standard deviation"
+_TIME = "a positive number of seconds"
+_WHOLE = ("position_m", "angle_deg", "rate_deg_per_s", "pixel_px")
+
+
+class Noise(Section):
+    """`[noise]`: standard deviations of a cell, by quantity or by column.
+
+    A part of it may be known to be correlated in time, by exp(-|dt| / time).
+    """
+
+    model_config: ClassVar[ConfigDict] = ConfigDict(extra="allow", strict=True, frozen=True)
+    __pydantic_extra__: dict[str, Positive] = Field(init=False)
+
+    position_m: Positive | None = key(_NOISE, "standard deviation of every position", example=0.01)
+    angle_deg: Positive | None = key(_NOISE, "standard deviation of every angle", example=0.5)
+    rate_deg_per_s: Positive | None = key(
+        _NOISE, "standard deviation of every joint rate", example=1.0
+    )
+    pixel_px: Positive | None = key(
+        _NOISE, "standard deviation of every coordinate in a picture", example=2.0
+    )
+    position_correlated_m: Positive | None = key(_NOISE, "the correlated part of position_m")
+    position_correlation_s: Positive | None = key(_TIME, "how long that part is correlated")
+    angle_correlated_deg: Positive | None = key(_NOISE, "the correlated part of angle_deg")
+    angle_correlation_s: Positive | None = key(_TIME, "how long that part is correlated")
+    rate_correlated_deg_per_s: Positive | None = key(
+        _NOISE, "the correlated part of rate_deg_per_s"
+    )
+    rate_correlation_s: Positive | None = key(_TIME, "how long that part is correlated")
+    pixel_correlated_px: Positive | None = key(_NOISE, "the correlated part of pixel_px")
+    pixel_correlation_s: Positive | None = key(_TIME, "how long that part is correlated")
+
+    def correlated_part(self, name: str) -> tuple[float, float] | None:
+        """Deviation, in the unit of a key, and time of the part of it that has a memory."""
+        quantity, _, unit = name.partition("_")
+        deviation = getattr(self, f"{quantity}_correlated_{unit}")
+        time_s = getattr(self, f"{quantity}_correlation_s")
+        return None if deviation is None or time_s is None else (deviation, time_s)
+
+    @property
+    def columns(self) -> dict[str, float]:
+        """The standard deviations by column name, in the column's unit."""
+        return dict(self.__pydantic_extra__ or {})
+
+    @model_validator(mode="after")
+    def _a_correlated_part_is_whole(self) -> "Noise":
+        for name in _WHOLE:
+            quantity, _, unit = name.partition("_")
+            part, time = f"{quantity}_correlated_{unit}", f"{quantity}_correlation_s"
+            size, of_part = getattr(self, name), getattr(self, part)
+            if (of_part is None) != (getattr(self, time) is None):
+                raise ValueError(
+                    f"has one of {part} and {time}, which say one thing: add the other"
+                )
+            if of_part is not None and (size is None or of_part > size):
+                raise ValueError(
+                    f"key {part!r} is a part of {name}: state {name}, which is at least as large"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _extra_keys_are_columns(self) -> "Noise":
+        stated: dict[str, str] = {}
+        for name in self.columns:
+            try:
+                channel = parse_column(name).name
+            except InputError:
+                raise ValueError(
+                    f"key {name!r} must be {', '.join(_WHOLE)}, a part of one such as "
+                    "position_correlated_m with position_correlation_s, or a column of the run: "
+                    "correct or remove it"
+                ) from None
+            if channel in stated:
+                raise ValueError(
+                    f"key {name!r} states the noise of {channel}, and so does {stated[channel]!r}: "
+                    "remove one"
+                )
+            stated[channel] = name
+        return self
+
+
+class PriorEntry(Section):
+    """One entry of `[fit.priors]`: what is known of a parameter before the fit."""
+
+    value: Finite = key("a number", "the most probable value, SI", default=...)
+    deviation: Positive | None = key("a positive number", "standard deviation, SI")
+    factor: Positive | None = key(
+        "a number above 1", "known to this factor, up or down, in place of a deviation"
+    )
+
+    @model_validator(mode="after")
+    def _is_a_prior(self) -> "PriorEntry":
+        try:
+            self.prior()
+        except InputError as error:
+            raise ValueError(str(error).removeprefix("the prior ")) from None
+        return self
+
+    def prior(self) -> Prior:
+        """The prior that it states."""
+        return Prior(self.value, self.deviation, self.factor)
+
+
+class Fit(Section):
+    """`[fit]`: what to fit to what. Only in a fit definition."""
+
+    data: list[Name] | None = key("a list of file names", "runs, relative to this file")
+    free: list[Name] | None = key("a list of parameter paths", "parameters to fit")
+    start: dict[Name, Finite | list[Finite]] | None = key(
+        "a table of parameter paths and numbers", "start values"
+    )
+    fix: dict[Name, Finite | list[Finite]] | None = key(
+        "a table of parameter paths and numbers", "parameters held at a value"
+    )
+    priors: dict[Name, PriorEntry] = key(
+        "a table of parameter paths, each with a value and a deviation or factor",
+        "what is known of free parameters before the fit",
+        default={},
+        entry="a table such as { value = 1.1, deviation = 0.2 }",
+    )
+    bounds: dict[Name, Annotated[list[Finite], Field(min_length=2, max_length=2)]] | None = key(
+        "a table of parameter paths and lists of two numbers, [low, high]",
+        "bounds of free parameters, within those that they have",
+        entry="a list of two numbers, [low, high]",
+    )
+    ties: dict[Name, Name] | None = key(
+        "a table of parameter paths and expressions in quotes",
+        "parameters that follow from others",
+        entry='an expression in quotes, such as "1.5 * joints.pitch_stiffness"',
+    )
+    per_run: list[Name] | None = key(
+        "a list of parameter paths", "free parameters with a value of their own in each run"
+    )
+    groups: dict[Name, list[list[Name]]] | None = key(
+        "a table of parameter paths and lists of lists of run names",
+        "free parameters with a value of their own in each group of runs",
+        entry='a list of lists of run names, such as [["a", "b"], ["c"]]',
+    )
+    uncertainty: dict[Name, Finite | list[Finite]] | None = key(
+        "a table of parameter paths and positive numbers",
+        "standard deviations of held parameters, for the systematic errors",
+    )
+    channels: list[Name] | None = key(
+        "a list of channel names, without unit", "channels to fit; all that were measured"
+    )
+    hold_out: list[Name] | None = key(
+        "a list of runs, channels, or last", "what is not fitted, and must be predicted"
+    )
+    window_s: Positive | None = key(
+        "a positive number", "cut each run into windows of this length, each with its own start"
+    )
+    windows_first_s: Positive | None = key(
+        "a positive number", "fit windows of this length first, and whole runs from where they end"
+    )
+    starts: Annotated[int, Field(ge=1, le=STARTS)] | None = key(
+        f"a whole number from 1 to {STARTS}", "how many starts; the best end is the result"
+    )
+    spread: Positive | None = key(
+        "a positive number", "how far the other starts are from the first: 0.3 is 30 %"
+    )
+    seed: Annotated[int, Field(ge=0)] | None = key(
+        "zero or a positive whole number", "of the other starts"
+    )
+    validation: list[Name] | None = key(
+        "a list of file names", "runs that the result must predict and is not fitted to"
+    )
+    loss: Literal["linear", "huber", "soft_l1"] | None = key(
+        '"linear", "huber" or "soft_l1"', "how a large residual counts"
+    )
+    noise_model: Literal["correlated", "white"] | None = key(
+        '"correlated" or "white"', "whether noise may have a memory"
+    )
+    noise_per_run: bool | None = key("true or false", "estimate noise in each run by itself")
+    solver: Name | None = key("the name of a solver", "of the simulation")
+    tolerance: Positive | None = key(
+        "a positive number", "relative and absolute tolerance of the simulation (default: chosen)"
+    )
+    max_iterations: Annotated[int, Field(ge=1)] | None = key(
+        "a whole number of at least 1", "trial steps before the fit gives up"
+    )
+    budget: Annotated[str, Field(pattern=DURATION)] | None = key(
+        'a time such as "90s", "10m" or "2h"', "wall time that the fit may take"
+    )
+    out: Name | None = key("the name of a folder", "where the result goes")
+
+    @field_validator(
+        *("start", "fix", "uncertainty", "priors", "bounds", "ties", "groups"), mode="before"
+    )
+    @classmethod
+    def _unquoted_paths_are_paths(cls, table: Any) -> Any:
+        # `air.drag_coefficient = 1.2` without quotes is a nested table in TOML, and means the same.
+        leaves = PriorEntry.model_fields
+        return flat(table, leaves=leaves) if isinstance(table, Mapping) else table
+
+    @model_validator(mode="after")
+    def _windows_or_whole_runs(self) -> Self:
+        if self.window_s is not None and self.windows_first_s is not None:
+            raise ValueError(
+                "has window_s and windows_first_s, which fits whole runs in the end: remove one"
+            )
+        return self
+
+    @field_validator("ties")
+    @classmethod
+    def _ties_are_expressions(cls, ties: dict[str, str] | None) -> dict[str, str] | None:
+        for path, text in (ties or {}).items():
+            try:
+                Expression.parse(text)
+            except InputError as error:
+                raise ValueError(f"is not right for {path}, because {error}") from None
+        return ties
+
+
+class Figure(Section):
+    """One entry of `[figures]`: what the fit of a shipped definition must reach."""
+
+    value: Finite | None = key("a number", "expected value")
+    standard_errors: Positive | None = key(
+        "a positive number", "how many standard errors the result may be away from it"
+    )
+    relative_error: Positive | None = key(
+        "a positive number", "largest standard error, relative to the fitted value"
+    )
+    within: Positive | None = key(
+        "a positive number", "how far the result may be from the value, relative to it"
+    )
+    determined: bool | None = key("true or false", "false: the run must not determine it")
+
+    @model_validator(mode="after")
+    def _says_one_thing(self) -> "Figure":
+        distances = [self.standard_errors, self.within]
+        goals = [self.value, *distances, self.relative_error]
+        if self.determined is False:
+            if any(item is not None for item in goals):
+                raise ValueError(
+                    "says determined = false and a figure to reach, but must say one of them: "
+                    "remove the other"
+                )
+        elif (self.value is None) != (distances == [None, None]) or goals == [None] * 4:
+            raise ValueError(
+                "must have value and standard_errors (or within), or relative_error, or all: "
+                "add what is missing"
+            )
+        return self
+
+
+# Noise of channels: standard deviations as `[noise]` states them, and in SI units.
+
+# Noise of arrays goes by quantity, without the unit that ends the key in a file.
+_NOISE_QUANTITIES = {
+    key.partition("_")[0]: key for key in Noise.model_fields if "_correlat" not in key
+}
+
+
+def deviation_of(noise: Noise, channel: Channel) -> float | None:
+    """The standard deviation (SI) that `[noise]` states for a channel, or None."""
+    for column, deviation in noise.columns.items():
+        if column.startswith(channel.name):
+            recorded = parse_column(column)
+            if recorded.name == channel.name:
+                return float(recorded.to_si(deviation))
+    key = NOISE_KEYS.get(channel.kind)
+    of_quantity = None if key is None else getattr(noise, key)
+    if key is None or of_quantity is None:
+        return None
+    return float(to_si(*_unit_of(key), of_quantity))
+
+
+def correlated_part_of(noise: Noise, channel: Channel) -> tuple[float, float] | None:
+    """The deviation (SI) and the time (s) of the part with a memory, as `[noise]` states it."""
+    key = NOISE_KEYS.get(channel.kind)
+    # A column that states its own noise is not that of its quantity.
+    if any(parse_column(column).name == channel.name for column in noise.columns):
+        return None
+    part = None if key is None else noise.correlated_part(key)
+    if key is None or part is None:
+        return None
+    deviation, time_s = part
+    return float(to_si(*_unit_of(key), deviation)), time_s
+
+
+def _unit_of(key: str) -> tuple[str, str]:
+    """Quantity and unit of a key of `[noise]`, which ends in its unit."""
+    unit = key.partition("_")[2]
+    return QUANTITY_OF_SUFFIX[unit], unit
+
+
+def noise_section(noise: Mapping[str, float], channels: Mapping[str, Channel]) -> dict[str, Any]:
+    """The `[noise]` section of standard deviations (SI) by quantity or by channel.
+
+    Raises:
+        InputError: another name.
+    """
+    section: dict[str, Any] = {}
+    for name, deviation in noise.items():
+        if name in _NOISE_QUANTITIES:
+            key = _NOISE_QUANTITIES[name]
+            section[key] = float(from_si(*_unit_of(key), deviation))
+        elif name in channels:
+            section[channels[name].column] = float(channels[name].from_si(deviation))
+        else:
+            raise InputError(
+                f"{name!r} has no noise: give that of {', '.join(_NOISE_QUANTITIES)} "
+                "or of a channel of the run"
+            )
+    return section

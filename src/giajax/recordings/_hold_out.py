@@ -1,0 +1,169 @@
+"""Runs in two parts: one to fit to, and one that is held out to judge the fit by."""
+
+import dataclasses
+import re
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ..runtime.text import InputError
+from ._run import Run
+
+SHARE = 0.2
+"""Of the time of a recording that `last` holds out."""
+
+_LAST = re.compile(r"last(?::(.*))?", re.IGNORECASE)
+
+_NUMBER = re.compile(r"[0-9]*\.?[0-9]+")
+
+
+@dataclasses.dataclass(frozen=True)
+class Parted:
+    """A run with the part of it that is fitted and the part that is held out.
+
+    Both parts have the times and the inputs of the whole, NaN for the cells of the other part, and
+    no channel without a cell of their own.
+
+    Attributes:
+        whole: the run as it was recorded.
+        fitted: None where all of it is held out.
+        held: None where none of it is.
+    """
+
+    whole: Run
+    fitted: Run | None
+    held: Run | None
+
+
+def hold_out(runs: Sequence[Run], names: Sequence[str]) -> tuple[Parted, ...]:
+    """Take what is named out of runs.
+
+    Arguments:
+        runs: those of a fit, or their windows.
+        names: of runs, of channels (in all runs), or `last`: the last fifth of each recording by
+            time, `last:0.3` another share of it. Where samples have no time, the last of them.
+
+    Returns:
+        The parts of each run.
+
+    Raises:
+        InputError: a name that is nothing of this, or two things at once; one that holds no
+            measured value; or names that leave nothing to fit.
+    """
+    held_from: list[dict[str, int]] = [{} for _ in runs]
+    for name in names:
+        rows = _first_rows(name.strip(), runs)
+        parts = [parted(run, first) for run, first in zip(runs, rows, strict=True)]
+        if all(part.held is None for part in parts):
+            raise InputError(
+                f"'{name}' holds out no measured value: hold out more, or leave it out"
+            )
+        for known, first in zip(held_from, rows, strict=True):
+            known |= {channel: min(row, known.get(channel, row)) for channel, row in first.items()}
+    parts = [parted(run, first) for run, first in zip(runs, held_from, strict=True)]
+    if all(part.fitted is None for part in parts):
+        raise InputError(
+            f"{', '.join(names)} is all that was measured, and nothing is left to fit: hold out "
+            "less of it"
+        )
+    return tuple(parts)
+
+
+def parted(run: Run, held_from: Mapping[str, int]) -> Parted:
+    """A run in two parts.
+
+    Arguments:
+        run: the whole.
+        held_from: by channel, the first sample that is held out; where a channel is not in it,
+            none is.
+    """
+    masks = {
+        name: np.arange(len(values)) >= held_from.get(name, len(values))
+        for name, values in run.observations.items()
+    }
+    return Parted(
+        run,
+        fitted=_cells(run, {name: ~held for name, held in masks.items()}),
+        held=_cells(run, masks),
+    )
+
+
+def _cells(run: Run, kept: Mapping[str, np.ndarray]) -> Run | None:
+    """The run with some of its cells alone, and only channels that have any."""
+    values = {}
+    for name, mask in kept.items():
+        cells = run.values[name]
+        if not np.all(mask | np.isnan(cells)):
+            cells = np.where(mask, cells, np.nan)
+            cells.setflags(write=False)
+        if not np.all(np.isnan(cells)):
+            values[name] = cells
+    if not values:
+        return None
+    # A run of which no channel is left out is fitted as it would be without any hold-out.
+    observed = run.observed if len(values) == len(kept) else tuple(values)
+    # A channel that is left out keeps its cells, from which the initial state may come.
+    return dataclasses.replace(run, values={**run.values, **values}, observed=observed)
+
+
+def _first_rows(name: str, runs: Sequence[Run]) -> list[dict[str, int]]:
+    """By run and channel, the first sample that a name holds out."""
+    named = [run for run in runs if name in (run.name, run.recording)]
+    measured = [run for run in runs if name in run.observations]
+    last = _LAST.fullmatch(name)
+    if bool(named) + bool(measured) + (last is not None) > 1:
+        raise InputError(
+            f"'{name}' is to be held out, and more than one thing is called so, of a run, a "
+            "channel and the last samples: rename the run, or its file"
+        )
+    if len({run.path or id(run) for run in named}) > 1:
+        raise InputError(
+            f"'{name}' is to be held out, and two recordings are called so: rename one of them"
+        )
+    if last is not None:
+        return _last(runs, SHARE if last[1] is None else _share(last[1], name))
+    if named:
+        return [
+            dict.fromkeys(run.observations, 0) if name in (run.name, run.recording) else {}
+            for run in runs
+        ]
+    if measured:
+        return [{name: 0} if name in run.observations else {} for run in runs]
+    names = ", ".join(dict.fromkeys(run.recording for run in runs))
+    channels = ", ".join(dict.fromkeys(channel for run in runs for channel in run.observations))
+    raise InputError(
+        f"'{name}' is to be held out, which is no run and no channel: name a run ({names}), a "
+        f"channel ({channels}), or last"
+    )
+
+
+def _share(text: str, name: str) -> float:
+    share = float(text) if _NUMBER.fullmatch(text) else np.nan
+    if not 0 < share < 1:
+        raise InputError(
+            f"'{name}' is to be held out, which is no share: write it like last:0.3, with a "
+            "number between 0 and 1"
+        )
+    return share
+
+
+def _last(runs: Sequence[Run], share: float) -> list[dict[str, int]]:
+    """The last part of each recording, whichever windows it was cut into."""
+    ends: dict[object, tuple[float, float]] = {}
+    for run in runs:
+        if run.times is not None:
+            start, end = ends.get(run.path or id(run), (np.inf, -np.inf))
+            span = min(start, run.times[0]), max(end, run.times[-1])
+            ends[run.path or id(run)] = span
+    rows = []
+    for run in runs:
+        if run.times is None:
+            count = len(next(iter(run.observations.values())))
+            first = count - round(share * count)
+        else:
+            start, end = ends[run.path or id(run)]
+            # A sample at the very end of the first part belongs to it, whatever its last digit.
+            instant = end - (share - 1e-9) * (end - start)
+            first = int(np.searchsorted(run.times, instant, side="right"))
+        rows.append(dict.fromkeys(run.observations, first))
+    return rows

@@ -1,0 +1,419 @@
+"""A run: what was recorded and commanded in one experiment, checked and in SI units."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..runtime.limits import DURATION_S, GAP_S, STEP_S, TIME_S, VALUE
+from ..runtime.text import InputError
+from ..schema import KINDS, Kind
+from ._channels import TEXTS, Channel, Wording, decide_model, parse_column
+from ._definition import Definition
+from ._fit_sections import correlated_part_of, deviation_of, noise_section
+
+Times = npt.NDArray[np.float64]
+
+# How far two steps may differ by more than their unit: an uneven clock, and rounded stamps.
+_EVEN = 2.0
+
+
+def check_times(times: Times, wording: Wording, *, integrated: bool) -> None:
+    """Raise `InputError` unless times are finite, strictly increasing, and of one unit.
+
+    Arguments:
+        times: shape (T,), s.
+        wording: how an error names the samples.
+        integrated: whether a model goes through all of the time between them.
+    """
+    bad = np.flatnonzero(~np.isfinite(times))
+    if bad.size:
+        state = "infinite" if np.isinf(times[bad[0]]) else "empty"
+        raise InputError(
+            f"{wording.source}: time in {wording.at(bad[0])} is {state}, but every sample must "
+            "have its time: complete or remove it"
+        )
+    bad = np.flatnonzero(np.abs(times) > TIME_S)
+    if bad.size:
+        raise InputError(
+            f"{wording.source}: time in {wording.at(bad[0])} is {times[bad[0]]:.9g} s, but must be "
+            f"at most {TIME_S:g} s: correct the stamp, or its unit"
+        )
+    steps = np.diff(times)
+    bad = np.flatnonzero(steps <= 0)
+    if bad.size:
+        at = bad[0] + 1
+        raise InputError(
+            f"{wording.source}: time goes from {times[at - 1]:.9g} s to {times[at]:.9g} s in "
+            f"{wording.at(at)}, but must strictly increase: sort the samples and remove repeated "
+            "ones"
+        )
+    _check_unit(times, steps, wording)
+    bad = np.flatnonzero(steps < STEP_S)
+    if bad.size:
+        at = bad[0] + 1
+        raise InputError(
+            f"{wording.source}: {wording.at(at)} is {steps[at - 1]:.3g} s after the one before, "
+            f"but must be at least {STEP_S:g} s after it: correct the stamp"
+        )
+    bad = np.flatnonzero(steps > GAP_S)
+    if bad.size and integrated:
+        at = bad[0] + 1
+        raise InputError(
+            f"{wording.source}: {wording.at(at)} is {steps[at - 1]:.6g} s after the one before, "
+            f"but may be {GAP_S:g} s after it at most: correct the stamp, or cut the run in two"
+        )
+    if integrated and times[-1] - times[0] > DURATION_S:
+        raise InputError(
+            f"{wording.source} lasts {times[-1] - times[0]:.6g} s, but may last {DURATION_S:g} s "
+            "at most: cut it into several runs"
+        )
+
+
+def _check_unit(times: Times, steps: Times, wording: Wording) -> None:
+    """Refuse stamps that go on in milliseconds: divided by 1000 they follow those before."""
+    if len(steps) < 3:
+        return
+    before, leap, after = steps[:-2], times[2:-1] / 1000 - times[1:-2], steps[2:] / 1000
+    ends = before / _EVEN, before * _EVEN
+    follow = (leap > ends[0]) & (leap < ends[1]) & (after > ends[0]) & (after < ends[1])
+    if follow.any():
+        at = int(np.flatnonzero(follow)[0]) + 2
+        raise InputError(
+            f"{wording.source}: time goes from {times[at - 1]:.9g} s to {times[at]:.9g} s in "
+            f"{wording.at(at)}, and from there on as if in milliseconds, but must have one unit: "
+            "convert the stamps"
+        )
+
+
+# Checks of a run's content, the same for a file and for arrays.
+
+
+@dataclass(frozen=True)
+class _Content:
+    """What a kind of model checks; see `giajax.schema.Content`."""
+
+    times: npt.NDArray[np.float64] | None
+    values: Mapping[str, npt.NDArray[Any]]
+    channels: Mapping[str, Channel]
+    definition: Definition
+
+
+def check_content(
+    model: str,
+    times: npt.NDArray[np.float64] | None,
+    values: Mapping[str, npt.NDArray[Any]],
+    channels: Mapping[str, Channel],
+    definition: Definition,
+    wording: Wording,
+) -> None:
+    """Raise `InputError` for the first thing in a run that no model could use."""
+    kind = KINDS[model]
+    _check_lengths(kind, times, values, channels, wording)
+    if times is not None:
+        check_times(times, wording, integrated=kind.timed)
+    for name, channel in channels.items():
+        if channel.quantity == "text":
+            _check_text(values[name], channel, wording)
+        else:
+            # What acts on a model must be known at every sample; only measurements may be missing.
+            gaps = channel.kind in kind.outputs
+            _check_numbers(values[name], channel, wording, gaps=gaps)
+    for column in definition.noise.columns:
+        if parse_column(column).name not in {
+            name for name, channel in channels.items() if channel.kind in kind.outputs
+        }:
+            raise InputError(
+                f"{wording.source}: noise is stated for {column!r}, which must be a measured "
+                "column of the run: correct or remove that key"
+            )
+    kind.check(_Content(times, values, channels, definition), wording)
+
+
+def _check_lengths(
+    kind: Kind,
+    times: npt.NDArray[np.float64] | None,
+    values: Mapping[str, npt.NDArray[Any]],
+    channels: Mapping[str, Channel],
+    wording: Wording,
+) -> None:
+    if times is None and kind.timed:
+        run = f"{'an' if kind.name[0] in 'aeiou' else 'a'} {kind.name} run"
+        raise InputError(
+            f"{wording.source} has no time column: {run} must have time_s or time_ms, "
+            "so add or --rename it"
+            if wording.columns
+            else f"{wording.source} has no times: {run} must have them, so give them"
+        )
+    length = len(next(iter(values.values()))) if times is None else len(times)
+    for name, array in values.items():
+        if len(array) != length:
+            raise InputError(
+                f"{wording.source}: {wording.of(channels[name])} has {len(array)} samples, but "
+                f"must have {length} like the others: give it at every sample, NaN where missing"
+            )
+    least = 1 if times is None else 2
+    if length < least:
+        raise InputError(
+            f"{wording.source} has {length} sample{'s' * (length != 1)}, but must have at least "
+            f"{least}: give a longer run"
+        )
+
+
+def _check_text(array: npt.NDArray[Any], channel: Channel, wording: Wording) -> None:
+    allowed = TEXTS[channel.kind]
+    for index, text in enumerate(array):
+        if text not in allowed:
+            raise InputError(
+                f"{wording.source}: {wording.of(channel)} is {text!r} in {wording.at(index)}, but "
+                f"must be {' or '.join(allowed)} everywhere: correct it"
+            )
+
+
+def _check_numbers(
+    array: npt.NDArray[Any], channel: Channel, wording: Wording, *, gaps: bool
+) -> None:
+    missing = np.isnan(array)
+    if missing.all():
+        raise InputError(
+            f"{wording.source}: {wording.of(channel)} has no value at all: "
+            "it must have at least one, so fill or remove it"
+        )
+    bad = np.flatnonzero(np.isinf(array))
+    if bad.size:
+        raise InputError(
+            f"{wording.source}: {wording.of(channel)} is infinite in {wording.at(bad[0])}, but "
+            "must be a finite number or empty: correct it"
+        )
+    bad = np.flatnonzero(np.abs(array) > VALUE)
+    if bad.size:
+        raise InputError(
+            f"{wording.source}: {wording.of(channel)} is {channel.from_si(array[bad[0]]):.3g} in "
+            f"{wording.at(bad[0])}, but no value of a recording is so large: correct or empty it"
+        )
+    bad = np.flatnonzero(missing)
+    if bad.size and not gaps:
+        raise InputError(
+            f"{wording.source}: {wording.of(channel)} is empty in {wording.at(bad[0])}, but what "
+            "drives the model must be known at every sample: fill the gap"
+        )
+
+
+# A run: what was recorded and commanded in one experiment, and its sidecar, in SI units.
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One experiment, in SI units.
+
+    Made by `read_run` and `Run.from_arrays`, which both check the content. The arrays are
+    read-only.
+
+    Attributes:
+        name: the file's stem, or a name of the caller's.
+        model: name of its kind, one of `giajax.schema.KINDS`.
+        times: s, shape (sample,), strictly increasing; None for a static run.
+        values: by channel name, SI, each of shape (sample,); NaN = not measured. A text channel
+            (`side`, `phase`) is an object array of str or None. Time is not among them.
+        channels: by the same names.
+        definition: the sidecar, with the fit definition on top.
+        path, sha256: the file and its checksum; None for a run made from arrays.
+        observed: the channels that a fit compares; None for all that were measured.
+    """
+
+    name: str
+    model: str
+    times: npt.NDArray[np.float64] | None
+    values: dict[str, npt.NDArray[Any]]
+    channels: dict[str, Channel]
+    definition: Definition = field(default_factory=Definition)
+    path: Path | None = None
+    sha256: str | None = None
+    observed: tuple[str, ...] | None = None
+
+    @classmethod
+    def from_arrays(
+        cls,
+        times: npt.ArrayLike | None,
+        values: Mapping[str, npt.ArrayLike],
+        *,
+        name: str = "run",
+        noise: Mapping[str, float] | None = None,
+        definition: Definition | Mapping[str, Any] | None = None,
+    ) -> "Run":
+        """A run from arrays, with the same checks as a file.
+
+        Arguments:
+            times: shape (sample,), s; None for a static run.
+            values: by channel name without unit (`joint01_command`, `link06_z`), SI (rad, rad/s,
+                m, m/s, N, N m, Pa), each of shape (sample,). NaN = not measured.
+            name: of the run.
+            noise: standard deviations, SI: by quantity (`position`, `angle`, `rate`) or by
+                channel name.
+            definition: what a sidecar would say.
+
+        Raises:
+            InputError: whatever keeps the arrays from being a run.
+
+        Example:
+            >>> import giajax
+            >>> values = {"joint01_command": [0.0, 0.5, 0.5], "link20_z": [0.0, 0.4, 2.0]}
+            >>> run = giajax.Run.from_arrays([0.0, 1.0, 2.0], values, noise={"position": 0.01})
+        """
+        if not isinstance(definition, Definition):
+            definition = Definition.parse(definition or {}, f"{name}: definition")
+        channels = {channel: Channel.named(channel) for channel in values}
+        if "time" in channels:
+            raise InputError(f"{name}: 'time' is among the values: give it as the first argument")
+        if noise:
+            section = {"noise": noise_section(noise, channels)}
+            definition = definition.merged_with(Definition.parse(section, f"{name}: noise"))
+        arrays = {
+            channel: _text(item, f"{name}: {channel}")
+            if channel in TEXTS
+            else _numbers(item, f"{name}: {channel}")
+            for channel, item in values.items()
+        }
+        return build_run(
+            name=name,
+            times=None if times is None else _numbers(times, f"{name}: times"),
+            values=arrays,
+            channels=channels,
+            definition=definition,
+            wording=Wording(name, "sample", 0, columns=False),
+        )
+
+    @property
+    def kind(self) -> Kind:
+        """What its kind of model declares."""
+        return KINDS[self.model]
+
+    @property
+    def recording(self) -> str:
+        """Name of the recording that it is, or is a window of."""
+        return self.name if self.path is None else self.path.stem
+
+    @property
+    def drawn_over(self) -> str | None:
+        """The input that its measured channels are drawn over; None: over time."""
+        return self.kind.drawn_over(self)
+
+    @property
+    def commands(self) -> dict[str, npt.NDArray[Any]]:
+        """The channels that drive the model, wind apart: name -> (T,), SI."""
+        return self._of_rows(self.kind.inputs)
+
+    @property
+    def winds(self) -> dict[str, npt.NDArray[Any]]:
+        """The recorded air velocity: `wind_x`, ... -> (T,), m/s."""
+        return self._of_rows(self.kind.rows("surroundings"))
+
+    @property
+    def observations(self) -> dict[str, npt.NDArray[Any]]:
+        """The channels that a fit compares with its prediction: name -> (T,), SI."""
+        measured = self._of_rows(self.kind.outputs)
+        if self.observed is None:
+            return measured
+        return {name: measured[name] for name in self.observed if name in measured}
+
+    def noise(self, name: str) -> float | None:
+        """Standard deviation of channel `name` in `[noise]`, SI; None if it is not there.
+
+        The key of the column wins over that of its quantity.
+        """
+        return deviation_of(self.definition.noise, self.channels[name])
+
+    def correlated_noise(self, name: str) -> tuple[float, float] | None:
+        """The part of a channel's noise that has a memory, as `[noise]` states it.
+
+        Its standard deviation, SI, and its correlation time, s; None where neither is stated.
+        """
+        return correlated_part_of(self.definition.noise, self.channels[name])
+
+    def require_observations(self) -> None:
+        """Raise `InputError` if the run holds nothing that a fit could compare."""
+        if not self.observations:
+            raise InputError(
+                f"{self.path or self.name} holds no measured channel to fit: it must have at least "
+                f"one, such as {self.kind.measured}, so add its column"
+            )
+
+    def _of_rows(self, rows: tuple[str, ...]) -> dict[str, npt.NDArray[Any]]:
+        return {
+            name: self.values[name]
+            for name, channel in self.channels.items()
+            if channel.kind in rows
+        }
+
+
+def build_run(
+    *,
+    name: str,
+    times: npt.NDArray[np.float64] | None,
+    values: dict[str, npt.NDArray[Any]],
+    channels: dict[str, Channel],
+    definition: Definition,
+    wording: Wording,
+    path: Path | None = None,
+    sha256: str | None = None,
+) -> Run:
+    """Decide the model, check the content, freeze the arrays.
+
+    Raises:
+        InputError: the content is not a run.
+    """
+    if not channels:
+        raise InputError(
+            f"{wording.source} has only a time column: it must also have a channel, "
+            "such as joint01_command_deg and link06_z_m"
+        )
+    model = decide_model(channels.values(), definition.model, wording.source)
+    check_content(model, times, values, channels, definition, wording)
+    for array in (*values.values(), *(() if times is None else (times,))):
+        array.setflags(write=False)
+    return Run(name, model, times, values, channels, definition, path, sha256)
+
+
+def _numbers(values: npt.ArrayLike, what: str) -> npt.NDArray[np.float64]:
+    # A copy: the run is frozen, and the caller's array stays the caller's.
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{what} must be numbers: convert the values to float") from None
+    if array.ndim != 1:
+        raise InputError(
+            f"{what} has the shape {array.shape}, but must have one dimension, the samples: "
+            "give one array for each channel"
+        )
+    return array
+
+
+def _text(values: npt.ArrayLike, what: str) -> npt.NDArray[Any]:
+    array = np.array(values, dtype=object)
+    if array.ndim != 1:
+        raise InputError(f"{what} must be a list of text, one a sample: give it as such")
+    return array
+
+
+# Names of runs, for the names of files.
+
+# 50 characters of four bytes leave room for what is around them in a name.
+_LONGEST = 50
+
+
+def unique_names(runs: Sequence[Run]) -> list[str]:
+    """A name for each run that no other has and any file system takes."""
+    names: list[str] = []
+    for run in runs:
+        stem = re.sub(r"[^\w.-]+", "_", run.name).strip(".")[:_LONGEST] or "run"
+        name = stem
+        number = 1
+        while name.lower() in (other.lower() for other in names):
+            number += 1
+            name = f"{stem}_{number}"
+        names.append(name)
+    return names

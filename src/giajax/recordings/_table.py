@@ -1,0 +1,374 @@
+"""A data file as columns of numbers in SI units, with bad cells named by column and row."""
+
+import csv
+import difflib
+import hashlib
+import io
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+import numpy.typing as npt
+import polars as pl
+
+from ..runtime.files import read_bytes
+from ..runtime.limits import CELL_BYTES, COLUMNS, RUN_BYTES
+from ..runtime.text import InputError, shown
+from ..schema import QUANTITIES
+from ._channels import Channel, nearest, parse_column, parse_columns
+
+# How far down a header is looked for: title, date, instrument, units.
+_LINES = 30
+
+_NUMERIC = re.compile(r"[+-]?([0-9]|\.[0-9]).*")
+_UNITS = frozenset(
+    spelling.lower()
+    for quantity in QUANTITIES.values()
+    for suffix, unit in quantity.suffixes.items()
+    for spelling in (suffix, unit, quantity.si_unit, "1", "-", "sec", "degrees", "°")
+)
+
+
+def check_header(text: str, path: Path) -> None:
+    """Refuse a CSV file whose first line does not name its columns because another line does.
+
+    Arguments:
+        text: of the file, with `\\n` at the ends of its lines.
+        path: of the file, for the error.
+
+    Raises:
+        InputError: comments, units or a title stand above the header, or `#` before it.
+    """
+    lines = text.split("\n", _LINES)[:_LINES]
+    comments = next((i for i, line in enumerate(lines) if not _comment(line)), len(lines))
+    if comments:
+        below = _cells(lines[comments]) if comments < len(lines) else []
+        # As numpy writes it: the names are in the last comment, and numbers follow.
+        if below and all(_NUMERIC.fullmatch(cell) or not cell for cell in below):
+            above = "" if comments == 1 else " and what is above that line"
+            raise InputError(
+                f"{path}: line {comments} comes before the numbers and must name the columns, but "
+                f"begins with '#': remove the '#'{above}"
+            )
+        which = "line 1 is a comment" if comments == 1 else f"lines 1 to {comments} are comments"
+        raise InputError(
+            f"{path}: {which}, but the first line must name the columns: "
+            f"remove {'it' if comments == 1 else 'them'}"
+        )
+    first = _cells(lines[0])
+    if not any(first) or _named(first):
+        return
+    named = next((i for i, line in enumerate(lines[1:], 1) if _named(_cells(line))), None)
+    if named is not None:
+        above = "the line" if named == 1 else f"the {named} lines"
+        raise InputError(
+            f"{path}: the columns are named in line {named + 1}, but must be named in the first "
+            f"line: remove {above} above it"
+        )
+    if len(first) > 1 and all(cell.strip("[]() ").lower() in _UNITS for cell in first):
+        raise InputError(
+            f"{path}: the first line holds units, but must name the columns: remove it, and end "
+            "the names in their units, such as link06_z_m"
+        )
+
+
+def _comment(line: str) -> bool:
+    return line.lstrip(' "').startswith("#")
+
+
+def _cells(line: str) -> list[str]:
+    return [cell.strip() for cell in next(csv.reader([line]), [])]
+
+
+def _named(cells: Sequence[str]) -> bool:
+    """Whether all cells of a line are names of the column table."""
+    try:
+        return bool(cells) and all(parse_column(cell) for cell in cells)
+    except InputError:
+        return False
+
+
+# The text of a CSV file as a header and columns of text.
+
+# Bytes in which the lines above a header are looked for.
+_TOP = 1 << 16
+
+
+def split_csv(data: bytes, path: Path) -> tuple[list[str], list[pl.Series], int]:
+    """Header, columns of text (null = empty cell), and the line of the first sample.
+
+    Raises:
+        InputError: the data are not CSV in UTF-8 with as many cells in each row as in the first.
+    """
+    data = data.removeprefix(b"\xef\xbb\xbf")
+    try:
+        if b"\0" in data:
+            raise UnicodeDecodeError("utf-8", data, 0, 1, "NUL")
+        data.decode("utf-8")
+    except UnicodeDecodeError:
+        raise InputError(
+            f"{path} is not text: it must be CSV in UTF-8, so export it again"
+        ) from None
+    if b"\r" in data:
+        data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    head, _, body = data.rstrip(b"\n").partition(b"\n")
+    if head.count(b",") >= COLUMNS:
+        raise InputError(
+            f"{path} has {head.count(b',') + 1:,} columns, but may have {COLUMNS:,} at most: "
+            "remove some"
+        )
+    _check_lengths(data, path)
+    check_header(data[:_TOP].decode("utf-8", errors="ignore"), path)
+    try:
+        names = next(csv.reader([head.decode("utf-8")], strict=True), [])
+    except csv.Error:
+        _misquoted(path, 1)
+    header = [name.strip() for name in names]
+    if not any(header):
+        raise InputError(
+            f"{path}: the first line must name the columns, but is empty: add a header"
+        )
+    if len(header) == 1:
+        for separator, called in ((";", "semicolons"), ("\t", "tabs")):
+            if separator in header[0]:
+                raise InputError(
+                    f"{path} separates its cells with {called}, but must do so with commas "
+                    "(and write numbers with a decimal point): export it again"
+                )
+    if not body:
+        return header, [], 2
+    if b'"' in body:
+        return header, _quoted(body, header, path), 2
+    _check_widths(body, len(header), path)
+    # Below a line of its own: Polars drops a byte order mark and empty lines at the top.
+    top = b",".join([b"0"] * len(header)) + b"\n"
+    frame = pl.read_csv(
+        io.BytesIO(top + body), has_header=False, infer_schema=False, quote_char=None, glob=False
+    )
+    return header, frame[1:].get_columns(), 2
+
+
+def _check_lengths(data: bytes, path: Path) -> None:
+    """Refuse what no name and no number is long enough for."""
+    characters = np.frombuffer(data, dtype=np.uint8)
+    ends = np.flatnonzero((characters == ord(",")) | (characters == ord("\n")))
+    lengths = np.diff(ends, prepend=-1, append=len(data)) - 1
+    bad = np.flatnonzero(lengths > CELL_BYTES)
+    if bad.size:
+        start = 0 if bad[0] == 0 else int(ends[bad[0] - 1]) + 1
+        row = data.count(b"\n", 0, start) + 1
+        raise InputError(
+            f"{path}: a cell in row {row} has "
+            f"{int(lengths[bad[0]]):,} characters, but may have {CELL_BYTES:,} at most: correct it"
+        )
+
+
+def _check_widths(body: bytes, width: int, path: Path) -> None:
+    # Polars pads short rows in silence, so the commas of each line are counted here.
+    characters = np.frombuffer(body, dtype=np.uint8)
+    ends = np.append(np.flatnonzero(characters == ord("\n")), len(characters))
+    commas = np.flatnonzero(characters == ord(","))
+    cells = np.diff(np.searchsorted(commas, ends), prepend=0) + 1
+    bad = np.flatnonzero(cells != width)
+    if bad.size:
+        _ragged(path, int(bad[0]) + 2, int(cells[bad[0]]), width)
+
+
+def _quoted(body: bytes, header: Sequence[str], path: Path) -> list[pl.Series]:
+    # Quotes may hide commas and line ends; such files are small enough for the slow way.
+    # Strict: `"1"2` is no way of writing 12.
+    reader = csv.reader(io.StringIO(body.decode("utf-8"), newline=""), strict=True)
+    rows: list[list[str]] = []
+    while True:
+        row = len(rows) + 2
+        try:
+            cells = next(reader, None)
+        except csv.Error:
+            _misquoted(path, row)
+        if cells is None:
+            break
+        if reader.line_num + 1 != row:
+            raise InputError(
+                f"{path}: a cell in row {row} has a line break, which no cell may have: remove it"
+            )
+        if len(cells) != len(header):
+            _ragged(path, row, len(cells), len(header))
+        rows.append(cells)
+    return [pl.Series("", list(column), dtype=pl.String) for column in zip(*rows, strict=True)]
+
+
+def _misquoted(path: Path, row: int) -> NoReturn:
+    raise InputError(
+        f"{path}: a cell in row {row} has a quotation mark that begins or ends no cell: "
+        "quote whole cells, or none"
+    )
+
+
+def _ragged(path: Path, row: int, cells: int, width: int) -> NoReturn:
+    raise InputError(
+        f"{path}: row {row} has {cells} cell{'s' * (cells != 1)}, but the header names {width} "
+        "columns: give every row one cell for each column, empty where not measured"
+    )
+
+
+_MISSING = ("", "nan", "na")
+_FINITE = r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?"
+_NUMBER = re.compile(rf"{_FINITE}|[+-]?inf(inity)?", re.IGNORECASE | re.ASCII)
+_SUFFIXES = (".csv", ".parquet")
+
+
+@dataclass(frozen=True)
+class Table:
+    """The content of a data file, before anything is known about its model.
+
+    Attributes:
+        times: s, shape (sample,), or None.
+        values: by channel name, SI, each of shape (sample,): NaN = not measured; text as an
+            object array.
+        channels: by the same names.
+        sha256: checksum of the file.
+        first_row: what errors call the first sample.
+    """
+
+    times: npt.NDArray[np.float64] | None
+    values: dict[str, npt.NDArray[Any]]
+    channels: dict[str, Channel]
+    sha256: str
+    first_row: int
+
+
+def read_table(path: Path, rename: Mapping[str, str] | None = None) -> Table:
+    """Read a `.csv` or `.parquet` file.
+
+    Raises:
+        InputError: the file is not such a table.
+    """
+    data = _bytes(path)
+    if path.suffix.lower() == ".csv":
+        header, columns, first_row = split_csv(data, path)
+    else:
+        header, columns, first_row = _split_parquet(data, path)
+    if len(header) > COLUMNS:
+        raise InputError(
+            f"{path} has {len(header):,} columns, but may have {COLUMNS:,} at most: remove some"
+        )
+    names = _renamed(header, rename or {}, path)
+    try:
+        named = parse_columns(names)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    if not columns or len(columns[0]) == 0:
+        raise InputError(f"{path} has a header but no rows: it must have samples, so add them")
+    times = None
+    values: dict[str, npt.NDArray[Any]] = {}
+    for (column, channel), series in zip(named.items(), columns, strict=True):
+        where = f"{path}: column {column!r}"
+        if channel.quantity == "text":
+            values[channel.name] = _texts(series)
+            continue
+        numbers = channel.to_si(_numbers(series, where, first_row))
+        if channel.kind == "time":
+            times = numbers
+        else:
+            values[channel.name] = numbers
+    channels = {c.name: c for c in named.values() if c.kind != "time"}
+    return Table(times, values, channels, hashlib.sha256(data).hexdigest(), first_row)
+
+
+def _bytes(path: Path) -> bytes:
+    if path.suffix.lower() not in _SUFFIXES:
+        raise InputError(
+            f"{path} must be a run, a file whose name ends in .csv or .parquet: give or convert one"
+        )
+    try:
+        data = read_bytes(path, RUN_BYTES)
+    except FileNotFoundError:
+        raise InputError(f"{path} does not exist: give the path of a recorded run") from None
+    except IsADirectoryError:
+        raise InputError(f"{path} is a directory: give the path of one run in it") from None
+    except OSError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror}): give a readable run") from None
+    if not data.strip():
+        raise InputError(f"{path} is empty: it must have a header line and samples")
+    return data
+
+
+def _split_parquet(data: bytes, path: Path) -> tuple[list[str], list[pl.Series], int]:
+    try:
+        frame = pl.read_parquet(io.BytesIO(data))
+    except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError):
+        raise InputError(
+            f"{path} is not a Parquet file: it must be one, so export it again"
+        ) from None
+    for name, dtype in frame.schema.items():
+        if not (dtype.is_numeric() or dtype in (pl.String, pl.Null, pl.Categorical)):
+            raise InputError(
+                f"{path}: column {name!r} is of type {dtype}, but must hold numbers: convert it"
+            )
+    return frame.columns, frame.get_columns(), 1
+
+
+def _renamed(header: Sequence[str], rename: Mapping[str, str], path: Path) -> list[str]:
+    if all(_NUMBER.fullmatch(name) for name in header):
+        raise InputError(
+            f"{path}: the first line must name the columns, but holds numbers: add a header"
+        )
+    for old, new in rename.items():
+        if old not in header:
+            near = difflib.get_close_matches(old, header, n=1, cutoff=0.6)
+            hint = f"did you mean {near[0]!r}?" if near else "give a name that is there"
+            there = ", ".join(header[:8]) + (", ..." if len(header) > 8 else "")
+            raise InputError(
+                f"--rename {old}={new}: {path} has no column {old!r}, but {there}: {hint}"
+            )
+        try:
+            parse_column(new)
+        except InputError:
+            closest = nearest(new)
+            hint = f"did you mean {closest!r}?" if closest else "give one such as link06_z_m"
+            raise InputError(
+                f"--rename {old}={new}: {new!r} is not in the column table: {hint}"
+            ) from None
+    names = [rename.get(name, name) for name in header]
+    for position, name in enumerate(names, start=1):
+        if not name:
+            raise InputError(
+                f"{path}: column {position} has no name, but must have one of the column table: "
+                "name or remove it"
+            )
+    return names
+
+
+def _numbers(series: pl.Series, where: str, first_row: int) -> npt.NDArray[np.float64]:
+    """Numbers of a column, NaN where nothing was measured."""
+    if series.dtype == pl.Categorical:
+        series = series.cast(pl.String)
+    array = np.array(series.cast(pl.Float64, strict=False).to_numpy(), dtype=np.float64)
+    if series.dtype != pl.String:
+        return array
+    # What else Polars takes for a number is its own affair, and may change.
+    plain = series.str.contains(f"^(?:{_FINITE})$")
+    if (plain.sum() or 0) + series.null_count() == len(series):
+        return array
+    for index in (series.is_not_null() & ~plain).arg_true():
+        text = str(series[int(index)]).strip()
+        if text.lower() in _MISSING:
+            array[index] = np.nan
+        elif _NUMBER.fullmatch(text):
+            array[index] = float(text)
+        else:
+            raise InputError(
+                f"{where} has {shown(text, 40)} in row {int(index) + first_row}, but must have a "
+                "number or an empty cell: correct it"
+            )
+    return array
+
+
+def _texts(series: pl.Series) -> npt.NDArray[Any]:
+    texts = [None if text is None else str(text).strip() or None for text in series]
+    array = np.empty(len(texts), dtype=object)
+    array[:] = texts
+    return array

@@ -1,0 +1,292 @@
+"""Points that another program tracked in a film, and the run that they make."""
+
+import csv
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ..runtime.files import read_bytes
+from ..runtime.limits import RUN_BYTES
+from ..runtime.text import InputError, one_of, shown
+from ._channels import TABLE, Channel
+from ._table import read_table
+
+TIME_UNITS = {"s": 1.0, "ms": 1e-3}
+
+
+@dataclass(frozen=True)
+class TrackedPoints:
+    """What a program tracked in a film.
+
+    Attributes:
+        times: of the pictures, s, shape (picture,), increasing.
+        points: u to the right and v down by the name of a point, px, each of shape (picture, 2);
+            NaN where it was not found.
+    """
+
+    times: npt.NDArray[np.float64]
+    points: Mapping[str, npt.NDArray[np.float64]]
+
+
+def read_deeplabcut(path: str | Path, *, rate: float, likelihood: float = 0.6) -> TrackedPoints:
+    """Read what DeepLabCut wrote of a film as CSV.
+
+    Its three header rows are scorer, bodyparts and coords; of several animals there are four, with
+    individuals before bodyparts. A row is a picture, which begins with its number.
+
+    Arguments:
+        path: of the file.
+        rate: pictures a second.
+        likelihood: a point that is less likely was not found.
+
+    Returns:
+        The points by body part; of several animals by `individual/bodypart`.
+
+    Raises:
+        InputError: the file is not of that form, or the rate is not positive.
+    """
+    path = Path(path)
+    if not (np.isfinite(rate) and rate > 0):
+        raise InputError(f"the rate is {rate:g}: give the pictures a second, a positive number")
+    rows = list(csv.reader(io.StringIO(_text(path), newline="")))
+    header: dict[str, list[str]] = {}
+    for row in rows[:4]:
+        if row and row[0] in ("scorer", "individuals", "bodyparts", "coords"):
+            header[row[0]] = row[1:]
+    if not {"scorer", "bodyparts", "coords"} <= set(header):
+        raise InputError(
+            f"{path} is not a file of DeepLabCut: it must begin with the rows scorer, bodyparts "
+            "and coords, so give its CSV file of a film"
+        )
+    body = [row for row in rows[len(header) :] if row]
+    names = header["bodyparts"]
+    if "individuals" in header:
+        names = [f"{of}/{name}" for of, name in zip(header["individuals"], names, strict=False)]
+    table = _numbers(path, body, len(header) + 1, width=len(header["coords"]) + 1)
+    points: dict[str, npt.NDArray[np.float64]] = {}
+    for name in dict.fromkeys(names):
+        column = {
+            coordinate: place + 1
+            for place, (of, coordinate) in enumerate(zip(names, header["coords"], strict=True))
+            if of == name
+        }
+        if not {"x", "y"} <= set(column):
+            raise InputError(
+                f"{path}: {shown(name)} has no columns x and y: export the file again with both"
+            )
+        found = table[:, [column["x"], column["y"]]]
+        if "likelihood" in column:
+            # Not found, where it does not say how likely.
+            likely = np.nan_to_num(table[:, column["likelihood"]]) >= likelihood
+            found = np.where(likely[:, None], found, np.nan)
+        points[name] = found
+    return _checked(path, table[:, 0] / rate, points)
+
+
+def read_kinovea(
+    path: str | Path, *, origin: tuple[float, float], time_unit: str = "s"
+) -> TrackedPoints:
+    """Read the trajectories that Kinovea exported as CSV.
+
+    Its header is `Time` and, for each trajectory, `name/point/X` and `name/point/Y`. Coordinates
+    are counted from the origin of its coordinate system, Y upwards, in px where it is not
+    calibrated; times as its preferences say. Where a comma stands in numbers, it may also separate
+    cells, which are in quotes then, or a semicolon does.
+
+    Arguments:
+        path: of the file.
+        origin: where that origin is in the picture, u and v, px.
+        time_unit: of the times: `s`, as Kinovea writes them unless its time format is a number of
+            something else, or `ms`.
+
+    Returns:
+        The points by the name of their trajectory, and by `name/point` where one has several.
+
+    Raises:
+        InputError: the file is not of that form, or there is no such unit.
+    """
+    path = Path(path)
+    if time_unit not in TIME_UNITS:
+        raise InputError(f"times in {time_unit!r}: give {one_of(list(TIME_UNITS))}")
+    text = _text(path)
+    first = text.split("\n", 1)[0].rstrip("\r")
+    separator = ";" if first.startswith(('"Time";', "Time;")) else ","
+    rows = [row for row in csv.reader(io.StringIO(text, newline=""), delimiter=separator) if row]
+    header = rows[0] if rows else []
+    pairs = list(zip(header[1::2], header[2::2], strict=False))
+    good = all(
+        x[-2:] == "/X" and y[-2:] == "/Y" and x[:-2] == y[:-2] and "/" in x[:-2] for x, y in pairs
+    )
+    if not pairs or header[0] != "Time" or len(header) != 2 * len(pairs) + 1 or not good:
+        raise InputError(
+            f"{path} is not a file of Kinovea: its first row must be Time, name/point/X, "
+            "name/point/Y, and so on, so export the measured data as CSV"
+        )
+    body = [[cell.replace(",", ".") for cell in row] for row in rows[1:]]
+    table = _numbers(path, body, 2, width=len(header))
+    names = [x[:-2] for x, _ in pairs]
+    tracks = [name.rpartition("/")[0] for name in names]
+    points = {}
+    for place, (name, track) in enumerate(zip(names, tracks, strict=True)):
+        right, up = table[:, 2 * place + 1], table[:, 2 * place + 2]
+        called = track if tracks.count(track) == 1 else name
+        points[called] = np.stack([origin[0] + right, origin[1] - up], axis=1)
+    return _checked(path, table[:, 0] * TIME_UNITS[time_unit], points)
+
+
+def _text(path: Path) -> str:
+    try:
+        return read_bytes(path, RUN_BYTES).decode("utf-8-sig")
+    except FileNotFoundError:
+        raise InputError(f"{path} does not exist: give the file of tracked points") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path} is not text: it must be a CSV file in UTF-8") from None
+    except OSError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror}): give a CSV file") from None
+
+
+def _numbers(
+    path: Path, rows: list[list[str]], first: int, *, width: int
+) -> npt.NDArray[np.float64]:
+    """Cells as numbers, NaN where one is empty, shape (row, width)."""
+    if not rows:
+        raise InputError(f"{path} has a header but no rows: it must have pictures, so add them")
+    table = np.full((len(rows), width), np.nan)
+    for place, row in enumerate(rows):
+        if len(row) != width:
+            raise InputError(
+                f"{path}: row {place + first} has {len(row)} cells, but the header has {width} "
+                "columns: correct the row"
+            )
+        for column, cell in enumerate(row):
+            try:
+                table[place, column] = float(cell) if cell.strip() else np.nan
+            except ValueError:
+                raise InputError(
+                    f"{path}: row {place + first} has {shown(cell)}, which must be a number: "
+                    "correct it, or export the points of a film"
+                ) from None
+    return table
+
+
+def _checked(
+    path: Path,
+    times: npt.NDArray[np.float64],
+    points: dict[str, npt.NDArray[np.float64]],
+) -> TrackedPoints:
+    if not np.all(np.isfinite(times)) or np.any(np.diff(times) <= 0):
+        raise InputError(
+            f"{path}: pictures must follow each other in time, each once: sort the rows"
+        )
+    return TrackedPoints(times, points)
+
+
+# A run from points that were tracked in a film, and what was recorded beside it.
+
+
+def filmed(
+    tracked: TrackedPoints, channels: Mapping[str, str], camera: str | None = None
+) -> dict[str, npt.NDArray[np.float64]]:
+    """The channels of tracked points.
+
+    Arguments:
+        tracked: what a program tracked.
+        channels: name of a tracked point -> what it is: `link06`, `tip` or `mark01`.
+        camera: that filmed it; its name goes before those of the channels.
+
+    Returns:
+        `link06_u`, `link06_v` and so on, px, each of shape (picture,), NaN where a point was not
+        found. Points without a channel are left out.
+
+    Raises:
+        InputError: no such point, a name that no camera shows, or one that is given twice.
+    """
+    values: dict[str, npt.NDArray[np.float64]] = {}
+    for point, part in channels.items():
+        if point not in tracked.points:
+            known = ", ".join(tracked.points)
+            raise InputError(
+                f"there is no tracked point {shown(point)}: it must be one of {known}, so correct "
+                "the name"
+            )
+        names = [f"{camera}.{part}_{axis}" if camera else f"{part}_{axis}" for axis in "uv"]
+        for name, column in zip(names, tracked.points[point].T, strict=True):
+            try:
+                known_pixel = Channel.named(name).quantity == "pixel"
+            except InputError:
+                known_pixel = False
+            if not known_pixel:
+                raise InputError(
+                    f"{shown(point)} is called {shown(part)}, which a camera does not show: call "
+                    "it link06, tip or mark01, and the camera by letters, digits and _"
+                )
+            if name in values:
+                raise InputError(f"two tracked points are called {shown(part)}: rename one")
+            values[name] = column
+    if not values:
+        raise InputError(
+            "no tracked point is a channel: say which is which, of "
+            f"{', '.join(tracked.points)}, such as {next(iter(tracked.points))}=tip"
+        )
+    return values
+
+
+class Beside(NamedTuple):
+    """What was recorded beside a film: its times (s), what drove the arm, and what was measured."""
+
+    times: npt.NDArray[np.float64]
+    inputs: dict[str, npt.NDArray[np.float64]]
+    measured: dict[str, npt.NDArray[np.float64]]
+
+
+def read_beside(path: str | Path) -> Beside:
+    """Read a table that was recorded beside a film.
+
+    Raises:
+        InputError: it is not a table of known columns, or has no times.
+    """
+    table = read_table(Path(path))
+    if table.times is None:
+        raise InputError(f"{path} has no times: give a file with time_s")
+    parts: tuple[dict[str, npt.NDArray[np.float64]], ...] = ({}, {})
+    for name, column in table.values.items():
+        measured = TABLE[table.channels[name].kind].part == "output"
+        if not measured and not np.all(np.isfinite(column)):
+            raise InputError(f"{path}: {name} has empty cells: fill them in")
+        parts[measured][name] = column
+    return Beside(table.times, *parts)
+
+
+def filmed_beside(
+    times: npt.NDArray[np.float64], values: Mapping[str, npt.NDArray[np.float64]], beside: Beside
+) -> tuple[npt.NDArray[np.float64], dict[str, npt.NDArray[np.float64]]]:
+    """The points of a film and what was recorded beside it as one table, which loses neither.
+
+    It has a row for each time of either. Between their rows inputs are linear, before the first
+    and after the last they are held; what was measured stands at its own times alone.
+
+    Arguments:
+        times: of the pictures, s.
+        values: channels of the film, px.
+        beside: on the clock of the film.
+
+    Returns:
+        Times, and all channels at them.
+
+    Raises:
+        InputError: a channel of the film is there already.
+    """
+    rows = np.unique(np.concatenate([times, beside.times]))
+    table = {name: np.interp(rows, beside.times, column) for name, column in beside.inputs.items()}
+    for moments, measured in ((beside.times, beside.measured), (times, values)):
+        for name, column in measured.items():
+            if name in table:
+                raise InputError(f"{name} is there twice: name the cameras, or leave one out")
+            table[name] = np.full(len(rows), np.nan)
+            table[name][np.searchsorted(rows, moments)] = column
+    return rows, table

@@ -1,0 +1,244 @@
+"""Repetitions of a fit as a table, sentences and a picture."""
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ..runtime.text import format_estimate
+from ..studies import Bootstrap, Influence, LeftOut, Repeated
+from ._style import BLUE, GREY, INK, LIGHT, VERMILLION, new_figure, plain
+
+# Repetitions of a fit as a table, sentences and a picture.
+
+BOOTSTRAP = "bootstrap.json"
+"""Name of the file beside a `result.json`."""
+
+_ACROSS = 3
+# More histograms than these are small print.
+_MOST_DRAWN = 12
+
+
+def bootstrap_table(found: Bootstrap) -> tuple[list[str], list[list[str]]]:
+    """Headings and a row for each parameter, and for what follows from them; SI.
+
+    Each Monte Carlo error is one standard deviation; the coverage is that of the 95 % interval.
+    """
+    headings = ["parameter", "value", "error", "unit", "bias / error", "spread / error"]
+    headings += ["percentile interval", "basic interval"]
+    judged = any(one.coverage is not None for one in found.parameters.values())
+    rows = []
+    for path, one in found.parameters.items():
+        cells = [
+            path,
+            *format_estimate(one.value, one.standard_error),
+            one.unit or "-",
+            _with_error(one.bias, one.bias_error, signed=True),
+            _with_error(one.ratio, one.ratio_error),
+            _ends(one, one.percentile),
+            _ends(one, one.basic),
+        ]
+        if judged:
+            cells.append(_coverage(one))
+        rows.append(cells)
+    return [*headings, *(["coverage"] if judged else [])], rows
+
+
+def bootstrap_summary(found: Bootstrap) -> list[str]:
+    """Sentences beside the table: what was done, what came back, and what is left out."""
+    kind = "data of the fitted model with noise of its noise model"
+    if found.method == "block":
+        kind = "data of the fitted model with blocks of its residuals"
+    how = "noise and all" if found.whole else "with the noise as it was"
+    sentences = [f"{found.size} repetitions, seed {found.seed}: {kind}, each fitted {how}"]
+    if found.size < found.asked:
+        sentences.append(f"{found.asked - found.size} of {found.asked} were not done")
+    share = 100 * found.came_back / found.size
+    sentence = f"{found.came_back} of {found.size} fits came back ({share:.3g} %)"
+    if found.reasons:
+        ended = ", ".join(f"{reason} {count}" for reason, count in found.reasons.items())
+        sentence += f"; the others were ended by: {ended}"
+    sentences.append(sentence)
+    for path, count in found.at_bounds.items():
+        sentences.append(f"{path} ended at a bound in {count} of {found.came_back}")
+    if found.block_lengths:
+        lengths = ", ".join(f"{name} {length}" for name, length in found.block_lengths.items())
+        sentences.append(f"samples in a block: {lengths}")
+    if found.noise_factor != 1:
+        sentences.append(
+            f"the noise is {found.noise_factor:.3g} times as large as stated, as the residuals are"
+        )
+    return [*sentences, *found.failures, *found.notes]
+
+
+def bootstrap_figure(found: Bootstrap, title: str = "") -> Figure:
+    """Where the repetitions ended, over what the standard error of the result lets expect.
+
+    Arguments:
+        found: the repetitions.
+        title: of the whole.
+
+    Returns:
+        The picture.
+    """
+    # Slow to import, and asked for by this picture alone.
+    from scipy.stats import norm
+
+    drawn = [(path, one) for path, one in found.parameters.items() if len(one.values) > 1][
+        :_MOST_DRAWN
+    ]
+    across = min(_ACROSS, max(len(drawn), 1))
+    down = -(-max(len(drawn), 1) // across)
+    title = title or f"{found.came_back} repetitions, {found.method}"
+    figure = new_figure(3.5 * across + 0.3, 2.5 * down + 0.5, title)
+    if not drawn:
+        figure.text(0.5, 0.4, "no two repetitions came back", color=GREY, ha="center")
+    for place, (path, one) in enumerate(drawn):
+        axes = figure.add_subplot(down, across, place + 1)
+        values = np.asarray(one.values)
+        bins = int(np.clip(np.sqrt(len(values)) * 1.5, 8, 40))
+        axes.hist(values, bins=bins, density=True, color=LIGHT, edgecolor=GREY, linewidth=0.4)
+        if one.standard_error:
+            reach = max(4 * one.standard_error, float(np.max(np.abs(values - one.value))))
+            over = np.linspace(one.value - reach, one.value + reach, 200)
+            density = norm.pdf(over, one.value, one.standard_error)
+            axes.plot(over, density, color=BLUE, linewidth=1.3, label="standard error")
+        axes.axvline(one.value, color=BLUE, linewidth=1, linestyle="--", label="result")
+        if one.percentile is not None:
+            low, high = one.percentile
+            at = -0.04 * axes.get_ylim()[1]
+            axes.plot([low, high], [at, at], color=VERMILLION, linewidth=3, label="95 % of them")
+        plain(axes, path)
+        axes.set_xlabel(one.unit)
+        axes.set_yticks([])
+        axes.spines["left"].set_visible(False)
+        axes.locator_params(axis="x", nbins=5)
+        if place == 0:
+            axes.legend(fontsize=7, frameon=False, labelcolor=INK)
+    return figure
+
+
+def _with_error(value: float | None, error: float | None, *, signed: bool = False) -> str:
+    if value is None or error is None:
+        return "-"
+    sign = "+" if signed else ""
+    return f"{value:{sign}.2f} +- {error:.2f}"
+
+
+def _ends(one: Repeated, ends: tuple[float, float] | None) -> str:
+    if ends is None:
+        return "-"
+    low, high = (format_estimate(end, one.standard_error or one.spread)[0] for end in ends)
+    return f"{low} .. {high}"
+
+
+def _coverage(one: Repeated) -> str:
+    if one.coverage is None or one.coverage_interval is None:
+        return "-"
+    low, high = one.coverage_interval
+    return f"{100 * one.coverage:.1f} % ({100 * low:.1f} .. {100 * high:.1f})"
+
+
+# What each part of the data does to a fit, as a table, sentences and a picture.
+
+INFLUENCE = "influence.json"
+"""Name of the file beside a `result.json`."""
+
+# More rows than these are a list to read in the file.
+_MOST_PARTS = 30
+# Columns in which numbers can still be read.
+_MOST_COLUMNS = 12
+
+
+def influence_table(found: Influence, most: int | None = None) -> tuple[list[str], list[list[str]]]:
+    """Headings and a row for each part, the largest shift first.
+
+    Under each parameter its shift in standard errors and, in brackets, what its error would be
+    without the part, in the same.
+
+    Arguments:
+        found: the influence.
+        most: rows; all by default.
+    """
+    paths = _columns(found)
+    headings = ["left out", "kind", "cells", "by", "over expected", *paths]
+    rows = []
+    for part in found.parts[:most]:
+        by = "fit" if part.exact is not None else "step"
+        surprise = "-" if part.surprise is None else f"{part.surprise:.1f}"
+        shown = [_cell(part, path) for path in paths]
+        rows.append([part.name, part.kind, str(part.cells), by, surprise, *shown])
+    return headings, rows
+
+
+def influence_summary(found: Influence) -> list[str]:
+    """Sentences beside the table: what it shows, what failed, and what is left out."""
+    sentences = [
+        "shift of each parameter without the part, in standard errors, and in brackets how many "
+        "times as large the error would be; over expected: beyond 3 a part contradicts the others"
+    ]
+    lost = [part for part in found.parts if None in part.steps.values()]
+    for path in found.parameters:
+        names = [part.name for part in lost if part.steps.get(path, 0.0) is None]
+        if names:
+            sentences.append(f"{path} is not determined without {', '.join(names)}")
+    sentences += [
+        f"the fit without {part.name} did not converge ({part.reason})"
+        for part in found.parts
+        if part.reason
+    ]
+    return [*sentences, *found.notes]
+
+
+def influence_figure(found: Influence, title: str = "") -> Figure:
+    """A map of the shifts: parts by parameters, the largest shift first.
+
+    Arguments:
+        found: the influence.
+        title: of the whole.
+
+    Returns:
+        The picture.
+    """
+    parts, paths = found.parts[:_MOST_PARTS], _columns(found)[:_MOST_COLUMNS]
+    title = title or "Shift of each parameter without a part of the data, in standard errors"
+    figure = new_figure(3.2 + 1.2 * max(len(paths), 2), 1.8 + 0.26 * len(parts), title)
+    axes = figure.add_subplot()
+    shifts = np.asarray(
+        [[part.shifts.get(path, 0.0) for path in paths] for part in parts], dtype=float
+    ).reshape(len(parts), len(paths))
+    known = np.abs(shifts[np.isfinite(shifts)])
+    reach = max(float(np.max(known, initial=0.0)), 1e-3)
+    image = axes.imshow(shifts, cmap="RdBu_r", vmin=-reach, vmax=reach, aspect="auto")
+    plain(axes)
+    axes.grid(False)
+    axes.set_facecolor("#CFCFCF")
+    for (row, column), shift in np.ndenumerate(shifts):
+        strong = np.isfinite(shift) and abs(shift) > 0.6 * reach
+        text = f"{shift:+.2f}" if np.isfinite(shift) else "lost"
+        colour = "white" if strong else INK
+        axes.text(column, row, text, ha="center", va="center", fontsize=7, color=colour)
+    axes.set_yticks(range(len(parts)), [f"{part.kind} {part.name}" for part in parts])
+    names = [path.replace(".", ".\n", 1) for path in paths]
+    axes.set_xticks(range(len(paths)), names)
+    axes.xaxis.tick_top()
+    bar = figure.colorbar(image, ax=axes, pad=0.02)
+    bar.ax.tick_params(labelsize=8, length=0, labelcolor=INK)
+    bar.outline.set_visible(False)
+    if len(found.parts) > len(parts):
+        axes.set_xlabel(f"{len(found.parts) - len(parts)} more parts move less", color=GREY)
+    return figure
+
+
+def _columns(found: Influence) -> list[str]:
+    """The parameters that runs share, if there are any: those of single runs fill no table."""
+    shared = [label for label in found.parameters if " of '" not in label]
+    return shared or list(found.parameters)
+
+
+def _cell(part: LeftOut, path: str) -> str:
+    if path not in part.shifts:  # Its own, and gone with it.
+        return ""
+    shift = part.shifts[path]
+    wider = (part.widening if part.exact_widening is None else part.exact_widening)[path]
+    if shift is None:
+        return "lost" if part.steps[path] is None else "-"
+    return f"{shift:+.2f}" + ("" if wider is None else f" ({wider:.2f})")

@@ -1,0 +1,460 @@
+"""Many tasks on many workers: this process, processes of this machine, or a cluster; resumable."""
+
+import contextlib
+import functools
+import multiprocessing
+import os
+import signal
+import socket
+import threading
+import time
+import traceback
+from collections import OrderedDict, deque
+from collections.abc import Callable, Hashable, Iterable, Iterator
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    wait,
+)
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, TypeVar
+
+from .files import check_path
+from .process import CORES_VARIABLE, configure, is_own_process, own_process
+from .signals import is_stopped
+from .tasks import Outcome, Task, plain, read_outcome, write_outcome
+from .text import InputError, abridged
+
+Kept = TypeVar("Kept")
+
+# What a process keeps for the tasks to come; a study has few structures.
+_MOST = 8
+_kept: "OrderedDict[Hashable, Any]" = OrderedDict()
+_keeping = threading.RLock()
+
+
+def prepared(key: Hashable, make: Callable[[], Kept]) -> Kept:
+    """What a process prepares once for many tasks: recordings that it read, a model it built.
+
+    The programs of giajax need no such place: they are compiled once a process and structure.
+
+    Arguments:
+        key: of all that it depends on, such as the checksums of files and a structure.
+        make: makes it.
+
+    Returns:
+        That of an earlier task, if it is one of the last few of this process.
+    """
+    with _keeping:
+        if key not in _kept:
+            _kept[key] = make()
+        _kept.move_to_end(key)
+        while len(_kept) > _MOST:
+            _kept.popitem(last=False)
+        return _kept[key]
+
+
+def identity() -> str:
+    """Machine and process, as `host:process`."""
+    return f"{socket.gethostname()}:{os.getpid()}"
+
+
+def perform(task: Task, folder: Path | None, home: str, own: bool) -> Outcome:
+    """Do a task, and write its file if it is done.
+
+    Arguments:
+        task: what to do.
+        folder: of the files; a task that has one is not done again. None for no files.
+        home: `identity` of the process whose tasks these are; another one gets ready first.
+        own: whether that is a process of giajax's own (`giajax.runtime.process`).
+
+    Returns:
+        What came of it. Whatever the function raises is an outcome, too.
+
+    Raises:
+        InputError: the file cannot be written.
+        KeyboardInterrupt: it was stopped.
+    """
+    if home != identity():
+        get_ready(own)
+    if folder is not None and (known := read_outcome(folder, task.key)) is not None:
+        return known
+    began = time.perf_counter()
+    value, message = None, ""
+    try:
+        value = plain(task.call())
+    except InputError as error:
+        message = str(error)
+    except Exception as error:
+        message = _sentence(error)
+    # A fit that is stopped returns, and what it returns is no result.
+    if is_stopped():
+        raise KeyboardInterrupt
+    outcome = Outcome(
+        key=task.key,
+        status="failed" if message else "done",
+        value=value,
+        message=message,
+        seconds=time.perf_counter() - began,
+        worker=identity(),
+    )
+    # What fails may do so by the machine, or by what is put right: the next command tries again.
+    if folder is not None and not message:
+        write_outcome(folder, outcome)
+    return outcome
+
+
+def _sentence(error: Exception) -> str:
+    """An error that is no `InputError`: what, where, and why."""
+    frames = traceback.extract_tb(error.__traceback__)
+    where = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
+    return abridged(" ".join(f"{type(error).__name__}{where}: {error}".split()))
+
+
+@functools.cache
+def get_ready(own: bool) -> None:
+    """Set a worker up as the command line sets up itself, on one thread; once a process."""
+    os.environ.update(_VARIABLES)
+    if own:
+        own_process()
+    configure()
+
+
+def begin_process(own: bool, alive: Connection) -> None:
+    """Begin a process of `Processes`, which ends when its parent closes the other end of a pipe.
+
+    Arguments:
+        own: as of `perform`.
+        alive: one end of it; the other one is closed where the parent is killed, too.
+    """
+    # Ctrl-C goes to all processes of a terminal: the parent says what becomes of the others.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with, args=(alive,), daemon=True).start()
+    get_ready(own)
+
+
+def _end_with(alive: Connection) -> None:
+    with contextlib.suppress(OSError):
+        alive.poll(None)
+    os._exit(1)
+
+
+# Others have the other cores. NPROC is how many threads XLA begins.
+_VARIABLES = {
+    CORES_VARIABLE: "1",
+    "NPROC": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+}
+
+
+@contextlib.contextmanager
+def worker_environment() -> Iterator[None]:
+    """Processes that are spawned meanwhile read these variables before they import anything."""
+    new = {**_VARIABLES, "EQX_ON_ERROR": os.environ.get("EQX_ON_ERROR", "nan")}
+    before = {name: os.environ.get(name) for name in new}
+    os.environ.update(new)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+# Who does tasks: this process, processes of this machine, or a cluster that is there.
+
+# With a scheduler that does not answer.
+_PATIENCE = "10s"
+
+
+class InProcess(Executor):
+    """Does a task when it is submitted, in the thread of the caller."""
+
+    def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Call a function now."""
+        future: Future[Any] = Future()
+        try:
+            future.set_result(function(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+class Processes(Executor):
+    """Spawned processes of this machine, one thread each; new ones where one has died.
+
+    JAX does not survive a fork. The processes end with this one, however it ends.
+
+    Arguments:
+        workers: how many.
+
+    Raises:
+        InputError: there is not one.
+    """
+
+    def __init__(self, workers: int) -> None:
+        if workers < 1:
+            raise InputError(f"there are {workers} workers: give at least 1")
+        self.workers = workers
+        self._pool: ProcessPoolExecutor | None = None
+
+    def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Have a worker call a function; the workers begin with the first."""
+        with worker_environment():
+            if self._pool is not None:
+                try:
+                    return self._pool.submit(function, *args, **kwargs)
+                except BrokenExecutor:
+                    self.stop()
+            self._pool = self._new()
+            return self._pool.submit(function, *args, **kwargs)
+
+    def _new(self) -> ProcessPoolExecutor:
+        context = multiprocessing.get_context("spawn")
+        alive, self._alive = context.Pipe(duplex=False)
+        return ProcessPoolExecutor(
+            self.workers,
+            mp_context=context,
+            initializer=begin_process,
+            initargs=(is_own_process(), alive),
+        )
+
+    def stop(self) -> None:
+        """End the processes now, whatever they do; the next task begins new ones."""
+        if self._pool is not None:
+            self._alive.close()
+            self._pool.shutdown(wait=True, cancel_futures=True)
+            self._pool = None
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """End the processes when they have done what was submitted."""
+        if self._pool is not None:
+            self._pool.shutdown(wait=wait, cancel_futures=cancel_futures)
+
+
+@contextlib.contextmanager
+def open_executor(workers: int | None = None, scheduler: str | None = None) -> Iterator[Executor]:
+    """The executor that `--workers` and `--scheduler` ask for, until the block ends.
+
+    Arguments:
+        workers: processes of this machine; None or 1 for this process alone.
+        scheduler: address of that of a cluster of dask.distributed (`tcp://host:8786`), whose
+            workers have this version of giajax and see the same files.
+
+    Yields:
+        What `run_tasks` takes.
+
+    Raises:
+        InputError: both were asked for, a number that is none, no such scheduler, or
+            `distributed` is not installed.
+    """
+    if scheduler is not None:
+        if workers is not None:
+            raise InputError(
+                "there are both workers of this machine and a scheduler: give one of them"
+            )
+        with _connected(scheduler) as client:
+            yield client.get_executor(pure=False)
+    elif workers in (None, 1):
+        yield InProcess()
+    else:
+        with Processes(workers) as executor:
+            yield executor
+
+
+def check_scheduler(executor: Executor) -> None:
+    """Refuse to wait for a cluster of dask.distributed that is gone.
+
+    Raises:
+        InputError: the client has given up.
+    """
+    client = getattr(executor, "_client", None)
+    if client is not None and getattr(client, "status", "") in ("closing", "closed"):
+        raise InputError(
+            "the scheduler is gone: start it again, and give the same command with its address"
+        )
+
+
+@contextlib.contextmanager
+def _connected(address: str) -> Iterator[Any]:
+    try:
+        from distributed import Client
+    except ImportError:
+        raise InputError(
+            "a scheduler needs the package distributed, which is not installed: "
+            'pip install "giajax[cluster]"'
+        ) from None
+    try:
+        client = Client(address, timeout=_PATIENCE)
+    except (OSError, ValueError) as error:
+        why = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(
+            f"no scheduler answers at {address} ({why}): start one with dask scheduler, or give "
+            "its address"
+        ) from None
+    with client:
+        yield client
+
+
+# The tasks of a study, from the first to the last: none is lost, and none is there twice.
+
+ATTEMPTS = 3
+"""So often is a task begun whose worker ends under it, but for those of a cluster."""
+
+# Tasks that wait at the workers of an executor that somebody else has made.
+_AHEAD = 256
+
+# Between two looks at whether the scheduler of a cluster is there, s.
+_BETWEEN_S = 2.0
+
+
+def run_tasks(
+    tasks: Iterable[Task],
+    *,
+    executor: Executor | None = None,
+    folder: str | Path | None = None,
+    progress: Callable[[Outcome, int, int], None] | None = None,
+) -> list[Outcome]:
+    """Do tasks, each once.
+
+    With a folder, the worker that does a task writes `KEY.json` into it before it says so. What
+    has a file is not done again: after a crash or Ctrl-C the same call goes on. Workers of other
+    machines must see the folder, and have this version of giajax.
+
+    Whatever a task raises makes it a failed one, with a sentence and without a file: the next call
+    begins it again. If its worker ends under it, it is begun again, alone and `ATTEMPTS` times at
+    most; how often a cluster has tried it is the cluster's own choice.
+
+    Arguments:
+        tasks: in any order; those of the same key are done once.
+        executor: any of `concurrent.futures`, such as that of `open_executor`; by default this
+            process, one after the other. It is not shut down.
+        folder: of the files, made where it is missing; None keeps them in memory.
+        progress: called after each with its outcome, how many there are now (those of the folder
+            too) and how many there will be.
+
+    Returns:
+        An outcome for each task, in their order. After Ctrl-C, which stops the workers that
+        `open_executor` began, those that were not done are "stopped".
+
+    Raises:
+        InputError: a folder that cannot be or be written, an executor that takes no tasks, or a
+            cluster whose scheduler is gone. The same call goes on.
+
+    Example:
+        >>> from giajax.runtime.tasks import Task
+        >>> from giajax.runtime.execution import run_tasks
+        >>> tasks = [Task("math:pow", {}), Task("os:getcwd")]
+        >>> [outcome.status for outcome in run_tasks(tasks)]
+        ['failed', 'done']
+    """
+    tasks = list(tasks)
+    if folder is not None:
+        folder = Path(folder).absolute()
+        check_path(folder)
+    study = _Study(executor or InProcess(), folder, progress, {task.key: task for task in tasks})
+    try:
+        study.run()
+    except KeyboardInterrupt:
+        study.stop()
+    except InputError:
+        study.stop()
+        raise
+    known = study.known
+    return [known.get(task.key) or Outcome(task.key, "stopped") for task in tasks]
+
+
+class _Study:
+    """Tasks by key, and what is known of them.
+
+    A process that dies takes all tasks with it that the pool had: each of them may have killed
+    it. They are begun again one at a time, so that the one that kills is found and no other fails.
+    """
+
+    def __init__(
+        self,
+        executor: Executor,
+        folder: Path | None,
+        progress: Callable[[Outcome, int, int], None] | None,
+        tasks: dict[str, Task],
+    ) -> None:
+        self.executor, self.folder, self.progress, self.tasks = executor, folder, progress, tasks
+        self.known: dict[str, Outcome] = {}
+        if folder is not None:
+            found = (read_outcome(folder, key) for key in tasks)
+            self.known = {outcome.key: outcome for outcome in found if outcome is not None}
+        self.waiting = deque(key for key in tasks if key not in self.known)
+        self.running: dict[Future[Any], str] = {}
+        self.attempts: dict[str, int] = {}
+        self.doubtful: deque[str] = deque()
+        self.ahead = _AHEAD
+        if isinstance(executor, InProcess):
+            self.ahead = 1
+        elif isinstance(executor, Processes):
+            self.ahead = 2 * executor.workers
+
+    def run(self) -> None:
+        while self.waiting or self.running or self.doubtful:
+            while self.waiting and not self.doubtful and len(self.running) < self.ahead:
+                self._begin(self.waiting.popleft())
+            if self.doubtful and not self.running:
+                self._begin(self.doubtful.popleft())
+            done = wait(self.running, _BETWEEN_S, FIRST_COMPLETED).done
+            check_scheduler(self.executor)
+            for future in done:
+                self._end(self.running.pop(future), future)
+
+    def _begin(self, key: str) -> None:
+        words = (self.tasks[key], self.folder, identity(), is_own_process())
+        self.attempts[key] = self.attempts.get(key, 0) + 1
+        try:
+            self.running[self.executor.submit(perform, *words)] = key
+        except RuntimeError as error:  # of a pool that nobody can begin again
+            why = " ".join(str(error).split()) or type(error).__name__
+            raise InputError(
+                f"the executor takes no tasks ({why}): begin a new one, and make the same call"
+            ) from None
+
+    def _end(self, key: str, future: Future[Any]) -> None:
+        try:
+            outcome = future.result()
+        except InputError:  # Its file cannot be written, nor will those of the others be.
+            raise
+        except Exception as error:
+            if isinstance(error, BrokenExecutor | CancelledError):
+                if self.attempts[key] < ATTEMPTS:
+                    self.doubtful.append(key)
+                    return
+                message = (
+                    f"its worker ended {ATTEMPTS} times while it ran: see whether it has the "
+                    "memory, and run it again"
+                )
+            else:
+                message = abridged(" ".join(f"{type(error).__name__}: {error}".split()))
+            outcome = Outcome(key, "failed", message=message)
+        else:
+            # Of a worker that does not see the folder, or sees it later.
+            folder = self.folder if outcome.status == "done" else None
+            if folder is not None and read_outcome(folder, key) is None:
+                write_outcome(folder, outcome)
+        self.known[key] = outcome
+        if self.progress is not None:
+            self.progress(outcome, len(self.known), len(self.tasks))
+
+    def stop(self) -> None:
+        """Begin nothing more, and keep what was done meanwhile."""
+        for future in self.running:
+            future.cancel()
+        if isinstance(self.executor, Processes):
+            self.executor.stop()
+        for future, key in self.running.items():
+            if future.done() and not future.cancelled() and future.exception() is None:
+                self.known[key] = future.result()

@@ -1,0 +1,231 @@
+"""Files that people name: whether they can be used, their limits, reading and writing."""
+
+import contextlib
+import json
+import os
+import re
+import secrets
+import stat
+import tomllib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from .limits import DEPTH, NAME_BYTES, WHOLE
+from .text import InputError, shown
+
+_DEVICES = {
+    stat.S_IFIFO: "a pipe",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+}
+
+
+def check_path(path: str | Path) -> None:
+    """Refuse a path that no file could have, here; whether there is a file does not matter.
+
+    Raises:
+        InputError: a NUL character, a name that is too long, a circle of links, or a folder that
+            may not be searched.
+    """
+    try:
+        names = [os.fsencode(name) for name in Path(path).parts]
+        if any(len(name) > NAME_BYTES for name in names):
+            longest = max(names, key=len).decode(errors="replace")
+            raise InputError(
+                f"the path has the name {shown(longest)} of {max(map(len, names))} bytes, but "
+                f"must have names of at most {NAME_BYTES}: shorten it"
+            )
+        os.lstat(path)
+    except (FileNotFoundError, NotADirectoryError):
+        return
+    except OSError as error:
+        raise InputError(f"{path} cannot be used ({error.strerror}): give another path") from None
+    except InputError:
+        raise
+    except ValueError:
+        raise InputError(
+            f"the path {shown(str(path))} has a character that no path may have: correct it"
+        ) from None
+
+
+def read_bytes(path: Path, most: int) -> bytes:
+    """The content of a file, not of what never ends or never begins: a pipe, `/dev/zero`.
+
+    Arguments:
+        path: of the file.
+        most: bytes that it may have.
+
+    Raises:
+        InputError: a path that cannot be, something other than a file, or a file that is too large.
+        OSError: there is no such file, or it cannot be read.
+    """
+    check_path(path)
+    state = path.stat()
+    device = _DEVICES.get(stat.S_IFMT(state.st_mode))
+    if device is not None:
+        raise InputError(f"{path} is {device}, but must be a file: write its content to one")
+    if state.st_size > most:
+        raise InputError(
+            f"{path} has {state.st_size:,} bytes, but may have {most:,} at most: shorten it"
+        )
+    return path.read_bytes()
+
+
+def keep(path: Path, data: bytes) -> None:
+    """Write a file of a study that goes on, durably, into a folder that is made if it is missing.
+
+    Raises:
+        InputError: it cannot be written; what has been kept before is as it was.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_durably(path, data)
+    except OSError as error:
+        raise InputError(
+            f"{path} cannot be written ({error.strerror}): free some space or let it be written, "
+            "and give the same command"
+        ) from None
+
+
+def write_durably(path: Path, data: bytes) -> None:
+    """Write a file whole or not at all, and have it on the disk before this returns.
+
+    Several processes may write the same one: the last is there, whole.
+
+    Arguments:
+        path: of the file, in a folder that is there; what is there is replaced.
+        data: its content.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    part = path.with_name(f".{secrets.token_hex(16)}.part")
+    try:
+        with part.open("xb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+    # The name is on the disk when its folder is; not every system lets a folder be opened.
+    with contextlib.suppress(OSError):
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+
+# TOML and JSON text as plain data, where it is not deeper or larger than any file has to be.
+#
+# Brackets are counted before the text is parsed: the parsers call themselves for each, and Python
+# ends at some depth that differs from version to version.
+
+# Strings and comments, in which a bracket is a character; one without an end goes on to the end.
+_TOML_WORDS = re.compile(
+    r'"""(?:\\.|[^\\])*?(?:"""|\Z)'
+    r"|'''.*?(?:'''|\Z)"
+    r'|"(?:\\.|[^"\\\n])*"'
+    r"|'[^'\n]*'"
+    r"|\#[^\n]*",
+    re.DOTALL,
+)
+_JSON_WORDS = re.compile(r'"(?:\\.|[^"\\])*"', re.DOTALL)
+_BRACKETS = re.compile(r"[\[\]{}]")
+_BETWEEN_KEYS = re.compile(r"[\[\]{},=\n]")
+
+
+def parse_toml(text: str, path: Path) -> dict[str, Any]:
+    """The content of a TOML file.
+
+    Raises:
+        InputError: it is not TOML, or is beyond the limits.
+    """
+    skeleton = _TOML_WORDS.sub("_", text)
+    # Not only deep: the parser looks at each part of a dotted key once for each part before it.
+    dotted = (part.count(".") for part in _BETWEEN_KEYS.split(skeleton))
+    if _is_deep(skeleton) or any(dots >= DEPTH for dots in dotted):
+        raise _too_deep(str(path))
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        reason = " ".join(str(error).split())
+        raise InputError(f"{path} is not valid TOML ({reason}): correct that line") from None
+    except ValueError:  # of more digits than Python converts
+        raise InputError(f"{path} has {_too_large()}") from None
+    check_size(data, str(path))
+    return data
+
+
+def parse_json(text: str, path: Path) -> Any:
+    """The content of a JSON file, whose objects have each key once.
+
+    Raises:
+        InputError: it is beyond the limits.
+        ValueError: it is not JSON, which knows neither NaN nor infinity.
+    """
+    if _is_deep(_JSON_WORDS.sub("_", text)):
+        raise _too_deep(str(path))
+    data = json.loads(text, object_pairs_hook=_once, parse_constant=_no_constant)
+    check_size(data, str(path))
+    return data
+
+
+def check_size(data: Any, source: str) -> None:
+    """Refuse plain data that are nested too deeply, or hold a whole number beyond 64 bits.
+
+    Arguments:
+        data: nested mappings and sequences.
+        source: what an error calls them.
+
+    Raises:
+        InputError: they are beyond the limits.
+    """
+    waiting: list[tuple[Any, int]] = [(data, 0)]
+    while waiting:
+        item, depth = waiting.pop()
+        inner: Iterable[Any] = ()
+        if isinstance(item, Mapping):
+            inner = item.values()
+        elif isinstance(item, list | tuple):
+            inner = item
+        elif isinstance(item, int) and not -WHOLE <= item < WHOLE:
+            raise InputError(f"{source} has {_too_large()}")
+        if depth > DEPTH:
+            raise _too_deep(source)
+        waiting += [(one, depth + 1) for one in inner]
+
+
+def _is_deep(skeleton: str) -> bool:
+    depth = 0
+    for bracket in _BRACKETS.finditer(skeleton):
+        depth += 1 if bracket[0] in "[{" else -1
+        if depth > DEPTH:
+            return True
+    return False
+
+
+def _too_deep(source: str) -> InputError:
+    return InputError(
+        f"{source} has tables or lists nested more than {DEPTH} deep: write it with fewer"
+    )
+
+
+def _too_large() -> str:
+    return "a whole number beyond 64 bits, which none may be: correct it, or write it as 1e20"
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    data = dict(pairs)
+    if len(data) < len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in data if names.count(name) > 1)
+        raise ValueError(f"the key {shown(twice)} is there twice")
+    return data
+
+
+def _no_constant(name: str) -> Any:
+    raise ValueError(f"{name} is no number of JSON")

@@ -1,0 +1,337 @@
+"""Many items by compiled programs on all cores of a machine, or on several devices."""
+
+import dataclasses
+import queue
+import threading
+from collections.abc import Callable, Hashable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Protocol, TypeVar
+
+import equinox as eqx
+import jax
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from .arrays import Float
+from .process import carried, cores, one_blas_thread
+from .programs import program
+from .text import InputError
+
+Result = TypeVar("Result")
+
+
+class Tell(Protocol):
+    """What a job calls others with: callbacks that are not its own."""
+
+    def __call__(self, function: Callable[..., object], *args: Any) -> None:
+        """Have a function called.
+
+        Raises:
+            KeyboardInterrupt: the jobs are to stop.
+        """
+
+
+def side_by_side(
+    jobs: Sequence[Callable[[Tell], Result]], most: int, *, until: Callable[[Result], bool]
+) -> list[Result | None]:
+    """Results of jobs, of which some run at once.
+
+    What a job tells is called in the thread of the caller, and in the order of the jobs: of a later
+    one it waits until the earlier ones have ended. After Ctrl-C, or where what is told raises
+    `KeyboardInterrupt`, the jobs that run are stopped by the next thing that they tell, and the
+    others do not begin.
+
+    Arguments:
+        jobs: functions of `tell`; what a job returns when it is stopped is its result, too.
+        most: so many at once.
+        until: of a result, whether it stops the others.
+
+    Returns:
+        The results in their order; None of a job that did not begin.
+    """
+    if most == 1:
+        return _one_by_one(jobs, until)
+    news: queue.SimpleQueue[tuple[int, Callable[[], object]] | None] = queue.SimpleQueue()
+    stop = threading.Event()
+
+    def begun(index: int) -> Result | None:
+        def tell(function: Callable[..., object], *args: Any) -> None:
+            if stop.is_set():
+                raise KeyboardInterrupt
+            news.put((index, lambda: function(*args)))
+
+        if stop.is_set():
+            return None
+        try:
+            result = jobs[index](tell)
+        except BaseException:
+            stop.set()
+            raise
+        if until(result):
+            stop.set()
+        return result
+
+    with one_blas_thread(), ThreadPoolExecutor(most, "giajax") as pool:
+        try:
+            futures = [pool.submit(carried(begun, most), index) for index in range(len(jobs))]
+            for future in futures:
+                future.add_done_callback(lambda _: news.put(None))
+            told: list[list[Callable[[], object]]] = [[] for _ in jobs]
+            first = 0
+            while first < len(jobs):
+                try:
+                    ended = futures[first].done()
+                    _receive(news, told, wait=not ended)
+                    while told[first]:
+                        call = told[first].pop(0)
+                        if not stop.is_set():
+                            call()
+                    first += ended
+                except KeyboardInterrupt:
+                    stop.set()
+        except BaseException:
+            stop.set()
+            raise
+    return [future.result() for future in futures]
+
+
+def _one_by_one(
+    jobs: Sequence[Callable[[Tell], Result]], until: Callable[[Result], bool]
+) -> list[Result | None]:
+    results: list[Result | None] = [None] * len(jobs)
+    for index, job in enumerate(jobs):
+        results[index] = result = job(directly)
+        if until(result):
+            break
+    return results
+
+
+def directly(function: Callable[..., object], *args: Any) -> None:
+    """`Tell` of a job that runs in the thread of the caller."""
+    function(*args)
+
+
+def _receive(
+    news: "queue.SimpleQueue[Any]", told: Sequence[list[Callable[[], object]]], *, wait: bool
+) -> None:
+    """Take what was told; where there is nothing, wait for something."""
+    try:
+        # Not for ever: what Ctrl-C has interrupted may have been the last.
+        item = news.get(wait, timeout=1.0) if wait else news.get_nowait()
+        while True:
+            if item is not None:
+                index, call = item
+                told[index].append(call)
+            item = news.get_nowait()
+    except queue.Empty:
+        return
+
+
+# Many items by one compiled program on several devices: an equal share for each.
+#
+# Each device computes its share by itself: an item that takes more steps holds up none of the
+# others.
+
+_AXIS = "item"
+
+
+def over_devices(
+    function: Callable[..., Any], items: Any, shared: tuple[Any, ...], batch_size: int | None
+) -> Any:
+    """As `giajax.map_on_cores`, over all devices of this process.
+
+    Arguments:
+        function, items, shared, batch_size: as there.
+
+    Returns:
+        Arrays that lie on the devices, as their items do; the last item is there as often as it
+        takes to make all shares equally long.
+    """
+    mesh = Mesh(np.asarray(jax.local_devices()), (_AXIS,))
+    count = len(jax.tree.leaves(items)[0])
+    rows = np.minimum(np.arange(count + -count % mesh.size), count - 1)
+    items = jax.tree.map(lambda leaf: np.asarray(leaf)[rows], items)
+    items = jax.device_put(items, NamedSharding(mesh, PartitionSpec(_AXIS)))
+    numbers, rest = eqx.partition((function, shared), eqx.is_array)
+    numbers = jax.device_put(numbers, NamedSharding(mesh, PartitionSpec()))
+    return _shared_out(items, numbers, rest, batch_size, mesh)
+
+
+@program
+def _shared_out(items: Any, numbers: Any, rest: Any, batch_size: int | None, mesh: Mesh) -> Any:
+    def part(items: Any, numbers: Any) -> Any:
+        function, shared = eqx.combine(numbers, rest)
+        return jax.lax.map(lambda item: function(item, *shared), items, batch_size=batch_size)
+
+    specs = (PartitionSpec(_AXIS), PartitionSpec())
+    return jax.shard_map(
+        part, mesh=mesh, in_specs=specs, out_specs=PartitionSpec(_AXIS), check_vma=False
+    )(items, numbers)
+
+
+# Many items by compiled programs on all cores of a machine.
+#
+# Each core takes one share of the items after the other, in a thread of its own: XLA lets go of
+# Python's lock while it computes. All shares of a batch are equally long, so that one program
+# does for them; what the last one lacks is filled up with an item that it has, and left out
+# again.
+
+# Keys of the shares whose programs are compiled.
+_compiled: set[Hashable] = set()
+
+
+@dataclasses.dataclass(frozen=True)
+class Batch:
+    """Items that share a program.
+
+    Attributes:
+        call: a compiled program of some of the items and of `shared`; the leaves of its result have
+            a leading axis of these items.
+        items: a pytree of arrays with a leading axis of all of them.
+        shared: further arguments.
+        sizes: how much work each item is, in any unit, shape (item,).
+        length: items in a share.
+    """
+
+    call: Callable[..., Any]
+    items: Any
+    shared: tuple[Any, ...]
+    sizes: Float[np.ndarray, " item"]
+    length: int
+
+
+def on_all_cores(batches: Sequence[Batch], most: int | None = None) -> list[Any]:
+    """What programs make of batches of items.
+
+    Arguments:
+        batches: each with a program of its own.
+        most: cores to use at most; by default `cores()`.
+
+    Returns:
+        Of each batch what `call` would return of all of its items, in NumPy's arrays.
+    """
+    most = most or cores()
+    shared_out = [_shares_of(batch) for batch in batches]
+    tasks = [share for each in shared_out for share in each]
+    # Two threads that need the same program for the first time would both compile it.
+    new = {share.key: share for share in tasks if share.key not in _compiled}
+    results = _run(list(new.values()), most)
+    _compiled.update(new)
+    results |= _run([share for share in tasks if id(share) not in results], most)
+    return [_whole(each, [results[id(share)] for share in each]) for each in shared_out]
+
+
+def map_on_cores(
+    function: Callable[..., Any], items: Any, *shared: Any, batch_size: int | None = None
+) -> Any:
+    """`jax.lax.map` on all cores of the machine, or on all devices where JAX has several.
+
+    Each core or device takes a share of the items, one after the other. It is for arms, commands
+    or states that differ in numbers only: there is one program for all of them. It is called with
+    numbers, and cannot be a part of what JAX traces or differentiates; the function may
+    differentiate.
+
+    Arguments:
+        function: of one item and `shared`; at the top of a module, because a function that is made
+            anew is compiled anew.
+        items: a pytree of arrays with a leading axis of the items.
+        shared: further arguments, the same for all items.
+        batch_size: so many items at once within a share, by `jax.vmap`.
+
+    Returns:
+        What the function returns, each leaf with a leading axis of the items, in NumPy's arrays.
+
+    Raises:
+        InputError: there are no items, or the environment variable GIAJAX_CORES is no number.
+
+    Example:
+        >>> import giajax
+        >>> import jax.numpy as jnp
+        >>> giajax.map_on_cores(jnp.square, jnp.arange(3)).tolist()
+        [0, 1, 4]
+    """
+    counts = {np.shape(leaf)[:1] for leaf in jax.tree.leaves(items)}
+    if len(counts) != 1 or not next(iter(counts), ()) or not (count := counts.pop()[0]):
+        raise InputError(
+            "the items have no leading axis in common, or none is there: give arrays whose first "
+            "axis is that of the items"
+        )
+    if len(jax.local_devices()) > 1:
+        several = over_devices(function, items, shared, batch_size)
+        return jax.tree.map(lambda leaf: np.asarray(leaf)[:count], several)
+    # Some shares for each core: one that others keep busy takes fewer.
+    least, together = -(-count // (4 * cores())), batch_size or 1
+    length = max(1, -(-least // together) * together)
+    batch = Batch(_mapped, items, (function, batch_size, shared), np.ones(count), length)
+    return on_all_cores([batch])[0]
+
+
+@program
+def _mapped(
+    items: Any, function: Callable[..., Any], batch_size: int | None, shared: tuple[Any, ...]
+) -> Any:
+    return jax.lax.map(lambda item: function(item, *shared), items, batch_size=batch_size)
+
+
+def dealt(sizes: Float[np.ndarray, " item"], length: int) -> list[np.ndarray]:
+    """Positions of items in shares of equal length, those with the most work first.
+
+    Arguments:
+        sizes: how much work each item is, shape (item,).
+        length: of a share.
+
+    Returns:
+        The shares; an item may stand more than once in the last one, to make it as long as the
+        others.
+    """
+    order = np.argsort(-np.asarray(sizes), kind="stable")
+    whole = np.append(order, np.repeat(order[-1:], -len(order) % length))
+    return list(whole.reshape(-1, length))
+
+
+@dataclasses.dataclass(frozen=True)
+class _Share:
+    """Some items of a batch: which, themselves, how much work they are, and their program's key."""
+
+    batch: Batch
+    rows: np.ndarray
+    items: Any
+    size: float
+    key: Hashable
+
+    def compute(self) -> Any:
+        return jax.tree.map(np.asarray, self.batch.call(self.items, *self.batch.shared))
+
+
+def _shares_of(batch: Batch) -> list[_Share]:
+    # A view, where the device is the CPU: to take a share is then NumPy's work, not JAX's.
+    items = jax.tree.map(np.asarray, batch.items)
+    shares = []
+    for rows in dealt(batch.sizes, batch.length):
+        own = jax.tree.map(lambda leaf, rows=rows: leaf[rows], items)
+        leaves, tree = jax.tree.flatten((own, batch.shared))
+        key = (id(batch.call), tree, tuple(map(_kind, leaves)))
+        shares.append(_Share(batch, rows, own, float(np.sum(batch.sizes[rows])), key))
+    return shares
+
+
+def _kind(leaf: Any) -> Any:
+    """What a program is compiled for: the form of an array, and the value of anything else."""
+    return (leaf.shape, str(leaf.dtype)) if hasattr(leaf, "dtype") else leaf
+
+
+def _whole(shares: Sequence[_Share], parts: Sequence[Any]) -> Any:
+    """Results of the items in their order, each once."""
+    place = np.unique(np.concatenate([share.rows for share in shares]), return_index=True)[1]
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[place], *parts)
+
+
+def _run(shares: Sequence[_Share], most: int) -> dict[int, Any]:
+    """Results by the identity of the share; the largest ones are begun first."""
+    ordered = sorted(shares, key=lambda share: -share.size)
+    if most == 1 or len(ordered) < 2:
+        return {id(share): share.compute() for share in ordered}
+    # Beginning threads takes a tenth of a millisecond; none is left when nothing is to be done.
+    with one_blas_thread(), ThreadPoolExecutor(min(most, len(ordered)), "giajax") as pool:
+        results = list(pool.map(carried(_Share.compute, most), ordered))
+    return {id(share): result for share, result in zip(ordered, results, strict=True)}

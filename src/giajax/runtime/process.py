@@ -1,0 +1,212 @@
+"""How a process uses JAX and the machine: 64-bit numbers, the cache, cores, threads of BLAS."""
+
+import contextlib
+import contextvars
+import functools
+import importlib
+import math
+import os
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
+
+from .text import InputError
+
+# It is one of the command line, or a worker. Without JAX until it is configured.
+
+_MIN_COMPILE_SECONDS = 0.5
+
+PROGRAMS = "programs"
+"""Folder of the traced programs that are kept, within that of the compilation cache."""
+
+_own_process = False
+
+
+def own_process() -> None:
+    """Say that this process is the command line's own, and nothing in it changes giajax."""
+    global _own_process
+    _own_process = True
+
+
+def is_own_process() -> bool:
+    """Whether `own_process` was said."""
+    return _own_process
+
+
+def configure() -> None:
+    """Switch on 64-bit numbers, the persistent compilation cache, and programs that are kept.
+
+    To be called before anything is computed. A library must not set either; a process that
+    belongs to the command line, or works for another one, may. The cache is what
+    `JAX_COMPILATION_CACHE_DIR` says, else `giajax` in the user's cache directory, where that can be
+    written.
+    """
+    # Equinox reads this when it is imported. Its checks call back into Python, and JAX keeps no
+    # program that does: the fit would be compiled anew in every process. A failed check becomes
+    # a NaN instead, which every caller here looks for.
+    os.environ.setdefault("EQX_ON_ERROR", "nan")
+    # The matrices of an arm are too small for OpenBLAS to share out: its threads cost half of the
+    # speed of one with 160 links. Where several cores compute, `_blas` sees to it.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    directory, stated = compilation_cache()
+    if directory is None:
+        return
+    # JAX itself may keep what it compiles at an address of a network.
+    if _own_process and "://" not in os.environ.get("JAX_COMPILATION_CACHE_DIR", ""):
+        from .programs import keep_programs
+
+        keep_programs(directory / PROGRAMS)
+    if stated:
+        return
+    jax.config.update("jax_compilation_cache_dir", str(directory))
+    # JAX's own threshold of a second leaves out most of what a short command compiles.
+    if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", _MIN_COMPILE_SECONDS)
+
+
+def compilation_cache() -> tuple[Path | None, bool]:
+    """Where compiled programs are kept, if anywhere, and whether the user's environment says so."""
+    stated = os.environ.get("JAX_COMPILATION_CACHE_DIR")
+    if stated is None:
+        return cache_directory(), False
+    return (Path(stated) if stated else None), True
+
+
+def cache_directory() -> Path | None:
+    """The user's cache directory of giajax, made where it is missing; None where it cannot be."""
+    base = os.environ.get("XDG_CACHE_HOME", "")
+    try:
+        # A relative XDG_CACHE_HOME is to be ignored, by the XDG specification.
+        parent = Path(base) if os.path.isabs(base) else Path.home() / ".cache"
+        directory = parent / "giajax"
+        directory.mkdir(parents=True, exist_ok=True)
+    except (OSError, RuntimeError):
+        return None
+    return directory if os.access(directory, os.W_OK | os.X_OK) else None
+
+
+# How many cores a process computes on, and what its threads have to know.
+#
+# Without JAX until it is asked: the command line has the variable's name in its help.
+
+Parameters = ParamSpec("Parameters")
+Result = TypeVar("Result")
+
+CORES_VARIABLE = "GIAJAX_CORES"
+"""Environment variable: on how many cores to compute at most."""
+
+# Of a thread that computes beside others: its part of the cores.
+_part: contextvars.ContextVar[int | None] = contextvars.ContextVar("giajax_cores", default=None)
+
+
+def cores() -> int:
+    """On how many cores to compute: those that this process may use, or as many as so told.
+
+    Raises:
+        InputError: the environment variable is no positive number.
+    """
+    import jax
+
+    if jax.default_backend() != "cpu":
+        return 1
+    if (part := _part.get()) is not None:
+        return part
+    told = os.environ.get(CORES_VARIABLE)
+    if not told:
+        # Not every system lets a process ask.
+        allowed = getattr(os, "sched_getaffinity", None)
+        there = len(allowed(0)) if allowed else os.cpu_count() or 1
+        return min(there, _quota() or there)
+    if not told.isdecimal() or int(told) == 0:
+        raise InputError(f"{CORES_VARIABLE} is {told!r}: give the number of cores, or leave it out")
+    return int(told)
+
+
+@functools.cache
+def _quota(root: Path = Path("/sys/fs/cgroup")) -> int | None:
+    """Cores whose time a container may use (cgroups, version 2 or 1); None where that is no less.
+
+    A container sees all cores of its machine, and is stopped for the rest of each period when its
+    time is used up: more threads than that make a step slower.
+    """
+    try:
+        try:
+            quota, period = (root / "cpu.max").read_text().split()
+        except FileNotFoundError:
+            quota, period = (
+                (root / "cpu" / f"cpu.cfs_{name}_us").read_text() for name in ("quota", "period")
+            )
+        return max(1, math.ceil(int(quota) / int(period))) if int(quota) > 0 else None
+    except (OSError, ValueError):  # No container, or "max"
+        return None
+
+
+def carried(function: Callable[Parameters, Result], among: int) -> Callable[Parameters, Result]:
+    """A function for other threads, which computes with as many bits as the present one.
+
+    What else a `with` of JAX sets (looking for NaN, say) counts in the caller's thread alone.
+
+    Arguments:
+        function: any.
+        among: how many threads the cores are shared by.
+    """
+    import jax
+
+    part = max(1, cores() // among)
+    wide = bool(jax.config.read("jax_enable_x64"))
+
+    def call(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Result:
+        _part.set(part)
+        with enable_x64(wide):
+            return function(*args, **kwargs)
+
+    return call
+
+
+def enable_x64(wide: bool) -> Any:
+    """JAX's context of 64-bit numbers, in the present thread; it was in another place once."""
+    import jax
+
+    home: Any = jax if hasattr(jax, "enable_x64") else importlib.import_module("jax.experimental")
+    return home.enable_x64(wide)
+
+
+# One thread for each call of BLAS and LAPACK while threads of giajax's own have the cores.
+#
+# The matrices of an arm are too small to be shared out. Where two threads try, OpenBLAS lets them
+# wait for each other: an evaluation of 160 links then takes a hundred times as long.
+
+_lock = threading.Lock()
+_users = 0
+_limit: Any = None
+
+
+@contextlib.contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """BLAS computes in the thread that calls it, until the last of those who ask for it is done."""
+    global _users, _limit
+    with _lock:
+        if not _users:
+            _limit = _libraries().limit(limits=1, user_api="blas")
+        _users += 1
+    try:
+        yield
+    finally:
+        with _lock:
+            _users -= 1
+            if not _users:
+                _limit.restore_original_limits()
+
+
+@functools.cache
+def _libraries() -> Any:
+    """The libraries that are loaded, found once."""
+    # JAX calls the LAPACK of SciPy, and loads it only with the first program that does.
+    import scipy.linalg  # noqa: F401
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()

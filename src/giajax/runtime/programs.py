@@ -1,0 +1,395 @@
+"""Compiled programs: the options of XLA, and the cache of traced programs between processes."""
+
+import dataclasses
+import enum
+import functools
+import hashlib
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from types import FunctionType
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax
+import numpy as np
+from jax import export
+
+# It is the same in every process, unlike a hash or the `repr` of what has an address.
+
+_PLAIN = (type(None), bool, int, float, complex, str, bytes)
+
+
+class NoStructureError(Exception):
+    """Something that no text describes in every process alike, such as a closure."""
+
+
+def structure(tree: Any) -> str:
+    """Describe what of a tree decides how it is traced.
+
+    Arguments:
+        tree: modules, other dataclasses, containers, arrays, and what is static.
+
+    Returns:
+        Of each array its shape and type, of everything else the value.
+
+    Raises:
+        NoStructureError: a part of it cannot be described.
+    """
+    return "".join(_parts(tree, whole=False))
+
+
+def content(tree: Any) -> str:
+    """Describe a tree whole, with the numbers of its arrays (by SHA-256).
+
+    Arguments:
+        tree: as of `structure`.
+
+    Returns:
+        A text that two trees share which are the same, in every process.
+
+    Raises:
+        NoStructureError: a part of it cannot be described.
+    """
+    return "".join(_parts(tree, whole=True))
+
+
+def _parts(value: Any, *, whole: bool) -> Iterator[str]:
+    """The text in pieces; of what is a part of the program, with the numbers of the arrays."""
+    if isinstance(value, (jax.Array, np.ndarray, np.generic, jax.ShapeDtypeStruct)):
+        weak = "~" if getattr(value, "weak_type", False) else ""
+        yield f"{value.dtype}{weak}{list(value.shape)}"
+        if whole:
+            yield hashlib.sha256(np.asarray(value).tobytes()).hexdigest()
+    elif isinstance(value, enum.Enum):
+        yield f"{_named(type(value))}.{value.name}"
+    elif isinstance(value, _PLAIN):
+        yield f"{type(value).__name__} {value!r}"
+    elif isinstance(value, (type, FunctionType)):
+        yield _named(value)
+    elif isinstance(value, functools.partial):
+        parts = (value.func, value.args, value.keywords)
+        yield from _members("functools.partial", parts, whole=whole)
+    elif dataclasses.is_dataclass(value):
+        yield f"{_named(type(value))}("
+        for field in dataclasses.fields(value):
+            static = whole or bool(field.metadata.get("static"))
+            yield f"{field.name}="
+            yield from _parts(getattr(value, field.name), whole=static)
+            yield ","
+        yield ")"
+    elif isinstance(value, Mapping):
+        yield from _members(_named(type(value)), value.items(), whole=whole)
+    elif isinstance(value, (tuple, list)):
+        yield from _members(_named(type(value)), value, whole=whole)
+    elif isinstance(value, (set, frozenset)):
+        yield from _members(_named(type(value)), sorted(value, key=structure), whole=whole)
+    else:
+        raise NoStructureError(f"there is no description of {type(value)}")
+
+
+def _members(name: str, values: Iterable[Any], *, whole: bool) -> Iterator[str]:
+    yield f"{name}("
+    for value in values:
+        yield from _parts(value, whole=whole)
+        yield ","
+    yield ")"
+
+
+def _named(value: Any) -> str:
+    name: str = value.__qualname__
+    if "<" in name:
+        raise NoStructureError(f"{name} is no name that a module has")
+    return f"{value.__module__}.{name}"
+
+
+# The files of programs that are kept: what they depend on, and how they are read and written.
+
+SUFFIX = ".stablehlo"
+"""Of the files' names."""
+
+_LIBRARIES = ("jax", "jaxlib", "equinox", "diffrax", "optimistix", "lineax", "numpy")
+
+
+def sources() -> str:
+    """What tracing depends on beside the arguments: the source of this package, and versions."""
+    digest = hashlib.sha256(sys.version.encode())
+    for name in _LIBRARIES:
+        digest.update(f"{name} {version(name)}\n".encode())
+    root = Path(__file__).parent
+    for path in sorted(root.rglob("*.py")):
+        digest.update(f"{path.relative_to(root)}\0".encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+@functools.cache
+def origin() -> str:
+    """`sources`, as they were when the process began to keep programs."""
+    return sources()
+
+
+def read(path: Path) -> bytes:
+    """A module as it was written.
+
+    Raises:
+        OSError: there is no such file, or it cannot be read.
+        ValueError: it is cut off, or was changed.
+    """
+    content = path.read_bytes()
+    digest, module = content[:32], content[32:]
+    if hashlib.sha256(module).digest() != digest:
+        raise ValueError(f"{path} is not as it was written")
+    return module
+
+
+def write(path: Path, module: bytes) -> None:
+    """Write a file whole, or not at all; another process may write the same one."""
+    temporary = None
+    try:
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=SUFFIX, delete=False) as file:
+            temporary = Path(file.name)
+            file.write(hashlib.sha256(module).digest() + module)
+        temporary.replace(path)
+    except OSError:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+
+
+# Programs kept between processes as they were traced: a later process does not trace them again.
+#
+# Tracing a fit takes longer than to compile small programs or to run it. What is kept is
+# StableHLO, JAX's own exchange format, and no executable: JAX's persistent compilation cache has
+# that.
+#
+# A file is found by all that tracing depends on: the source of this package, the versions of the
+# libraries, their settings, and the structure of the arguments. Whatever goes wrong, the caller
+# traces as without it.
+
+_SETTINGS = ("JAX_", "XLA_", "EQX_")
+
+# Calls whose form JAX may change between versions; a file is read by one version only.
+_UNSTABLE = ("lapack_sormqr_ffi", "lapack_dormqr_ffi")
+
+_folder: Path | None = None
+
+Call = Callable[..., Any]
+
+
+def keep_programs(folder: Path) -> None:
+    """From now on, keep programs in a folder, and use those that are there.
+
+    To be called by a process that nobody changes while it runs: what a test or a notebook patches
+    is not seen in the source, and must not be kept.
+
+    Arguments:
+        folder: is made where it is missing.
+    """
+    global _folder
+    _folder = folder
+    origin()
+
+
+def keeps_programs() -> bool:
+    """Whether programs are kept; not where JAX is to look into them."""
+    looking = ("jax_disable_jit", "jax_debug_nans", "jax_debug_infs")
+    return _folder is not None and not any(getattr(jax.config, name) for name in looking)
+
+
+class KeptProgram:
+    """A function whose programs are kept; see `giajax.runtime.programs.program`.
+
+    Arguments:
+        function: a pure function of pytrees.
+        like: from the same arguments, a tree as the function returns.
+        options: arguments of `jax.jit`.
+    """
+
+    def __init__(self, function: Call, like: Call, options: dict[str, Any]) -> None:
+        self._function = function
+        self._like = like
+        self._options = options
+        self._calls: dict[str, Call | None] = {}
+
+    def ready(self, args: tuple[Any, ...]) -> Call | None:
+        """What computes the function for arguments of this structure.
+
+        Arguments:
+            args: of the function.
+
+        Returns:
+            Is called with the arguments; None where the program cannot be kept.
+        """
+        try:
+            key = structure(args)
+        except NoStructureError:
+            return None
+        if key not in self._calls:
+            try:
+                self._calls[key] = self._prepared(key, args)
+            except Exception:
+                # Whatever is wrong with the arguments, the function itself says it better.
+                self._calls[key] = None
+        return self._calls[key]
+
+    def _prepared(self, key: str, args: tuple[Any, ...]) -> Call:
+        assert _folder is not None
+        like = self._like(*args)
+        path = _folder / self._name(key, structure(like))
+        leaves = jax.tree.leaves(eqx.filter(args, eqx.is_array))
+        places, static = eqx.partition(like, _is_shaped)
+        shapes, tree = jax.tree.flatten(places)
+        blank = _blank(shapes, leaves)
+        try:
+            module = read(path)
+        except (OSError, ValueError):
+            # Not there, or not as it was written.
+            module = self._traced(args, leaves, like, blank)
+            # Where somebody edits meanwhile, nobody knows which source was traced.
+            if sources() == origin():
+                write(path, module)
+        known = dataclasses.replace(blank, mlir_module_serialized=module)
+        # The same text in every process: the compilation cache knows it.
+        compiled = jax.jit(known.call, **self._options).lower(*leaves).compile()
+
+        def call(*args: Any) -> Any:
+            found = compiled(*jax.tree.leaves(eqx.filter(args, eqx.is_array)))
+            return eqx.combine(jax.tree.unflatten(tree, found), static)
+
+        return call
+
+    def _traced(
+        self, args: tuple[Any, ...], leaves: Sequence[Any], like: Any, blank: export.Exported
+    ) -> bytes:
+        """The module of the function."""
+        dynamic, static = eqx.partition(args, eqx.is_array)
+        tree = jax.tree.structure(dynamic)
+        returned: list[str] = []
+
+        def flat(*leaves: Any) -> tuple[Any, ...]:
+            result = self._function(*eqx.combine(jax.tree.unflatten(tree, leaves), static))
+            arrays, rest = eqx.partition(result, eqx.is_array)
+            returned.append(structure(rest))
+            return tuple(jax.tree.leaves(arrays))
+
+        checks = [export.DisabledSafetyCheck.custom_call(name) for name in _UNSTABLE]
+        whole = export.export(jax.jit(flat, keep_unused=True), disabled_checks=checks)(*leaves)
+        promised = structure(eqx.partition(like, _is_shaped)[1])
+        if returned[0] != promised or _calling(whole) != _calling(blank):
+            raise ValueError("the function does not return what it is said to")
+        return whole.mlir_module_serialized
+
+    def _name(self, key: str, result: str) -> str:
+        """The name of the file."""
+        name = f"{self._function.__module__}.{self._function.__qualname__}"
+        settings = sorted((k, v) for k, v in os.environ.items() if k.startswith(_SETTINGS))
+        device = jax.devices()[0]
+        parts = (name, key, result, settings, repr(self._options), origin(), str(device.platform))
+        whole = repr((*parts, str(jax.numpy.result_type(float))))
+        return f"{name}-{hashlib.sha256(whole.encode()).hexdigest()[:40]}{SUFFIX}"
+
+
+def _is_shaped(leaf: Any) -> bool:
+    return eqx.is_array(leaf) or isinstance(leaf, jax.ShapeDtypeStruct)
+
+
+def _blank(shapes: Sequence[Any], leaves: Sequence[Any]) -> export.Exported:
+    """A program of zeros that takes and returns the same: only its module is another."""
+
+    def zeros(*leaves: Any) -> tuple[Any, ...]:
+        del leaves
+        return tuple(jax.lax.full(each.shape, 0, each.dtype) for each in shapes)
+
+    return export.export(jax.jit(zeros, keep_unused=True))(*leaves)
+
+
+def _calling(program: export.Exported) -> tuple[Any, ...]:
+    """How an exported program is called."""
+    return (
+        program.in_tree,
+        program.in_avals,
+        program.out_tree,
+        program.out_avals,
+        program.platforms,
+        program.nr_devices,
+        program.ordered_effects,
+        program.unordered_effects,
+        program.module_kept_var_idx,
+        program.uses_global_constants,
+        program.calling_convention_version,
+    )
+
+
+# Compiled programs, with the options of XLA that suit a long chain on a CPU.
+#
+# The default code generator of XLA for CPUs fuses the many small operations of a chain into large
+# kernels. On the dynamics of an arm it compiles twice as long as the older one, and what it makes
+# is a third slower; a schedule that minimises memory keeps the rows of a chain in the cache.
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+CPU_OPTIONS = {
+    "xla_cpu_use_fusion_emitters": False,
+    "xla_cpu_scheduler_type": "CPU_SCHEDULER_TYPE_MEMORY_OPTIMIZED",
+}
+"""Names and values of `jax.jit(compiler_options=...)`."""
+
+
+def program(function: Function, *, like: Callable[..., Any] | None = None) -> Function:
+    """Compile a function as `equinox.filter_jit` does, on a CPU with `CPU_OPTIONS`.
+
+    XLA takes options for whole programs only: within another program, and under a transformation
+    of JAX, the function becomes a part of that one, and has its options.
+
+    Arguments:
+        function: a pure function of pytrees; what is no array is static.
+        like: from the same arguments, a tree as the function returns (`jax.ShapeDtypeStruct` will
+            do for an array). Its programs are then kept between processes, where the process
+            keeps any (`giajax.runtime.programs`), and are not traced again.
+    """
+    part = eqx.filter_jit(function)
+    whole: Callable[..., Any] | None = None
+    kept: KeptProgram | None = None
+
+    @functools.wraps(function)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        nonlocal whole, kept
+        if _is_traced((args, kwargs)):
+            return part(*args, **kwargs)
+        if like is not None and keeps_programs() and not kwargs:
+            if kept is None:
+                kept = KeptProgram(function, like, _options())
+            if (known := kept.ready(args)) is not None:
+                return known(*args)
+        if whole is None:
+            # Asks for the device, which an import must not do.
+            options = _options()
+            # Equinox passes what it does not know on to `jax.jit`; its annotations leave that out.
+            compiled: Any = functools.partial(eqx.filter_jit, **options)
+            whole = compiled(function)
+        return whole(*args, **kwargs)
+
+    return call  # type: ignore[return-value]
+
+
+def _is_traced(arguments: Any) -> bool:
+    """Whether a program is being traced (then even a constant is a part of it), or an argument."""
+    leaves = [jax.device_put(np.float32(0)), *jax.tree.leaves(arguments)]
+    return any(isinstance(leaf, jax.core.Tracer) for leaf in leaves)
+
+
+@functools.cache
+def _options() -> dict[str, Any]:
+    """Arguments of `jax.jit`: the options, where the device is a CPU and its XLA knows them."""
+    if jax.default_backend() != "cpu":
+        return {}
+    try:
+        # XLA refuses a name that it does not know, and names come and go with its versions.
+        jax.jit(lambda: np.float32(0), compiler_options=CPU_OPTIONS)()
+    except Exception:
+        return {}
+    return {"compiler_options": CPU_OPTIONS}

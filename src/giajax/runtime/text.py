@@ -1,0 +1,145 @@
+"""Sentences and numbers as text, and the error that a person's input causes."""
+
+import math
+import re
+import textwrap
+from collections.abc import Iterable, Sequence
+from importlib.metadata import version
+from typing import Any
+
+# Digits of a value that has no standard error to say how many it deserves.
+_DIGITS = 6
+
+# Below this a number is written with an exponent: nobody counts five zeros.
+_LEAST_FIXED = 1e-4
+
+
+def format_estimate(value: Any, standard_error: float | None) -> tuple[str, str]:
+    """A value and its standard error with the digits that they deserve.
+
+    The error has two significant digits and the value ends at the same decimal place.
+
+    Example:
+        >>> format_estimate(1.0496623, 0.0060814)
+        ('1.0497', '0.0061')
+    """
+    if value is None:
+        return "-", "-"
+    if isinstance(value, list):
+        low, high = min(value), max(value)
+        text = f"{low:.{_DIGITS}g}"
+        return (text if low == high else f"{text} .. {high:.{_DIGITS}g}"), "-"
+    if standard_error is None or not math.isfinite(standard_error) or standard_error <= 0:
+        return f"{value:.{_DIGITS}g}", "-"
+    # Through the rounded number: 0.0999 becomes 0.10, not 0.100.
+    exponent = int(f"{standard_error:.1e}".partition("e")[2])
+    decimals = 1 - exponent
+    if max(abs(value), standard_error) >= _LEAST_FIXED and -4 <= decimals <= 7:
+        places = max(decimals, 0)
+        return (
+            f"{round(value, decimals):.{places}f}",
+            f"{round(standard_error, decimals):.{places}f}",
+        )
+    digits = 0 if value == 0 else math.floor(math.log10(abs(value))) - exponent + 1
+    return f"{value:.{min(max(digits, 0), 15)}e}", f"{standard_error:.1e}"
+
+
+def format_bounds(lower: float | None, upper: float | None) -> str:
+    """Where a value may be; a dash where it may be anywhere."""
+    if lower is None and upper is None:
+        return "-"
+    if upper is None:
+        return f"> {lower:g}"
+    return f"< {upper:g}" if lower is None else f"{lower:g} .. {upper:g}"
+
+
+def time_in_words(seconds: float) -> str:
+    """A time as a person says it.
+
+    Example:
+        >>> time_in_words(45.2), time_in_words(600.0), time_in_words(5400.0)
+        ('45 s', '10 min', '1.5 h')
+    """
+    for unit, length in (("h", 3600.0), ("min", 60.0)):
+        if seconds >= length:
+            return f"{seconds / length:.2g} {unit}"
+    return f"{seconds:.2g} s"
+
+
+def wrapped(text: str, width: int | None, first: str, others: str) -> Sequence[str]:
+    """Lines of a text; none where it is empty.
+
+    Arguments:
+        text: on one line.
+        width: columns that there are; without one nothing is wrapped.
+        first, others: what the first and the other lines begin with.
+    """
+    if not text:
+        return []
+    if width is None:
+        return [first + text]
+    return textwrap.wrap(
+        text,
+        width=max(width, len(others) + 20),
+        initial_indent=first,
+        subsequent_indent=others,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+
+
+def one_of(names: Iterable[Any]) -> str:
+    """`a`, `a or b`, `a, b or c`."""
+    listed = [str(name) for name in names]
+    if len(listed) < 2:
+        return "".join(listed)
+    return f"{', '.join(listed[:-1])} or {listed[-1]}"
+
+
+def shown(value: Any, longest: int = 60) -> str:
+    """A value much as its author wrote it, on one line and not longer than a line."""
+    if isinstance(value, str | bytes):
+        value = value[: longest + 1]  # enough to see that it is longer
+    text = repr(value) if not isinstance(value, bool) else str(value).lower()
+    return text if len(text) <= longest else f"{text[: longest - 3]}..."
+
+
+# A path of a deep folder, and a sentence that lists what there is.
+_LONGEST_WORD = 300
+_LONGEST_SENTENCE = 2_000
+
+
+def abridged(sentence: str) -> str:
+    """A sentence without the middle of its endless words, and of itself where it is endless.
+
+    What a file has where a name or a number should be may be a megabyte long. The beginning says
+    what it is and the end what to do.
+    """
+    if len(sentence) <= _LONGEST_WORD:
+        return sentence
+    words = re.sub(rf"\S{{{_LONGEST_WORD},}}", lambda word: _without_middle(word[0], 60), sentence)
+    return words if len(words) <= _LONGEST_SENTENCE else _without_middle(words, 400)
+
+
+def _without_middle(text: str, each: int) -> str:
+    return f"{text[:each]}...{text[-each:]}"
+
+
+# The one error that a person's input can cause.
+
+
+class InputError(ValueError):
+    """The input cannot be used.
+
+    The message is one sentence: what is wrong and, after a colon, what to do. The command
+    line prints it without a traceback and ends with exit status 2. What it repeats of the input is
+    cut where it is endless.
+    """
+
+    def __init__(self, sentence: str) -> None:
+        super().__init__(abridged(sentence))
+
+
+# The version of this installation, as its metadata have it.
+
+__version__ = version("giajax")

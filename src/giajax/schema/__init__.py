@@ -1,0 +1,109 @@
+"""What parameters, files and kinds of models are declared to be. Imports no JAX."""
+
+from ._arm import ARM as ARM, DEFAULT_PRESET as DEFAULT_PRESET, check_obstacles as check_obstacles
+from ._arm_sections import (
+    MUSCLE_KEYS as MUSCLE_KEYS,
+    ArmSection as ArmSection,
+    CommandSection as CommandSection,
+    FillingSection as FillingSection,
+    InitialSection as InitialSection,
+    Obstacle as Obstacle,
+    PointMass as PointMass,
+    SensorsSection as SensorsSection,
+    WindSection as WindSection,
+)
+from ._camera_sections import (
+    CamerasSection as CamerasSection,
+    LandmarksSection as LandmarksSection,
+    PinholeSection as PinholeSection,
+    sections_of_cameras as sections_of_cameras,
+)
+from ._declaration import (
+    QUANTITIES as QUANTITIES,
+    QUANTITY_OF_SUFFIX as QUANTITY_OF_SUFFIX,
+    Declaration as Declaration,
+    Group as Group,
+    Key as Key,
+    Prior as Prior,
+    Quantity as Quantity,
+    key_factor as key_factor,
+    si_factor as si_factor,
+)
+from ._expression import Expression as Expression
+from ._joint import (
+    HYSTERESIS as HYSTERESIS,
+    JOINT as JOINT,
+    MUSCLE as MUSCLE,
+    OSCILLATOR as OSCILLATOR,
+    HysteresisSection as HysteresisSection,
+    JointSection as JointSection,
+    MuscleSection as MuscleSection,
+    OscillatorSection as OscillatorSection,
+)
+from ._kind import (
+    ChannelKind as ChannelKind,
+    Content as Content,
+    Kind as Kind,
+    Offer as Offer,
+    RecordedChannel as RecordedChannel,
+    Sections as Sections,
+    Wording as Wording,
+)
+from ._mission import MissionSection as MissionSection, PadFile as PadFile, PadSection as PadSection
+from ._quantities_arm import (
+    AIR as AIR,
+    BASE as BASE,
+    BUOYANCY as BUOYANCY,
+    CONTACT as CONTACT,
+    INITIAL as INITIAL,
+    JOINT_MEMORY as JOINT_MEMORY,
+    JOINT_STOPS as JOINT_STOPS,
+    JOINTS as JOINTS,
+    LINKS as LINKS,
+    POINT_MASSES as POINT_MASSES,
+)
+from ._quantities_joint import (
+    ALPHA as ALPHA,
+    AT_REST as AT_REST,
+    BETA as BETA,
+    BOUC_WEN as BOUC_WEN,
+    BOUC_WEN_OSCILLATOR as BOUC_WEN_OSCILLATOR,
+    BRAIDED as BRAIDED,
+    BRANCH_COMPENSATOR as BRANCH_COMPENSATOR,
+    DEAD_ZONES as DEAD_ZONES,
+    DRIVE as DRIVE,
+    EMPIRICAL as EMPIRICAL,
+    FRICTION as FRICTION,
+    GEOMETRY as GEOMETRY,
+    LOAD as LOAD,
+    LOOP as LOOP,
+    MODIFIED_PRANDTL_ISHLINSKII as MODIFIED_PRANDTL_ISHLINSKII,
+    PISTON as PISTON,
+    PLAY as PLAY,
+    PRANDTL_ISHLINSKII as PRANDTL_ISHLINSKII,
+    PREISACH as PREISACH,
+    STOP as STOP,
+)
+from ._quantities_sensors import (
+    CAMERA as CAMERA,
+    ENCODER as ENCODER,
+    GAS as GAS,
+    LANDMARK as LANDMARK,
+    MARKER as MARKER,
+    PINHOLE as PINHOLE,
+    PORTS as PORTS,
+    SKIN as SKIN,
+    SUPPLY as SUPPLY,
+)
+from ._section import (
+    Finite as Finite,
+    Name as Name,
+    Positive as Positive,
+    Section as Section,
+    flat as flat,
+    key as key,
+    with_keys as with_keys,
+)
+
+KINDS: dict[str, Kind] = {kind.name: kind for kind in vars().values() if isinstance(kind, Kind)}
+"""The kinds by name; nothing else in the toolkit knows which there are."""

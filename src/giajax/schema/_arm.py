@@ -1,0 +1,302 @@
+"""An arm: from joint commands, torques and wind to positions and joint angles."""
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from ..runtime.text import InputError
+from ._arm_sections import ArmSection, CommandSection, InitialSection, SensorsSection, WindSection
+from ._camera_sections import CamerasSection, LandmarkSection, LandmarksSection, PinholeSection
+from ._kind import ChannelKind, Content, Kind, Offer, RecordedChannel, Wording
+from ._quantities_arm import CONTACT
+
+PRESSURES = ("joint_pressure_first", "joint_pressure_second")
+"""Rows of the column table: of the muscle towards which a positive angle bends, and the other."""
+
+
+def check_pressures(content: Content, wording: Wording) -> None:
+    """Both muscles of a joint, pressures that there are, and no other command of that joint."""
+    names = {(channel.kind, channel.index): channel for channel in content.channels.values()}
+    for (kind, joint), channel in names.items():
+        if kind not in PRESSURES:
+            continue
+        (other,) = (row for row in PRESSURES if row != kind)
+        if (other, joint) not in names:
+            raise InputError(
+                f"{wording.source}: {wording.of(channel)} is there without that of the joint's "
+                f"other muscle: add the column joint{joint:02d}_{other.removeprefix('joint_')}_kPa"
+            )
+        if ("joint_command", joint) in names:
+            raise InputError(
+                f"{wording.source}: joint {joint} has a command and pressures, but one of them "
+                "moves it: remove the column of the other"
+            )
+        low = np.flatnonzero(content.values[channel.name] < 0)
+        if low.size:
+            raise InputError(
+                f"{wording.source}: {wording.of(channel)} is below 0 in {wording.at(low[0])}: give "
+                "the pressure above the surroundings"
+            )
+        if (joints := _with_muscles(content.definition.section(ArmSection))) and not joints(joint):
+            raise InputError(
+                f"{wording.source}: {wording.of(channel)} is there, but joint {joint} has no "
+                "muscles: correct the name, or muscles in [arm]"
+            )
+
+
+def _with_muscles(section: ArmSection) -> Callable[[int | None], bool] | None:
+    """Whether a joint has muscles; None where it is not known here."""
+    muscles, axes = section.muscles, section.joint_axes
+    if isinstance(muscles, list):
+        return lambda joint: joint in muscles
+    if muscles != "pitch":
+        return None
+    if axes in (None, "pitch_yaw"):
+        return lambda joint: joint is not None and joint % 2 == 1
+    return lambda joint: joint is not None and axes[joint - 1 : joint] != ["yaw"]
+
+
+# The channels of an arm.
+
+DEFAULT_PRESET = "takeichi_20m"
+DEFAULT_LINKS = 20
+
+CHANNELS = (
+    ChannelKind("joint_command", "jointNN_command", "angle", "input"),
+    ChannelKind("joint_angle", "jointNN_angle", "angle", "output", noise="angle_deg"),
+    ChannelKind("joint_rate", "jointNN_rate", "angular_velocity", "output", noise="rate_deg_per_s"),
+    ChannelKind("joint_torque", "jointNN_torque", "torque", "input"),
+    ChannelKind("joint_pressure_first", "jointNN_pressure_first", "pressure", "input"),
+    ChannelKind("joint_pressure_second", "jointNN_pressure_second", "pressure", "input"),
+    ChannelKind("link_angle", "linkNN_angle", "angle", "output", noise="angle_deg"),
+    ChannelKind("link_position", "linkNN_x", "length", "output", noise="position_m"),
+    ChannelKind("link_pixel", "linkNN_u", "pixel", "output", noise="pixel_px"),
+    ChannelKind("tip_position", "tip_x", "length", "output", noise="position_m"),
+    ChannelKind("tip_pixel", "tip_u", "pixel", "output", noise="pixel_px"),
+    ChannelKind("mark_pixel", "markNN_u", "pixel", "output", noise="pixel_px"),
+    ChannelKind("wind", "wind_x", "velocity", "surroundings"),
+    ChannelKind("link_wind", "linkNN_wind_x", "velocity", "surroundings"),
+)
+PIXELS = frozenset({"link_pixel", "tip_pixel", "mark_pixel"})
+"""Rows of what cameras with a lens show."""
+
+WINDS = ("wind", "link_wind")
+COMMANDS = ("joint_command", "joint_torque", *PRESSURES)
+
+
+# What the sidecar of an arm's run is offered, by what was recorded.
+
+
+def arm_template(channels: Sequence[RecordedChannel]) -> list[Offer]:
+    """The sections to offer for a run with these channels."""
+    rows = {channel.kind for channel in channels}
+    numbered = [channel for channel in channels if channel.kind != "mark_pixel"]
+    largest = max((channel.index or 0 for channel in numbered), default=0)
+    commanded = bool(rows & set(COMMANDS))
+    arm = dict.fromkeys(ArmSection.model_fields)
+    if largest > DEFAULT_LINKS:
+        arm["links"] = largest
+    sensors = [
+        name for name in SensorsSection.model_fields if _records(name.partition("_")[0], rows)
+    ]
+    angles = {channel.index for channel in channels if channel.kind == "joint_angle"}
+    recorded = largest > 0 and angles == set(range(1, largest + 1))
+    state = ["first_row"] if recorded else list(InitialSection.quantities)
+    wind = "interpolation" if rows & set(WINDS) else "velocity_m_per_s"
+    return [
+        *([] if commanded else [Offer("", {"free_motion": True})]),
+        Offer("arm", arm, "known constants; a number holds for all links, a list has one a link"),
+        Offer(
+            "sensors",
+            dict.fromkeys(sensors),
+            "known errors of the recording; a fit can find them too",
+        ),
+        *_cameras(channels),
+        Offer(
+            "initial",
+            dict.fromkeys((*state, "free")),
+            "at the first sample; a number holds for all joints",
+        ),
+        *([Offer("command", {"interpolation": None})] if commanded else []),
+        Offer("wind", {wind: None}),
+    ]
+
+
+def _cameras(channels: Sequence[RecordedChannel]) -> list[Offer]:
+    """A section for each camera and each landmark that is recorded."""
+    seen = [channel for channel in channels if channel.kind in PIXELS]
+    cameras = sorted({channel.camera or "main" for channel in seen})
+    marks = sorted({channel.index or 0 for channel in seen if channel.kind == "mark_pixel"})
+    lens = "its lens and where it is; a fit can find these too"
+    where = "where this landmark is; must be stated"
+    return [
+        *(
+            Offer(f"camera.{name}", dict.fromkeys(PinholeSection.model_fields), lens)
+            for name in cameras
+        ),
+        *(
+            Offer(f"landmark.mark{mark:02d}", dict.fromkeys(LandmarkSection.model_fields), where)
+            for mark in marks
+        ),
+    ]
+
+
+def _records(sensor: str, rows: set[str]) -> bool:
+    """Whether a sensor records one of these rows of the table."""
+    if sensor == "encoder":
+        return bool(rows & {"joint_angle", "joint_rate", "link_angle"})
+    positions = {"link_position", "tip_position"}
+    return bool(rows & (positions | PIXELS if sensor == "marker" else positions))
+
+
+def _recognises(rows: frozenset[str]) -> bool:
+    return bool(rows & {row.name for row in CHANNELS if row.part != "surroundings"})
+
+
+def check_obstacles(section: ArmSection, source: str | None = None) -> None:
+    """Raise `InputError` where a section says how links press, but not against what."""
+    about = "" if source is None else f"{source}: "
+    for quantity in CONTACT:
+        key = "" if quantity.key is None else quantity.key.name
+        if getattr(section, key) is not None and not section.obstacles:
+            raise InputError(
+                f"{about}arm.{key} is stated, but no obstacles: add them as "
+                "[[arm.obstacles]], or remove it"
+            )
+
+
+def links_of(section: ArmSection) -> int | None:
+    """The number of links of a section or of its preset; None if it is not known here."""
+    if section.links is not None:
+        return section.links
+    return DEFAULT_LINKS if section.preset in (None, DEFAULT_PRESET) else None
+
+
+def _interpolation(content: Content) -> str:
+    return content.definition.section(CommandSection).interpolation
+
+
+def _check(content: Content, wording: Wording) -> None:
+    channels, definition = content.channels, content.definition
+    section = definition.section(ArmSection)
+    links = links_of(section)
+    for channel in channels.values():
+        numbered = channel.kind != "mark_pixel" and channel.index is not None
+        if links is not None and numbered and (channel.index or 0) > links:
+            part = "link" if channel.kind.startswith("link") else "joint"
+            raise InputError(
+                f"{wording.source}: {wording.of(channel)} is of {part} {channel.index}, but the "
+                f"arm has {links} links: correct the name, or state links in [arm]"
+            )
+    for name, lists in (("arm", section), ("sensors", definition.section(SensorsSection))):
+        try:
+            lists.check_lists(links)
+        except ValueError as error:
+            raise InputError(f"{wording.source}: [{name}] {error}") from None
+    try:
+        definition.section(CamerasSection).check_mounts(links)
+    except ValueError as error:
+        raise InputError(f"{wording.source}: [camera] {error}") from None
+    check_obstacles(section, wording.source)
+    for body in section.point_masses or ():
+        if links is not None and body.link > links:
+            raise InputError(
+                f"{wording.source}: a body of arm.point_masses is on link {body.link}, but the "
+                f"arm has {links} links: correct the number, or state links in [arm]"
+            )
+    _check_motion(channels, content, wording, links)
+    check_pressures(content, wording)
+    windy = [channel for channel in channels.values() if channel.kind in WINDS]
+    if windy and definition.section(WindSection).velocity_m_per_s is not None:
+        raise InputError(
+            f"{wording.source}: wind.velocity_m_per_s states a constant wind, but "
+            f"{wording.of(windy[0])} records it: remove one or the other"
+        )
+
+
+def _check_motion(
+    channels: Mapping[str, RecordedChannel], content: Content, wording: Wording, links: int | None
+) -> None:
+    """What moves the arm: a command, an initial state, or nothing on purpose."""
+    initial = content.definition.section(InitialSection)
+    for key in initial.quantities:
+        value = getattr(initial, key)
+        if isinstance(value, list) and links is not None and len(value) != links:
+            raise InputError(
+                f"{wording.source}: initial.{key} has {len(value)} values, but must have one for "
+                f"each of the {links} joints: correct the list"
+            )
+    commanded = any(channel.kind in COMMANDS for channel in channels.values())
+    free = bool(content.definition.free_motion)
+    if commanded and free:
+        raise InputError(
+            f"{wording.source}: free_motion = true is stated, but there are command columns: "
+            "remove one or the other"
+        )
+    has_initial = bool(initial.first_row) or bool(initial.free)
+    has_initial |= bool(initial.values())
+    if not commanded and not free and not has_initial:
+        raise InputError(
+            f"{wording.source} has no command column: an arm run must have one such as "
+            "joint01_command_deg, or a sidecar with free_motion = true or [initial], so add it"
+        )
+
+
+def _notes(content: Content, sidecar: bool) -> list[str]:
+    definition, notes = content.definition, []
+    rows = {channel.kind for channel in content.channels.values()}
+    if not definition.section(ArmSection).contents():
+        where = "no [arm] in the sidecar" if sidecar else "no sidecar"
+        notes.append(f"{where}: the constants of the preset {DEFAULT_PRESET} are assumed")
+    if rows & set(PRESSURES) and definition.section(ArmSection).muscles is None:
+        notes.append(
+            "pressures are recorded, but no joint has muscles: state muscles in [arm], such as "
+            'muscles = "pitch"'
+        )
+    if rows & PIXELS and not definition.section(CamerasSection).named():
+        notes.append("pixels are recorded, but no camera is described: state it in [camera.NAME]")
+    if not definition.section(InitialSection).contents():
+        notes.append("initial state not stated: the arm starts straight and at rest")
+    if (
+        rows & set(COMMANDS)
+        and "interpolation" not in definition.section(CommandSection).contents()
+    ):
+        notes.append("command interpolation not stated: linear between two rows")
+    if "wind" not in rows:
+        if "link_wind" in rows:
+            columns = sum(each.kind == "link_wind" for each in content.channels.values())
+            links = links_of(definition.section(ArmSection))
+            if links is None or columns < 3 * links:
+                notes.append("wind of links or along axes that are not recorded: taken as zero")
+            return notes
+        if definition.section(WindSection).velocity_m_per_s is None:
+            notes.append("wind not stated: still air is assumed")
+        return notes
+    absent = [f"wind_{axis}" for axis in "xyz" if f"wind_{axis}" not in content.channels]
+    if absent:
+        notes.append(f"{' and '.join(absent)} not recorded: taken as zero")
+    return notes
+
+
+ARM = Kind(
+    name="arm",
+    model="_arm:ArmModel",
+    channels=CHANNELS,
+    recognises=_recognises,
+    measured="linkNN_z_m or jointNN_angle_deg",
+    sections={
+        "arm": ArmSection,
+        "sensors": SensorsSection,
+        "camera": CamerasSection,
+        "landmark": LandmarksSection,
+    },
+    run_sections={"initial": InitialSection, "command": CommandSection, "wind": WindSection},
+    commands=COMMANDS,
+    uncommanded="none (free motion)",
+    timed=True,
+    interpolation=_interpolation,
+    check=_check,
+    notes=_notes,
+    template=arm_template,
+    template_heading=f"# is as in the preset {DEFAULT_PRESET}.",
+)

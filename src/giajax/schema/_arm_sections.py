@@ -1,0 +1,390 @@
+"""The sections of an arm: its constants, what moves it, what stands around it, and its sensors."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from ..runtime.limits import LINKS as MOST_LINKS
+from ..runtime.text import shown
+from ._quantities_arm import (
+    AIR,
+    BASE,
+    BUOYANCY,
+    CONTACT,
+    INITIAL,
+    JOINT_MEMORY,
+    JOINT_STOPS,
+    JOINTS,
+    LINKS,
+    POINT_MASSES,
+)
+from ._quantities_joint import ALPHA, BETA, BRAIDED, DRIVE, EMPIRICAL, GEOMETRY, LOAD, PISTON
+from ._quantities_sensors import CAMERA, ENCODER, GAS, MARKER, PORTS, SKIN, SUPPLY
+from ._section import Count, Finite, Name, Positive, Section, Vector, each_of, flat, key, with_keys
+
+
+@with_keys(INITIAL)
+class InitialSection(Section):
+    """`[initial]`: joint angles and rates at the first sample. By default: straight, at rest."""
+
+    first_row: bool | None = key(
+        "true or false",
+        "true: as in the first row of the joint angle and rate columns",
+        example=True,
+    )
+    free: bool | None = key(
+        "true or false",
+        "true: parameters of this run, which a fit finds; the others are a start",
+        example=True,
+    )
+
+    @model_validator(mode="after")
+    def _stated_once(self) -> "InitialSection":
+        if self.first_row and self.values():
+            raise ValueError(
+                "says first_row = true and angle_deg or rate_deg_per_s, but must say the state "
+                "once: remove one or the other"
+            )
+        return self
+
+
+Interpolation = Literal["zoh", "linear"]
+_BETWEEN_ROWS = '"linear" or "zoh" (held until the next row)'
+
+
+class CommandSection(Section):
+    """`[command]`: how the joint commands run between two rows."""
+
+    interpolation: Interpolation = key(
+        _BETWEEN_ROWS, "between two rows", default="linear", example="linear"
+    )
+
+
+class WindSection(Section):
+    """`[wind]`: how the wind columns run between two rows, or a constant wind instead."""
+
+    interpolation: Interpolation = key(
+        _BETWEEN_ROWS, "between two rows", default="linear", example="linear"
+    )
+    velocity_m_per_s: Vector | None = key(
+        "a list of three numbers",
+        "constant wind (x, y, z), instead of wind columns",
+        example=[0.0, 0.0, 0.2],
+    )
+
+
+# Checks of `[arm.parameters]`, which states by their paths what has no key of its own.
+
+_OF_ARMS = (LINKS, JOINTS, JOINT_MEMORY, JOINT_STOPS, BASE, AIR, BUOYANCY, POINT_MASSES)
+_OF_MUSCLES = (GEOMETRY, LOAD, ALPHA, BETA, BRAIDED, EMPIRICAL, PISTON, DRIVE)
+_DECLARED = {
+    declaration.path: declaration for group in (*_OF_ARMS, *_OF_MUSCLES) for declaration in group
+}
+
+
+def check_bounds(table: Mapping[str, float | list[float]]) -> None:
+    """Refuse a value that its parameter may not have.
+
+    Which parameters an arm has is known where it is built; what they may be is known here.
+
+    Raises:
+        ValueError: naming the path, the value and its bounds.
+    """
+    for path, value in table.items():
+        declaration = _DECLARED.get(path.partition("[")[0])
+        if declaration is None:
+            continue
+        lower, upper = declaration.lower, declaration.upper
+        for number in value if isinstance(value, list) else [value]:
+            if not lower <= number <= upper:
+                unit = f" {declaration.unit}" if declaration.unit else ""
+                raise ValueError(
+                    f"has {shown(path)} = {number:g}{unit}, but it must be from {lower:g} to "
+                    f"{upper:g}{unit}: correct or remove it"
+                )
+
+
+def check_stated_once(section: Section, table: Mapping[str, float | list[float]]) -> None:
+    """Refuse a parameter of the table that a key of the section states as well.
+
+    An element, `links.mass[2]`, is another statement than that of the whole, and goes on top of it.
+
+    Raises:
+        ValueError: naming the path and the key.
+    """
+    for name in section.contents():
+        for declaration in section.quantities.get(name, ()):
+            if declaration.path in table:
+                raise ValueError(
+                    f"states {declaration.path} twice, by the key {name} and in [arm.parameters]: "
+                    "remove one"
+                )
+
+
+# The section of a body that is fixed to a link.
+
+
+@with_keys(POINT_MASSES, required=True)
+class PointMass(Section):
+    """An entry of `[[arm.point_masses]]`: a small body fixed to a link."""
+
+    link: Annotated[int, Field(ge=1, le=MOST_LINKS)] = key(
+        f"a whole number from 1 to {MOST_LINKS}", "link that carries it", default=...
+    )
+
+
+# The section of an obstacle.
+
+_TWO = Annotated[list[Positive], Field(min_length=2, max_length=2)]
+_THREE = Annotated[list[Positive], Field(min_length=3, max_length=3)]
+_FOUR = Annotated[list[Positive], Field(min_length=4, max_length=4)]
+
+# The keys that each shape has beside its name and its centre; those that it needs come first.
+SHAPES = {
+    "box": (("size_m",), ("rotation_deg",)),
+    "plane": (("normal",), ()),
+    "wall": (("opening_m", "margins_m", "thickness_m"), ("rotation_deg",)),
+}
+
+
+class Obstacle(Section):
+    """An entry of `[[arm.obstacles]]`: something rigid that links may touch."""
+
+    shape: Literal["box", "plane", "wall"] = key(
+        '"box", "plane" or "wall"', "a box, a half space, or a wall with an opening", default=...
+    )
+    name: Name = key("a name", "what results call it", default=...)
+    centre_m: Vector = key(
+        "a list of three numbers",
+        "centre of a box or of an opening, or a point of a plane",
+        default=...,
+    )
+    size_m: _THREE | None = key("three positive numbers", "size of a box along x, y and z")
+    normal: Vector | None = key("a list of three numbers", "of a plane, away from its solid side")
+    opening_m: _TWO | None = key("two positive numbers", "width and height of an opening")
+    margins_m: _FOUR | None = key(
+        "four positive numbers", "wall to the right of, below, to the left of and above an opening"
+    )
+    thickness_m: Positive | None = key("a positive number", "thickness of a wall")
+    rotation_deg: Vector | None = key(
+        "a list of three numbers", "turn against the base frame, as a rotation vector"
+    )
+
+    @model_validator(mode="after")
+    def _keys_are_those_of_its_shape(self) -> "Obstacle":
+        needed, allowed = SHAPES[self.shape]
+        for name in needed:
+            if getattr(self, name) is None:
+                raise ValueError(f"the {self.shape} '{self.name}' has no {name}: add it")
+        every = {name for keys in SHAPES.values() for part in keys for name in part}
+        for name in sorted(every - {*needed, *allowed}):
+            if getattr(self, name) is not None:
+                raise ValueError(
+                    f"the {self.shape} '{self.name}' has {name}, which is of another shape: "
+                    "remove it"
+                )
+        if self.normal == [0.0, 0.0, 0.0]:
+            raise ValueError(f"the normal of '{self.name}' has no direction: correct it")
+        return self
+
+
+def check_names(obstacles: list[Obstacle]) -> None:
+    """Raise `ValueError` for two obstacles of a name."""
+    names = [obstacle.name for obstacle in obstacles]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise ValueError(f"has two called '{twice}': give each its own name")
+
+
+# The section that says how an arm of balloons is filled.
+
+
+@with_keys(SUPPLY, PORTS, GAS, SKIN)
+class FillingSection(Section):
+    """`[filling]`: gas, bags, the ports between them and the supply. `giajax fill` reads it."""
+
+    supply: Literal["flow", "regulator", "bottle"] | None = key(
+        '"flow", "regulator" or "bottle"',
+        "a flow meter, or a regulator or a bottle behind a restriction",
+        preset="flow",
+    )
+    shared: list[Annotated[list[Count], Field(min_length=2)]] | None = key(
+        "a list of lists of link numbers",
+        "neighbouring links that are not welded apart, and share their gas",
+        example=[[1, 2], [3, 4]],
+    )
+
+
+# The sections of an arm: its constants and its sensors.
+
+# Keys that say which muscles, where there are some.
+MUSCLE_KEYS = ("muscle_law", "muscle_correction", "muscle_blend_deg")
+
+
+@with_keys(LINKS)
+class _Links(Section):
+    """Which arm it is, and its links."""
+
+    preset: Name | None = key(
+        "the name of a preset", "arm that the other keys change", preset="takeichi_20m"
+    )
+    links: Annotated[int, Field(ge=1, le=MOST_LINKS)] | None = key(
+        f"a whole number from 1 to {MOST_LINKS}",
+        "number of links; joint i precedes link i",
+        preset=20,
+    )
+
+
+@with_keys(JOINTS, BASE, AIR, BUOYANCY, CONTACT)
+class _Surroundings(_Links):
+    """Its joints, how it stands, and the air."""
+
+    joint_axes: Literal["pitch_yaw"] | list[Literal["pitch", "yaw"] | Vector] | None = key(
+        '"pitch_yaw" or a list of "pitch", "yaw" or [x, y, z], one a joint',
+        "axes of the joints in the straight arm; pitch_yaw alternates, pitch first",
+        preset="pitch_yaw",
+    )
+
+
+class ArmSection(_Surroundings):
+    """`[arm]`: the known constants of the arm. A number holds for all links."""
+
+    drag: Literal["centre", "strip"] | None = key(
+        '"centre" or "strip"',
+        "drag at each link's centre (eq. 1), or across the flow along the link",
+        preset="centre",
+    )
+    strip_points: Annotated[int, Field(ge=1, le=20)] | None = key(
+        "a whole number from 1 to 20", "Gauss points of strip drag", preset=3
+    )
+    drag_curve: Literal["constant", "cylinder"] | None = key(
+        '"constant" or "cylinder"',
+        "C_D is constant, or follows the Reynolds number as that of a cylinder does",
+        preset="constant",
+    )
+    added_mass: Literal["kirchhoff", "inertia"] | None = key(
+        '"kirchhoff" or "inertia"',
+        "added mass with the products of velocities that belong to it, or without, as in engines "
+        "that add it to the mass matrix alone",
+        preset="kirchhoff",
+    )
+    buoyancy: bool | None = key(
+        "true or false", "displaced air, helium and trim weights count", preset=False
+    )
+    trim: bool | None = key(
+        "true or false", "hang the trim weights that make each link float", preset=False
+    )
+    point_masses: list[PointMass] | None = key(
+        "a list of tables with link, mass_kg and position_m",
+        "bodies fixed to links",
+        example=[{"link": 20, "mass_kg": 0.003, "position_m": 0.99}],
+    )
+    obstacles: list[Obstacle] | None = key(
+        "a list of tables with shape, name and centre_m",
+        "what links may touch: boxes, planes, walls with an opening",
+        example=[{"shape": "plane", "name": "ground", "centre_m": [0, 0, -8], "normal": [0, 0, 1]}],
+    )
+    muscles: Literal["pitch", "all"] | list[Annotated[int, Field(ge=1, le=MOST_LINKS)]] | None = (
+        key(
+            '"pitch", "all" or a list of numbers of joints',
+            "joints that pairs of muscles drive, in place of their springs",
+            example="pitch",
+        )
+    )
+    muscle_law: Literal["braided", "empirical"] | None = key(
+        '"braided" or "empirical"',
+        "law of these muscles, as of [muscle]",
+        preset="braided",
+    )
+    muscle_correction: Literal["continuous", "none"] | None = key(
+        '"continuous" or "none"',
+        "alpha and beta of joints with muscles, as of [joint]",
+        preset="continuous",
+    )
+    muscle_blend_deg: Annotated[float, Field(gt=0, le=30, allow_inf_nan=False)] | None = key(
+        "a number above 0, and up to 30",
+        "half-width about 0 in which alpha and beta join; a motion would stick at a jump",
+        preset=1.0,
+    )
+    parameters: dict[Name, Finite | list[Finite]] | None = key(
+        "a table of parameter paths and numbers",
+        "any other parameter by its path, SI ('giajax parameters' lists them)",
+        example={"air.added_mass_coefficient": 1.0},
+    )
+
+    @field_validator("parameters", mode="before")
+    @classmethod
+    def _unquoted_paths_are_paths(cls, table: Any) -> Any:
+        return flat(table) if isinstance(table, Mapping) else table
+
+    @field_validator("parameters")
+    @classmethod
+    def _within_bounds(cls, table: dict[str, float | list[float]] | None) -> Any:
+        check_bounds(table or {})
+        return table
+
+    @field_validator("obstacles")
+    @classmethod
+    def _obstacles_have_names(cls, obstacles: list[Obstacle] | None) -> Any:
+        check_names(obstacles or [])
+        return obstacles
+
+    @field_validator("joint_axes")
+    @classmethod
+    def _axes_have_a_direction(cls, axes: Any) -> Any:
+        if isinstance(axes, list) and [0.0, 0.0, 0.0] in axes:
+            raise ValueError("has the axis [0, 0, 0], but must have a direction: correct it")
+        return axes
+
+    @model_validator(mode="after")
+    def _muscles_are_somewhere(self) -> "ArmSection":
+        about = [name for name in MUSCLE_KEYS if getattr(self, name) is not None]
+        if about and self.muscles is None:
+            raise ValueError(
+                f"states {about[0]}, but no joints with muscles: add muscles, or remove it"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _lists_agree(self) -> "ArmSection":
+        check_stated_once(self, self.parameters or {})
+        # Without `links` the lists must still agree with each other; the run checks the rest.
+        self.check_lists(self.links)
+        return self
+
+    def lists(self) -> dict[str, list[Any]]:
+        """The lists that have one value for each link or joint, by key."""
+        axes = {"joint_axes": self.joint_axes} if isinstance(self.joint_axes, list) else {}
+        return {**axes, **each_of(self)}
+
+    def check_lists(self, links: int | None) -> None:
+        """Raise `ValueError` if a list has another length than `links` (None: than another)."""
+        count = f"links is {links}" if links is not None else ""
+        for name, value in self.lists().items():
+            if len(value) > MOST_LINKS:
+                raise ValueError(
+                    f"key {name} has {len(value)} values, but an arm may have {MOST_LINKS} links "
+                    "at most: shorten the list"
+                )
+            if links is None:
+                links, count = len(value), f"{name} has {len(value)}"
+            elif len(value) != links:
+                raise ValueError(
+                    f"key {name} has {len(value)} values, but must have one for each link and "
+                    f"{count}: correct the list or give links"
+                )
+
+
+@with_keys(CAMERA, MARKER, ENCODER)
+class SensorsSection(Section):
+    """`[sensors]`: what is known of camera, markers and angle sensors. By default: exact."""
+
+    def check_lists(self, links: int | None) -> None:
+        """Raise `ValueError` if a list has another length than `links`, where that is known."""
+        for name, value in each_of(self).items():
+            if links is not None and len(value) != links:
+                raise ValueError(
+                    f"key {name} has {len(value)} values, but must have one for each of the "
+                    f"{links} links: correct the list"
+                )

@@ -1,0 +1,284 @@
+"""The declaration of a quantity, once: unit, bounds, prior and meaning, for models and files."""
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..runtime.text import InputError, one_of
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A physical quantity of the column table.
+
+    `suffixes` maps what a column name ends in to its unit; the first one is what giajax writes
+    by default. A quantity without suffixes is a pure number or text.
+    """
+
+    name: str
+    si_unit: str
+    suffixes: dict[str, str]
+
+
+QUANTITIES: dict[str, Quantity] = {
+    quantity.name: quantity
+    for quantity in (
+        Quantity("time", "s", {"s": "s", "ms": "ms"}),
+        Quantity("angle", "rad", {"deg": "deg", "rad": "rad"}),
+        Quantity("angular_velocity", "rad/s", {"deg_per_s": "deg/s", "rad_per_s": "rad/s"}),
+        Quantity("length", "m", {"m": "m", "cm": "cm", "mm": "mm"}),
+        Quantity("pixel", "px", {"px": "px"}),
+        Quantity("velocity", "m/s", {"m_per_s": "m/s"}),
+        Quantity("force", "N", {"N": "N", "mN": "mN"}),
+        Quantity("torque", "N m", {"N_m": "N m"}),
+        Quantity("pressure", "Pa", {"kPa": "kPa", "MPa": "MPa", "bar": "bar"}),
+        Quantity("ratio", "", {"": ""}),
+        Quantity("text", "", {"": ""}),
+    )
+}
+
+# `input` and `output` of a hysteresis run take any of these; each suffix belongs to one quantity.
+QUANTITY_OF_SUFFIX: dict[str, str] = {
+    suffix: quantity.name
+    for quantity in QUANTITIES.values()
+    if quantity.name not in ("time", "text")
+    for suffix in quantity.suffixes
+}
+
+# The units of the table that are not SI, in the SI unit of their quantity.
+_IN_SI = {
+    "ms": 1e-3,
+    "deg": np.pi / 180,
+    "deg/s": np.pi / 180,
+    "cm": 1e-2,
+    "mm": 1e-3,
+    "mN": 1e-3,
+    "kPa": 1e3,
+    "MPa": 1e6,
+    "bar": 1e5,
+}
+
+# Units of keys that no column has, by their SI unit.
+_OF_KEYS = {"m^3": {"l": 1e-3}, "m^3/s": {"l_per_min": 1e-3 / 60}}
+
+
+def si_factor(quantity: str, suffix: str) -> float:
+    """How many SI units one unit of `suffix` is: 0.01 for `cm`, pi/180 for `deg`.
+
+    Raises:
+        InputError: the quantity has no such suffix.
+    """
+    known = QUANTITIES[quantity]
+    if suffix not in known.suffixes:
+        raise InputError(
+            f"unit {suffix!r} is not a unit of {quantity.replace('_', ' ')}: "
+            f"use {one_of(known.suffixes)}"
+        )
+    unit = known.suffixes[suffix]
+    return 1.0 if unit == known.si_unit else _IN_SI[unit]
+
+
+def key_factor(key: str, si_unit: str) -> float:
+    """How many SI units one unit of a key's value is: 1 for `link_mass_kg`.
+
+    Arguments:
+        key: of a file; it ends in its unit, `_per_` standing for a stroke.
+        si_unit: of its quantity, as in `kg m^2`; "" for a pure number, whose key has no unit.
+
+    Raises:
+        ValueError: the key does not end in a unit of the quantity.
+    """
+    if not si_unit:
+        return 1.0
+    known = {si_unit.replace("/", "_per_").replace(" ", "_").replace("^", ""): 1.0}
+    known |= _OF_KEYS.get(si_unit, {})
+    for quantity in QUANTITIES.values():
+        if quantity.si_unit == si_unit:
+            known |= {name: si_factor(quantity.name, name) for name in quantity.suffixes}
+    for suffix, factor in known.items():
+        if key.endswith(f"_{suffix}"):
+            return factor
+    raise ValueError(f"key {key} does not end in a unit of {si_unit}: end it in {one_of(known)}")
+
+
+# What is known of a parameter before a fit.
+
+
+@dataclasses.dataclass(frozen=True)
+class Prior:
+    """What is known of a parameter before a fit: about where it is, and how surely.
+
+    With a `deviation` the knowledge is normal, with a `factor` log-normal: the logarithm of the
+    parameter is normal, and its standard deviation is that of the factor.
+
+    Arguments:
+        value: the most probable value; of a log-normal prior the median. SI.
+        deviation: standard deviation, SI.
+        factor: the value is known to so much, one standard deviation up or down: 1.2 is 20 %.
+
+    Raises:
+        InputError: neither or both of the last two, or a number that they may not be.
+
+    Example:
+        >>> import giajax
+        >>> drag = giajax.Prior(1.1, deviation=0.2)
+        >>> mass = giajax.Prior(0.05, factor=1.5)  # one sigma: between 0.033 and 0.075
+    """
+
+    value: float
+    deviation: float | None = None
+    factor: float | None = None
+
+    def __post_init__(self) -> None:
+        if not math.isfinite(self.value):
+            raise InputError(f"the prior has the value {self.value}: give a finite number")
+        if (self.deviation is None) == (self.factor is None):
+            raise InputError(
+                "the prior must have a deviation, or a factor if it is log-normal: give one of them"
+            )
+        if self.deviation is not None and not 0 < self.deviation < math.inf:
+            raise InputError(
+                f"the prior has the deviation {self.deviation:g}: give a positive number"
+            )
+        if self.factor is not None and not 1 < self.factor < math.inf:
+            raise InputError(
+                f"the prior has the factor {self.factor:g}: give a number above 1, such as 1.2 "
+                "for 20 percent"
+            )
+        if self.factor is not None and self.value <= 0:
+            raise InputError(
+                f"the prior has a factor and the value {self.value:g}: give a positive value, or "
+                "a deviation"
+            )
+
+    @property
+    def logarithmic(self) -> bool:
+        """Whether the logarithm of the parameter is normal."""
+        return self.factor is not None
+
+    @property
+    def centre(self) -> float:
+        """Mean of the parameter, or of its logarithm."""
+        return math.log(self.value) if self.logarithmic else self.value
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation of the parameter, or of its logarithm."""
+        if self.factor is not None:
+            return math.log(self.factor)
+        assert self.deviation is not None
+        return self.deviation
+
+    def contents(self) -> dict[str, float]:
+        """What a file says of it."""
+        known = dataclasses.asdict(self)
+        return {name: value for name, value in known.items() if value is not None}
+
+
+# The declaration of a quantity, once: for the model that computes with it and for files.
+
+
+@dataclasses.dataclass(frozen=True)
+class Key:
+    """How a file states a quantity.
+
+    Attributes:
+        name: of the key; it ends in its unit, which need not be the SI unit.
+        lower, upper: what a file may state, SI, where that is less than the model computes with.
+        closed: whether the value may be the bound itself, as an axial inertia may be zero.
+        example: a value, in the key's unit, that shows more than the default does.
+        remark: added to the sentence of what the value must be.
+        place: of the quantity in the list of numbers, where several share the key: x, then y.
+        meaning: of a key that several quantities share.
+    """
+
+    name: str
+    _: dataclasses.KW_ONLY
+    lower: float | None = None
+    upper: float | None = None
+    closed: bool = False
+    example: float | list[float] | None = None
+    remark: str = ""
+    place: int | None = None
+    meaning: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Declaration:
+    """What a parameter says of itself.
+
+    Attributes:
+        default: the value of the preset `takeichi_20m` (each element, where it is an array), SI.
+        unit: SI unit, in the spelling of the file formats; "" for a pure number.
+        doc: one line of meaning.
+        lower, upper: bounds, SI; a fit starts strictly between them, and may end on one.
+        frozen: held at its value in a fit unless it is asked for by its path.
+        assumed: the paper gives no number; this one is a guess that a fit should replace.
+        optional: may be None, which leaves out its part of the model and the cost of it; its
+            default is then the value that it is switched on with.
+        neutral: of an optional one, the value with which its part changes nothing: the model
+            then predicts what it does where the part is left out.
+        shape: of a parameter that is an array of fixed shape, such as a vector.
+        per: what an element of it belongs to: "link", "joint", "body"; "" where it belongs to
+            the whole model.
+        each: whether it may be one number for all links or joints, as well as an array with one
+            for each; without it, a parameter per link is always an array.
+        any_number: whether a model may have any number of its elements, with no count of its own.
+        has_states: of an optional one, whether its part adds states to the motion; suspects are
+            not asked for with those, and one of the model's `variants` has it.
+        source: where the default is from, or the equation that the parameter stands in.
+        key: how files state it; None: by its path alone.
+        path: in a model, such as `links.mass`; "" for a parameter that is in no group.
+    """
+
+    default: float
+    _: dataclasses.KW_ONLY
+    unit: str
+    doc: str
+    lower: float = -np.inf
+    upper: float = np.inf
+    frozen: bool = True
+    assumed: bool = False
+    optional: bool = False
+    neutral: float = 0.0
+    shape: tuple[int, ...] = ()
+    per: str = ""
+    each: bool = False
+    any_number: bool = False
+    has_states: bool = False
+    source: str = ""
+    key: Key | None = None
+    path: str = ""
+
+    @property
+    def meaning(self) -> str:
+        """`doc`, and whether there may be several numbers."""
+        several = f" (one number, or one per {self.per})" if self.each and self.per else ""
+        return self.doc + several
+
+    @property
+    def factor(self) -> float:
+        """How many SI units one unit of the key's value is; 1 without a key."""
+        return 1.0 if self.key is None else key_factor(self.key.name, self.unit)
+
+
+class Group:
+    """The quantities of one module of a model, as class attributes of a subclass.
+
+    Arguments:
+        at: path of the module, such as `links`; "" for that of the model itself.
+
+    The attributes of an instance know their paths; iterating over it gives them in their order.
+    """
+
+    def __init__(self, at: str) -> None:
+        self._names = [name for name, d in vars(type(self)).items() if isinstance(d, Declaration)]
+        for name in self._names:
+            path = f"{at}.{name}" if at else name
+            setattr(self, name, dataclasses.replace(getattr(type(self), name), path=path))
+
+    def __iter__(self) -> Iterator[Declaration]:
+        return (getattr(self, name) for name in self._names)

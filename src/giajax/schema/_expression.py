@@ -1,0 +1,150 @@
+"""Arithmetic over paths of parameters: `1.5 * joints.pitch_stiffness`.
+
+Python's own parser reads the text; nothing of it is ever run as Python.
+"""
+
+import ast
+import dataclasses
+import math
+import re
+from collections.abc import Callable, Mapping
+from typing import Any, Self
+
+from ..runtime.text import InputError, shown
+
+# What an expression may call; `Expression.value` is told what they are.
+_FUNCTIONS = ("sqrt", "exp", "log")
+
+_LONGEST = 1_000
+_DEEPEST = 100
+
+# As everywhere in files and on the command line: `1_0` is no ten here.
+_DIGITS = r"(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
+_NUMBER = re.compile(_DIGITS)
+_NAME = r"[A-Za-z_][A-Za-z0-9_]*(?![A-Za-z0-9_])"
+_WORDS = re.compile(rf"(?:\s*(?:{_DIGITS}(?![A-Za-z0-9_.])|{_NAME}|[-+*/()\[\].]))+\s*")
+_OPERATORS: dict[type[ast.AST], str] = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
+
+_MADE_OF = (
+    f"numbers, paths of parameters, + - * /, parentheses and {', '.join(_FUNCTIONS)}: correct it"
+)
+
+# A number, ("path", name), or an operator or function with its operands.
+_Node = float | tuple[Any, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Expression:
+    """An expression over parameters; `Expression.parse` makes it.
+
+    Attributes:
+        text: as it was written.
+        paths: of the parameters in it, each once, in their order.
+        tree: what `value` computes.
+
+    Example:
+        >>> twice = Expression.parse("2 * links.mass[0]")
+        >>> twice.paths
+        ('links.mass[0]',)
+        >>> twice.value({"links.mass[0]": 0.25}.__getitem__, {})
+        0.5
+    """
+
+    text: str
+    paths: tuple[str, ...]
+    tree: _Node = dataclasses.field(repr=False)
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """The expression that a text says.
+
+        Raises:
+            InputError: it is not arithmetic, names no parameter, or is endless.
+        """
+        text = text.strip()
+        if len(text) > _LONGEST or not text.isascii() or not _WORDS.fullmatch(text):
+            raise _wrong(text)
+        paths: dict[str, None] = {}
+        try:
+            tree = _node(ast.parse(text, mode="eval").body, text, paths, 0)
+        except (SyntaxError, ValueError, MemoryError, RecursionError):
+            raise _wrong(text) from None
+        if not paths:
+            raise InputError(
+                f"the expression {shown(text)} names no parameter: write one that does, or fix the "
+                "value"
+            )
+        return cls(text, tuple(paths), tree)
+
+    def value(self, of: Callable[[str], Any], functions: Mapping[str, Callable[[Any], Any]]) -> Any:
+        """What it comes to.
+
+        Arguments:
+            of: the value of the parameter at a path, SI.
+            functions: `sqrt`, `exp` and `log` of what `of` returns.
+        """
+        return _value(self.tree, of, functions)
+
+
+def _wrong(text: str) -> InputError:
+    return InputError(f"the expression {shown(text)} must be made of {_MADE_OF}")
+
+
+def _node(node: ast.AST, text: str, paths: dict[str, None], depth: int) -> _Node:
+    """A part of the parsed text; whatever is no arithmetic raises `ValueError`."""
+    if depth > _DEEPEST:
+        raise ValueError
+    if isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
+        left = _node(node.left, text, paths, depth + 1)
+        return _OPERATORS[type(node.op)], left, _node(node.right, text, paths, depth + 1)
+    if isinstance(node, ast.UnaryOp) and type(node.op) in (ast.UAdd, ast.USub):
+        operand = _node(node.operand, text, paths, depth + 1)
+        return operand if isinstance(node.op, ast.UAdd) else ("-", 0.0, operand)
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+        if node.func.id not in _FUNCTIONS or node.keywords or len(node.args) != 1:
+            raise ValueError
+        return node.func.id, _node(node.args[0], text, paths, depth + 1)
+    if isinstance(node, ast.Constant):
+        return _number(ast.get_source_segment(text, node) or "")
+    path = _path(node, text)
+    paths[path] = None
+    return "path", path
+
+
+def _number(text: str) -> float:
+    if not _NUMBER.fullmatch(text) or not math.isfinite(float(text)):
+        raise ValueError
+    return float(text)
+
+
+def _path(node: ast.AST, text: str) -> str:
+    """A path such as `links.mass[2]`."""
+    if isinstance(node, ast.Subscript):
+        digits = ast.get_source_segment(text, node.slice) or ""
+        if isinstance(node.value, ast.Subscript) or not re.fullmatch("[0-9]{1,9}", digits):
+            raise ValueError
+        return f"{_path(node.value, text)}[{int(digits)}]"
+    if isinstance(node, ast.Attribute):
+        return f"{_path(node.value, text)}.{node.attr}"
+    if isinstance(node, ast.Name):
+        return node.id
+    raise ValueError
+
+
+def _value(
+    node: _Node, of: Callable[[str], Any], functions: Mapping[str, Callable[[Any], Any]]
+) -> Any:
+    if isinstance(node, float):
+        return node
+    kind, *operands = node
+    if kind == "path":
+        return of(operands[0])
+    values = [_value(operand, of, functions) for operand in operands]
+    if kind in functions:
+        return functions[kind](values[0])
+    left, right = values
+    if kind == "+":
+        return left + right
+    if kind == "-":
+        return left - right
+    return left * right if kind == "*" else left / right

@@ -1,0 +1,222 @@
+"""What a kind of model declares of itself, without JAX; `giajax.schema.KINDS` lists the kinds."""
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple, Protocol, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from ._section import Section
+
+S = TypeVar("S", bound=Section)
+
+
+class RecordedChannel(Protocol):
+    """What a kind asks of a channel of a run; see `giajax.recordings.Channel`."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def kind(self) -> str: ...
+    @property
+    def index(self) -> int | None: ...
+    @property
+    def quantity(self) -> str: ...
+    @property
+    def unit(self) -> str: ...
+    @property
+    def camera(self) -> str | None: ...
+
+
+class Sections(Protocol):
+    """What a kind asks of a definition; see `giajax.recordings.Definition`."""
+
+    @property
+    def free_motion(self) -> bool | None: ...
+
+    def section(self, of: type[S]) -> S:
+        """The section of a class, with its defaults where it is not in the file."""
+
+
+class Content(Protocol):
+    """What a kind asks of a run; see `giajax.recordings.Run`."""
+
+    @property
+    def times(self) -> npt.NDArray[np.float64] | None: ...
+    @property
+    def values(self) -> Mapping[str, npt.NDArray[Any]]: ...
+    @property
+    def channels(self) -> Mapping[str, RecordedChannel]: ...
+    @property
+    def definition(self) -> Sections: ...
+
+
+class Wording(Protocol):
+    """How errors name the parts of a run: `row 5` and columns of a file, samples of arrays."""
+
+    @property
+    def source(self) -> str: ...
+
+    def at(self, index: Any) -> str:
+        """The row of the sample with this index."""
+
+    def of(self, channel: RecordedChannel) -> str:
+        """The name of the channel in the person's file or arrays."""
+
+
+# What a kind of model declares of itself, without JAX; `giajax.schema.KINDS` lists the kinds.
+
+CAMERA_NAME = "[A-Za-z][A-Za-z0-9_]*"
+"""Regular expression of the name of a camera."""
+
+
+@dataclass(frozen=True)
+class ChannelKind:
+    """A row of the column table.
+
+    Attributes:
+        name: of the row, such as `link_position`.
+        column: a channel of the row without its unit, as documentation writes it: `linkNN_x`. NN
+            stands for the number of a joint, link or landmark, x at the end for x, y or z, u at
+            the end for u or v. Of u and v the name of a camera may go before: `side.linkNN_u`.
+        quantity: of its values, as in `runs`' table of quantities; None: any.
+        part: what it is to the model: an input, something of the surroundings that acts on it
+            as well, or an output, which is what it predicts.
+        texts: the values of a channel that holds text.
+        noise: key of `[noise]` that holds for it, beside its own column.
+    """
+
+    name: str
+    column: str
+    quantity: str | None
+    part: Literal["input", "surroundings", "output"]
+    texts: tuple[str, ...] = ()
+    noise: str | None = None
+
+    @property
+    def pattern(self) -> str:
+        """Regular expression of the channels of this row, with groups `index`, `component` and
+        `camera`."""
+        numbered = self.column.replace("NN", "(?P<index>[0-9]+)")
+        if numbered.endswith("_u"):
+            return rf"(?:(?P<camera>{CAMERA_NAME})\.)?{numbered[:-1]}(?P<component>[uv])"
+        return re.sub("_x$", "_(?P<component>[xyz])", numbered)
+
+    @property
+    def components(self) -> str:
+        """What the last letter of a channel may be: one for each component; empty without any."""
+        return {"_x": "xyz", "_u": "uv"}.get(self.column[-2:], "")
+
+
+class Offer(NamedTuple):
+    """A section in the template of a sidecar.
+
+    Attributes:
+        section: its name; empty for keys before the first section.
+        keys: the keys to offer -> their values; None: the key is a comment with an example.
+        comment: after the section's name.
+    """
+
+    section: str
+    keys: Mapping[str, Any]
+    comment: str = ""
+
+
+def _no_check(content: Content, wording: Wording) -> None:
+    """For a kind whose runs are checked by their channels alone."""
+
+
+def _no_notes(content: Content, sidecar: bool) -> list[str]:
+    return []
+
+
+def _over_time(content: Content) -> str | None:
+    return None
+
+
+def _linear(content: Content) -> str:
+    return "linear"
+
+
+def _unchanged(data: dict[str, Any]) -> dict[str, Any]:
+    return data
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of model: what its runs hold, what its files say, where the model is.
+
+    Attributes:
+        name: the `model = "..."` of a sidecar.
+        model: module in `giajax.models` and class, as `_arm:ArmModel`; imported when a model is
+            built, because that needs JAX.
+        channels: rows of the column table, in the order of a written file.
+        recognises: whether a run with these rows is of this kind, where no sidecar says which
+            it is.
+        measured: columns to fit, as an example in messages.
+        sections: of a definition, that describe the model -> their classes.
+        run_sections: of a definition, that describe one run.
+        commands: rows of the table that count as a command in a description of a run.
+        uncommanded: what a description says of a run without a command; empty: nothing.
+        timed: whether every run has times.
+        interpolation: how the commands of a run go between two rows: "linear", "zoh" (held) or
+            "band_limited".
+        drawn_over: the input over which measured channels of a run are drawn; None: over time.
+        check: raises `InputError` for what no model of this kind could use in a run.
+        notes: sentences on what is assumed in a run, because its file does not say it. The
+            second argument is whether there is a sidecar.
+        template: sections to offer for a run with these channels.
+        template_heading: the second line of a template.
+        former_parameters: paths in results of older versions that no longer exist.
+        upgraded: a definition of an older version as one of this version.
+    """
+
+    name: str
+    model: str
+    channels: tuple[ChannelKind, ...]
+    recognises: Callable[[frozenset[str]], bool]
+    measured: str
+    sections: Mapping[str, type[Section]] = field(default_factory=dict)
+    run_sections: Mapping[str, type[Section]] = field(default_factory=dict)
+    commands: tuple[str, ...] = ()
+    uncommanded: str = ""
+    timed: bool = False
+    interpolation: Callable[[Content], str] = _linear
+    drawn_over: Callable[[Content], str | None] = _over_time
+    check: Callable[[Content, Wording], None] = _no_check
+    notes: Callable[[Content, bool], list[str]] = _no_notes
+    template: Callable[[Sequence[RecordedChannel]], list[Offer]] | None = None
+    template_heading: str = "# is assumed or unknown."
+    former_parameters: frozenset[str] = frozenset()
+    upgraded: Callable[[dict[str, Any]], dict[str, Any]] = _unchanged
+
+    @property
+    def all_sections(self) -> dict[str, type[Section]]:
+        """Sections that describe the model, and then those that describe one run."""
+        return {**self.sections, **self.run_sections}
+
+    def rows(self, *parts: str) -> tuple[str, ...]:
+        """Names of the rows of the column table that play one of these parts."""
+        return tuple(row.name for row in self.channels if row.part in parts)
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Rows of what the model is driven by, apart from its surroundings."""
+        return self.rows("input")
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Rows of what the model predicts, and a run measures."""
+        return self.rows("output")
+
+    def offers(self, channels: Sequence[RecordedChannel]) -> list[Offer]:
+        """The sections that a template offers: each of the model with all of its keys, unless
+        the kind chooses them by the channels of the run."""
+        if self.template is not None:
+            return self.template(channels)
+        return [
+            Offer(name, dict.fromkeys(section.model_fields), "unless stated: what giajax assumes")
+            for name, section in self.sections.items()
+        ]

@@ -1,0 +1,425 @@
+"""Fields of models that are parameters: found, read and replaced by their paths. Imports JAX."""
+
+import dataclasses
+import difflib
+import re
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, TypeVar, overload
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..runtime.arrays import Array, on_device
+from ..runtime.text import InputError
+from ._declaration import Declaration
+
+DECLARED = "giajax.parameter"
+"""Metadata of a field that is a parameter: its declaration."""
+
+INLINE = "giajax.inline"
+"""Metadata of a field whose own name is not in the paths of its parameters."""
+
+
+@overload
+def parameter(declared: Declaration, /) -> Any: ...
+@overload
+def parameter(
+    declared: float,
+    /,
+    *,
+    unit: str,
+    doc: str,
+    lower: float = -np.inf,
+    upper: float = np.inf,
+    frozen: bool = True,
+    assumed: bool = False,
+    optional: bool = False,
+    neutral: float = 0.0,
+    shape: tuple[int, ...] = (),
+    per: str = "",
+    each: bool = False,
+    source: str = "",
+) -> Any: ...
+def parameter(declared: Declaration | float, /, **about: Any) -> Any:
+    """Field of an Equinox module that is a parameter.
+
+    The value is converted to an array of the default floating-point type, strongly typed: a
+    weakly typed scalar would compile every program twice.
+
+    Arguments:
+        declared: the declaration, of `giajax.schema`; or a default (SI), for a model of
+            your own, with the rest of its declaration as keywords.
+        about: the rest of a declaration; `unit` and `doc` are needed.
+
+    Example:
+        >>> import equinox as eqx
+        >>> import jax
+        >>> from giajax.schema.parameters import parameter
+        >>> from giajax.schema import AIR
+        >>> class Ball(eqx.Module):
+        ...     density: jax.Array = parameter(AIR.density)
+        ...     radius: jax.Array = parameter(0.1, unit="m", lower=0, doc="radius of the ball")
+        >>> float(Ball().density)
+        1.204
+    """
+    if not isinstance(declared, Declaration):
+        declared = Declaration(declared, **about)
+    return eqx.field(
+        converter=_converter(declared),
+        default=None if declared.optional else declared.default,
+        metadata={DECLARED: declared},
+    )
+
+
+def _converter(declaration: Declaration) -> Callable[[Any], Any]:
+    def convert(value: Any) -> Any:
+        if value is None and declaration.optional:
+            return None
+        dtype = jnp.result_type(float)
+        if not any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(value)):
+            # By numpy: JAX would compile a program to convert a list, or integers.
+            value = on_device(np.array(value, dtype))
+        array = jnp.asarray(value, dtype=dtype)
+        shape = declaration.shape
+        return jnp.broadcast_to(array, shape) if shape and array.ndim == 0 else array
+
+    return convert
+
+
+HELD = "giajax.held"
+"""Metadata of a field whose parameters a fit finds only where it is asked for them."""
+
+
+def held(*, inline: bool = False, **options: Any) -> Any:
+    """Field whose parameters are all frozen in this owner, whatever they are elsewhere.
+
+    `inline` is as of the function of that name; `options` are those of `equinox.field`.
+    """
+    return eqx.field(metadata={HELD: True, INLINE: inline}, **options)
+
+
+def inline(**options: Any) -> Any:
+    """Field whose parameters appear in the paths of its owner without the field's own name.
+
+    `options` are those of `equinox.field`, such as `default_factory`.
+    """
+    return eqx.field(metadata={INLINE: True}, **options)
+
+
+def declaration(module: type[eqx.Module], field: str) -> Declaration:
+    """The declaration at a field of a module class."""
+    return module.__dataclass_fields__[field].metadata[DECLARED]
+
+
+# The parameters of a model: how to reach each, and which there are.
+
+Module = TypeVar("Module", bound=eqx.Module)
+
+
+@dataclasses.dataclass(frozen=True)
+class Parameter:
+    """A declared parameter of one model: its path, its declaration and how to reach it.
+
+    Parts of a model that declare the same path share it: it is then in several places.
+    """
+
+    path: str
+    declaration: Declaration
+    getters: tuple[Callable[[Any], Any], ...]
+    index: int | None = None
+
+    def value(self, model: eqx.Module) -> Array:
+        """The parameter's array in a model (one element where the path has an index)."""
+        array = next(array for get in self.getters if (array := get(model)) is not None)
+        return array if self.index is None else array[self.index]
+
+    def is_on(self, model: eqx.Module) -> bool:
+        """Whether the model has this parameter, or leaves its part out."""
+        return any(get(model) is not None for get in self.getters)
+
+    @property
+    def is_shared(self) -> bool:
+        """Whether several parts of the model have it."""
+        return len(self.getters) > 1
+
+    @property
+    def any_number(self) -> bool:
+        """Whether it may get another number of elements than it has."""
+        return self.declaration.any_number and self.index is None
+
+    def set(self, model: Module, value: Any) -> Module:
+        """The model with this parameter replaced; differentiable in `value`.
+
+        A parameter that was left out is switched on.
+        """
+        for getter in self.getters:
+            model = self._set(model, getter, value)
+        return model
+
+    def _set(self, model: Module, getter: Callable[[Any], Any], value: Any) -> Module:
+        old = getter(model)
+        if old is None:
+            value = jnp.asarray(value, dtype=jnp.result_type(float))
+            if value.ndim == 0:
+                value = jnp.broadcast_to(value, self.declaration.shape)
+            model = eqx.tree_at(getter, model, value, is_leaf=lambda leaf: leaf is None)
+            _check(model)
+            return model
+        value = jnp.asarray(value, dtype=old.dtype)
+        if self.index is not None:
+            new = old.at[self.index].set(value)
+        elif (self.declaration.each and value.ndim > old.ndim) or (self.any_number and value.ndim):
+            new = value
+        else:
+            new = jnp.broadcast_to(value, old.shape)
+        return eqx.tree_at(getter, model, new)
+
+
+def declared(model: eqx.Module) -> dict[str, Parameter]:
+    """All parameters of a model by dotted path, in the order of their fields.
+
+    Optional ones that the model leaves out are not among them; see `left_out`.
+    """
+    return {path: p for path, p in _by_path(model).items() if p.is_on(model)}
+
+
+def left_out(model: eqx.Module) -> dict[str, Parameter]:
+    """The optional parameters that a model leaves out, by dotted path.
+
+    `replace` switches one on, by giving it a value.
+    """
+    return {path: p for path, p in _by_path(model).items() if not p.is_on(model)}
+
+
+def default_free(model: eqx.Module, started: Iterable[str] = ()) -> tuple[str, ...]:
+    """Paths that a fit frees by default: those whose declaration is not frozen.
+
+    What the model holds at a bound, such as the spring of a pendulum at zero, is left out of it
+    on purpose, and stays so, unless it is among those that have a start.
+    """
+    started = set(started)
+
+    def inside(parameter: Parameter) -> bool:
+        value, declaration = np.asarray(parameter.value(model)), parameter.declaration
+        return bool(np.all((declaration.lower < value) & (value < declaration.upper)))
+
+    return tuple(
+        path
+        for path, parameter in declared(model).items()
+        if not parameter.declaration.frozen and (path in started or inside(parameter))
+    )
+
+
+def _by_path(model: eqx.Module) -> dict[str, Parameter]:
+    """All parameters, those that are left out too; of those that parts share, one."""
+    parameters: dict[str, Parameter] = {}
+    for found in _walk(model, "", lambda root: root):
+        known = parameters.get(found.path)
+        if known is not None:
+            # Held in one part, it is free where another part's recordings tell it.
+            freer = found if known.declaration.frozen else known
+            getters = (*known.getters, *found.getters)
+            found = dataclasses.replace(freer, getters=getters)
+        parameters[found.path] = found
+    return parameters
+
+
+def _walk(node: eqx.Module, prefix: str, getter: Callable[[Any], Any]) -> Iterable[Parameter]:
+    for field in dataclasses.fields(node):
+        reach = _attribute(getter, field.name)
+        if DECLARED in field.metadata:
+            yield Parameter(prefix + field.name, field.metadata[DECLARED], (reach,))
+            continue
+        inner = prefix if field.metadata.get(INLINE) else f"{prefix}{field.name}."
+        child, held = getattr(node, field.name), field.metadata.get(HELD, False)
+        if isinstance(child, eqx.Module):
+            yield from (
+                map(_frozen, _walk(child, inner, reach)) if held else _walk(child, inner, reach)
+            )
+        elif isinstance(child, tuple):
+            for index, part in enumerate(child):
+                if isinstance(part, eqx.Module):
+                    yield from _walk(part, inner, _element(reach, index))
+        elif isinstance(child, dict):
+            for name, part in child.items():
+                if isinstance(part, eqx.Module):
+                    yield from _walk(part, f"{inner}{name}.", _element(reach, name))
+
+
+def _frozen(parameter: Parameter) -> Parameter:
+    declaration = dataclasses.replace(parameter.declaration, frozen=True)
+    return dataclasses.replace(parameter, declaration=declaration)
+
+
+def checked(model: Module) -> Module:
+    """The model, after what its classes check when it is built."""
+    _check(model)
+    return model
+
+
+def _check(node: eqx.Module) -> None:
+    """What the classes of a model check when it is built: not every option suits every model."""
+    check = getattr(node, "__check_init__", None)
+    if check is not None:
+        check()
+    for field in dataclasses.fields(node):
+        child = getattr(node, field.name)
+        several = child.values() if isinstance(child, dict) else child
+        for part in several if isinstance(child, tuple | dict) else (child,):
+            if isinstance(part, eqx.Module):
+                _check(part)
+
+
+def _attribute(getter: Callable[[Any], Any], name: str) -> Callable[[Any], Any]:
+    return lambda root: getattr(getter(root), name)
+
+
+def _element(getter: Callable[[Any], Any], index: int | str) -> Callable[[Any], Any]:
+    return lambda root: getter(root)[index]
+
+
+# Finding a parameter by its path, reading it, and giving it another value.
+
+_PATH = re.compile(r"(?P<name>[A-Za-z_][\w.]*?)(?:\[(?P<index>[0-9]{1,9})\])?\Z", re.ASCII)
+
+
+def find(model: eqx.Module, path: str) -> Parameter:
+    """The parameter at a path such as `air.drag_coefficient` or `links.mass[2]`.
+
+    Indices count from 0, as in Python.
+
+    Raises:
+        InputError: there is no such parameter (the nearest one is named), or the index is
+            beyond its length.
+    """
+    known = declared(model)
+    match = _PATH.match(path)
+    name = match["name"] if match else path
+    if match is None or name not in known:
+        off = left_out(model)
+        if name in off:
+            raise InputError(
+                f"'{name}' is left out of this model: give it a value to switch it on "
+                f"(such as {off[name].declaration.default:g})"
+            )
+        raise InputError(f"there is no parameter '{path}': {_suggestion(name, [*known, *off])}")
+    parameter = known[name]
+    if match["index"] is None:
+        return parameter
+    index = int(match["index"])
+    shape = parameter.value(model).shape
+    if len(shape) != 1:
+        raise InputError(f"'{name}' is a single number: leave out the index in '{path}'")
+    if index >= shape[0]:
+        raise InputError(
+            f"'{path}' is beyond the {shape[0]} elements of '{name}': "
+            f"indices run from 0 to {shape[0] - 1}"
+        )
+    return dataclasses.replace(parameter, path=path, index=index)
+
+
+def elements(model: eqx.Module, path: str) -> list[Parameter]:
+    """The scalar parameters that a path stands for: itself, or each element of its array."""
+    parameter = find(model, path)
+    shape = parameter.value(model).shape
+    if shape == ():
+        return [parameter]
+    return [
+        dataclasses.replace(parameter, path=f"{path}[{index}]", index=index)
+        for index in range(shape[0])
+    ]
+
+
+def get(model: eqx.Module, path: str) -> Array:
+    """Value of the parameter at a path."""
+    return find(model, path).value(model)
+
+
+def _suggestion(name: str, known: Iterable[str]) -> str:
+    names = list(known)
+    last = {path.rsplit(".", 1)[-1]: path for path in names}
+    begun = [path for path in names if name and path.startswith(name)]
+    near = (
+        begun
+        or difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+        or [
+            last[match]
+            for match in difflib.get_close_matches(name.rsplit(".", 1)[-1], last, n=1, cutoff=0.5)
+        ]
+    )
+    if near:
+        return f"did you mean '{near[0]}'?"
+    return "'giajax parameters' lists them all"
+
+
+# A model with other values of its parameters.
+
+
+def replace(model: Module, values: Mapping[str, Any]) -> Module:
+    """The model with the parameters at some paths replaced; the model itself is unchanged.
+
+    An optional parameter that the model leaves out is switched on.
+
+    Example:
+        >>> import giajax
+        >>> arm = giajax.takeichi_20m()
+        >>> heavier = giajax.replace(arm, {"links.mass": 0.06, "air.drag_coefficient": 1.0})
+    """
+    counted = False
+    for path, value in values.items():
+        absent = left_out(model)
+        parameter = absent[path] if path in absent else find(model, path)
+        counted |= parameter.any_number
+        model = parameter.set(model, value)
+    # Numbers of elements must suit each other once all of them are replaced.
+    return checked(model) if counted else model
+
+
+def switched_on(model: Module, paths: Iterable[str]) -> Module:
+    """The model in which none of the paths is left out; those that were have their defaults."""
+    for path in paths:
+        name = path.partition("[")[0]
+        absent = left_out(model)
+        if name in absent:
+            model = absent[name].set(model, absent[name].declaration.default)
+    return model
+
+
+def check_count(model: Module, path: str, value: Any) -> None:
+    """Refuse values for a parameter that are neither one nor one for each of its elements.
+
+    Raises:
+        InputError: naming the parameter and both numbers.
+    """
+    size, count = np.size(value), len(elements(model, path))
+    if size not in (1, count) and not find(model, path).any_number:
+        raise InputError(
+            f"{path} is set to {size} values and has {count} element{'s' * (count != 1)}: give one "
+            "value, or one for each"
+        )
+
+
+def check_within_bounds(parameter: Parameter, value: float, *, free: bool) -> None:
+    """Refuse a value outside the bounds; a free parameter must lie strictly inside.
+
+    Raises:
+        InputError: naming the parameter, the value and its bounds.
+    """
+    declaration = parameter.declaration
+    lower, upper = declaration.lower, declaration.upper
+    inside = lower < value < upper if free else lower <= value <= upper
+    if np.isfinite(value) and inside:
+        return
+    unit = f" {declaration.unit}" if declaration.unit else ""
+    between = "strictly between" if free else "between"
+    raise InputError(
+        f"{parameter.path} = {value:g}{unit} is outside its bounds: "
+        f"choose a value {between} {lower:g} and {upper:g}{unit}"
+    )
+
+
+def is_concrete(value: Any) -> bool:
+    """Whether a value is known now, not while a program is being traced."""
+    return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(value))

@@ -1,0 +1,75 @@
+"""Questions that take many fits or derivatives of a fitted model."""
+
+from ._bootstrap import Bootstrap as Bootstrap, Repeated as Repeated, bootstrap as bootstrap
+from ._choose import (
+    CANDIDATES as CANDIDATES,
+    Candidate as Candidate,
+    Choice as Choice,
+    Comparison as Comparison,
+    choice_hint as choice_hint,
+    choose_hysteresis as choose_hysteresis,
+    compare as compare,
+)
+from ._contrast import (
+    Contrast as Contrast,
+    ContrastColumn as ContrastColumn,
+    ContrastRow as ContrastRow,
+    contrast as contrast,
+)
+from ._influence import Influence as Influence, LeftOut as LeftOut, influence as influence
+from ._ladder import TRIES as TRIES, Ladder as Ladder, Rung as Rung, ladder as ladder
+from ._multi_start import (
+    SAME_END as SAME_END,
+    SEED as SEED,
+    SPREAD as SPREAD,
+    Valley as Valley,
+    lost_starts as lost_starts,
+    multi_start as multi_start,
+    solve_from_starts as solve_from_starts,
+    valleys as valleys,
+)
+from ._posterior import check_posterior as check_posterior, posterior as posterior
+from ._posterior_records import (
+    Band as Band,
+    Marginal as Marginal,
+    Posterior as Posterior,
+    PosteriorSummary as PosteriorSummary,
+)
+from ._profile import profile as profile, profiles_beside as profiles_beside
+from ._profile_records import (
+    PROFILES as PROFILES,
+    Profile as Profile,
+    ProfilePoint as ProfilePoint,
+    Profiles as Profiles,
+    load_profiles as load_profiles,
+)
+from ._refit import (
+    Fitted as Fitted,
+    begun_as_fitted as begun_as_fitted,
+    begun_where_it_ended as begun_where_it_ended,
+    fit_key as fit_key,
+    optimum_of as optimum_of,
+    refit as refit,
+)
+from ._sensitivity import (
+    Sensitivity as Sensitivity,
+    body_of as body_of,
+    expected_errors as expected_errors,
+    planned as planned,
+    sensitivity as sensitivity,
+)
+from ._starts import has_earlier_starts as has_earlier_starts, misfit as misfit
+from ._suspects import (
+    LEVEL as LEVEL,
+    Suspects as Suspects,
+    promising as promising,
+    suspects as suspects,
+)
+from ._systematic import (
+    check_uncertainty as check_uncertainty,
+    deciding_conditions as deciding_conditions,
+    systematic_errors as systematic_errors,
+    together as together,
+    with_suspects as with_suspects,
+    with_systematic_errors as with_systematic_errors,
+)

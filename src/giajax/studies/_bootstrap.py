@@ -1,0 +1,645 @@
+"""A fit repeated with data that might have been recorded instead: the bootstrap."""
+
+import dataclasses
+import json
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from pathlib import Path
+from typing import Any, Literal, Self, get_args
+
+import numpy as np
+from scipy.special import betaincinv
+
+from ..fitting import FitResult, Optimum, Recorded, Statistics, student_reach
+from ..noise import ChannelNoise, drawn
+from ..recordings import Run
+from ..runtime.arrays import Float
+from ..runtime.execution import run_tasks
+from ..runtime.tasks import Outcome, Task
+from ..runtime.text import InputError
+from ..schema.parameters import get
+from ._refit import Fitted, optimum_of, refit
+
+# What repetitions of a fit say, as data: `bootstrap.json` gives each record back.
+
+Method = Literal["parametric", "block"]
+
+SCHEMA_VERSION = 1
+
+
+@dataclasses.dataclass(frozen=True)
+class Repeated:
+    """One parameter, or what follows from the parameters, over the fits that came back.
+
+    What needs two fits at least is None with fewer.
+
+    Attributes:
+        value: where the repetitions begin and what made their data, SI.
+        standard_error: that the result states.
+        unit: SI.
+        bias: mean of the repetitions less the value, in standard errors.
+        bias_error: Monte Carlo error of the bias: one standard deviation.
+        spread: standard deviation of the repetitions, SI.
+        ratio: spread over standard error.
+        ratio_error: Monte Carlo error of the ratio: one standard deviation, of normal estimates.
+        percentile: from the 2.5th to the 97.5th percentile of the repetitions.
+        basic: the same, mirrored at the value: what the value may have come from.
+        covered: of how many repetitions the 95 % interval holds the value that made their data;
+            None where that is no truth (blocks), or of what has no interval.
+        asked: how many have an interval.
+        coverage: `covered` over `asked`.
+        coverage_interval: where the coverage is by 95 % (Clopper and Pearson 1934).
+        values: of the repetitions, SI.
+    """
+
+    value: float
+    standard_error: float | None
+    unit: str
+    bias: float | None
+    bias_error: float | None
+    spread: float | None
+    ratio: float | None
+    ratio_error: float | None
+    percentile: tuple[float, float] | None
+    basic: tuple[float, float] | None
+    covered: int | None
+    asked: int
+    coverage: float | None
+    coverage_interval: tuple[float, float] | None
+    values: tuple[float, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Bootstrap:
+    """What repetitions of a fit say of its standard errors and intervals.
+
+    Attributes:
+        method: "parametric": data of the fitted model with noise of the fitted noise model; or
+            "block": with blocks of the residuals.
+        seed: of all repetitions.
+        size: repetitions that were done.
+        asked: repetitions that were asked for; more than `size` where Ctrl-C or an error came.
+        whole: whether each was fitted as the data were, noise and all; else with the noise as the
+            result has it.
+        came_back: fits that converged, of which the parameters tell.
+        reasons: how often each other reason (`FitResult.reason`) ended one.
+        failures: sentences of repetitions that could not be done, each once.
+        at_bounds: how often each parameter ended at a bound, of the fits that came back.
+        parameters: by name: those that the data determine, then what follows from them.
+        block_lengths: by run, in samples; empty without blocks.
+        noise_factor: by what the noise of the model was multiplied: 1 unless the residuals exceed
+            the stated noise, whose standard errors are scaled alike.
+        notes: sentences on what the repetitions leave out.
+        fitted: values of the free parameters of the result, by which a reader knows whose it is.
+    """
+
+    method: Method
+    seed: int
+    size: int
+    asked: int
+    whole: bool
+    came_back: int
+    reasons: dict[str, int]
+    failures: tuple[str, ...]
+    at_bounds: dict[str, int]
+    parameters: dict[str, Repeated]
+    block_lengths: dict[str, int]
+    noise_factor: float
+    notes: tuple[str, ...]
+    fitted: dict[str, float]
+
+    def to_json(self) -> str:
+        """The text of `bootstrap.json`."""
+        record = {"schema_version": SCHEMA_VERSION, **dataclasses.asdict(self)}
+        return json.dumps(record, indent=1, allow_nan=False) + "\n"
+
+    @classmethod
+    def of_json(cls, text: str | bytes) -> Self:
+        """The record that a text of `to_json` holds.
+
+        Raises:
+            InputError: it is of none, or of a later version.
+        """
+        try:
+            record = json.loads(text)
+            if record.pop("schema_version") != SCHEMA_VERSION:
+                raise ValueError
+            repeated = {path: _repeated(item) for path, item in record["parameters"].items()}
+            tuples = {key: tuple(record[key]) for key in ("failures", "notes")}
+            return cls(**{**record, **tuples, "parameters": repeated})
+        except (ValueError, LookupError, TypeError, AttributeError):
+            raise InputError(
+                "this is no bootstrap.json of this version of giajax: repeat the fit again"
+            ) from None
+
+
+def _repeated(record: Mapping[str, Any]) -> Repeated:
+    pairs = ("percentile", "basic", "coverage_interval", "values")
+    tuples = {key: None if record[key] is None else tuple(record[key]) for key in pairs}
+    return Repeated(**{**record, **tuples})
+
+
+# From where repetitions of a fit ended to what they say of its standard errors and intervals.
+
+LEVEL = 0.95
+
+
+def repeated(
+    value: float,
+    standard_error: float | None,
+    unit: str,
+    values: Sequence[float],
+    reaches: Sequence[float | None] | None,
+) -> Repeated:
+    """What repetitions say of a parameter.
+
+    Arguments:
+        value: that made their data.
+        standard_error: that the result states; None where it states none.
+        unit: SI.
+        values: where the repetitions ended.
+        reaches: half of the 95 % interval of each, None of one without; None where nothing is to be
+            said of coverage.
+    """
+    found = np.asarray(values, dtype=float)
+    count = len(found)
+    bias = bias_error = spread = ratio = ratio_error = None
+    percentile = basic = None
+    if count > 1:
+        spread = float(np.std(found, ddof=1))
+        low, high = map(float, np.quantile(found, [(1 - LEVEL) / 2, (1 + LEVEL) / 2]))
+        percentile, basic = (low, high), (2 * value - high, 2 * value - low)
+    if spread is not None and standard_error:
+        bias = (float(np.mean(found)) - value) / standard_error
+        bias_error = spread / np.sqrt(count) / standard_error
+        ratio = spread / standard_error
+        ratio_error = ratio / float(np.sqrt(2 * (count - 1)))
+    covered = coverage = interval = None
+    pairs = (
+        [
+            (there, reach)
+            for there, reach in zip(values, reaches or [], strict=reaches is not None)
+            if reach is not None
+        ]
+        if reaches is not None
+        else []
+    )
+    if pairs:
+        covered = sum(bool(abs(there - value) <= reach) for there, reach in pairs)
+        coverage = covered / len(pairs)
+        interval = binomial_interval(covered, len(pairs))
+    return Repeated(
+        value=value,
+        standard_error=standard_error,
+        unit=unit,
+        bias=bias,
+        bias_error=None if bias_error is None else float(bias_error),
+        spread=spread,
+        ratio=ratio,
+        ratio_error=ratio_error,
+        percentile=percentile,
+        basic=basic,
+        covered=covered,
+        asked=len(pairs),
+        coverage=coverage,
+        coverage_interval=interval,
+        values=tuple(found.tolist()),
+    )
+
+
+def binomial_interval(covered: int, asked: int) -> tuple[float, float]:
+    """Where a probability is by 95 %, of so many of so many (Clopper and Pearson 1934)."""
+    tail = (1 - LEVEL) / 2
+    low = 0.0 if covered == 0 else float(betaincinv(covered, asked - covered + 1, tail))
+    high = 1.0 if covered == asked else float(betaincinv(covered + 1, asked - covered, 1 - tail))
+    return low, high
+
+
+# Data of the fitted model with blocks of the residuals in place of noise from a model.
+#
+# Circular moving blocks (Politis and Romano 1992): rows of residuals are taken in blocks that
+# begin anywhere and go on at the first row after the last one, so that every row is as likely as
+# another. A row is one of all channels at an instant, whose residuals stay together.
+
+# Of a run: shorter ones would be as many blocks as nobody can shuffle.
+_LARGEST_SHARE = 1 / 3
+
+
+@dataclasses.dataclass(frozen=True)
+class Residuals:
+    """Residuals of a run, ready to be taken in blocks.
+
+    Attributes:
+        channels: names.
+        predicted: what the fitted model predicts, SI, shape (sample, channel).
+        residuals: recorded minus predicted, with mean 0, as large as the noise; NaN where nothing
+            was measured, of the same shape.
+        length: of a block, in samples.
+    """
+
+    channels: tuple[str, ...]
+    predicted: Float[np.ndarray, "sample channel"]
+    residuals: Float[np.ndarray, "sample channel"]
+    length: int
+
+    @classmethod
+    def of(
+        cls,
+        run: Run,
+        predicted: Mapping[str, np.ndarray],
+        noise: Mapping[str, ChannelNoise],
+        inflation: float,
+    ) -> Self:
+        """The residuals of a run.
+
+        Arguments:
+            run: as it was recorded.
+            predicted: by channel, SI.
+            noise: that was fitted, by channel.
+            inflation: how much smaller residuals are than the noise, because parameters follow it.
+        """
+        channels = tuple(run.observations)
+        table = np.stack([predicted[name] for name in channels], axis=-1)
+        recorded = np.stack([run.observations[name] for name in channels], axis=-1)
+        rest = recorded - table
+        measured = ~np.isnan(rest)
+        count = np.maximum(measured.sum(axis=0), 1)
+        # Else a channel that the model misses would miss it twice.
+        rest = (rest - np.nansum(rest, axis=0) / count) * inflation
+        return cls(channels, table, rest, block_length(run, rest, [noise[c] for c in channels]))
+
+    def again(self, random: np.random.Generator) -> dict[str, np.ndarray]:
+        """What another experiment would have recorded, by channel, SI; NaN where this one has none.
+
+        A cell that was measured, and gets a row in which its channel was not, gets any residual of
+        the channel.
+        """
+        count = len(self.residuals)
+        starts = random.integers(count, size=-(-count // self.length))
+        rows = (starts[:, None] + np.arange(self.length)).ravel()[:count] % count
+        taken = self.residuals[rows]
+        for column, own in enumerate(self.residuals.T):
+            missing = np.isnan(taken[:, column])
+            known = own[~np.isnan(own)]
+            if len(known):
+                taken[missing, column] = random.choice(known, int(missing.sum()))
+        taken[np.isnan(self.residuals)] = np.nan
+        table = self.predicted + taken
+        return {name: table[:, column] for column, name in enumerate(self.channels)}
+
+
+def block_length(
+    run: Run, residuals: Float[np.ndarray, "sample channel"], noises: Sequence[ChannelNoise]
+) -> int:
+    """Samples of a block: n^(1/3), or more where residuals have a memory.
+
+    For noise with autocovariances R(k) the best length is (3/2 (G/g)^2 n)^(1/3), with G the sum of
+    |k| R(k) and g that of R(k) (Politis and White 2004, "Automatic block-length selection", for
+    circular blocks); here of the channel that remembers longest, by its fitted noise, or as an
+    AR(1) of its residuals where that is white.
+
+    Arguments:
+        run: gives the times of the samples.
+        residuals: of the channels, NaN where nothing was measured.
+        noises: that were fitted, of the channels.
+    """
+    count = len(residuals)
+    step = 1.0 if run.times is None else float(np.median(np.diff(run.times)))
+    longest = 0.0
+    for noise, column in zip(noises, residuals.T, strict=True):
+        if noise.correlated and run.times is not None:
+            rho = float(np.exp(-step / noise.time_s))
+            power, white = noise.correlated**2, noise.white**2
+        else:
+            rho, power, white = _lag_one(column), 1.0, 0.0
+        moment = 2 * power * rho / (1 - rho) ** 2
+        whole = white + power * (1 + rho) / (1 - rho)
+        longest = max(longest, moment / whole if whole else 0.0)
+    best = max((1.5 * longest**2 * count) ** (1 / 3), count ** (1 / 3))
+    return max(min(int(np.ceil(best)), int(count * _LARGEST_SHARE)), 1)
+
+
+def _lag_one(values: Float[np.ndarray, " sample"]) -> float:
+    """Correlation of neighbours, 0 where it is within that of white noise, and below 0.99."""
+    both = ~np.isnan(values[1:]) & ~np.isnan(values[:-1])
+    power = np.nansum(values**2) / max(int(np.sum(~np.isnan(values))), 1)
+    if both.sum() < 3 or power == 0:
+        return 0.0
+    rho = float(np.mean(values[1:][both] * values[:-1][both]) / power)
+    return min(rho, 0.99) if rho > 2 / np.sqrt(both.sum()) else 0.0
+
+
+# The task of a bootstrap: some repetitions of a fit, one after the other, by its own programs.
+
+
+def replicates(
+    fitted: Fitted,
+    first: int,
+    count: int,
+    method: Method,
+    whole: bool,
+    seed: int,
+) -> list[dict[str, Any]]:
+    """Repetitions of a fit, each with random numbers of its own: of the seed and its number.
+
+    Arguments:
+        fitted: the fit.
+        first, count: numbers of the repetitions.
+        method, whole, seed: as of `bootstrap`.
+
+    Returns:
+        Of each: `converged`, `reason`, `values` and `reach` (half of a 95 % interval, None without
+        one) in the order of `Optimum.labels`, `derived` by name, and the labels in `bounds`.
+    """
+    optimum = fitted.optimum()
+    sources = _sources(optimum) if method == "block" else []
+    rows = []
+    for number in range(first, first + count):
+        random = np.random.default_rng([seed, number])
+        recorded: Recorded
+        if method == "block":
+            recorded = [source.again(random) for source in sources]
+        else:
+            recorded = noisy(optimum, random)
+        if whole:
+            rows.append(_whole(fitted, recorded))
+        else:
+            rows.append(_held(fitted, recorded, known_again(optimum, random)))
+    return rows
+
+
+def noisy(optimum: Optimum, random: np.random.Generator) -> Recorded:
+    """What each run would have recorded of the fitted model, with noise of the fitted noise model.
+
+    Noise is larger where standard errors are scaled, because residuals exceed what is stated.
+
+    Arguments:
+        optimum: where the fit ended.
+        random: draws the noise.
+
+    Returns:
+        By channel, SI; NaN where nothing was measured.
+    """
+    state, factor = optimum.state, np.sqrt(optimum.statistics.scale)
+    recorded = []
+    for index, (run, predicted) in enumerate(
+        zip(state.setup.runs, optimum.predictions, strict=True)
+    ):
+        names = list(run.observations)
+        weights = np.ones((len(predicted[names[0]]), len(names)))
+        if state.noise.weights is not None:
+            of_run = state.noise.weights[index]
+            weights = np.stack([of_run[name] for name in names], axis=-1)
+        noises = [state.noise.values[index][name] for name in names]
+        noise = factor * drawn(noises, run.times, weights, random)
+        recorded.append(
+            {
+                name: np.where(np.isnan(run.observations[name]), np.nan, predicted[name] + column)
+                for name, column in zip(names, noise.T, strict=True)
+            }
+        )
+    return recorded
+
+
+def known_again(
+    optimum: Optimum, random: np.random.Generator
+) -> Float[np.ndarray, " prior"] | None:
+    """Centres that the priors might have had: each is a measurement, and is made again.
+
+    Were they the same in each repetition, all would be drawn to where the first fit was drawn to.
+
+    Arguments:
+        optimum: where the fit ended.
+        random: draws them.
+
+    Returns:
+        As `Optimum.refit` takes them; None where there is no prior.
+    """
+    priors = optimum.state.problem.priors
+    if not len(priors):
+        return None
+    values = optimum.values[list(priors.columns)]
+    middle = np.where(priors.logarithmic, np.log(np.where(priors.logarithmic, values, 1)), values)
+    return np.asarray(random.normal(middle, np.asarray(priors.spread)))
+
+
+def block_lengths(optimum: Optimum) -> dict[str, int]:
+    """Samples of a block of residuals, by run."""
+    runs = optimum.state.setup.runs
+    return {run.name: each.length for run, each in zip(runs, _sources(optimum), strict=True)}
+
+
+def _sources(optimum: Optimum) -> list[Residuals]:
+    state = optimum.state
+    cells = sum(
+        int(np.sum(~np.isnan(row))) for run in state.setup.runs for row in run.observations.values()
+    )
+    freedom = max(cells - len(optimum.statistics.alive), 1)
+    inflation = float(np.sqrt(max(cells, 1) / freedom))
+    several = zip(state.setup.runs, optimum.predictions, state.noise.values, strict=True)
+    return [Residuals.of(run, at, noise, inflation) for run, at, noise in several]
+
+
+def _held(fitted: Fitted, recorded: Recorded, centres: np.ndarray | None) -> dict[str, Any]:
+    """A fit with the noise as it is."""
+    optimum = fitted.optimum()
+    again = optimum.refit(recorded=recorded, centres=centres)
+    if not again.state.evaluated:
+        return _row(False, again.reason)
+    return _row(again.converged, again.reason) | _found(fitted.result, optimum, again.statistics)
+
+
+def _whole(fitted: Fitted, recorded: Recorded) -> dict[str, Any]:
+    """A fit as the data were fitted, noise and all, from where that ended."""
+    others = [
+        dataclasses.replace(run, values={**run.values, **values})
+        for run, values in zip(fitted.runs, recorded, strict=True)
+    ]
+    again = refit(fitted.result, others)
+    there = optimum_of(again, others)
+    converged = again.status == "converged"
+    return _row(converged, again.reason) | _found(fitted.result, there, there.statistics)
+
+
+def _row(converged: bool, reason: str) -> dict[str, Any]:
+    return {"converged": converged, "reason": reason}
+
+
+def _found(result: FitResult, optimum: Optimum, statistics: Statistics) -> dict[str, Any]:
+    """Where a repetition ended, with what a result would say of it."""
+    values = statistics.values
+    reach = [
+        None
+        if (error := statistics.standard_errors.get(place)) is None
+        else student_reach(statistics.freedom[place]) * error
+        for place in range(len(values))
+    ]
+    model = optimum.model(values)
+    follows = model.derived() if result.derived else {}
+    derived = {
+        name: float(np.mean(follows[name].value if name in follows else get(model, name)))
+        for name in result.derived
+    }
+    bounds = [statistics.labels[place] for place in statistics.bounds]
+    return {"values": values.tolist(), "reach": reach, "derived": derived, "bounds": bounds}
+
+
+# Repetitions of a task, which share a program; and numbers that are the same whoever does them.
+CHUNK = 16
+
+_LARGEST = 1_000_000
+
+
+def bootstrap(
+    result: FitResult,
+    runs: Run | Sequence[Run],
+    *,
+    size: int = 200,
+    method: Method = "parametric",
+    whole: bool = False,
+    seed: int = 0,
+    executor: Executor | None = None,
+    folder: str | Path | None = None,
+    progress: Callable[[Outcome, int, int], None] | None = None,
+) -> Bootstrap:
+    """Repeat a fit with data that might have been recorded instead (Efron 1979).
+
+    The standard errors of a result are those of a linear model with the noise that it found. The
+    repetitions know nothing of that: they say what bias curvature makes, how far estimates really
+    spread, how often the 95 % interval holds the truth, and how many fits come back at all.
+
+    - **parametric**: what the fitted model predicts, with noise of the fitted noise model, white
+      and correlated, at the times and in the cells that were measured. The truth is known here,
+      but model and noise are taken for right.
+    - **block**: with blocks of the residuals in place of that noise. They have the memory and the
+      sizes that the residuals really have; the intervals of the result are not judged.
+
+    What priors know is drawn anew, too, as one more measurement.
+
+    Each repetition begins where the fit ended, and so cannot tell whether others start to end
+    elsewhere (`giajax.multi_start` does). Its noise is held as fitted, weights of outliers too,
+    unless it is fitted whole, which takes about ten times as long.
+
+    Arguments:
+        result: of `giajax.fit` or `giajax.load_result`.
+        runs: the runs that were fitted, in their order.
+        size: repetitions, 2 at least.
+        method: "parametric" or "block".
+        whole: fit each as the data were, with the noise to be found again.
+        seed: of all repetitions; repetition n has random numbers of its own, of the seed and n.
+        executor: as of `giajax.runtime.execution.run_tasks`; by default this process.
+        folder: of the files of tasks of 16 repetitions; what has a file is not done again.
+        progress: called after each task, as of `run_tasks`.
+
+    Returns:
+        What the repetitions say; after Ctrl-C, those that were done.
+
+    Raises:
+        InputError: other runs than those of the result, which has not converged; a size or method
+            that is none; a whole fit with priors; or not two repetitions that could be done.
+
+    Example:
+        >>> found = giajax.bootstrap(result, runs, size=400)  # doctest: +SKIP
+        >>> found.parameters["air.drag_coefficient"].ratio  # doctest: +SKIP
+        1.02
+    """
+    fitted = Fitted.of(result, runs)
+    if not 2 <= size <= _LARGEST:
+        raise InputError(f"the size of a bootstrap is {size}: give 2 repetitions at least")
+    if method not in get_args(Method):
+        raise InputError(f"there is no bootstrap '{method}': use one of: parametric, block")
+    if seed < 0:
+        raise InputError(f"the seed is {seed}: give 0 or a positive number")
+    if result.status != "converged":
+        raise InputError(
+            "the fit did not converge, and there is no optimum to repeat: fit it to its end first"
+        )
+    if whole and result.config.get("priors"):
+        raise InputError(
+            "a fit with priors cannot be repeated whole, because what they know is not drawn anew "
+            "there: leave whole (--whole) out"
+        )
+    optimum = fitted.optimum()
+    common = {"fitted": fitted, "method": method, "whole": whole, "seed": seed}
+    tasks = [
+        Task(
+            "giajax.studies._bootstrap:replicates",
+            {**common, "first": first, "count": min(CHUNK, size - first)},
+        )
+        for first in range(0, size, CHUNK)
+    ]
+    outcomes = run_tasks(tasks, executor=executor, folder=folder, progress=progress)
+    rows = [row for outcome in outcomes if outcome.status == "done" for row in outcome.value]
+    failures = tuple(dict.fromkeys(each.message for each in outcomes if each.message))
+    if len(rows) < 2:
+        why = failures[0] if failures else "it was stopped"
+        raise InputError(f"no two repetitions of the fit could be done: {why}")
+    back = [row for row in rows if row["converged"]]
+    scale = optimum.statistics.scale if method == "parametric" else 1.0
+    return Bootstrap(
+        method=method,
+        seed=seed,
+        size=len(rows),
+        asked=size,
+        whole=whole,
+        came_back=len(back),
+        reasons=dict(Counter(row["reason"] for row in rows if not row["converged"])),
+        failures=failures,
+        at_bounds=dict(Counter(label for row in back for label in row["bounds"])),
+        parameters=_parameters(result, optimum, back, judged=method == "parametric"),
+        block_lengths=block_lengths(optimum) if method == "block" else {},
+        noise_factor=float(scale) ** 0.5,
+        notes=_notes(result, method, whole=whole),
+        fitted={path: float(estimate.value) for path, estimate in result.free.items()},
+    )
+
+
+def _parameters(
+    result: FitResult, optimum: Optimum, back: Sequence[dict[str, Any]], *, judged: bool
+) -> dict[str, Repeated]:
+    """What the fits that came back say, by name."""
+    known = optimum.statistics
+    found = {}
+    for place in known.determined:
+        label = known.labels[place]
+        estimate = result.parameters.get(label.partition(" of ")[0])
+        found[label] = repeated(
+            float(known.values[place]),
+            known.standard_errors[place],
+            "" if estimate is None else estimate.unit,
+            [row["values"][place] for row in back],
+            [row["reach"][place] for row in back] if judged else None,
+        )
+    for name, estimate in result.derived.items():
+        found[name] = repeated(
+            float(estimate.value),
+            estimate.standard_error,
+            estimate.unit,
+            [row["derived"][name] for row in back],
+            None,
+        )
+    return found
+
+
+def _notes(result: FitResult, method: Method, *, whole: bool) -> tuple[str, ...]:
+    """What the repetitions leave out."""
+    notes = ["each repetition begins where the fit ended, so that other optima are not looked for"]
+    if not whole:
+        notes.append(
+            "the noise is held as it was fitted, so that what its estimation adds is left out: "
+            "whole=True (--whole) repeats that, too"
+        )
+    if method == "parametric":
+        notes.append("the data are those of the fitted model and noise, which are taken for right")
+        if result.config.get("loss", "linear") != "linear":
+            notes.append(
+                "noise is normal, and larger where a cell counts for little: such outliers as the "
+                "loss is robust against are made in no other cells"
+            )
+    else:
+        notes.append(
+            "the mean of each channel's residuals is left out, and residuals between runs are not "
+            "exchanged"
+        )
+    return tuple(notes)

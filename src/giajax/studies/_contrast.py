@@ -1,0 +1,232 @@
+"""Results side by side: what they say of the same parameters, and which fits the data best."""
+
+import dataclasses
+import json
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..fitting import Estimate, FitResult, RunFit, in_column_units
+from ._starts import misfit
+
+# What must be the same, beside the data, where likelihoods are compared.
+_ASSUMED = ("noise", "loss", "prior")
+
+
+def obstacles(results: Sequence[FitResult], names: Sequence[str]) -> list[str]:
+    """Sentences on why the likelihoods of some results cannot be compared; none where they can.
+
+    Arguments:
+        results: each is compared with the first.
+        names: of each.
+    """
+    said = []
+    first = results[0]
+    for result, name in zip(results[1:], names[1:], strict=True):
+        if not (_known(first) and _known(result)):
+            said.append(
+                f"{names[0]} or {name} was fitted to a run without a file: whether their data are "
+                "the same is not known, so chi-square and BIC cannot be compared"
+            )
+        elif _data(first) != _data(result):
+            said.append(
+                f"{names[0]} and {name} were fitted to different data: chi-square and BIC cannot "
+                "be compared, parameters can"
+            )
+        elif differing := [what for what in _ASSUMED if _of(first, what) != _of(result, what)]:
+            said.append(
+                f"{names[0]} and {name} assume another {' and another '.join(differing)}: "
+                "chi-square, BIC and standard errors cannot be compared"
+            )
+    for result, name in zip(results, names, strict=True):
+        if result.status != "converged":
+            said.append(f"{name} has not converged: its values are not those of an optimum")
+    return said
+
+
+def _known(result: FitResult) -> bool:
+    return all(run.sha256 for run in result.runs)
+
+
+def _data(result: FitResult) -> list[Any]:
+    """What was fitted: files, windows, channels and how many values of each."""
+    return sorted(
+        (*_place(run, about), sorted((name, c.n) for name, c in run.channels.items()))
+        for run, about in _described(result)
+    )
+
+
+def _described(result: FitResult) -> list[tuple[RunFit, dict[str, Any]]]:
+    """The runs with what the configuration says of each; nothing where it does not."""
+    said = [*result.config.get("runs", []), *({} for _ in result.runs)]
+    return list(zip(result.runs, said, strict=False))
+
+
+def _place(run: RunFit, about: dict[str, Any]) -> tuple[str, float]:
+    """File and window of a run, by which runs are ordered: fits name them in any order."""
+    return str(run.sha256), about.get("from_s") or 0.0
+
+
+def _of(result: FitResult, what: str) -> str:
+    """What a fit took for granted, as text."""
+    config = result.config
+    ordered = sorted(_described(result), key=lambda described: _place(*described))
+    stated = [about.get("noise") for _, about in ordered]
+    assumed = {
+        "noise": [stated, config.get("noise_model"), config.get("noise_per_run")],
+        "loss": config.get("loss"),
+        "prior": config.get("priors") or None,
+    }
+    return json.dumps(assumed[what], sort_keys=True)
+
+
+# Results side by side: what they say of the same parameters, and which describes the data best.
+
+
+@dataclasses.dataclass(frozen=True)
+class ContrastRow:
+    """One parameter in several results, in the units of their columns.
+
+    Attributes:
+        path: of the parameter.
+        unit: of it; empty for none.
+        estimates: of each result; None where its model does not have it, or has it in another unit.
+        differences: of each result from the first, in joint standard errors, as if the noise of
+            both were independent; None where not both determine it.
+    """
+
+    path: str
+    unit: str
+    estimates: tuple[Estimate | None, ...]
+    differences: tuple[float | None, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class ContrastColumn:
+    """One result as a whole.
+
+    Attributes:
+        name: of the result.
+        model: kind of its model.
+        status: how the fit ended.
+        verdict: whether its model describes the data.
+        values: number of fitted values.
+        parameters: number of fitted parameters, those of single runs included.
+        reduced_chi_square: of the fit.
+        bic: Schwarz' criterion less the least of all, from minus twice the logarithm of the
+            likelihood; None where results cannot be compared by it.
+        held_out: the largest `size` of what was held out; None without any.
+    """
+
+    name: str
+    model: str
+    status: str
+    verdict: str
+    values: int
+    parameters: int
+    reduced_chi_square: float | None
+    bic: float | None
+    held_out: float | None
+
+
+@dataclasses.dataclass(frozen=True)
+class Contrast:
+    """Several results side by side.
+
+    Attributes:
+        columns: of the results.
+        rows: of the parameters that any of them fitted.
+        notes: sentences on what keeps them from being compared, and on how to read differences.
+    """
+
+    columns: tuple[ContrastColumn, ...]
+    rows: tuple[ContrastRow, ...]
+    notes: tuple[str, ...]
+
+
+def contrast(results: Sequence[FitResult], names: Sequence[str]) -> Contrast:
+    """Put results side by side; nothing is fitted or predicted.
+
+    Arguments:
+        results: at least two; differences are from the first.
+        names: of each.
+
+    Returns:
+        Their parameters, with differences, and what they are as a whole. BIC is there for fits of
+        the same values with the same noise and loss.
+
+    Example:
+        >>> found = contrast([load_result("a"), load_result("b")], ["a", "b"])  # doctest: +SKIP
+    """
+    tables = [in_column_units(_all(result), result.model) for result in results]
+    paths = dict.fromkeys(path for result in results for path in result.shown)
+    notes = obstacles(results, names)
+    by_likelihood = [math.nan if notes else _bic(result) for result in results]
+    least = min(by_likelihood)
+    columns = tuple(
+        ContrastColumn(
+            name=name,
+            model=result.model.kind,
+            status=result.status,
+            verdict=result.verdict.status,
+            values=_values(result),
+            parameters=_parameters(result),
+            reduced_chi_square=result.reduced_chi_square,
+            bic=bic - least if math.isfinite(bic) and math.isfinite(least) else None,
+            held_out=_held_out(result),
+        )
+        for name, result, bic in zip(names, results, by_likelihood, strict=True)
+    )
+    shared = {sha for run in results[0].runs if (sha := run.sha256)}
+    if any(shared & {run.sha256 for run in result.runs} for result in results[1:]):
+        notes.append(
+            "results of the same recording share its noise, so that a difference between them "
+            "means more than its number says"
+        )
+    return Contrast(columns, tuple(_row(path, tables) for path in paths), tuple(notes))
+
+
+def _all(result: FitResult) -> dict[str, Estimate]:
+    return {**result.parameters, **result.shown}
+
+
+def _row(path: str, tables: Sequence[dict[str, Estimate]]) -> ContrastRow:
+    found = [table.get(path) for table in tables]
+    unit = next(one.unit for one in found if one is not None)
+    estimates = tuple(one if one is not None and one.unit == unit else None for one in found)
+    differences = tuple(
+        None if index == 0 else _difference(estimates[0], one)
+        for index, one in enumerate(estimates)
+    )
+    return ContrastRow(path, unit, estimates, differences)
+
+
+def _difference(first: Estimate | None, other: Estimate | None) -> float | None:
+    if first is None or other is None:
+        return None
+    if not (first.standard_error and other.standard_error):
+        return None
+    return float((other.value - first.value) / np.hypot(first.standard_error, other.standard_error))
+
+
+def _values(result: FitResult) -> int:
+    return sum(channel.n for run in result.runs for channel in run.channels.values())
+
+
+def _parameters(result: FitResult) -> int:
+    own = [(path, one) for run in result.runs for path, one in run.parameters.items()]
+    # A group of runs has one value, which each of its runs carries; a state is of one run alone.
+    shared = {(path, one) for path, one in own if path in result.free}
+    states = [path for path, _ in own if path not in result.free]
+    return len(result.free.keys() - {path for path, _ in shared}) + len(shared) + len(states)
+
+
+def _bic(result: FitResult) -> float:
+    return 2 * misfit(result) + _parameters(result) * math.log(max(_values(result), 1))
+
+
+def _held_out(result: FitResult) -> float | None:
+    sizes = [channel.size for record in result.held_out for channel in record.channels.values()]
+    return max((size for size in sizes if size is not None), default=None)

@@ -1,0 +1,390 @@
+"""The ladder: what the residuals ask for is fitted in turn, from where the last fit ended."""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from typing import Self
+
+import numpy as np
+
+from ..fitting import FitResult, Response, Suspect, matching_runs, rho
+from ..models import AbstractModel
+from ..recordings import Run
+from ..runtime.text import InputError
+from ..schema.parameters import declared, elements, left_out, switched_on
+from ._refit import begun_as_fitted, refit
+from ._score import Moved, responses_of, white_noise
+from ._suspects import Suspects, all_axes, name_of, suspects, turned_back
+
+# A ladder of fits: each with more than the one before, and how much better it is.
+
+
+@dataclasses.dataclass(frozen=True)
+class Rung:
+    """One fit of a ladder.
+
+    Attributes:
+        suspect: what was added to the fit before; None for the first.
+        removed: whether it was taken out again: with what came later, nothing asks for it.
+        chi_square: sum of what the loss makes of residuals in units of white noise, the same for
+            all rungs, and of the squares of the priors.
+        parameters: number of fitted parameters.
+        values: number of measured values.
+        held_out: root mean square error of the runs that were held out, in units of their noise
+            or, where none is stated, of the white noise of the fitted ones; None without any.
+        result: the fit.
+        suspects: what its residuals ask for; None where that was not asked.
+    """
+
+    suspect: Suspect | None
+    chi_square: float
+    parameters: int
+    values: int
+    held_out: float | None
+    result: FitResult
+    suspects: Suspects | None = None
+    removed: bool = False
+
+    @property
+    def change(self) -> str:
+        """What was changed: a path, `without` one, or nothing for the first."""
+        if self.suspect is None:
+            return "-"
+        return f"without {self.suspect.path}" if self.removed else self.suspect.path
+
+    @property
+    def aic(self) -> float:
+        """Akaike's criterion, with known noise: chi-square + 2 k."""
+        return self.chi_square + 2 * self.parameters
+
+    @property
+    def bic(self) -> float:
+        """Schwarz' criterion, with known noise: chi-square + k log n."""
+        return self.chi_square + self.parameters * float(np.log(self.values))
+
+
+@dataclasses.dataclass(frozen=True)
+class Ladder:
+    """The fits, from the first to the last that was better, and why there is no other.
+
+    Attributes:
+        rungs: the first is the fit that was asked about.
+        ending: one sentence.
+    """
+
+    rungs: tuple[Rung, ...]
+    ending: str
+
+    @property
+    def result(self) -> FitResult:
+        """The last fit."""
+        return self.rungs[-1].result
+
+
+# Fits of one ladder, measured by one likelihood.
+
+Noise = Sequence[Mapping[str, float]]
+"""Standard deviation of white noise (SI) of each run, by channel."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Measured:
+    """A fit and what it leaves over, to be compared with others under the same noise.
+
+    Minus twice the logarithm of the likelihood is, up to a constant, the sum of what the loss
+    makes of each residual over its noise, which must be that of all fits that are compared: what
+    each fit would take for noise, or for an outlier, is larger where it describes less.
+
+    Attributes:
+        suspect, removed: as of a `Rung`.
+        result: the fit.
+        at: what it predicts for each run.
+        noise: white noise, as stated or as this fit's residuals show it.
+        moved: its coordinates, and what was known of them.
+        apart: of what was held out, by run and channel: the noise that is stated, and the errors.
+    """
+
+    suspect: Suspect | None
+    removed: bool
+    result: FitResult
+    at: list[Response]
+    noise: Noise
+    moved: Moved
+    apart: list[tuple[str, float | None, np.ndarray]]
+
+    @classmethod
+    def of(
+        cls,
+        result: FitResult,
+        runs: Sequence[Run],
+        apart: Sequence[Run],
+        suspect: Suspect | None = None,
+        *,
+        removed: bool = False,
+    ) -> Self:
+        """A fit of some runs, and what it makes of those that were held out."""
+        at = responses_of(result, runs, result.model)
+        noise = white_noise(result, runs, at)
+        moved = Moved.of(result)
+        return cls(suspect, removed, result, at, noise, moved, _errors(result, apart))
+
+    def rung(self, noise: Noise) -> Rung:
+        """The fit under a noise that may be another one's."""
+        chi_square, values, loss = self.moved.squares, 0, self.result.config.get("loss", "linear")
+        for response, deviations in zip(self.at, noise, strict=True):
+            sigma = [_deviation(deviations, name) for name in response.channels]
+            rest = (response.predicted - response.observed) / np.asarray(sigma)
+            rest = rest[~np.isnan(response.observed)]
+            chi_square += float(np.sum(rho(loss, rest)))
+            values += len(rest)
+        squares = [
+            (rest / (stated or _deviation(_nearest(noise, name), name))) ** 2
+            for name, stated, rest in self.apart
+        ]
+        return Rung(
+            suspect=self.suspect,
+            chi_square=chi_square,
+            parameters=self.moved.size,
+            values=values,
+            held_out=float(np.sqrt(np.mean(np.concatenate(squares)))) if squares else None,
+            result=self.result,
+            removed=self.removed,
+        )
+
+
+def _nearest(noise: Noise, name: str) -> Mapping[str, float]:
+    """That of a run with the channel; of one that none has, the first one's."""
+    return next((deviations for deviations in noise if name in deviations), noise[0])
+
+
+def _deviation(deviations: Mapping[str, float], name: str) -> float:
+    """That of a channel; of one that had another name, or was not fitted, the mean of its kind."""
+    if known := deviations.get(name):
+        return known
+    kind = name.rpartition("_")[0]
+    alike = [one for other, one in deviations.items() if other.rpartition("_")[0] == kind]
+    return float(np.mean(alike or list(deviations.values())))
+
+
+def _errors(result: FitResult, runs: Sequence[Run]) -> list[tuple[str, float | None, np.ndarray]]:
+    errors = []
+    for run in runs:
+        for name, predicted in result.predict(begun_as_fitted(result, run)).items():
+            rest = predicted - run.observations[name]
+            errors.append((name, run.noise(name), rest[~np.isnan(rest)]))
+    return errors
+
+
+# One step of a ladder: what the first few suspects are worth once they are fitted.
+
+
+def best_step(
+    result: FitResult,
+    runs: Sequence[Run],
+    apart: Sequence[Run],
+    promising: Sequence[Suspect],
+    tries: int,
+) -> tuple[Measured, list[Run], list[Run]] | None:
+    """Of the first so many suspects that can be fitted, the fit of the lowest BIC.
+
+    It comes with the runs and those held out as it sees them; None where none can be fitted.
+    """
+    fits: list[tuple[Measured, list[Run], list[Run]]] = []
+    for suspect in promising:
+        if len(fits) == tries:
+            break
+        if not _is_one(result.model, suspect):
+            continue
+        try:
+            step = _with(result, runs, apart, suspect)
+            fits.append((Measured.of(*step, suspect), step[1], step[2]))
+        except InputError:  # It cannot be evaluated so; the next one may be.
+            continue
+    if not fits:
+        return None
+    noise = max((fit for fit, _, _ in fits), key=lambda fit: fit.moved.size).noise
+    return min(fits, key=lambda one: one[0].rung(noise).bic)
+
+
+def _is_one(model: AbstractModel, suspect: Suspect) -> bool:
+    """Whether a suspect is what a fit can free as it was tested."""
+    if suspect.kind in ("switch", "axes"):
+        return True
+    parts = elements(_neutrally(model, suspect.path), suspect.path)
+    return suspect.kind != "factor" and len(parts) == suspect.degrees_of_freedom
+
+
+def _with(
+    result: FitResult, runs: Sequence[Run], apart: Sequence[Run], suspect: Suspect
+) -> tuple[FitResult, list[Run], list[Run]]:
+    """A fit with what a suspect asks for, and the runs and those held out as it sees them."""
+    same = list(runs), list(apart)
+    if suspect.kind == "switch":
+        other = result.model.variants()[suspect.path]
+        # What a number switches on, as its strength does memory, has that number free.
+        by = suspect.path.partition(" = ")[0]
+        free = [by] if by in declared(other) else []
+        return refit(result, runs, model=other, free=free, noise_model="white"), *same
+    if suspect.kind == "axes":
+        way = next(way for way in all_axes() if name_of(way) == suspect.path)
+        turned = [turned_back(run, way) for run in runs]
+        start = result.history[0].parameters
+        fit = refit(result, turned, start=start, noise_model="white")
+        return fit, turned, [turned_back(run, way) for run in apart]
+    model = _neutrally(result.model, suspect.path)
+    assert suspect.estimate is not None
+    begin = {suspect.path: suspect.estimate}
+    fit = refit(result, runs, model=model, free=[suspect.path], start=begin, noise_model="white")
+    return fit, *same
+
+
+def _neutrally(model: AbstractModel, path: str) -> AbstractModel:
+    """The model with a part on that it leaves out, which changes nothing yet."""
+    absent = left_out(model).get(path.partition("[")[0])
+    if absent is None:
+        return switched_on(model, [path])
+    return absent.set(model, absent.declaration.neutral)
+
+
+MOST = 6
+"""Steps of a ladder."""
+
+TRIES = 3
+"""Suspects that are fitted at each of them."""
+
+# Standard errors. BIC decides; what is further away need not be tried.
+_NEAR = 4.0
+
+
+def ladder(
+    result: FitResult,
+    runs: Run | Sequence[Run],
+    *,
+    held_out: Sequence[Run] = (),
+    most: int = MOST,
+    tries: int = TRIES,
+    progress: Callable[[Rung], None] | None = None,
+) -> Ladder:
+    """Fit the most promising suspect, ask again, and so on.
+
+    A parameter is freed, a choice of the model is made the other way, and recorded axes are
+    exchanged; each fit begins where the last one ended. What was freed before and has come
+    back to the value that it was held at is held again. It ends where no suspect is significant,
+    or where what is tried makes BIC larger. A suspect that is one number for many elements
+    (the mass of all links) is no single parameter of a fit, and is passed over.
+
+    What a test promises is the first step of a fit. So many of the first suspects as `tries` says
+    are fitted at each step, each by itself, and the one whose fit has the lowest BIC is taken; with
+    1 the step takes a fraction of the time, and trusts the test.
+
+    All fits are made and compared by one likelihood: that of the loss of the fit, with white noise
+    that is the same for both. Noise with a memory would take what is missing for noise, each fit
+    as much as it leaves over. The white noise is what the runs state, or else what second
+    differences of the residuals show, those of the fit with more in it; and where the samples do
+    not follow each other, what that fit took for noise. The table that comes out has the noise of
+    its last row, which is fitted once more with a memory if the first fit had looked for it: its
+    parameters and errors are those of that fit.
+
+    Arguments:
+        result: of `giajax.fit` or `giajax.load_result`.
+        runs: the runs that were fitted, in their order.
+        held_out: further runs, or what was held out of the fitted ones; no rung is fitted to it.
+        most: how many steps.
+        tries: how many suspects are fitted at each step.
+        progress: called with each rung as soon as it is there.
+
+    Returns:
+        The rungs, side by side.
+
+    Raises:
+        InputError: as `giajax.suspects`, or `tries` is below 1.
+    """
+    if tries < 1:
+        raise InputError(f"{tries} suspects cannot be tried at each step: give 1 or more")
+    several, apart = matching_runs(result.runs, runs), list(held_out)
+    fits: list[Measured] = []
+    asked: list[Suspects | None] = []
+
+    def climb(fit: Measured) -> None:
+        fits.append(fit)
+        asked.append(None)
+        if progress is not None:
+            progress(fit.rung(fit.noise))
+
+    climb(Measured.of(_by_white_noise(result, several), several, apart))
+    ending = f"{most} steps were allowed"
+    for _ in range(most):
+        asked[-1] = found = suspects(fits[-1].result, several)
+        step = best_step(fits[-1].result, several, apart, found.significant, tries)
+        if step is None:
+            ending = "no suspect that could be freed is significant"
+            break
+        tried, fitted_to, held = step
+        if not _is_better(tried, fits[-1], tried.noise):
+            ending = f"{tried.rung(tried.noise).change} was tried, and makes BIC larger"
+            break
+        several, apart = fitted_to, held
+        climb(tried)
+        for spare in _spare(fits):
+            assert spare.value is not None
+            try:
+                again = refit(
+                    fits[-1].result, several, fix={spare.path: spare.value}, noise_model="white"
+                )
+                fewer = Measured.of(again, several, apart, spare, removed=True)
+            except InputError:  # It cannot do without.
+                continue
+            if _is_better(fewer, fits[-1], fits[-1].noise):
+                climb(fewer)
+    noise = fits[-1].noise
+    rungs = [
+        dataclasses.replace(fit.rung(noise), suspects=found)
+        for fit, found in zip(fits, asked, strict=True)
+    ]
+    rungs[-1] = dataclasses.replace(rungs[-1], result=_as_asked(result, rungs, several))
+    return Ladder(tuple(rungs), ending)
+
+
+def _by_white_noise(result: FitResult, runs: Sequence[Run]) -> FitResult:
+    """The fit, or where its noise has a memory, that by white noise."""
+    if result.noise is not None and not result.noise.widening:
+        return result
+    return refit(result, runs, noise_model="white")
+
+
+def _as_asked(result: FitResult, rungs: Sequence[Rung], runs: Sequence[Run]) -> FitResult:
+    """The last fit of a ladder, with the noise that the first one was asked for with."""
+    if len(rungs) == 1:
+        return result
+    model = result.config.get("noise_model", "correlated")
+    last = rungs[-1].result
+    if model == "white":
+        return last
+    try:
+        again = refit(last, runs, noise_model=model)
+    except InputError:  # It cannot be evaluated a little inside of its bounds.
+        return last
+    return again if again.status == "converged" else last
+
+
+def _is_better(one: Measured, other: Measured, noise: Noise) -> bool:
+    """Whether BIC prefers one of two fits, with the noise that the one with more in it shows."""
+    return one.rung(noise).bic < other.rung(noise).bic
+
+
+def _spare(rungs: Sequence[Rung | Measured]) -> list[Suspect]:
+    """What was freed before the last rung, and is near the value that it was held at again."""
+    last = rungs[-1].result.free
+    taken = {rung.suspect.path for rung in rungs if rung.removed and rung.suspect is not None}
+    spare = []
+    for rung in rungs[1:-1]:
+        suspect = rung.suspect
+        if suspect is None or suspect.path in taken or suspect.kind not in ("parameter", "group"):
+            continue
+        paths = [p for p in last if suspect.path in (p, p.partition("[")[0])]
+        values = np.broadcast_to(np.asarray(suspect.value, dtype=float), (len(paths),))
+        if paths and all(
+            abs(last[path].value - value) < _NEAR * (last[path].standard_error or np.inf)
+            for path, value in zip(paths, values, strict=True)
+        ):
+            spare.append(suspect)
+    return spare

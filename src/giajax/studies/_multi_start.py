@@ -1,0 +1,360 @@
+"""A fit from several starts: long motions have valleys that lead nowhere."""
+
+import dataclasses
+import functools
+import threading
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy.typing as npt
+
+from ..fitting import (
+    MAX_ITERATIONS,
+    Budget,
+    FitJournal,
+    FitResult,
+    Iteration,
+    NoiseModel,
+    Seconds,
+    Setup,
+    Start,
+    set_up,
+    solve,
+)
+from ..models import AbstractModel
+from ..recordings import Run
+from ..runtime.parallel import Tell
+from ..runtime.process import cores
+from ..runtime.text import InputError
+from ..schema import Prior
+from ._starts import (
+    End,
+    as_fine,
+    by_executor,
+    earlier_starts,
+    end_of,
+    end_values,
+    in_order,
+    in_threads,
+    inside_bounds,
+    interrupted,
+    misfit,
+    start_values,
+)
+
+# The optima that several starts have found, and what became of the other starts.
+
+# An end whose misfit is this much above the best one, per measured value, is another valley.
+SAME_END = 1e-3
+
+# And so is one that is this many standard errors away.
+_APART = 1.0
+
+
+class Valley(NamedTuple):
+    """An optimum, and the starts that reached it.
+
+    Attributes:
+        worse: its misfit above that of the result, in log-likelihood.
+        reached: how many starts.
+        values: of the free parameters, by path, SI, where the best of them ended.
+        is_result: whether it is where the result is.
+    """
+
+    worse: float
+    reached: int
+    values: Mapping[str, float]
+    is_result: bool
+
+
+def valleys(result: FitResult) -> list[Valley]:
+    """The optima that the starts of a result converged to, the best first.
+
+    Two ends are of one optimum where they describe the data as well as each other and no parameter
+    that is determined differs by more than its standard error.
+
+    Arguments:
+        result: of `multi_start`; of one start there is none.
+    """
+    best = misfit(result)
+    values = sum(channel.n for run in result.runs for channel in run.channels.values())
+    found: list[tuple[Start, int]] = []
+    ended = [start for start in result.starts if start.status == "converged"]
+    for start in sorted(ended, key=lambda start: start.misfit or 0.0):
+        for place, (other, reached) in enumerate(found):
+            near = (start.misfit or 0.0) - (other.misfit or 0.0) < SAME_END * values
+            if near and _is_same(result, start, other):
+                found[place] = other, reached + 1
+                break
+        else:
+            found.append((start, 1))
+    here = Start({}, result.status, best, end_values(result))
+
+    def valley(start: Start, reached: int) -> Valley:
+        worse = (start.misfit or 0.0) - best
+        is_result = worse < SAME_END * values and _is_same(result, start, here)
+        return Valley(max(worse, 0.0), reached, start.parameters or {}, is_result)
+
+    return [valley(*each) for each in found]
+
+
+def lost_starts(result: FitResult) -> dict[str, int]:
+    """How many starts did not converge, by why, the most frequent first."""
+    ended = [start for start in result.starts if start.status != "converged"]
+    return dict(Counter(start.message or start.status for start in ended).most_common())
+
+
+def _is_same(result: FitResult, one: Start, other: Start) -> bool:
+    return all(
+        abs((one.parameters or {})[path] - (other.parameters or {})[path])
+        <= _APART * estimate.standard_error
+        for path, estimate in result.free.items()
+        if estimate.standard_error is not None
+    )
+
+
+STARTS, SPREAD, SEED = 8, 0.3, 0
+
+
+def multi_start(
+    model: AbstractModel,
+    runs: Run | Sequence[Run],
+    *,
+    starts: int = STARTS,
+    spread: float = SPREAD,
+    seed: int = SEED,
+    free: Sequence[str] | None = None,
+    start: Mapping[str, npt.ArrayLike] | None = None,
+    fix: Mapping[str, npt.ArrayLike] | None = None,
+    loss: str = "linear",
+    noise_model: NoiseModel = "correlated",
+    noise_per_run: bool = False,
+    solver: str | None = None,
+    tolerance: float | None = None,
+    priors: Mapping[str, Prior] | None = None,
+    bounds: Mapping[str, Sequence[float]] | None = None,
+    ties: Mapping[str, str] | None = None,
+    per_run: Sequence[str] = (),
+    groups: Mapping[str, Sequence[Sequence[str]]] | None = None,
+    max_iterations: int = MAX_ITERATIONS,
+    budget: float | None = None,
+    progress: Callable[[Iteration], None] | None = None,
+    announce: Callable[[int, Mapping[str, float]], None] | None = None,
+    check: bool = True,
+    before: FitResult | None = None,
+    executor: Executor | None = None,
+    folder: str | Path | None = None,
+) -> FitResult:
+    """Fit from several starts, and return the best end.
+
+    The first start is the one that a fit has; the others fill the room around it evenly (a Sobol
+    sequence). A parameter with a prior begins where that says; one with two bounds of this fit
+    between them; any other is changed by a factor between 1 / (1 + spread) and 1 + spread, or
+    where it has no sign by up to `spread` times its size. Ends are compared by
+    the misfit, which is the logarithm of the likelihood: a cost alone means nothing where each fit
+    estimates its own noise.
+
+    Arguments:
+        model, runs, free, start, fix, loss, noise_model, noise_per_run, solver, tolerance: as of
+            `giajax.fit`.
+        priors, bounds, ties, per_run, groups: as of `giajax.fit`.
+        starts: how many; 1 is `giajax.fit`.
+        spread: relative distance of the other starts.
+        seed: of the other starts.
+        max_iterations, progress, check: as of `giajax.fit`.
+        budget: wall time that all of them together may take, s.
+        announce: called before each fit with its number, from 1, and its start. Of fits side by
+            side the later ones are told of, with their steps, when the earlier ones have ended.
+        before: a result of the same fit from fewer starts, which are not fitted again.
+        executor: who fits the starts after the first that converges, each a task
+            (`giajax.runtime.execution.run_tasks`), and is told of once it has ended; by default
+            threads of this process.
+        folder: of a file for each of these tasks, by which the same call goes on.
+
+    Returns:
+        The best result; `result.starts` has where each start ended. Ctrl-C ends the fit and
+        returns the best of those so far.
+
+    Raises:
+        InputError: as `giajax.fit`; of the starts, the first one must be evaluable.
+    """
+    setup = set_up(
+        model,
+        runs,
+        free=free,
+        start=start,
+        fix=fix,
+        loss=loss,
+        noise_model=noise_model,
+        noise_per_run=noise_per_run,
+        solver=solver,
+        tolerance=tolerance,
+        priors=priors,
+        bounds=bounds,
+        ties=ties,
+        per_run=per_run,
+        groups=groups,
+    )
+    return solve_from_starts(
+        setup,
+        starts=starts,
+        spread=spread,
+        seed=seed,
+        max_iterations=max_iterations,
+        progress=progress,
+        announce=announce,
+        check=check,
+        budget=None if budget is None else Budget(budget),
+        before=before,
+        executor=executor,
+        folder=folder,
+    )
+
+
+def solve_from_starts(
+    setup: Setup,
+    *,
+    starts: int = STARTS,
+    spread: float = SPREAD,
+    seed: int = SEED,
+    max_iterations: int = MAX_ITERATIONS,
+    progress: Callable[[Iteration], None] | None = None,
+    announce: Callable[[int, Mapping[str, float]], None] | None = None,
+    check: bool = True,
+    budget: Budget | None = None,
+    journal: Callable[[int], FitJournal] | None = None,
+    before: FitResult | None = None,
+    executor: Executor | None = None,
+    folder: str | Path | None = None,
+) -> FitResult:
+    """Fit what `giajax.fitting.set_up` resolved from several starts.
+
+    Arguments:
+        setup: what to fit to what.
+        starts, spread, seed, max_iterations, progress, announce, check, before, executor, folder:
+            as of `multi_start`.
+        budget: wall time that all of them together may take.
+        journal: the journal of each fit, by its number: the starts from 1, then the one that
+            checks the result. A start that has ended there is evaluated where it ended.
+
+    Returns:
+        As `multi_start`.
+
+    Raises:
+        InputError: the first start cannot be evaluated, or `before` is of another fit.
+    """
+    setup = setup.at_start()
+    values = start_values(setup, spread, seed, starts)
+    # A wrong number of cores is told before the first start, not after it.
+    count = cores()
+    spent = threading.Event()
+
+    def one(number: int, earlier: Sequence[FitResult], tell: Tell) -> End | None:
+        """How a start ends; None where there is no time left for it."""
+        start = values[number - 1]
+        if budget is not None and number > 1 and (spent.is_set() or not budget.left() > 0):
+            return None
+        try:
+            if announce is not None:
+                tell(announce, number, start)
+            result = solve(
+                as_fine(setup.started_at(start), earlier),
+                max_iterations=max_iterations,
+                progress=functools.partial(tell, _nothing if progress is None else progress),
+                check=False,
+                budget=budget,
+                journal=None if journal is None else journal(number),
+            )
+        except InputError as error:
+            if number == 1:
+                raise
+            return Start(start, "failed", message=str(error)), None
+        except KeyboardInterrupt:
+            # Nothing of this start was evaluated.
+            return Start(start, "interrupted"), None
+        if result.reason == "budget":
+            # What is left of it is too little for a step of any start.
+            spent.set()
+        return end_of(start, result), result
+
+    known: list[End] = []
+    if before is not None:
+        known = [(start, None) for start in earlier_starts(before, setup, values)]
+    fitted = [before] if before is not None and before.status == "converged" else []
+    others = in_threads(one, count)
+    if executor is not None:
+        others = by_executor(
+            setup,
+            values,
+            executor=executor,
+            folder=folder,
+            most=max_iterations,
+            budget=budget,
+            announce=announce,
+            progress=progress,
+            spent=spent.set,
+        )
+    ended = in_order(one, others, starts, known, fitted)
+    ends = [start for start, _ in ended]
+    results = [*fitted, *(result for _, result in ended if result is not None)]
+    if not results:
+        raise KeyboardInterrupt
+    in_time = budget is None or not (
+        spent.is_set() or (len(ends) < starts and all(end.status != "interrupted" for end in ends))
+    )
+    best = min(results, key=misfit)
+    seconds = Seconds(
+        compile=sum(result.seconds.compile for result in results),
+        run=sum(result.seconds.run for result in results),
+    )
+    stopped = any(end.status == "interrupted" for end in ends)
+    if stopped and best.status == "converged":
+        best = interrupted(best, f"at start {len(ends)} of {starts}")
+    if budget is not None and not in_time and budget.ended_it not in best.message:
+        message = f"{best.message}; {budget.ended_it} after {len(ends)} of {starts} starts"
+        best = dataclasses.replace(best, status="not_converged", message=message, reason="budget")
+    # Of a result that was loaded, the predictions are missing, and the verdict on what is held out.
+    bare = best is before or (executor is not None and not best.predictions)
+    if (check or bare) and best.status == "converged":
+        last = None if journal is None else journal(starts + 1)
+        best = _checked(setup, best, max_iterations, progress, budget, last)
+    if executor is not None and not best.predictions:
+        best = dataclasses.replace(best, predictions=tuple(map(best.predict, setup.runs)))
+    config = {**best.config, "starts": starts, "spread": spread, "seed": seed}
+    return dataclasses.replace(best, starts=tuple(ends), config=config, seconds=seconds)
+
+
+def _nothing(_: Iteration) -> None:
+    """Of an iteration that nobody asks for."""
+
+
+def _checked(
+    setup: Setup,
+    best: FitResult,
+    max_iterations: int,
+    progress: Callable[[Iteration], None] | None,
+    budget: Budget | None,
+    journal: FitJournal | None,
+) -> FitResult:
+    """The best end fitted again from where it is, with the checks that were left out before."""
+    try:
+        inside = as_fine(setup.started_at(inside_bounds(setup, end_values(best))), [best])
+        again = solve(
+            inside,
+            max_iterations=max_iterations,
+            progress=progress,
+            budget=budget,
+            journal=journal,
+        )
+    except KeyboardInterrupt:
+        return interrupted(best, "before its result was checked")
+    if again.status == "interrupted":
+        return interrupted(best, "before its result was checked")
+    if again.status != "converged":
+        return best
+    return dataclasses.replace(
+        again, message=best.message, iterations=best.iterations, history=best.history
+    )

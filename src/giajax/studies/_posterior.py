@@ -1,0 +1,362 @@
+"""What is known of the free parameters of a fit beyond its optimum: draws from their posterior."""
+
+import contextlib
+import contextvars
+import dataclasses
+import importlib.util
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..fitting import Density, FitResult, Optimum, density_of, energy_at
+from ..recordings import Run, unique_names
+from ..runtime.arrays import on_device
+from ..runtime.execution import run_tasks
+from ..runtime.programs import program
+from ..runtime.signals import is_stopped
+from ..runtime.tasks import Outcome, Task
+from ..runtime.text import InputError
+from ._posterior_records import Band, Posterior, PosteriorSummary, bands, doubts, marginal
+from ._refit import Fitted
+
+# One chain of a posterior: NumPyro's No-U-Turn sampler over the density of a fit.
+
+# Transitions of a call of the program: between calls Ctrl-C is heard, and progress told.
+_AT_ONCE = 20
+
+# Transitions of the warm-up below which the matrix of the optimum stays: Stan's windows, and some
+# draws for each parameter, are needed to estimate a better one.
+_LEAST_TO_ADAPT, _EACH = 150, 10
+
+_listener: contextvars.ContextVar[Callable[[int], None] | None] = contextvars.ContextVar(
+    "_listener", default=None
+)
+
+
+@contextlib.contextmanager
+def heard_by(listener: Callable[[int], None] | None) -> Iterator[None]:
+    """Tell a function of the transitions that chains of this process have done since the last."""
+    token = _listener.set(listener)
+    try:
+        yield
+    finally:
+        _listener.reset(token)
+
+
+@dataclasses.dataclass(frozen=True)
+class Begun:
+    """Where a chain begins.
+
+    Attributes:
+        density: of the fit.
+        start: in the sampler's coordinate, shape (drawn,).
+        energy, gradient: what the density is there, which spares a second program.
+        task_key: of the fit that all of it follows from, by which a task is known.
+    """
+
+    density: Density
+    start: np.ndarray
+    energy: float
+    gradient: np.ndarray
+    task_key: str
+
+
+def chain(begun: Begun, number: int, draws: int, warmup: int, seed: int) -> dict[str, Any]:
+    """Draw from a density, as a task of `giajax.runtime`.
+
+    Arguments:
+        begun: where.
+        number: of the chain; those of a study differ in it, and so in their seeds.
+        draws, warmup: how many transitions are kept, and how many adapt the sampler before.
+        seed: of the random numbers.
+
+    Returns:
+        `values` of all free parameters, shape (draw, parameter), SI; `energy` (minus the logarithm
+        of the density of the parameters, up to a constant), `diverging`, `steps` and `acceptance`
+        of each draw; the `step_size`; and `warmup_diverging`, how many transitions of the warm-up
+        diverged.
+    """
+    total = warmup + draws
+    length = next(n for n in range(min(_AT_ONCE, total), 0, -1) if total % n == 0)
+    settings = warmup, _adapts(warmup, len(begun.start))
+    density, dtype = begun.density, begun.density.centre.dtype
+    state = _chain_begun(
+        density,
+        on_device(begun.start, dtype),
+        on_device(begun.energy, dtype),
+        on_device(begun.gradient, dtype),
+        jax.random.key(seed),
+        settings,
+    )
+    parts = []
+    for _ in range(total // length):
+        state, found = _moved(density, state, settings, length)
+        # Waits for the numbers; until then Ctrl-C would wait for all calls.
+        parts.append([np.asarray(each) for each in found])
+        if is_stopped():
+            raise KeyboardInterrupt
+        if (listener := _listener.get()) is not None:
+            listener(length)
+    values, energies, diverging, steps, acceptance = (
+        np.concatenate(each) for each in zip(*parts, strict=True)
+    )
+    return {
+        "values": values[warmup:],
+        "energy": energies[warmup:],
+        "diverging": diverging[warmup:],
+        "steps": steps[warmup:],
+        "acceptance": acceptance[warmup:],
+        "step_size": float(state.adapt_state.step_size),
+        "warmup_diverging": int(np.sum(diverging[:warmup])),
+    }
+
+
+def _adapts(warmup: int, size: int) -> bool:
+    return warmup >= max(_LEAST_TO_ADAPT, _EACH * size)
+
+
+@contextlib.contextmanager
+def _mixing_types() -> Iterator[None]:
+    """NumPyro adds numbers of different types and shapes, which a session may forbid."""
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        yield
+
+
+def _chain_begun(*arguments: Any) -> Any:
+    with _mixing_types():
+        return _begin(*arguments)
+
+
+def _moved(*arguments: Any) -> Any:
+    with _mixing_types():
+        return _move(*arguments)
+
+
+@program
+def _begin(
+    density: Density, start: Any, energy: Any, gradient: Any, key: Any, settings: tuple[int, bool]
+) -> Any:
+    return _kernels(density, start, energy, gradient, key, settings)[0]
+
+
+@program
+def _move(density: Density, state: Any, settings: tuple[int, bool], length: int) -> Any:
+    """So many transitions; the state after them, and what of each is kept."""
+    _, sample = _kernels(
+        density, state.z, state.potential_energy, state.z_grad, state.rng_key, settings
+    )
+
+    def next_one(state: Any, _: None) -> tuple[Any, tuple[Any, ...]]:
+        state = sample(state)
+        slope = density.bounds.forward(density.centre + density.spread @ state.z)[1]
+        # Of the parameters, not of the coordinate.
+        energy = state.potential_energy + jnp.sum(slope)
+        known = energy, state.diverging, state.num_steps, state.accept_prob
+        return state, (density.values(state.z), *known)
+
+    return jax.lax.scan(next_one, state, None, length=length)
+
+
+def _kernels(
+    density: Density, z: Any, energy: Any, gradient: Any, key: Any, settings: tuple[int, bool]
+) -> tuple[Any, Callable[[Any], Any]]:
+    """NumPyro's state at a point, and its transition."""
+    from numpyro.infer.hmc import hmc
+    from numpyro.infer.util import ParamInfo
+
+    warmup, adapts = settings
+    begin, sample = hmc(density.potential(), algo="NUTS")
+    # The second function knows the settings when the first one was called.
+    state = begin(
+        ParamInfo(z, energy, gradient),
+        warmup,
+        adapt_mass_matrix=adapts,
+        dense_mass=True,
+        rng_key=key,
+    )
+    return state, sample
+
+
+# Chains that begin farther apart than the posterior is wide show whether they find together.
+_APART = 1.5
+_ATTEMPTS = 12
+
+
+def posterior(
+    result: FitResult,
+    runs: Run | Sequence[Run],
+    *,
+    chains: int = 4,
+    draws: int = 1000,
+    warmup: int = 500,
+    seed: int = 0,
+    executor: Executor | None = None,
+    folder: str | Path | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Posterior:
+    """Draw from the posterior of the free parameters of a fit, by the No-U-Turn sampler.
+
+    Its density is exp(-cost) with the noise held as it was fitted, and flat in the parameters
+    themselves within their bounds where they have no prior. The cost of the measured values is
+    divided by one number, so that where the density is normal its deviations are the reported
+    standard errors; a robust loss is taken for a density up to a constant. What no channel responds
+    to stays where the fit left it.
+
+    Arguments:
+        result: of a fit.
+        runs: what it was fitted to, in their order.
+        chains: how many, each a task of its own.
+        draws: of each chain that are kept.
+        warmup: transitions before them, which adapt the sampler.
+        seed: of the random numbers.
+        executor: of `giajax.runtime`; by default this process, one chain after the other.
+        folder: of a file for each chain, so that the same call goes on where it was stopped.
+        progress: called with the transitions that are done, and how many there will be.
+
+    Returns:
+        Draws, their summary, and bands of every channel. After Ctrl-C of the chains that were done.
+
+    Raises:
+        InputError: these are not its runs; NumPyro is not installed; nothing limits a parameter;
+            a number that cannot be; parameters of two runs of one name; every chain failed.
+        KeyboardInterrupt: no chain was done when Ctrl-C came.
+
+    Example:
+        >>> result = giajax.load_result("giajax-out/run")  # doctest: +SKIP
+        >>> print(giajax.posterior(result, [run]).summary.parameters)  # doctest: +SKIP
+    """
+    check_posterior(chains=chains, draws=draws, warmup=warmup)
+    fitted = Fitted.of(result, runs)
+    optimum = fitted.optimum()
+    doubled = [label for label in optimum.labels if optimum.labels.count(label) > 1]
+    if doubled:
+        raise InputError(
+            f"two runs have one name, and {doubled[0]} in each, so that nothing can be said of one "
+            "of them: rename one"
+        )
+    density = density_of(optimum)
+    if not density.places:
+        raise InputError(
+            "no channel responds to what is free in this fit, so nothing can be drawn: free more"
+        )
+    begun = [_begun(density, fitted, number, seed) for number in range(chains)]
+    tasks = [
+        Task(chain, {"begun": one, "number": at, "draws": draws, "warmup": warmup}, seed=seed)
+        for at, one in enumerate(begun)
+    ]
+    told = _Told(progress, chains, draws + warmup)
+    with heard_by(told.moved):
+        outcomes = run_tasks(tasks, executor=executor, folder=folder, progress=told.done)
+    found = [outcome.value for outcome in outcomes if outcome.status == "done"]
+    failed = [outcome.message for outcome in outcomes if outcome.status == "failed"]
+    if not found:
+        if failed:
+            raise InputError(f"no chain was drawn: {failed[0]}")
+        raise KeyboardInterrupt
+    whole = np.stack([np.asarray(one["values"], dtype=float) for one in found])
+    each = bands(result, fitted.runs, optimum, whole.reshape(-1, whole.shape[-1]))
+    samples = whole[..., np.asarray(density.places)]
+    parts: dict[str, Any] = {
+        name: np.stack([np.asarray(one[name]) for one in found])
+        for name in ("energy", "diverging", "steps", "acceptance")
+    }
+    summary = _summary(
+        result,
+        optimum,
+        samples,
+        places=density.places,
+        asked=chains,
+        warmup=warmup,
+        seed=seed,
+        divergences=int(np.sum(parts["diverging"])),
+        scale=float(density.scale),
+        within=_within(fitted.runs, each),
+        failed=failed,
+    )
+    return Posterior(summary=summary, samples=samples, bands=each, **parts)
+
+
+def check_posterior(*, chains: int = 1, draws: int = 8, warmup: int = 0) -> None:
+    """Refuse what cannot be drawn, before anything is computed.
+
+    Raises:
+        InputError: NumPyro is not installed, or a number that cannot be.
+    """
+    if importlib.util.find_spec("numpyro") is None:
+        raise InputError(
+            'a posterior needs NumPyro, which is not installed: pip install "giajax[posterior]"'
+        )
+    for what, number, least in (("chains", chains, 1), ("draws", draws, 8), ("warmup", warmup, 0)):
+        if number < least:
+            raise InputError(f"{what} is {number}, but must be at least {least}")
+
+
+class _Told:
+    """Adds up what chains of this process and of others say that they have done."""
+
+    def __init__(self, progress: Callable[[int, int], None] | None, chains: int, each: int) -> None:
+        self._progress, self._each, self._total = progress, each, chains * each
+        self._finished = self._begun = 0
+
+    def moved(self, transitions: int) -> None:
+        self._begun += transitions
+        self._say(self._finished * self._each + self._begun)
+
+    def done(self, outcome: Outcome, done: int, total: int) -> None:
+        self._finished, self._begun = done, 0
+        self._say(done * self._each)
+
+    def _say(self, transitions: int) -> None:
+        if self._progress is not None:
+            self._progress(transitions, self._total)
+
+
+def _begun(density: Density, fitted: Fitted, number: int, seed: int) -> Begun:
+    """The start of a chain, at which the model can be evaluated if it can be anywhere near."""
+    optimum = fitted.optimum()
+    z = np.random.default_rng([seed, number]).normal(size=len(density.places)) * _APART
+    for _ in range(_ATTEMPTS):
+        energy, gradient = energy_at(density, optimum, z)
+        if np.isfinite(energy):
+            break
+        z = z / 2
+    return Begun(density, z, energy, gradient, fitted.task_key)
+
+
+def _summary(
+    result: FitResult,
+    optimum: Optimum,
+    samples: np.ndarray,
+    *,
+    places: Sequence[int],
+    failed: Sequence[str],
+    **facts: Any,
+) -> PosteriorSummary:
+    marginals = {
+        optimum.labels[place]: marginal(result, optimum, place, samples[..., column])
+        for column, place in enumerate(places)
+    }
+    sentences = doubts(marginals, facts["divergences"], samples, failed, facts["asked"])
+    return PosteriorSummary(
+        parameters=marginals,
+        chains=samples.shape[0],
+        draws=samples.shape[1],
+        cost=result.cost,
+        held=tuple(label for label in optimum.labels if label not in marginals),
+        warnings=tuple(sentences),
+        **facts,
+    )
+
+
+def _within(
+    runs: Sequence[Run], each: Sequence[Mapping[str, Band]]
+) -> dict[str, dict[str, float | None]]:
+    return {
+        run: {name: band.within for name, band in by_channel.items()}
+        for run, by_channel in zip(unique_names(runs), each, strict=True)
+    }

@@ -1,0 +1,392 @@
+"""Profiles of a fit: how far each quantity can go until the fit is too bad, however the rest helps.
+
+The interval of a standard error takes the residuals to be straight in the parameters. A profile
+does not: it holds a quantity, fits all others, and goes on until the cost says no (Venzon and
+Moolgavkar 1988; Bates and Watts, "Nonlinear Regression Analysis", 1988, section 6.1).
+"""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..fitting import FitResult, Optimum
+from ..recordings import Run
+from ..runtime.execution import run_tasks
+from ..runtime.tasks import Outcome, Task
+from ..runtime.text import InputError
+from ._profile_records import (
+    Ending,
+    Profile,
+    ProfilePoint,
+    Profiles,
+    interval_end,
+    load_profiles,
+    remarks_on,
+)
+from ._profiled import Followed, Profiled, profiled_of, quantity_names, tangent
+from ._refit import Fitted, fit_key
+
+# One side of a profile: from the optimum outwards, each fit begun from the one before.
+
+# The root of the deviance is to rise by this in a step, and may rise by so much.
+_STEP, _LARGEST = 0.4, 1.0
+
+# In standard errors: a rise within less is a wall, which need not be known any better.
+_SHORTEST = 0.05
+
+# A step is at most so many times the one before, and at least this part of it.
+_GROWTH, _SHRINKING = 2.0, 0.25
+
+_MOST_POINTS, _RETRIES = 40, 5
+
+# So many intervals away, where three steps raised the root by less than this: it is flat.
+_FAR, _RISE = 15.0, 0.05
+
+# A fall of the root that is no rounding: the points before it are not the best.
+_FALL = 0.02
+
+# A parameter this near to its bound, in its own size, is at it.
+_AT_BOUND = 1e-6
+
+
+class PathPoint(NamedTuple):
+    """A fit with the quantity held.
+
+    Attributes:
+        at: value of the quantity.
+        root: of the deviance from the optimum, signed: negative where the cost is lower.
+        fit: how it ended.
+    """
+
+    at: float
+    root: float
+    fit: Followed
+
+
+class Side(NamedTuple):
+    """A side of a profile: its points outwards, without that of the fit, and what ended it.
+
+    Where a better fit with the value of the fit itself was found, that is the first of them.
+    """
+
+    points: list[PathPoint]
+    ended: Ending
+    reason: str
+
+
+@dataclasses.dataclass(frozen=True)
+class _Walk:
+    """What all steps of a side have in common."""
+
+    optimum: Optimum
+    profiled: Profiled
+    side: int
+
+    def point(self, at: float, before: PathPoint) -> PathPoint:
+        """The fit there, begun along the tangent of another one."""
+        start = before.fit.values
+        if before.fit.jacobian is not None:
+            gradient = self.profiled.quantity(start)[1]
+            side = 1 if at > before.at else -1
+            along = tangent(before.fit.jacobian, gradient, start, self.optimum.bounds, side)
+            moved = np.clip(start + (at - before.at) * along, *self.optimum.bounds)
+            start = moved if np.all(np.isfinite(moved)) else start
+        fit = self.profiled.held(self.optimum, at, start)
+        deviance = 2 * (fit.cost - self.optimum.cost) / self.profiled.factor
+        root = np.inf if not np.isfinite(deviance) else np.sign(deviance) * np.sqrt(abs(deviance))
+        return PathPoint(at, float(root), fit)
+
+    def improved(self, points: list[PathPoint]) -> list[PathPoint]:
+        """The points, of which those before the last are fitted again from the one after each.
+
+        A profile that jumps has followed a valley that was not the deepest.
+        """
+        better = list(points)
+        for index in range(len(points) - 2, -1, -1):
+            again = self.point(points[index].at, better[index + 1])
+            if not again.fit.cost < points[index].fit.cost:
+                break
+            better[index] = again
+        return better
+
+
+def walked(optimum: Optimum, profiled: Profiled, side: int, reach: float) -> Side:
+    """The profile on one side of the optimum, to a little beyond a deviance.
+
+    Arguments:
+        optimum: of the fit.
+        profiled: the quantity.
+        side: 1 upwards, -1 downwards.
+        reach: root of the deviance at which the interval ends.
+
+    Returns:
+        The points and what ended them. The one before the last is next to the interval's end,
+        where the side ended by the level.
+    """
+    walk = _Walk(optimum, profiled, side)
+    here = optimum.at(optimum.values)
+    begun = Followed(optimum.values, optimum.cost, here.jacobian, "optimum", True)
+    first = PathPoint(profiled.value, 0.0, begun)
+    points = [first]
+
+    def side_of(points: list[PathPoint], ended: Ending, reason: str = "") -> Side:
+        return Side(points[1:] if points[0] is first else points, ended, reason)
+
+    bound = profiled.upper if side > 0 else profiled.lower
+    if profiled.fixed:
+        return side_of(points, "flat", "no channel responds to it")
+    step, retries = _STEP * profiled.size, 0
+    near = _AT_BOUND * max(profiled.size, abs(profiled.value))
+    while len(points) <= _MOST_POINTS:
+        last = points[-1]
+        if side * (bound - last.at) <= near:
+            return side_of(points, "bound")
+        at = last.at + side * step
+        if side * (bound - at) <= near:
+            at = bound
+        new = walk.point(at, last)
+        lowest = min(point.root for point in points)
+        jumped = np.isfinite(new.root) and new.root - last.root > _LARGEST
+        jumped = jumped and abs(at - last.at) > _SHORTEST * profiled.size
+        if (not new.fit.converged or jumped) and retries < _RETRIES:
+            retries += 1
+            rise = new.root - last.root if jumped else np.inf
+            step = abs(at - last.at) * max(_SHRINKING, min(0.5, _STEP / rise))
+            continue
+        if not new.fit.converged:
+            return side_of(points, "failed", new.fit.reason)
+        retries = 0
+        points.append(new)
+        if new.root < last.root - _FALL:
+            points = walk.improved(points)
+            lowest = min(point.root for point in points)
+        rise = points[-1].root - points[-2].root
+        if _above(points[-1].root, lowest) >= reach:
+            return side_of(_refined(walk, points, reach), "level")
+        if _is_flat(points, profiled, reach):
+            return side_of(points, "flat")
+        growth = _GROWTH if rise <= 0 else np.clip(_STEP / rise, _SHRINKING, _GROWTH)
+        step = abs(points[-1].at - points[-2].at) * float(growth)
+    return side_of(points, "unfinished")
+
+
+def _above(root: float, lowest: float) -> float:
+    """Root of the deviance from the lowest point, which is the optimum or below it."""
+    lowest = min(lowest, 0.0)
+    return float(np.sqrt(max(np.sign(root) * root**2 + lowest**2, 0.0)))
+
+
+def _is_flat(points: list[PathPoint], profiled: Profiled, reach: float) -> bool:
+    """Whether the deviance does not rise any more, far from the optimum."""
+    far = abs(points[-1].at - profiled.value) > _FAR * reach * profiled.size
+    return far and len(points) > 3 and points[-1].root - points[-4].root < _RISE
+
+
+def _refined(walk: _Walk, points: list[PathPoint], reach: float) -> list[PathPoint]:
+    """With a point where the interval ends, as nearly as its neighbours tell."""
+    inner, outer = points[-2:]
+    lowest = min(point.root for point in points)
+    low, high = _above(inner.root, lowest), _above(outer.root, lowest)
+    part = (reach - low) / (high - low)
+    at = inner.at + part * (outer.at - inner.at)
+    if not (part > 1e-6 and 1 - part > 1e-6):
+        return points
+    between = walk.point(at, inner if part < 0.5 else outer)
+    if not between.fit.converged:
+        return points
+    return [*points[:-1], between, outer]
+
+
+# What a worker does for a profile, one side of one quantity, and what becomes of two of them.
+
+SIDES = (-1, 1)
+
+
+def one_side(fitted: Fitted, name: str, side: int, level: float) -> dict[str, Any]:
+    """A task: one side of the profile of one quantity, as plain data."""
+    optimum = fitted.optimum()
+    profiled = profiled_of(fitted.result, optimum, name)
+    found = walked(optimum, profiled, side, profiled.reach(level))
+    points = [
+        ProfilePoint(
+            value=point.at,
+            deviance=float(np.sign(point.root) * point.root**2),
+            values=_shared(optimum, point.fit.values),
+            at_bounds=_at_bounds(optimum, point.fit.values, name),
+        )
+        for point in found.points
+    ]
+    return {"points": points, "ended": found.ended, "reason": found.reason}
+
+
+def combined(
+    optimum: Optimum, profiled: Profiled, level: float, pair: tuple[Outcome, Outcome]
+) -> Profile:
+    """The profile of a quantity.
+
+    Arguments:
+        optimum: of the fit.
+        profiled: the quantity.
+        level: of the interval.
+        pair: what came of its two sides, by `SIDES`.
+    """
+    centre = ProfilePoint(
+        profiled.value,
+        0.0,
+        _shared(optimum, optimum.values),
+        _at_bounds(optimum, optimum.values, profiled.name),
+    )
+    points, ended, reasons = [centre], [], []
+    for outcome in pair:
+        found: Mapping[str, Any] = outcome.value or {}
+        points += [
+            ProfilePoint(one["value"], one["deviance"], tuple(one["values"]), tuple(names))
+            for one in found.get("points", ())
+            for names in [one["at_bounds"]]
+        ]
+        missing = "stopped" if outcome.status == "stopped" else "failed"
+        ended.append(found.get("ended", missing))
+        reasons.append(found.get("reason", outcome.message))
+    points = _best_at_each(points)
+    reach = profiled.reach(level)
+    ends = [
+        _end(points, side, reach, how, bound)
+        for side, how, bound in zip(SIDES, ended, (profiled.lower, profiled.upper), strict=True)
+    ]
+    interval, how = (ends[0], ends[1]), (ended[0], ended[1])
+    return Profile(
+        name=profiled.name,
+        unit=profiled.unit,
+        value=profiled.value,
+        standard_error=profiled.error,
+        linear=profiled.linear(level),
+        reach=reach,
+        lower=profiled.lower if np.isfinite(profiled.lower) else None,
+        upper=profiled.upper if np.isfinite(profiled.upper) else None,
+        interval=interval,
+        ended=how,
+        points=tuple(points),
+        lowest=min(point.deviance for point in points),
+        remarks=remarks_on(points, interval, how, (reasons[0], reasons[1]), profiled.value),
+    )
+
+
+def _best_at_each(points: Sequence[ProfilePoint]) -> list[ProfilePoint]:
+    """The points by value, ascending; of those at the same one, the best."""
+    best: dict[float, ProfilePoint] = {}
+    for point in points:
+        known = best.setdefault(point.value, point)
+        if point.deviance < known.deviance:
+            best[point.value] = point
+    return [best[value] for value in sorted(best)]
+
+
+def _end(
+    points: Sequence[ProfilePoint], side: int, reach: float, ended: Ending, bound: float
+) -> float | None:
+    crossed = interval_end(points, side, reach)
+    return bound if crossed is None and ended == "bound" else crossed
+
+
+def _shared(optimum: Optimum, values: np.ndarray) -> tuple[float, ...]:
+    return tuple(map(float, values[: optimum.state.problem.shared]))
+
+
+def _at_bounds(optimum: Optimum, values: np.ndarray, name: str) -> tuple[str, ...]:
+    """The parameters that are at a bound, apart from the one of this name."""
+    lower, upper = optimum.bounds
+    near = _AT_BOUND * np.asarray(optimum.state.sizes)
+    there = (values - lower <= near) | (upper - values <= near)
+    return tuple(optimum.labels[i] for i in np.flatnonzero(there) if optimum.labels[i] != name)
+
+
+LEVEL = 0.95
+
+
+def profile(
+    result: FitResult,
+    runs: Run | Sequence[Run],
+    paths: Sequence[str] | None = None,
+    *,
+    level: float = LEVEL,
+    known: Profiles | None = None,
+    executor: Executor | None = None,
+    folder: str | Path | None = None,
+    progress: Callable[[Outcome, int, int], None] | None = None,
+) -> Profiles:
+    """Profile parameters and derived quantities of a fit.
+
+    Each is held at values ever farther from its estimate, on both sides, while all other
+    parameters are fitted, until the fit is worse than `level` allows, a bound is met, or the data
+    give no end. On a problem that is linear the interval is that of the standard error.
+
+    Arguments:
+        result: of a fit that converged.
+        runs: what it was fitted to, in their order.
+        paths: of free parameters (also of what single runs have, such as `initial.angle`), or
+            names of `result.derived`; by default all free parameters of the model.
+        level: of the intervals.
+        known: profiles of this fit and level, which are not made again; those asked for are
+            returned with the new ones.
+        executor: who does the sides, each a task (`giajax.runtime.execution.run_tasks`); by
+            default this process.
+        folder: of a file for each task, by which the same call goes on after it was stopped.
+        progress: as of `run_tasks`.
+
+    Returns:
+        The profiles. After Ctrl-C, those sides that were not done are "stopped".
+
+    Raises:
+        InputError: a path that was not free, a level that is none, a fit that did not converge, or
+            other runs than those of the result.
+
+    Example:
+        >>> profiles = giajax.profile(result, run, ["air.drag_coefficient"])  # doctest: +SKIP
+        >>> profiles["air.drag_coefficient"].interval  # doctest: +SKIP
+    """
+    if not 0 < level < 1:
+        raise InputError(f"the level is {level:g}: give one between 0 and 1, such as 0.95")
+    if result.status != "converged":
+        raise InputError("the fit did not converge, so it has no optimum to profile: fit it first")
+    fitted = Fitted.of(result, runs)
+    if known is not None and (known.fit, known.level) != (fit_key(result), level):
+        raise InputError("the known profiles are of another fit or level: leave them out")
+    optimum = fitted.optimum()
+    asked = quantity_names(result, optimum, paths)
+    there = {} if known is None else known.profiles
+    names = [name for name in asked if name not in there]
+    tasks = [
+        Task(one_side, {"fitted": fitted, "name": name, "side": side, "level": level})
+        for name in names
+        for side in SIDES
+    ]
+    outcomes = run_tasks(tasks, executor=executor, folder=folder, progress=progress)
+    profiles = {}
+    for index, name in enumerate(names):
+        profiled = profiled_of(result, optimum, name)
+        pair = outcomes[2 * index], outcomes[2 * index + 1]
+        profiles[name] = combined(optimum, profiled, level, pair)
+    return Profiles(
+        fit=fit_key(result),
+        level=level,
+        labels=optimum.labels[: optimum.state.problem.shared],
+        profiles={name: there[name] if name in there else profiles[name] for name in asked},
+    )
+
+
+def profiles_beside(result: FitResult, folder: str | Path) -> Profiles | None:
+    """The profiles of a result that are in a folder; None if there are none of it.
+
+    Arguments:
+        result: of a fit.
+        folder: that `result.json` is in.
+    """
+    try:
+        found = load_profiles(folder)
+    except InputError:
+        return None
+    return found if found.fit == fit_key(result) else None

@@ -1,0 +1,274 @@
+"""A profile as data: how the cost rises as one quantity is held ever farther from its estimate.
+
+JSON gives each record back; field by field they are the objects of `profiles.json`.
+"""
+
+import dataclasses
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, Self, TypeAlias
+
+import numpy as np
+
+from ..runtime.files import parse_json, read_bytes
+from ..runtime.limits import RESULT_BYTES
+from ..runtime.text import InputError
+
+PROFILES = "profiles.json"
+_FORMAT = 1
+
+Ending: TypeAlias = Literal["level", "bound", "flat", "failed", "unfinished", "stopped"]
+"""What ended a side of a profile.
+
+- level: the deviance is beyond that of the interval.
+- bound: the bound of the quantity came first: the interval ends there, and is one-sided.
+- flat: the deviance does not rise any more: the data do not bound the quantity there.
+- failed: no further point could be fitted.
+- unfinished: it rises so slowly that the points were used up.
+- stopped: by Ctrl-C.
+"""
+
+
+@dataclasses.dataclass(frozen=True)
+class ProfilePoint:
+    """The best fit with the quantity held.
+
+    Attributes:
+        value: at which it was held, SI.
+        deviance: how much worse the fit is, in units in which a parabola of one at one standard
+            error is what the linear interval takes it for.
+        values: of the parameters of the model there, SI, in the order of `Profiles.labels`.
+        at_bounds: the other parameters that are at a bound there.
+    """
+
+    value: float
+    deviance: float
+    values: tuple[float, ...]
+    at_bounds: tuple[str, ...] = ()
+
+
+@dataclasses.dataclass(frozen=True)
+class Profile:
+    """The profile of one quantity.
+
+    Attributes:
+        name: of a free parameter, with its run or group of runs where it is not shared, or of a
+            derived quantity.
+        unit: SI unit.
+        value: estimate of the fit.
+        standard_error: of the fit; None if there is none.
+        linear: interval of the fit, by Student's t within the bounds; None likewise.
+        reach: the root of the deviance at which the interval ends: the quantile of Student's t.
+        lower, upper: bounds of the quantity; None where there is none.
+        interval: by the profile: where the deviance comes to the square of `reach`, or a bound.
+            None for an end that was not found.
+        ended: what ended the lower and the upper side.
+        points: with the quantity in ascending order, the estimate among them.
+        lowest: deviance of the best point: below 0 where the fit was not at its optimum.
+        remarks: sentences on what a reader must know.
+    """
+
+    name: str
+    unit: str
+    value: float
+    standard_error: float | None
+    linear: tuple[float, float] | None
+    reach: float
+    lower: float | None
+    upper: float | None
+    interval: tuple[float | None, float | None]
+    ended: tuple[Ending, Ending]
+    points: tuple[ProfilePoint, ...]
+    lowest: float = 0.0
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def complete(self) -> bool:
+        """Whether nothing stopped it."""
+        return "stopped" not in self.ended
+
+    @classmethod
+    def of_json(cls, record: Mapping[str, Any]) -> Self:
+        """The record that an object of `profiles.json` holds."""
+        points = tuple(
+            ProfilePoint(
+                item["value"], item["deviance"], tuple(item["values"]), tuple(item["at_bounds"])
+            )
+            for item in record["points"]
+        )
+        low, high = record["interval"]
+        first, last = record["ended"]
+        linear = record["linear"]
+        known = {
+            "linear": None if linear is None else (linear[0], linear[1]),
+            "interval": (low, high),
+            "ended": (first, last),
+            "points": points,
+            "remarks": tuple(record["remarks"]),
+        }
+        return cls(**{**record, **known})
+
+
+@dataclasses.dataclass(frozen=True)
+class Profiles:
+    """Profiles of a fit.
+
+    Attributes:
+        fit: `fit_key` of the result that they are of.
+        level: of the intervals.
+        labels: names of the model's free parameters, whose values the points have.
+        profiles: by the name of the quantity.
+    """
+
+    fit: str
+    level: float
+    labels: tuple[str, ...]
+    profiles: dict[str, Profile]
+
+    def __getitem__(self, name: str) -> Profile:
+        """The profile of a quantity."""
+        return self.profiles[name]
+
+    def to_json(self) -> str:
+        """The profiles as JSON."""
+        record = {"giajax_profiles": _FORMAT, **dataclasses.asdict(self)}
+        return json.dumps(record, indent=1, allow_nan=False) + "\n"
+
+
+def load_profiles(path: str | Path) -> Profiles:
+    """Read a `profiles.json`, or that of the folder of a result.
+
+    Arguments:
+        path: of the file, or of its folder.
+
+    Raises:
+        InputError: there is no such file, or it holds no profiles.
+
+    Example:
+        >>> profiles = load_profiles("giajax-out/base_step")  # doctest: +SKIP
+        >>> profiles["air.drag_coefficient"].interval  # doctest: +SKIP
+    """
+    path = Path(path)
+    path = path / PROFILES if path.is_dir() else path
+    try:
+        record = parse_json(read_bytes(path, RESULT_BYTES).decode(), path)
+        if record.pop("giajax_profiles") != _FORMAT:
+            raise InputError(f"{path} was written by another version of giajax: profile it again")
+        profiles = {name: Profile.of_json(item) for name, item in record["profiles"].items()}
+        return Profiles(record["fit"], record["level"], tuple(record["labels"]), profiles)
+    except FileNotFoundError:
+        raise InputError(f"{path} does not exist: make it with giajax profile") from None
+    except InputError:
+        raise
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        raise InputError(f"{path} holds no profiles of giajax: make it anew") from None
+
+
+# What the points of a profile say: the ends of the interval, and what a reader must know.
+
+# A deviance this far below that of the fit is no rounding.
+LOWER = 0.01
+
+
+def interval_end(points: Sequence[ProfilePoint], side: int, reach: float) -> float | None:
+    """Where the deviance above its lowest comes to the square of `reach`.
+
+    Of the root, which is nearly straight, the inverse is interpolated by a monotone cubic
+    (Fritsch and Carlson 1980).
+
+    Arguments:
+        points: by value, ascending, the estimate among them.
+        side: 1 for the upper end, -1 for the lower one.
+        reach: root of the deviance.
+
+    Returns:
+        The value of the quantity; None where the points do not come to it.
+    """
+    ordered = points if side > 0 else points[::-1]
+    lowest = min(range(len(ordered)), key=lambda index: ordered[index].deviance)
+    base = ordered[lowest].deviance
+    roots = [float(np.sqrt(max(point.deviance - base, 0.0))) for point in ordered[lowest:]]
+    values = [point.value for point in ordered[lowest:]]
+    crossing = next((index for index, root in enumerate(roots) if root >= reach), None)
+    if crossing is None or crossing == 0:
+        return None
+    # Slow to import, and needed for profiles alone.
+    from scipy.interpolate import PchipInterpolator
+
+    # From the first crossing inwards, without what a rough cost makes rise there; and one beyond.
+    kept = [crossing]
+    for index in range(crossing - 1, -1, -1):
+        if roots[index] < roots[kept[0]]:
+            kept.insert(0, index)
+    if crossing + 1 < len(roots) and roots[crossing + 1] > roots[crossing]:
+        kept.append(crossing + 1)
+    inverse = PchipInterpolator([roots[i] for i in kept], [values[i] for i in kept])
+    return float(inverse(reach))
+
+
+def remarks_on(
+    points: Sequence[ProfilePoint],
+    interval: tuple[float | None, float | None],
+    ended: tuple[Ending, Ending],
+    reasons: tuple[str, str],
+    value: float,
+) -> tuple[str, ...]:
+    """Sentences on what a reader must know before using the interval.
+
+    Arguments:
+        points: by value, ascending.
+        interval: the ends that were found.
+        ended: what ended each side.
+        reasons: more of it, in a word.
+        value: the estimate.
+    """
+    said = []
+    lowest = min(points, key=lambda point: point.deviance)
+    if lowest.deviance < -LOWER:
+        said.append(
+            f"the fit was not at its optimum: the deviance is {lowest.deviance:.2g} at "
+            f"{lowest.value:.5g}, so fit again from there"
+        )
+    for place, word in enumerate(("lower", "upper")):
+        if (sentence := _of_side(ended[place], reasons[place], word)) is not None:
+            said.append(sentence)
+        elif interval[place] is None and ended[place] == "level":
+            said.append(f"its {word} end was not found: fit again from the lowest cost")
+    if ended == ("bound", "bound"):
+        said.append("the data say nothing within its bounds")
+    inside = [
+        point
+        for point in points
+        if (interval[0] is None or point.value >= interval[0])
+        and (interval[1] is None or point.value <= interval[1])
+    ]
+    at_optimum = next((point.at_bounds for point in points if point.value == value), ())
+    met: dict[str, float] = {}
+    left: dict[str, float] = {}
+    for point in sorted(inside, key=lambda point: abs(point.value - value)):
+        for name in set(point.at_bounds) - set(at_optimum):
+            met.setdefault(name, point.value)
+        for name in set(at_optimum) - set(point.at_bounds):
+            left.setdefault(name, point.value)
+    said += [f"{name} meets its bound at {met[name]:.5g}" for name in sorted(met)]
+    said += [f"{name} leaves its bound at {left[name]:.5g}" for name in sorted(left)]
+    return tuple(said)
+
+
+def _of_side(ended: Ending, reason: str, word: str) -> str | None:
+    if ended == "bound":
+        return f"one-sided: its {word} end is its bound"
+    if ended == "flat":
+        return f"the data give it no {word} end" + (f": {reason}" if reason else "")
+    if ended == "failed":
+        why = {
+            "wall": "the model cannot be evaluated beyond",
+            "iterations": "a fit used up its iterations",
+        }.get(reason, reason if " " in reason else "a fit did not end at an optimum")
+        return f"its {word} end was not reached: {why}"
+    if ended == "unfinished":
+        return f"its {word} end was not reached: the deviance rises too slowly"
+    if ended == "stopped":
+        return f"its {word} side was stopped"
+    return None

@@ -1,0 +1,387 @@
+"""What is profiled: a free parameter or a derived quantity, and how a fit holds it."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ..fitting import BlockJacobian, FitResult, Optimum, Point, student_reach
+from ..runtime.text import InputError, one_of
+
+# Where the other parameters go, to first order, when a quantity is moved.
+
+# Singular values of the normalised Jacobian below this part of the largest are rounding: what they
+# belong to costs nothing, but is not to run away.
+_LEAST = 1e-7
+
+
+def weights(jacobian: BlockJacobian, movable: np.ndarray) -> np.ndarray:
+    """The inverse of J^T J, of the columns that may move; zero elsewhere.
+
+    Arguments:
+        jacobian: of the residuals by the parameters.
+        movable: which may move, shape (parameter,).
+
+    Returns:
+        Shape (parameter, parameter). What leaves all residuals unchanged has a large, finite part.
+    """
+    norms = jacobian.norms()
+    columns = np.flatnonzero(movable & (norms > 0))
+    inverse = np.zeros((jacobian.size, jacobian.size))
+    if not len(columns):
+        return inverse
+    root = jacobian.reduced()[:, columns] / norms[columns]
+    _, singular, right = np.linalg.svd(np.linalg.qr(root, mode="r"))
+    half = right.T / np.maximum(singular, _LEAST * singular[0]) / norms[columns][:, None]
+    inverse[np.ix_(columns, columns)] = half @ half.T
+    return inverse
+
+
+def tangent(
+    jacobian: BlockJacobian,
+    gradient: np.ndarray,
+    values: np.ndarray,
+    bounds: tuple[np.ndarray, np.ndarray],
+    side: int,
+) -> np.ndarray:
+    """The change of all parameters that costs least where a quantity moves by one.
+
+    Arguments:
+        jacobian: of the residuals by the parameters.
+        gradient: of the quantity by them.
+        values: of the parameters, shape (parameter,); those at a bound do not move beyond it.
+        bounds: of the parameters.
+        side: 1 where the quantity is to grow, -1 where it is to fall.
+
+    Returns:
+        Shape (parameter,); zero where nothing that may move changes the quantity.
+    """
+    movable = np.ones(len(values), dtype=bool)
+    for _ in range(len(values) + 1):
+        steepest = weights(jacobian, movable) @ gradient
+        length = float(gradient @ steepest)
+        if not length > 0:
+            break
+        direction = steepest / length
+        leaves = movable & beyond(values, bounds, side * direction)
+        if not np.any(leaves):
+            return direction
+        movable &= ~leaves
+    return np.zeros(len(values))
+
+
+def beyond(
+    values: np.ndarray, bounds: tuple[np.ndarray, np.ndarray], step: np.ndarray
+) -> np.ndarray:
+    """Which of the parameters are at a bound that a step would lead beyond, shape (parameter,)."""
+    lower, upper = bounds
+    return ((values <= lower) & (step < 0)) | ((values >= upper) & (step > 0))
+
+
+# The best fit on which a quantity of several parameters has a given value.
+#
+# Marquardt's steps of least squares with one more equation, the quantity to first order; after
+# each, the parameters go back to where the quantity has its value to the last digit, along the
+# direction that costs least. So the cost is all that is to fall, and only at points that keep the
+# equation.
+
+Quantity = Callable[[np.ndarray], tuple[float, np.ndarray]]
+"""From the values of all free parameters to a value and its gradient."""
+
+_MOST = 40
+
+# Part of a unit of the noise that is not worth another step.
+_LITTLE = 1e-7
+
+_SHORTEST, _ROUNDING, _CORRECTIONS = 1e-9, 1e-12, 30
+
+
+class Followed(NamedTuple):
+    """A fit with a quantity held.
+
+    Attributes:
+        values: of all free parameters, SI.
+        cost: as of `Optimum`; infinite where nothing could be evaluated.
+        jacobian: of the residuals by the parameters there; None likewise.
+        reason: as of `Refit`.
+        converged: whether it is at an optimum of what was free.
+    """
+
+    values: np.ndarray
+    cost: float
+    jacobian: BlockJacobian | None
+    reason: str
+    converged: bool
+
+
+def constrained(optimum: Optimum, quantity: Quantity, held: float, start: np.ndarray) -> Followed:
+    """Fit with a quantity held.
+
+    Arguments:
+        optimum: the fit.
+        quantity: what is held.
+        held: its value.
+        start: of all free parameters, shape (parameter,); the quantity need not have its value.
+
+    Returns:
+        Where it ended.
+    """
+    bounds = optimum.bounds
+    alive, bread = optimum.statistics.alive, optimum.statistics.bread
+    metric = np.zeros((len(start), len(start)))
+    # What only a combination is known of may move, too.
+    metric[np.ix_(alive, alive)] = bread + 1e-6 * np.diag(np.diag(bread))
+    restored = _restored(quantity, held, np.clip(start, *bounds), bounds, metric)
+    if restored is None:
+        return Followed(start, np.inf, None, "wall", False)
+    values, point = restored, optimum.at(restored)
+    if not np.isfinite(point.cost):
+        return Followed(values, np.inf, None, "wall", False)
+    damping = 1e-6
+    for _ in range(_MOST):
+        step, metric, promised = _step(point, quantity(values)[1], values, bounds, damping)
+        if promised < _LITTLE:
+            return Followed(values, point.cost, point.jacobian, "optimum", True)
+        moved = _restored(quantity, held, np.clip(values + step, *bounds), bounds, metric)
+        tried = None if moved is None else optimum.at(moved)
+        if moved is not None and tried is not None and tried.cost < point.cost:
+            values, point, damping = moved, tried, max(damping / 10, 1e-12)
+        elif damping > 1 / _SHORTEST:
+            # No step is left: the cost is not smooth here, or it cannot be evaluated beyond.
+            return Followed(values, point.cost, point.jacobian, "rough", promised < 0.01)
+        else:
+            damping = max(damping, 1e-6) * 10
+    return Followed(values, point.cost, point.jacobian, "iterations", False)
+
+
+def _step(
+    point: Point,
+    gradient: np.ndarray,
+    values: np.ndarray,
+    bounds: tuple[np.ndarray, np.ndarray],
+    damping: float,
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """The step that leaves the quantity as it is, the metric, and by how much the cost is to fall.
+
+    What would leave its bound stays on it, and the others are solved for again.
+    """
+    jacobian = point.jacobian
+    slope = jacobian.transposed_times(point.residual)
+    norms = jacobian.norms()
+    root = jacobian.reduced()
+    normal = root.T @ root + damping * np.diag(norms**2)
+    movable = norms > 0
+    metric, step = np.zeros_like(normal), np.zeros(len(values))
+    for _ in range(len(values) + 1):
+        columns = np.flatnonzero(movable)
+        metric, step = np.zeros_like(normal), np.zeros(len(values))
+        if not len(columns):
+            break
+        # Scaled, so that parameters of any size count alike.
+        scaled = normal[np.ix_(columns, columns)] / np.outer(norms[columns], norms[columns])
+        inverse = np.linalg.pinv(scaled, rcond=1e-14, hermitian=True)
+        metric[np.ix_(columns, columns)] = inverse / np.outer(norms[columns], norms[columns])
+        along, across = metric @ gradient, metric @ slope
+        length = float(gradient @ along)
+        if not length > 0:
+            step = np.zeros(len(values))
+            break
+        step = along * float(gradient @ across) / length - across
+        leaves = movable & beyond(values, bounds, step)
+        if not np.any(leaves):
+            break
+        movable &= ~leaves
+    promised = -float(slope @ step + 0.5 * step @ (root.T @ (root @ step)))
+    return step, metric, promised
+
+
+def _restored(
+    quantity: Quantity,
+    held: float,
+    values: np.ndarray,
+    bounds: tuple[np.ndarray, np.ndarray],
+    metric: np.ndarray,
+) -> np.ndarray | None:
+    """The values moved to where the quantity is as it is held; None if there is no such place."""
+    for _ in range(_CORRECTIONS):
+        value, gradient = quantity(values)
+        if not np.isfinite(value):
+            return None
+        missing = held - value
+        if abs(missing) <= _ROUNDING * max(abs(held), abs(value)):
+            return values
+        along = metric @ gradient
+        along = np.where(beyond(values, bounds, missing * along), 0.0, along)
+        length = float(gradient @ along)
+        if not length > 0:
+            return None
+        values = np.clip(values + along * missing / length, *bounds)
+    return None
+
+
+# Of the size of what has no standard error: as far as a first step goes.
+_UNKNOWN = 0.1
+
+
+@dataclasses.dataclass(frozen=True)
+class Profiled:
+    """A quantity of a fit, with what the fit says of it.
+
+    Attributes:
+        name: label of a free parameter, or name of a derived quantity.
+        unit: SI unit.
+        value: at the optimum.
+        error: standard error; None if it has none.
+        freedom: degrees of freedom of Student's t for its interval.
+        factor: deviance of the cost over that which is meant: a parabola of the cost is one of
+            `error` once it is divided by this. It is above 1 where the residuals exceed the noise,
+            or the noise was estimated from them.
+        lower, upper: bounds, infinite where there is none.
+        size: of the first step.
+        position: of the free parameter; None for a derived quantity.
+        quantity: of the free parameters.
+        fixed: whether nothing of the data responds to it.
+    """
+
+    name: str
+    unit: str
+    value: float
+    error: float | None
+    freedom: float
+    factor: float
+    lower: float
+    upper: float
+    size: float
+    position: int | None
+    quantity: Quantity
+    fixed: bool = False
+
+    def reach(self, level: float) -> float:
+        """Root of the deviance at which an interval ends."""
+        return student_reach(self.freedom, level)
+
+    def linear(self, level: float) -> tuple[float, float] | None:
+        """The interval of the standard error, within the bounds."""
+        if self.error is None:
+            return None
+        width = self.reach(level) * self.error
+        return max(self.value - width, self.lower), min(self.value + width, self.upper)
+
+    def held(self, optimum: Optimum, value: float, start: np.ndarray) -> Followed:
+        """The best fit with it held, from a start of all free parameters."""
+        if self.position is None:
+            return constrained(optimum, self.quantity, value, start)
+        ended = optimum.refit(held={self.name: value}, start=start)
+        known = ended.state.evaluated
+        # What is held has a column, too: it says where the others go when it is moved.
+        everything = dataclasses.replace(ended.state, active=optimum.state.active)
+        return Followed(
+            values=ended.values,
+            cost=ended.cost if known else np.inf,
+            jacobian=everything.natural_jacobian() if known else None,
+            reason=ended.reason,
+            converged=ended.converged,
+        )
+
+
+def quantity_names(result: FitResult, optimum: Optimum, asked: Sequence[str] | None) -> list[str]:
+    """What is to be profiled, by the names that `profiled_of` takes.
+
+    Arguments:
+        result: of the fit.
+        optimum: its optimum.
+        asked: labels, paths (of an array, or of what has a value for each run, all of its values)
+            or names of derived quantities; None for all free parameters of the model.
+
+    Raises:
+        InputError: there is no such quantity.
+    """
+    shared = optimum.labels[: optimum.state.problem.shared]
+    names: list[str] = []
+    for path in shared if asked is None else asked:
+        found = [
+            label
+            for label in optimum.labels
+            if path in (label, label.partition(" of ")[0], label.partition("[")[0])
+        ]
+        if path in result.derived:
+            found = [path]
+        if not found:
+            known = one_of([*shared, *result.derived])
+            raise InputError(
+                f"'{path}' was not free in this fit, and does not follow from what was: use one of "
+                f"{known}"
+            )
+        names += found
+    return list(dict.fromkeys(names))
+
+
+def profiled_of(result: FitResult, optimum: Optimum, name: str) -> Profiled:
+    """A quantity by its name.
+
+    Arguments:
+        result: of the fit.
+        optimum: its optimum.
+        name: one of `quantity_names`.
+    """
+    statistics = optimum.statistics
+    if name in result.derived:
+        return _derived(result, optimum, name)
+    index = optimum.position(name)
+    gradient = np.eye(len(optimum.labels))[index]
+    error = statistics.standard_errors.get(index)
+    error = error if error is not None and np.isfinite(error) else None
+    lower, upper = (float(bound[index]) for bound in optimum.bounds)
+    path = name.partition(" of ")[0]
+    unit = result.parameters[path].unit if path in result.parameters else "SI"
+    factor = statistics.scale
+    if error is not None:
+        factor = (error / _spread(optimum, gradient)) ** 2
+    size = float(optimum.state.sizes[index])
+    return Profiled(
+        name=name,
+        unit=unit,
+        value=float(optimum.values[index]),
+        error=error,
+        freedom=statistics.freedom.get(index, np.inf),
+        factor=factor,
+        lower=lower,
+        upper=upper,
+        size=_UNKNOWN * size if error is None else error,
+        position=index,
+        quantity=lambda values: (float(values[index]), gradient),
+        fixed=index not in statistics.alive,
+    )
+
+
+def _derived(result: FitResult, optimum: Optimum, name: str) -> Profiled:
+    statistics, estimate = optimum.statistics, result.derived[name]
+    quantity = optimum.derived(name)
+    value, gradient = quantity(optimum.values)
+    error, factor = estimate.standard_error, statistics.scale
+    if error is not None:
+        factor = (error / _spread(optimum, gradient)) ** 2
+    # As few degrees of freedom as any parameter that it follows from.
+    known = [statistics.freedom.get(int(i), np.inf) for i in np.flatnonzero(gradient)]
+    return Profiled(
+        name=name,
+        unit=estimate.unit,
+        value=value,
+        error=error,
+        freedom=min(known, default=np.inf),
+        factor=factor,
+        lower=-np.inf if estimate.lower is None else estimate.lower,
+        upper=np.inf if estimate.upper is None else estimate.upper,
+        size=_UNKNOWN * (abs(value) or 1.0) if error is None else error,
+        position=None,
+        quantity=quantity,
+        fixed=not np.any(gradient[statistics.alive]),
+    )
+
+
+def _spread(optimum: Optimum, gradient: np.ndarray) -> float:
+    """Standard error of a quantity if the cost were all there is to know."""
+    statistics = optimum.statistics
+    slope = gradient[statistics.alive]
+    return float(np.sqrt(slope @ statistics.bread @ slope))

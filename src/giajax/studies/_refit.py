@@ -1,0 +1,286 @@
+"""A fit again, changed a little: from where another one ended."""
+
+import dataclasses
+import functools
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any, Self
+
+import numpy as np
+
+from ..fitting import (
+    MAX_ITERATIONS,
+    FitResult,
+    NoiseModel,
+    Optimum,
+    RunFit,
+    Seconds,
+    between,
+    matching_runs,
+    optimum,
+    prepared_with,
+    set_up,
+    solve,
+)
+from ..models import AbstractModel
+from ..recordings import Definition, Run
+from ..runtime.execution import prepared
+from ..runtime.programs import content
+from ..schema.parameters import Parameter, declared, elements, get, switched_on
+
+# Of the size of a parameter, or of the range that it has: how far from a bound a fit starts.
+_INSIDE = 1e-3
+
+
+def begun_where_it_ended(result: FitResult, runs: Sequence[Run]) -> list[Run]:
+    """The runs of a result, each with the initial state that was fitted for it.
+
+    Arguments:
+        result: of a fit.
+        runs: those that were fitted, in their order.
+
+    Returns:
+        The runs; one without an initial state of its own is the same.
+    """
+    return [_begun_as(result, run, record) for run, record in zip(runs, result.runs, strict=True)]
+
+
+def begun_as_fitted(result: FitResult, run: Run) -> Run:
+    """A run with the initial state that was fitted for it, where it was.
+
+    Arguments:
+        result: of a fit.
+        run: any; one of another name or another file than those that were fitted is the same.
+    """
+    for record in result.runs:
+        if (record.name, record.sha256) == (run.name, run.sha256):
+            return _begun_as(result, run, record)
+    return run
+
+
+def _begun_as(result: FitResult, run: Run, record: RunFit) -> Run:
+    own = {path: estimate.value for path, estimate in record.parameters.items()}
+    return _begun(result.model, run, own)
+
+
+def _begun(model: AbstractModel, run: Run, own: Mapping[str, float]) -> Run:
+    if not model.free_inputs(run):
+        return run
+    inputs = prepared_with(model, run, own)
+    contents = run.definition.contents()
+    contents["initial"] = {**model.initial_section(inputs), "free": True}
+    return dataclasses.replace(run, definition=Definition.parse(contents, run.name))
+
+
+def optimum_of(result: FitResult, runs: Sequence[Run]) -> Optimum:
+    """Where a fit ended, to be asked again without compiling anew.
+
+    Arguments:
+        result: of a fit.
+        runs: what it was fitted to, in their order.
+
+    Raises:
+        InputError: the model cannot be evaluated there.
+    """
+    config, model = result.config, result.model
+    values = {path: estimate.value for path, estimate in result.free.items()}
+    setup = set_up(
+        model,
+        runs,
+        free=list(values),
+        start={
+            part.path: _inside(part, float(values[part.path]), config.get("bounds", {}))
+            for path in values
+            for part in elements(model, path)
+        },
+        loss=config.get("loss", "linear"),
+        noise_model=config.get("noise_model", "correlated"),
+        noise_per_run=config.get("noise_per_run", False),
+        **{key: config.get(key, {}) for key in ("priors", "bounds", "ties", "groups")},
+    )
+    own = {
+        record.name: {path: each.value for path, each in record.parameters.items()}
+        for record in result.runs
+    }
+    # As it ended, also on a bound, where no fit may start.
+    there = setup.started_at(values)
+    return optimum(dataclasses.replace(there, own=own), result.runs)
+
+
+def refit(
+    result: FitResult,
+    runs: Sequence[Run],
+    *,
+    model: AbstractModel | None = None,
+    free: Sequence[str] = (),
+    start: Mapping[str, float | Sequence[float]] | None = None,
+    fix: Mapping[str, float | Sequence[float]] | None = None,
+    noise_model: NoiseModel | None = None,
+    max_iterations: int = MAX_ITERATIONS,
+    check: bool = False,
+) -> FitResult:
+    """Fit the same runs again from where a fit ended, with more parameters or another model.
+
+    Arguments:
+        result: the fit to begin from: its free parameters with their priors, bounds, ties and
+            groups of runs, and its loss, are those of the new one.
+        runs: what it was fitted to.
+        model: in place of the fitted model; it must have the free parameters.
+        free: paths of further parameters to free; those that are left out are switched on.
+        start: start values by path, SI, in place of those that the model has.
+        fix: values by path, SI, that are set and held; what was free of it no longer is.
+        noise_model, max_iterations, check: as of `giajax.fit`; the noise model is that of `result`.
+
+    Returns:
+        The new result. What ended at a bound starts a little inside of it.
+
+    Raises:
+        InputError: as `giajax.fit`.
+    """
+    model = result.model if model is None else model
+    own, model = _own_values(result, model), switched_on(model, free)
+
+    def is_held(path: str) -> bool:
+        return bool({path, path.partition("[")[0]} & set(fix or {}))
+
+    limits: dict[str, Any] = {
+        key: {path: item for path, item in result.config.get(key, {}).items() if not is_held(path)}
+        for key in ("priors", "bounds", "ties", "groups")
+    }
+    paths = [path for path in (*result.free, *free) if not is_held(path)]
+    begin: dict[str, Any] = dict(start or {})
+    values: dict[str, float] = {}
+    for path in paths:
+        parts = elements(model, path)
+        wanted = np.broadcast_to(
+            np.asarray(begin.get(path, get(model, path)), dtype=float), (len(parts),)
+        )
+        for part, value in zip(parts, wanted, strict=True):
+            values[part.path] = _inside(part, float(value), limits["bounds"])
+    setup = set_up(
+        model,
+        begun_where_it_ended(result, runs),
+        free=paths,
+        start=values,
+        fix=fix,
+        loss=result.config.get("loss", "linear"),
+        noise_model=noise_model or result.config.get("noise_model", "correlated"),
+        noise_per_run=result.config.get("noise_per_run", False),
+        **limits,
+    )
+    begun = {path.partition("[")[0] for path in begin}
+    setup = dataclasses.replace(setup, own={
+        name: {path: value for path, value in values.items() if path.partition("[")[0] not in begun}
+        for name, values in own.items()
+    })  # fmt: skip
+    if result.integration is not None and result.integration.chosen:
+        # What moved nothing of one model may move another.
+        config = {**setup.config, "tolerance": None}
+        setup = dataclasses.replace(setup, reopened=True, config=config)
+    return solve(setup, max_iterations=max_iterations, check=check)
+
+
+def _own_values(result: FitResult, model: AbstractModel) -> dict[str, dict[str, float]]:
+    """By the name of a run, the values of what it does not share with all others.
+
+    Only of what a model has as the fitted one does: another choice may scale them all.
+    """
+    known = declared(model)
+    kept = {
+        path
+        for path, estimate in result.free.items()
+        if path.partition("[")[0] in known and float(get(model, path)) == estimate.value
+    }
+    return {
+        record.name: {path: own.value for path, own in record.parameters.items() if path in kept}
+        for record in result.runs
+    }
+
+
+def _inside(parameter: Parameter, value: float, bounds: Mapping[str, Sequence[float]]) -> float:
+    """A value well within the bounds of a fit, where a start on one of them would stay."""
+    declaration, path = parameter.declaration, parameter.path
+    known = bounds.get(path, bounds.get(path.partition("[")[0]))
+    lower, upper = known or (declaration.lower, declaration.upper)
+    width = min(upper - lower, abs(declaration.default) or 1.0)
+    return between(value, lower, upper, margin=_INSIDE * width)
+
+
+# A fit and what it was fitted to, as an argument of tasks that other processes do.
+
+
+@dataclasses.dataclass(frozen=True)
+class Fitted:
+    """A result with its runs, which any process can take up.
+
+        task = Task("giajax.studies._profile:profiled", {"fitted": Fitted.of(result, runs)})
+
+    The function of the task asks it for its `optimum`, which a process evaluates once, however many
+    tasks it does: its programs are loaded or compiled for the first of them.
+
+    Attributes:
+        result: without predictions.
+        runs: that it was fitted to, in their order.
+    """
+
+    result: FitResult
+    runs: tuple[Run, ...]
+
+    @classmethod
+    def of(cls, result: FitResult, runs: Run | Sequence[Run]) -> Self:
+        """A result and its runs.
+
+        Arguments:
+            result: of `fit` or `load_result`.
+            runs: what it was fitted to, in their order.
+
+        Raises:
+            InputError: these are not its runs.
+        """
+        several = tuple(matching_runs(result.runs, runs))
+        bare = dataclasses.replace(
+            result, predictions=(), held_predictions=(), seconds=Seconds(0.0, 0.0)
+        )
+        return cls(bare, several)
+
+    @functools.cached_property
+    def task_key(self) -> str:
+        """SHA-256 of what decides the optimum: the same for a result and its `result.json`.
+
+        Times, places of files, versions, and what was asked of a result afterwards do not count.
+        """
+        told = content(list(map(told_of, self.runs)))
+        return hashlib.sha256((fit_key(self.result) + told).encode()).hexdigest()
+
+    def optimum(self) -> Optimum:
+        """Where the fit ended, kept in this process for the tasks to come.
+
+        Raises:
+            InputError: the model cannot be evaluated there.
+        """
+        return prepared(
+            ("optimum", self.task_key), lambda: optimum_of(self.result, list(self.runs))
+        )
+
+
+def fit_key(result: FitResult) -> str:
+    """SHA-256 of what of a result decides its optimum; the runs count by their checksums.
+
+    It says whether a file beside `result.json` is of this fit.
+    """
+    stored = json.loads(result.to_json())
+    kept: dict[str, Any] = {
+        key: stored[key] for key in ("model", "config", "parameters", "integration")
+    }
+    kept["runs"] = [{**record, "path": None} for record in stored["runs"]]
+    return hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()
+
+
+def told_of(run: Run) -> tuple[Any, ...]:
+    """What a fit knows of a run, wherever its file lies."""
+    arrays = {
+        name: list(values) if values.dtype == object else values
+        for name, values in run.values.items()
+    }
+    return run.name, run.model, run.times, arrays, run.channels, run.observed

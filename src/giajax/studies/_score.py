@@ -1,0 +1,570 @@
+"""Score tests: what one more column of the Jacobian would take from the residuals of a fit.
+
+With the weighted residuals r of a fit, its Jacobian J and the column z of what it held,
+z_perp = z - J (J^+ z) is what the fitted parameters cannot imitate. A step of
+-z_perp.r / z_perp.z_perp along it lowers the sum of squares by (z_perp.r)^2 / z_perp.z_perp
+(Rao's score test; Cook & Weisberg 1982, sec. 2.2). At a bound the step ends there.
+
+Plain numpy; nothing here knows of models.
+"""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Self
+
+import numpy as np
+from scipy.special import fdtrc, stdtr
+
+from ..fitting import (
+    Direction,
+    FitResult,
+    Response,
+    checked_priors,
+    layout_of,
+    prior_of,
+    prior_row,
+    resolved_ties,
+    responses,
+    scores,
+    tied,
+)
+from ..models import AbstractModel
+from ..noise import by_second_differences
+from ..recordings import Run
+from ..schema.parameters import declared, get, replace
+
+# A fit where it ended: what it could move, what follows from it, and what was known of it.
+
+Array = np.ndarray
+
+
+def varied_values(result: FitResult) -> list[dict[str, float]]:
+    """Of each run, the values of the model's parameters that not all runs share, by path."""
+    known = declared(result.model)
+    return [
+        {
+            path: estimate.value
+            for path, estimate in record.parameters.items()
+            if path in result.free and path.partition("[")[0] in known
+        }
+        for record in result.runs
+    ]
+
+
+def models_of_runs(result: FitResult) -> list[AbstractModel]:
+    """The fitted model as it is for each run."""
+    ties = resolved_ties(result.model, result.config.get("ties", {}))
+    return [
+        tied(replace(result.model, values), ties) if values else result.model
+        for values in varied_values(result)
+    ]
+
+
+def responses_of(
+    result: FitResult,
+    runs: Sequence[Run],
+    model: AbstractModel,
+    directions: Sequence[Direction] = (),
+    *,
+    variant: str | None = None,
+) -> list[Response]:
+    """The responses of each run where a fit ended, what is tied moving with what it follows from.
+
+    Arguments:
+        result: of the fit.
+        runs: that were fitted.
+        model: the fitted one, with further parts or another choice.
+        directions: what to differentiate by.
+        variant: name of that choice; what not all runs share is as it is with it.
+
+    Raises:
+        InputError: the model cannot be evaluated there, or lacks what a tie follows from.
+    """
+    values = varied_values(result)
+    if variant is not None and any(values):
+        others = [of_run.variants()[variant] for of_run in models_of_runs(result)]
+        values = [
+            {path: float(get(other, path)) for path in of_run}
+            for other, of_run in zip(others, values, strict=True)
+        ]
+    own = [
+        {label: estimate.value for label, estimate in record.parameters.items()}
+        for record in result.runs
+    ]
+    ties = resolved_ties(model, result.config.get("ties", {}))
+    return responses(model, runs, directions, own, values=values, ties=ties)
+
+
+@dataclasses.dataclass(frozen=True)
+class Moved:
+    """The coordinates of a fit: those that several runs share, and those of single runs.
+
+    Attributes:
+        places: of each run, where the value of each free parameter stands among what is shared;
+            -1 where no other run has it.
+        shared: the free parameter of each shared coordinate, by its position among all.
+        known: rows of the residual that are priors of what is shared, and their derivatives by it,
+            shape (prior, 1 + shared).
+        known_of_runs: of each run, the same for what it has alone, shape (prior, 1 + own).
+    """
+
+    places: tuple[tuple[int, ...], ...]
+    shared: tuple[int, ...]
+    known: Array
+    known_of_runs: tuple[Array, ...]
+
+    @classmethod
+    def of(cls, result: FitResult) -> Self:
+        """The coordinates of a fit, and what was known of them before."""
+        paths = list(result.free)
+        layout = layout_of(result.runs, paths, result.config.get("groups", {}))
+        alone = {
+            place
+            for place in range(layout.size)
+            if len(result.runs) > 1 and sum(place in of_run for of_run in layout.of_runs) == 1
+        }
+        order = [place for place in range(layout.size) if place not in alone]
+        position = {place: index for index, place in enumerate(order)}
+        places = tuple(
+            tuple(position.get(place, -1) for place in of_run) for of_run in layout.of_runs
+        )
+        owners = {place: index for index, of in enumerate(layout.places) for place in of}
+        shared = tuple(owners[place] for place in order)
+        varied = varied_values(result)
+        priors = checked_priors(result.config.get("priors", {}))
+
+        def rows(named: Sequence[tuple[str, float]]) -> Array:
+            """Rows of the priors of some coordinates, by their paths and values."""
+            known = []
+            for column, (path, value) in enumerate(named):
+                if (prior := prior_of(priors, path)) is not None:
+                    row = np.zeros(1 + len(named))
+                    row[0], row[1 + column] = prior_row(prior, value)
+                    known.append(row)
+            return np.stack(known) if known else np.zeros((0, 1 + len(named)))
+
+        def value_at(place: int) -> float:
+            path = paths[owners[place]]
+            of_run = next(run for run, there in enumerate(layout.of_runs) if place in there)
+            return varied[of_run].get(path, float(result.free[path].value))
+
+        of_runs = []
+        for record, of_run, values in zip(result.runs, places, varied, strict=True):
+            mine = [(paths[i], values[paths[i]]) for i, place in enumerate(of_run) if place < 0]
+            mine += [
+                (label, estimate.value)
+                for label, estimate in record.parameters.items()
+                if label not in values
+            ]
+            of_runs.append(rows(mine))
+        return cls(
+            places=places,
+            shared=shared,
+            known=rows([(paths[owners[place]], value_at(place)) for place in order]),
+            known_of_runs=tuple(of_runs),
+        )
+
+    def split(self, run: int, columns: Array, own: Array) -> tuple[Array, Array]:
+        """Columns of the free parameters by the shared coordinates, and by those of a run.
+
+        Arguments:
+            run: its position.
+            columns: by each free parameter, shape (sample, channel, parameter).
+            own: by what is free in each run by its nature, shape (sample, channel, own).
+        """
+        places = np.asarray(self.places[run], dtype=int)
+        shared = np.zeros((*columns.shape[:2], len(self.shared)))
+        shared[..., places[places >= 0]] = columns[..., places >= 0]
+        return shared, np.concatenate([columns[..., places < 0], own], axis=-1)
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates."""
+        return len(self.shared) + sum(rows.shape[1] - 1 for rows in self.known_of_runs)
+
+    @property
+    def squares(self) -> float:
+        """What the priors add to chi-square: each counts as a measurement."""
+        rows = [self.known, *self.known_of_runs]
+        return float(sum(np.sum(each[:, 0] ** 2) for each in rows))
+
+
+# What a fit cannot imitate: residuals and tested columns without the span of its Jacobian.
+#
+# Plain numpy; nothing here knows of models.
+
+# Columns of a fit that add less than this to the span of the others, relative to their size.
+_RANK = 1e-9
+
+
+@dataclasses.dataclass(frozen=True)
+class Table:
+    """One run, weighted: every row is divided by its noise; what was not measured is 0.
+
+    Attributes:
+        residual: predicted less recorded, shape (sample, channel).
+        measured: which cells count, same shape.
+        fitted: columns of the fitted parameters, shape (sample, channel, parameter).
+        own: columns of what is free in this run alone, shape (sample, channel, own).
+        asked: columns to be tested, shape (sample, channel, test).
+        timed: whether the samples follow each other in time.
+        known: rows of the residual that are priors of what is free in this run alone, and their
+            derivatives by it, shape (prior, 1 + own).
+    """
+
+    residual: np.ndarray
+    measured: np.ndarray
+    fitted: np.ndarray
+    own: np.ndarray
+    asked: np.ndarray
+    timed: bool
+    known: np.ndarray | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Projected:
+    """Residuals and tested columns without what the fit can imitate.
+
+    Attributes:
+        residual: shape (row,), a cell each, run by run, and the priors.
+        columns: shape (row, test).
+        norms: of the columns before the projection, shape (test,).
+        parameters: number of fitted ones, those of single runs included.
+        lost: degrees of freedom that they take from the measured values: their number, less what
+            their priors know of them.
+        series: of each run and channel: positions of its cells in the row of values, -1 where
+            nothing was measured; one that is not timed has only those that were.
+        timed: of each series.
+        known: positions of the rows that are priors.
+    """
+
+    residual: np.ndarray
+    columns: np.ndarray
+    norms: np.ndarray
+    parameters: int
+    lost: float
+    series: tuple[np.ndarray, ...]
+    timed: tuple[bool, ...]
+    known: np.ndarray
+
+    @property
+    def values(self) -> int:
+        """Number of measured values."""
+        return len(self.residual) - len(self.known)
+
+    @property
+    def perpendicular(self) -> np.ndarray:
+        """Norms of the columns after the projection, shape (test,)."""
+        return np.asarray(np.linalg.norm(self.columns, axis=0))
+
+
+def projected(tables: Sequence[Table], known: np.ndarray | None = None) -> Projected:
+    """Residuals and tested columns of all runs, without what the fit can imitate.
+
+    What is free in one run alone is taken out of that run first (Frisch, Waugh and Lovell), so
+    that no matrix with the parameters of all runs is ever made. A prior is one more row of the
+    residual, to which no tested column responds: what is known of a fitted parameter keeps it from
+    imitating what is tested.
+
+    Arguments:
+        tables: of the runs.
+        known: rows of the residual that are priors of what all runs share, and their derivatives
+            by it, shape (prior, 1 + fitted).
+
+    Returns:
+        One row a measured value, and one a prior.
+    """
+    parts, series, timed, priors = [], [], [], []
+    first, own, norms, lost = 0, 0, 0.0, 0.0
+    for table in tables:
+        measured = table.measured
+        cells = np.concatenate(
+            [
+                table.residual[measured][:, None],
+                table.fitted[measured],
+                table.asked[measured],
+            ],
+            axis=1,
+        )
+        norms = norms + np.sum(table.asked[measured] ** 2, axis=0)
+        count, mine = len(cells), table.own[measured]
+        if table.known is not None:
+            cells = np.concatenate([cells, _rows(table.known[:, :1], cells.shape[1])])
+            mine = np.concatenate([mine, table.known[:, 1:]])
+        basis = basis_of(mine)
+        own += basis.shape[1]
+        lost += basis.shape[1] - np.sum(basis[count:] ** 2)
+        parts.append(cells - basis @ (basis.T @ cells))
+        place = np.full(measured.shape, -1)
+        place[measured] = first + np.arange(count)
+        priors.append(first + np.arange(count, len(cells)))
+        first += len(cells)
+        for column in place.T:
+            series.append(column if table.timed else column[column >= 0])
+            timed.append(table.timed)
+    whole = np.concatenate(parts)
+    if known is not None:
+        priors.append(len(whole) + np.arange(len(known)))
+        whole = np.concatenate([whole, _rows(known, whole.shape[1])])
+    count = tables[0].fitted.shape[2]
+    basis = basis_of(whole[:, 1 : 1 + count])
+    of_priors = np.concatenate(priors)
+    rest = np.concatenate([whole[:, :1], whole[:, 1 + count :]], axis=1)
+    rest = rest - basis @ (basis.T @ rest)
+    # Once more: what is nearly imitated has lost most of its digits.
+    rest = rest - basis @ (basis.T @ rest)
+    return Projected(
+        residual=rest[:, 0],
+        columns=rest[:, 1:],
+        norms=np.sqrt(norms * np.ones(rest.shape[1] - 1)),
+        parameters=basis.shape[1] + own,
+        lost=float(lost + basis.shape[1] - np.sum(basis[of_priors] ** 2)),
+        series=tuple(series),
+        timed=tuple(timed),
+        known=of_priors,
+    )
+
+
+def _rows(first: np.ndarray, columns: int) -> np.ndarray:
+    """Rows with zeros behind their first columns."""
+    return np.pad(first, ((0, 0), (0, columns - first.shape[1])))
+
+
+def basis_of(columns: np.ndarray) -> np.ndarray:
+    """An orthonormal basis of the span of columns, shape (row, rank)."""
+    norms = np.linalg.norm(columns, axis=0)
+    kept = columns[:, norms > 0] / norms[norms > 0]
+    if kept.shape[1] == 0:
+        return np.zeros((len(columns), 0))
+    left, singular, _ = np.linalg.svd(kept, full_matrices=False)
+    return np.asarray(left[:, singular > _RANK * singular[0]])
+
+
+# A fit where it ended, as weighted tables: residuals and columns in units of white noise.
+
+
+def fitted_noise(result: FitResult, runs: Sequence[Run]) -> list[dict[str, float]]:
+    """Standard deviations (SI) that each run was weighted with, by channel."""
+    return [
+        {
+            name: float(run.channels[name].to_si(channel.noise))
+            for name, channel in record.channels.items()
+        }
+        for run, record in zip(runs, result.runs, strict=True)
+    ]
+
+
+def white_noise(
+    result: FitResult, runs: Sequence[Run], at: Sequence[Response]
+) -> list[dict[str, float]]:
+    """Standard deviations (SI) of white noise by channel, which no wrong model makes larger.
+
+    Those that a run states; else from second differences of the residuals, in which what is
+    smooth leaves nothing; else, where the samples do not follow each other, those of the fit.
+    """
+    deviations = []
+    for run, response, weighted in zip(runs, at, fitted_noise(result, runs), strict=True):
+        rest = response.predicted - response.observed
+        each = {}
+        for index, name in enumerate(response.channels):
+            stated = run.noise(name)
+            apart = None if run.times is None else by_second_differences(rest[:, index])
+            each[name] = stated or apart or weighted[name]
+        deviations.append(each)
+    return deviations
+
+
+def robust_weights(result: FitResult, runs: Sequence[Run], at: Sequence[Response]) -> list[Array]:
+    """Roots of the weights that the loss gives the residuals, each (sample, channel)."""
+    loss = result.config.get("loss", "linear")
+    weights = []
+    for response, noise in zip(at, fitted_noise(result, runs), strict=True):
+        sigma = np.asarray([noise[name] for name in response.channels])
+        rest = np.nan_to_num((response.predicted - response.observed) / sigma)
+        psi, _, _ = scores(loss, rest)
+        weights.append(np.sqrt(np.where(rest == 0, 1.0, psi / np.where(rest == 0, 1.0, rest))))
+    return weights
+
+
+@dataclasses.dataclass(frozen=True)
+class Weighing:
+    """How the cells of each run count.
+
+    Attributes:
+        factors: one over the noise, times the root of the weight of the loss, 0 where nothing
+            was measured; each (sample, channel).
+    """
+
+    factors: list[Array]
+
+    @classmethod
+    def of(
+        cls, at: Sequence[Response], noise: Sequence[Mapping[str, float]], weights: Sequence[Array]
+    ) -> "Weighing":
+        """From standard deviations by channel and the roots of weights."""
+        factors = []
+        for response, deviations, weight in zip(at, noise, weights, strict=True):
+            sigma = np.asarray([deviations[name] for name in response.channels])
+            factors.append(np.where(np.isnan(response.observed), 0.0, weight / sigma))
+        return cls(factors)
+
+    def chi_square(self, at: Sequence[Response], predicted: Sequence[Array]) -> float:
+        """Sum of weighted squares of predictions less what was observed."""
+        total = 0.0
+        for response, table, factor in zip(at, predicted, self.factors, strict=True):
+            rest = np.where(factor > 0, table - np.nan_to_num(response.observed), 0.0)
+            total += float(np.sum((rest * factor) ** 2))
+        return total
+
+    def tables(
+        self,
+        at: Sequence[Response],
+        runs: Sequence[Run],
+        moved: Moved,
+        switches: Sequence[Sequence[Array]] = (),
+    ) -> list[Table]:
+        """Weighted residuals and columns of each run.
+
+        Arguments:
+            at: responses, the columns of the fitted parameters first.
+            runs: their runs.
+            moved: what these are the coordinates of.
+            switches: of each switch, the change of the predictions of each run that it makes;
+                they are tested after the other columns.
+        """
+        tables = []
+        count = len(moved.places[0])
+        for index, (response, run, factor) in enumerate(zip(at, runs, self.factors, strict=True)):
+            rest = np.where(factor > 0, response.predicted - np.nan_to_num(response.observed), 0.0)
+            changes = np.stack(
+                [response.columns[..., i] for i in range(count, response.columns.shape[2])]
+                + [changed[index] for changed in switches],
+                axis=-1,
+            )
+            each = factor[..., None]
+            fitted, own = moved.split(index, response.columns[..., :count], response.own)
+            tables.append(
+                Table(
+                    residual=rest * factor,
+                    measured=~np.isnan(response.observed),
+                    fitted=fitted * each,
+                    own=own * each,
+                    asked=changes * each,
+                    timed=run.times is not None,
+                    known=moved.known_of_runs[index],
+                )
+            )
+        return tables
+
+
+# A column of which the fit can imitate all but this is not testable: only a ratio shows.
+IMITATED = 1e-4
+
+
+@dataclasses.dataclass(frozen=True)
+class Score:
+    """The test of one column, or of several together.
+
+    Attributes:
+        step: from the held value, within its bounds, shape (column,).
+        error: standard error of the step, with the noise that it leaves, shape (column,).
+        drop: of the sum of squares.
+        p_value: not corrected for how many tests there are.
+    """
+
+    step: np.ndarray
+    error: np.ndarray
+    drop: float
+    p_value: float
+
+
+def score(
+    rest: Projected,
+    tests: Sequence[int],
+    lower: Sequence[float],
+    upper: Sequence[float],
+) -> Score:
+    """The test of one column, or of several together.
+
+    The p-value is that of the whole step, from the noise that it leaves: white, of the size that
+    was stated or more, and correlated along each channel of a run as its neighbours are. Missing
+    physics is such a correlation itself, which is why the noise is taken after the step.
+
+    Arguments:
+        rest: what the fit cannot imitate.
+        tests: positions of the columns.
+        lower, upper: bounds of the step of each, not above and not below 0. A bound that is 0
+            makes the test of one column one-sided.
+
+    Returns:
+        Step, drop and p-value.
+    """
+    columns = rest.columns[:, list(tests)]
+    gram = columns.T @ columns
+    gradient = columns.T @ rest.residual
+    inverse = np.linalg.pinv(gram, rcond=1e-10, hermitian=True)
+    step = np.clip(-inverse @ gradient, lower, upper)
+    # A quadratic function of the step, which ends at the bounds.
+    drop = max(float(-2 * gradient @ step - step @ gram @ step), 0.0)
+    left = rest.residual + columns @ step
+    spread, effective = _spread(rest, left, columns, len(tests))
+    errors = np.sqrt(np.diag(inverse @ spread @ inverse))
+    if len(tests) == 1:
+        ratio = float(np.sqrt(drop * gram[0, 0] / spread[0, 0]))
+        one_sided = lower[0] == 0 or upper[0] == 0
+        p_value = float(stdtr(effective, -ratio)) * (1 if one_sided else 2)
+        if one_sided and step[0] == 0:
+            p_value = 1.0
+    else:
+        count = int(np.linalg.matrix_rank(gram, tol=1e-10 * float(np.max(np.abs(gram)))))
+        wald = float(gradient @ np.linalg.pinv(spread, rcond=1e-10, hermitian=True) @ gradient)
+        whole = float(gradient @ inverse @ gradient)
+        wald *= drop / whole if whole > 0 else 0.0
+        p_value = float(fdtrc(count, effective, wald / count))
+    return Score(step, errors, drop, p_value)
+
+
+def _spread(
+    rest: Projected, left: np.ndarray, columns: np.ndarray, tests: int
+) -> tuple[np.ndarray, float]:
+    """Covariance of the score under the noise that is left, and its degrees of freedom."""
+    # Slow to import, and only a fit whose model is inadequate comes here.
+    from scipy.signal import lfilter
+
+    spread = np.zeros((columns.shape[1],) * 2)
+    effective = 0.0
+    # A prior has the deviation that it states, and no neighbour.
+    of_priors = columns[rest.known]
+    spread += of_priors.T @ of_priors
+    share = 1 - (rest.lost + tests) / max(rest.values, 1)
+    for place, timed in zip(rest.series, rest.timed, strict=True):
+        measured = place >= 0
+        count = int(np.sum(measured))
+        if not count:
+            continue
+        noise = np.where(measured, left[place], 0.0)
+        variance = max(float(np.sum(noise**2)) / max(share * count, 1.0), 1.0)
+        rho = _neighbours(noise, measured) if timed else 0.0
+        part = np.where(measured[:, None], columns[place], 0.0)
+        # What each value has in common with all that came before it.
+        before = lfilter([0.0, rho], [1.0, -rho], part, axis=0)
+        common = part.T @ before
+        spread += variance * (part.T @ part + common + common.T)
+        effective += count * (1 - rho) / (1 + rho)
+    return spread, max(effective - rest.lost - tests, 3.0)
+
+
+def _neighbours(noise: np.ndarray, measured: np.ndarray) -> float:
+    """Correlation of neighbouring samples, not below 0; corrected for its bias (Kendall 1954)."""
+    pairs = int(np.sum(measured[1:] & measured[:-1]))
+    power = float(np.sum(noise**2))
+    if pairs < 8 or power == 0:
+        return 0.0
+    rho = float(np.sum(noise[1:] * noise[:-1])) / pairs / (power / int(np.sum(measured)))
+    return float(np.clip(rho + (1 + 3 * rho) / pairs, 0.0, 0.99))
+
+
+def alike(rest: Projected, one: Sequence[int], other: Sequence[int]) -> float:
+    """Cosine of the largest angle from the span of some columns to that of others."""
+    a, b = basis_of(rest.columns[:, list(one)]), basis_of(rest.columns[:, list(other)])
+    return float(np.min(np.linalg.svd(a.T @ b, compute_uv=False), initial=1.0))

@@ -1,0 +1,416 @@
+"""The starts of a fit: where they begin, in which order, as tasks, and where they ended."""
+
+import dataclasses
+import functools
+import hashlib
+import itertools
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from scipy.special import ndtri
+
+from ..fitting import (
+    Budget,
+    FitResult,
+    Iteration,
+    Setup,
+    Start,
+    between,
+    parse_result,
+    prior_of,
+    set_up,
+    solve,
+)
+from ..models import AbstractModel
+from ..recordings import Run
+from ..runtime.arrays import sobol_points
+from ..runtime.execution import prepared, run_tasks
+from ..runtime.parallel import Tell, directly, side_by_side
+from ..runtime.programs import content
+from ..runtime.tasks import Outcome, Task
+from ..runtime.text import InputError
+from ..schema.parameters import Parameter
+from ._refit import told_of
+
+
+def interrupted(result: FitResult, when: str) -> FitResult:
+    """The same result; it is the best so far."""
+    message = f"{result.message}; interrupted {when}"
+    return dataclasses.replace(result, status="interrupted", message=message, reason="interrupted")
+
+
+def misfit(result: FitResult) -> float:
+    """Minus the logarithm of the likelihood of a fit, up to a constant."""
+    channels = [channel for run in result.runs for channel in run.channels.values()]
+    cost = np.inf if result.cost is None else result.cost
+    return float(cost + sum(c.n * np.log(c.innovation or c.noise) for c in channels))
+
+
+def end_values(result: FitResult) -> dict[str, float]:
+    """Values of the free parameters where a fit ended, by path."""
+    return {path: estimate.value for path, estimate in result.free.items()}
+
+
+def end_of(start: Mapping[str, float], result: FitResult) -> Start:
+    """Where a start ended that was fitted."""
+    message = None if result.status == "converged" else result.message
+    return Start(dict(start), result.status, misfit(result), end_values(result), message)
+
+
+# In what order the starts of a fit are begun: up to the first that converges one by one.
+
+End = tuple[Start, FitResult | None]
+"""Where a start ended, and its result; None of one that failed or was fitted before."""
+
+One = Callable[[int, Sequence[FitResult], Tell], End | None]
+"""How the start of a number ends, after some results; None where there is no time left for it."""
+
+Others = Callable[[Sequence[int], Sequence[FitResult]], list[End]]
+"""How several of them end that are begun."""
+
+
+def in_order(
+    one: One, others: Others, starts: int, known: Sequence[End], fitted: Sequence[FitResult]
+) -> list[End]:
+    """How the starts end that are begun, in their order.
+
+    Those up to the first that converges come one by one: it compiles the programs of the others and
+    chooses their tolerance. On one core or on several, each start then has the same numbers.
+
+    Arguments:
+        one: fits one of them here.
+        others: fits those that are left.
+        starts: how many there are.
+        known: the first ones, where they were fitted before.
+        fitted: their results, as far as there are any.
+    """
+    ended = list(known)
+    while len(ended) < starts and not any(start.status == "converged" for start, _ in ended):
+        end = one(len(ended) + 1, (), directly)
+        if end is None:
+            return ended
+        ended.append(end)
+        if interrupts(end):
+            return ended
+    earlier = [*fitted, *(result for _, result in ended if result is not None)]
+    left = range(len(ended) + 1, starts + 1)
+    return ended + others(left, earlier) if left else ended
+
+
+def in_threads(one: One, most: int) -> Others:
+    """Several starts at once in this process.
+
+    Arguments:
+        one: fits one of them.
+        most: so many at once.
+    """
+
+    def others(numbers: Sequence[int], earlier: Sequence[FitResult]) -> list[End]:
+        jobs = [functools.partial(one, number, earlier) for number in numbers]
+        ends = side_by_side(jobs, min(most, len(jobs)), until=interrupts)
+        return [end for end in ends if end is not None]
+
+    return others
+
+
+def interrupts(end: End | None) -> bool:
+    """Whether the other starts are to be stopped, too; those without time see it themselves."""
+    return end is not None and end[0].status == "interrupted"
+
+
+def as_fine(setup: Setup, ended: Sequence[FitResult]) -> Setup:
+    """With the tolerance that a fit of the same data chose: it need not be looked for again."""
+    for result in ended:
+        # One that did not converge may have made it finer for nothing.
+        if result.status == "converged" and result.integration is not None:
+            return dataclasses.replace(setup, suited=result.integration.tolerance)
+    return setup
+
+
+# Where the fits of several starts begin.
+
+
+def start_values(setup: Setup, spread: float, seed: int, count: int) -> list[dict[str, float]]:
+    """Start values by path: those of the setup, and others that fill the room around them.
+
+    The others are a scrambled Sobol sequence, of which more starts have the same first ones. Of a
+    parameter with a prior they are its quantiles, between two bounds of the fit they are evenly
+    spread (their logarithms, if both are positive), and otherwise they are near those of the setup.
+
+    Arguments:
+        setup: what to fit to what.
+        spread: relative distance from the values of the setup, where nothing else is stated.
+        seed: of the sequence.
+        count: how many starts.
+
+    Returns:
+        For each start a value for each free parameter, between its bounds.
+    """
+    first = {each.path: float(each.value(setup.model)) for each in setup.parameters}
+    if count < 2 or not first:
+        return [dict(first) for _ in range(count)]
+    shares = sobol_points(count - 1, len(first), seed)
+    others = [
+        {
+            each.path: _value(setup, each, spread, float(share))
+            for each, share in zip(setup.parameters, row, strict=True)
+        }
+        for row in shares
+    ]
+    return [first, *others]
+
+
+def _value(setup: Setup, parameter: Parameter, spread: float, share: float) -> float:
+    """The value of a parameter that is above a share of all of its start values."""
+    declaration, value = parameter.declaration, float(parameter.value(setup.model))
+    lower, upper = declaration.lower, declaration.upper
+    path = parameter.path
+    prior = prior_of(setup.priors, path)
+    stated = setup.config.get("bounds", {})
+    if prior is not None:
+        # Beyond three deviations there is no start.
+        quantile = prior.centre + prior.spread * float(ndtri(np.clip(share, 1e-3, 1 - 1e-3)))
+        value = float(np.exp(quantile)) if prior.logarithmic else quantile
+    elif (path in stated or path.partition("[")[0] in stated) and np.isfinite(upper - lower):
+        # Over decades, where each of them is as likely.
+        value = lower * (upper / lower) ** share if lower > 0 else lower + share * (upper - lower)
+    elif lower >= 0:
+        value *= (1 + spread) ** (2 * share - 1)
+    else:
+        size = abs(value) or abs(declaration.default) or 1.0
+        value += (2 * share - 1) * spread * size
+    return between(value, lower, upper)
+
+
+def inside_bounds(setup: Setup, values: Mapping[str, float]) -> dict[str, float]:
+    """Values strictly between the bounds, at which a fit may start."""
+    return {
+        parameter.path: between(
+            values[parameter.path], parameter.declaration.lower, parameter.declaration.upper
+        )
+        for parameter in setup.parameters
+    }
+
+
+# Starts of a fit as tasks that other processes do.
+
+# What becomes of a start for which there is no time: it is not one that failed.
+_NO_TIME = "the budget of the fit ended this start"
+
+
+@dataclasses.dataclass(frozen=True)
+class Asked:
+    """What all starts of a fit have in common, which any process can take up.
+
+    Attributes:
+        model, runs, own, config, suited: as of a `Setup`, which itself cannot be pickled.
+    """
+
+    model: AbstractModel
+    runs: tuple[Run, ...]
+    own: Mapping[str, Mapping[str, float]]
+    config: Mapping[str, Any]
+    suited: float | None
+
+    @classmethod
+    def of(cls, setup: Setup) -> Self:
+        """What a setup asks whose model is where the fit may start."""
+        return cls(setup.model, setup.runs, setup.own, setup.config, setup.suited)
+
+    @functools.cached_property
+    def task_key(self) -> str:
+        """SHA-256 of what decides where a start ends."""
+        words = json.dumps([self.config, self.own, self.suited], sort_keys=True)
+        told = content([self.model, [told_of(run) for run in self.runs]])
+        return hashlib.sha256((words + told).encode()).hexdigest()
+
+    def setup(self) -> Setup:
+        """The setup again, kept in this process for the tasks to come."""
+        return prepared(("setup", self.task_key), self._made)
+
+    def _made(self) -> Setup:
+        config = self.config
+        again = set_up(
+            self.model,
+            self.runs,
+            free=config["free"],
+            loss=config["loss"],
+            noise_model=config["noise_model"],
+            noise_per_run=config["noise_per_run"],
+            **{key: config.get(key, {}) for key in ("priors", "bounds", "ties", "groups")},
+        )
+        return dataclasses.replace(
+            again,
+            model=self.model,
+            unstarted=(),
+            own=self.own,
+            config=dict(config),
+            suited=self.suited,
+        )
+
+
+def one_start(
+    asked: Asked, start: Mapping[str, float], most: int, until: float | None = None
+) -> str:
+    """A task: the result of a fit from one start, as JSON.
+
+    Arguments:
+        asked: what to fit to what.
+        start: values by path.
+        most: trial steps.
+        until: when the time of the fit is over, s since the epoch; None for never.
+
+    Raises:
+        InputError: the start cannot be evaluated, or there was no time to fit it to its end.
+    """
+    budget = None if until is None else Budget(until - time.time())
+    if budget is not None and not budget.left() > 0:
+        raise InputError(_NO_TIME)
+    setup = asked.setup().started_at(start)
+    result = solve(setup, max_iterations=most, check=False, budget=budget)
+    if result.reason == "budget":
+        raise InputError(_NO_TIME)
+    return result.to_json()
+
+
+def by_executor(
+    setup: Setup,
+    values: Sequence[Mapping[str, float]],
+    *,
+    executor: Executor,
+    folder: str | Path | None,
+    most: int,
+    budget: Budget | None,
+    announce: Callable[[int, Mapping[str, float]], None] | None,
+    progress: Callable[[Iteration], None] | None,
+    spent: Callable[[], None],
+) -> Others:
+    """Starts that the workers of an executor fit.
+
+    Arguments:
+        setup: what to fit to what.
+        values: of all starts.
+        executor, folder: as of `run_tasks`.
+        most: trial steps of each.
+        budget: of all of them together.
+        announce, progress: told of a start, and of its steps, once it has ended.
+        spent: called where there was no time for a start.
+    """
+
+    def others(numbers: Sequence[int], earlier: Sequence[FitResult]) -> list[End]:
+        asked = Asked.of(as_fine(setup, earlier))
+        until = None if budget is None else time.time() + budget.left()
+        tasks = {
+            number: Task(
+                one_start,
+                {"asked": asked, "start": dict(values[number - 1]), "most": most},
+                aside={"until": until},
+            )
+            for number in numbers
+        }
+        place = {task.key: number for number, task in tasks.items()}
+
+        def tell(outcome: Outcome, done: int, total: int) -> None:
+            if outcome.status != "done" or outcome.key not in place:
+                return
+            start = values[place[outcome.key] - 1]
+            if announce is not None:
+                announce(place[outcome.key], start)
+            if progress is not None:
+                for step in _result(setup, outcome.value).history:
+                    progress(step)
+
+        outcomes = run_tasks(tasks.values(), executor=executor, folder=folder, progress=tell)
+        ends: list[End] = []
+        for number, outcome in zip(numbers, outcomes, strict=True):
+            start = dict(values[number - 1])
+            if outcome.status == "done":
+                result = _result(setup, outcome.value)
+                ends.append((end_of(start, result), result))
+            # What was done of those behind it has its file, and no end before it is missing.
+            elif outcome.status == "stopped":
+                return [*ends, (Start(start, "interrupted"), None)]
+            elif outcome.message == _NO_TIME:
+                spent()
+                return ends
+            else:
+                ends.append((Start(start, "failed", message=outcome.message), None))
+        return ends
+
+    return others
+
+
+def _result(setup: Setup, text: str) -> FitResult:
+    """A result as a worker returned it; without predictions."""
+    bare = parse_result(text, setup.model)
+    model = setup.started_at(end_values(bare)).model
+    if bare.integration is not None:
+        model = model.with_integration(solver=None, tolerance=bare.integration.tolerance)
+    return dataclasses.replace(bare, model=model)
+
+
+# The starts of an earlier result, to which more are added.
+
+
+def has_earlier_starts(
+    before: FitResult | None, setup: Setup, starts: int, spread: float, seed: int
+) -> bool:
+    """Whether starts can be added to a result; an earlier version chose others, for example.
+
+    Arguments:
+        before, setup: as of `earlier_starts`; of None there are none.
+        starts, spread, seed: as of `multi_start`.
+    """
+    if before is None:
+        return False
+    begun = setup.at_start()
+    try:
+        earlier_starts(before, begun, start_values(begun, spread, seed, starts))
+    except InputError:
+        return False
+    return True
+
+
+def earlier_starts(
+    before: FitResult, setup: Setup, values: Sequence[Mapping[str, float]]
+) -> list[Start]:
+    """The starts of a result that are the first ones of another fit, and need not be fitted again.
+
+    Arguments:
+        before: of the same fit from fewer starts, or from one.
+        setup: what is fitted to what.
+        values: of all starts.
+
+    Returns:
+        Those before the first that did not come to an end, in their order.
+
+    Raises:
+        InputError: the result is of another fit, or its starts were others.
+    """
+    asked = json.loads(json.dumps(setup.config))
+    if any(before.config.get(key) != value for key, value in asked.items()):
+        raise InputError(
+            "the result to add starts to is of another fit: give the same runs and settings"
+        )
+    known: Sequence[Start] = before.starts
+    if not known:
+        known = [end_of(values[0], before)]
+    ends = ("converged", "failed")
+    whole = list(itertools.takewhile(lambda start: start.status in ends, known))
+    for start, wanted in zip(whole, values, strict=False):
+        if start.start.keys() != wanted.keys() or not np.allclose(
+            list(start.start.values()), [wanted[path] for path in start.start], rtol=1e-9, atol=0
+        ):
+            raise InputError(
+                "the result to add starts to began elsewhere: give its seed and spread"
+            )
+    if len(whole) > len(values):
+        raise InputError(
+            f"the result to add starts to has {len(whole)} of them already: ask for more"
+        )
+    return whole

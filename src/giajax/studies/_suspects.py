@@ -1,0 +1,520 @@
+"""Suspects: a test of everything that a fit held, switched off or left out."""
+
+import dataclasses
+import itertools
+import json
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ..fitting import FitResult, Response, Suspect, matching_runs, predict, resolved_ties, tied
+from ..models import AbstractModel
+from ..recordings import Channel, Run
+from ..runtime.text import InputError
+from ..schema.parameters import declared, replace
+from ._candidates import Candidate, Inquiry, inquiry, is_disturbed, not_neutral
+from ._refit import begun_where_it_ended
+from ._score import (
+    IMITATED,
+    Moved,
+    Projected,
+    Score,
+    Weighing,
+    alike,
+    models_of_runs,
+    projected,
+    responses_of,
+    robust_weights,
+    score,
+    white_noise,
+)
+
+# What the tests found together, in the order in which a reader should doubt.
+
+LEVEL = 0.05
+"""A corrected p-value below this is significant."""
+
+
+def promising(rows: Sequence[Suspect]) -> tuple[Suspect, ...]:
+    """Of each quantity that is testable its best row, the most promising first.
+
+    The elements of a vector and the whole of it are one quantity; and what the data can hardly
+    tell from a row above is named there, in `alike`, and has no row of its own.
+
+    Arguments:
+        rows: in the order of `Suspects.rows`.
+    """
+    best: dict[str, Suspect] = {}
+    covered: set[str] = set()
+    for row in rows:
+        name = row.path.partition("[")[0]
+        if row.testable and name not in best and name not in covered:
+            best[name] = row
+            covered |= {path.partition("[")[0] for path in row.alike}
+    return tuple(best.values())
+
+
+@dataclasses.dataclass(frozen=True)
+class Suspects:
+    """What would lower chi-square, the most first.
+
+    Attributes:
+        rows: all tests; those that are testable first, the largest drop of chi-square at the top.
+        chi_square: sum of squared residuals of the fit, in units of white noise.
+        values: number of measured values.
+        parameters: number of fitted parameters.
+        asked: how many tests the p-values are corrected for.
+    """
+
+    rows: tuple[Suspect, ...]
+    chi_square: float
+    values: int
+    parameters: int
+    asked: int
+
+    @property
+    def promising(self) -> tuple[Suspect, ...]:
+        """Of each quantity that is testable its best row, the most promising first."""
+        return promising(self.rows)
+
+    @property
+    def significant(self) -> tuple[Suspect, ...]:
+        """Those of the promising ones that chance does not explain."""
+        return tuple(row for row in self.promising if (row.p_value or 0.0) < LEVEL)
+
+    @property
+    def untestable(self) -> tuple[Suspect, ...]:
+        """What the data cannot tell."""
+        return tuple(row for row in self.rows if not row.testable)
+
+    def of(self, path: str) -> Suspect:
+        """The row of a path.
+
+        Raises:
+            KeyError: there is none.
+        """
+        for row in self.rows:
+            if row.path == path:
+                return row
+        raise KeyError(path)
+
+    def to_json(self) -> str:
+        """As JSON: an object with the attributes."""
+        return json.dumps(dataclasses.asdict(self), indent=2, allow_nan=False) + "\n"
+
+
+# Whether a recording has its axes in another order, or turned round: all 48 ways, directly.
+
+_AXES = "xyz"
+
+Axes = tuple[tuple[int, int], ...]
+"""Of recorded x, y and z: the axis of the model that it is, and its sign."""
+
+IDENTITY: Axes = ((0, 1), (1, 1), (2, 1))
+
+
+def all_axes() -> list[Axes]:
+    """The 48 signed permutations, the identity first."""
+    ways = [
+        tuple(zip(order, signs, strict=True))
+        for order in itertools.permutations(range(3))
+        for signs in itertools.product((1, -1), repeat=3)
+    ]
+    return sorted(ways, key=lambda way: way != IDENTITY)
+
+
+def name_of(way: Axes) -> str:
+    """What a person calls it: `axes: y and z swapped`."""
+    moved = [axis for axis in range(3) if way[axis][0] != axis]
+    turned = [_AXES[axis] for axis in range(3) if way[axis][1] < 0]
+    if len(moved) == 2 and not turned:
+        return f"axes: {_AXES[moved[0]]} and {_AXES[moved[1]]} swapped"
+    if not moved:
+        return f"axes: {' and '.join(turned)} reversed"
+    shown = [
+        f"{_AXES[axis]} is {'-' * (sign < 0)}{_AXES[other]}"
+        for axis, (other, sign) in enumerate(way)
+        if (other, sign) != (axis, 1)
+    ]
+    return f"axes: recorded {', '.join(shown)}"
+
+
+def point_of(channel: Channel) -> str | None:
+    """The recorded point that a channel is a coordinate of: `link06`; None for no position."""
+    if channel.component is None or channel.quantity != "length":
+        return None
+    return channel.name.removesuffix(f"_{_AXES[channel.component]}")
+
+
+def axes_of(run: Run) -> set[int]:
+    """The axes along which a run records points."""
+    recorded = (run.channels[name] for name in run.observations)
+    return {c.component for c in recorded if c.component is not None and point_of(c) is not None}
+
+
+def distinct_axes(runs: Sequence[Run]) -> list[Axes]:
+    """The ways that differ in what these runs record; none where they record fewer than two axes.
+
+    The first is the identity.
+    """
+    recorded = sorted(set().union(*(axes_of(run) for run in runs)))
+    if len(recorded) < 2:
+        return []
+    ways = {tuple(way[axis] for axis in recorded): way for way in reversed(all_axes())}
+    return sorted(ways.values(), key=lambda way: all_axes().index(way))
+
+
+def coordinates(model: AbstractModel, run: Run) -> dict[str, np.ndarray]:
+    """Predictions (SI) of what a run records, with all three coordinates of each point."""
+    names = list(run.observations)
+    points = {point_of(run.channels[name]): None for name in names}
+    whole = [f"{point}_{axis}" for point in points if point for axis in _AXES]
+    return predict(model, run, list(dict.fromkeys([*names, *whole])))
+
+
+def seen_as(
+    way: Axes, run: Run, predicted: Mapping[str, np.ndarray], channels: Sequence[str]
+) -> np.ndarray:
+    """Predictions of channels if a recording has other axes, shape (sample, channel)."""
+    columns = []
+    for name in channels:
+        channel = run.channels[name]
+        point = point_of(channel)
+        if point is None or channel.component is None:
+            columns.append(predicted[name])
+            continue
+        other, sign = way[channel.component]
+        columns.append(sign * predicted[f"{point}_{_AXES[other]}"])
+    return np.stack(columns, axis=-1)
+
+
+def turned_back(run: Run, way: Axes) -> Run:
+    """The run as it would be with the axes of the model.
+
+    Arguments:
+        run: with recorded points.
+        way: how its axes are those of the model.
+    """
+    values, channels = dict(run.values), dict(run.channels)
+    moved: dict[str, tuple[np.ndarray, Channel]] = {}
+    for name in run.observations:
+        channel = run.channels[name]
+        point = point_of(channel)
+        if point is None or channel.component is None:
+            continue
+        other, sign = way[channel.component]
+        new = f"{point}_{_AXES[other]}"
+        moved[new] = sign * values.pop(name), Channel.named(new, channel.unit)
+        del channels[name]
+    observed = (
+        None
+        if run.observed is None
+        else tuple(name for name in (*moved, *run.observed) if name in moved or name in values)
+    )
+    return dataclasses.replace(
+        run,
+        values={**values, **{name: value for name, (value, _) in moved.items()}},
+        channels={**channels, **{name: channel for name, (_, channel) in moved.items()}},
+        observed=observed,
+    )
+
+
+# The test of the axes of recorded positions, as a row of the table.
+
+
+def axes_row(
+    result: FitResult,
+    runs: Sequence[Run],
+    at: Sequence[Response],
+    weighing: Weighing,
+    chi_square: float,
+    rest: Projected,
+) -> tuple[list[Suspect], int]:
+    """The best of the other orders and signs of the axes, and how many were tried."""
+    ways = distinct_axes(runs)
+    if not ways:
+        return [], 0
+    points = [models_of_runs(result)]
+    if result.history:
+        first = replace(result.model, result.history[0].parameters)
+        ties = resolved_ties(first, result.config.get("ties", {}))
+        points.append([tied(first, ties)] * len(runs))
+    begun = begun_where_it_ended(result, runs)
+    best: tuple[float, Axes, bool] | None = None
+    for number, models in enumerate(points):
+        whole = [coordinates(model, run) for model, run in zip(models, begun, strict=True)]
+        for way in ways:
+            seen = [
+                seen_as(way, run, predicted, response.channels)
+                for run, predicted, response in zip(runs, whole, at, strict=True)
+            ]
+            other = weighing.chi_square(at, seen)
+            if way != IDENTITY and (best is None or other < best[0]) and np.isfinite(other):
+                best = other, way, number > 0
+    if best is None:
+        return [], len(ways)
+    other, way, at_start = best
+    drop = max(chi_square - other, 0.0)
+    # Of two models without anything free, a likelihood ratio of 1/c has a probability below c.
+    scale = max(1.0, other / max(rest.values - rest.parameters, 1))
+    row = Suspect(
+        path=name_of(way),
+        kind="axes",
+        unit="",
+        value=None,
+        estimate=None,
+        estimate_error=None,
+        chi_square_drop=drop,
+        degrees_of_freedom=1,
+        p_value=float(min(1.0, np.exp(-drop / scale / 2))),
+        testable=True,
+        note="with the values that the fit began with" if at_start and drop else "",
+    )
+    return [row], len(ways)
+
+
+# Tests of parameters and of choices of a model, as rows of the table.
+
+# A change by so many times its own size that would still not show makes a parameter not testable.
+_NOT_SHOWN = 3.0
+_ALIKE = 0.99
+
+
+def parameter_rows(rest: Projected, asked: Inquiry) -> list[Suspect]:
+    candidates = asked.candidates
+    notes = [_why_not(rest, index, one) for index, one in enumerate(candidates)]
+    members: dict[str, list[int]] = {}
+    for index, (one, note) in enumerate(zip(candidates, notes, strict=True)):
+        if not note:
+            members.setdefault(one.path, []).append(index)
+            if one.group:
+                members.setdefault(one.group, []).append(index)
+    members = {
+        path: several
+        for path, several in members.items()
+        if len(several) > 1 or candidates[several[0]].path == path
+    }
+    rows = [_not_testable(one, note) for one, note in zip(candidates, notes, strict=True) if note]
+    for path, indices in members.items():
+        among = [candidates[index] for index in indices]
+        found = score(
+            rest,
+            indices,
+            [min(one.lower - one.value, 0.0) for one in among],
+            [max(one.upper - one.value, 0.0) for one in among],
+        )
+        others = tuple(
+            name
+            for name, other in members.items()
+            if not set(indices) & set(other)
+            and len(other) == len(indices)
+            and alike(rest, indices, other) > _ALIKE
+        )
+        rows.append(_row(path, among, found, others))
+    return rows
+
+
+def _row(path: str, among: Sequence[Candidate], found: Score, others: tuple[str, ...]) -> Suspect:
+    value = [one.value for one in among]
+    estimate = [one.value + float(step) for one, step in zip(among, found.step, strict=True)]
+    error = [float(number) for number in found.error]
+    group = len(among) > 1
+    note = ""
+    if not group and (value[0] <= among[0].lower or value[0] >= among[0].upper):
+        note = "held at its bound: tested towards the inside"
+        if found.drop == 0:
+            note += ", and the data lead outwards"
+    return Suspect(
+        path=path,
+        kind="group" if group else among[0].kind,
+        unit=among[0].unit,
+        value=value if group else value[0],
+        estimate=estimate if group else estimate[0],
+        estimate_error=error if group else error[0],
+        chi_square_drop=found.drop,
+        degrees_of_freedom=len(among),
+        p_value=found.p_value,
+        testable=True,
+        alike=others,
+        note=note,
+    )
+
+
+def _why_not(rest: Projected, index: int, one: Candidate) -> str:
+    """Why a candidate is not testable; empty where it is."""
+    norm, left = float(rest.norms[index]), float(rest.perpendicular[index])
+    if not np.isfinite(norm):
+        return "its derivative is not finite here"
+    if norm * one.size < 1e-6:
+        return "no channel responds to it"
+    if left < IMITATED * norm:
+        return "what was fitted imitates it: only a ratio shows"
+    if left * one.size * _NOT_SHOWN < 1:
+        return f"the data would not show a change by {_NOT_SHOWN:g} times its size"
+    return ""
+
+
+def _not_testable(one: Candidate, note: str) -> Suspect:
+    return Suspect(
+        one.path, one.kind, one.unit, one.value, None, None, None, 1, None, False, (), note
+    )
+
+
+def impossible_row(path: str, reason: str) -> Suspect:
+    return Suspect(path, "parameter", "", None, None, None, None, 1, None, False, (), reason)
+
+
+def switch_row(rest: Projected, index: int, name: str) -> Suspect:
+    norm, left = float(rest.norms[index]), float(rest.perpendicular[index])
+    if norm < 1 or left < max(1.0, IMITATED * norm):
+        note = "what was fitted imitates it" if norm >= 1 else "it changes no prediction"
+        return Suspect(name, "switch", "", 0.0, None, None, None, 1, None, False, (), note)
+    found = score(rest, [index], [0.0], [1.0])
+    return Suspect(
+        path=name,
+        kind="switch",
+        unit="",
+        value=0.0,
+        estimate=float(found.step[0]),
+        estimate_error=float(found.error[0]),
+        chi_square_drop=found.drop,
+        degrees_of_freedom=1,
+        p_value=found.p_value,
+        testable=True,
+    )
+
+
+def suspects(result: FitResult, runs: Run | Sequence[Run], *, each: Sequence[str] = ()) -> Suspects:
+    """What the residuals of a fit ask for.
+
+    At the end of a fit everything that it held, switched off or left out gets a test: how much
+    chi-square would fall if it were free, and to which value one step leads. Nothing is fitted.
+
+    - **Parameters**, those that are left out included, by a score test from one more block of
+      columns of the Jacobian; vectors also as a whole. What lies at a bound is tested towards
+      the inside alone.
+    - **Choices of the model**, such as where drag acts, by a blend from 0 to 1 between the
+      predictions of both.
+    - **Axes of recorded positions**, in each of their 48 orders and signs, without a fit, where
+      the fit ended and where it began: a fit of wrong axes may have bent its model to them.
+
+    Missing physics is no noise, so the table is in the order of the drop of chi-square (less what
+    as many random columns would take from residuals of this size), with the white noise that the
+    runs state, or else that of second differences of the residuals. The p-values are those of the
+    noise that is left after the step, which may be larger and correlated along time (AR(1) in the
+    samples of each channel), corrected for the number of tests by Holm's method.
+
+    Arguments:
+        result: of `giajax.fit` or `giajax.load_result`.
+        runs: the runs that were fitted, in their order.
+        each: paths of arrays, such as `encoder.offset`, whose elements are tested one by one and
+            together; by default all of them change in proportion.
+
+    Returns:
+        The tests, the most promising first.
+
+    Raises:
+        InputError: other runs than those of the result, a path in `each` that is no array, or a
+            fitted model that cannot be evaluated.
+
+    Example:
+        >>> result = giajax.load_result("giajax-out/base_step")  # doctest: +SKIP
+        >>> giajax.suspects(result, runs).promising[0].path  # doctest: +SKIP
+        'camera.delay'
+    """
+    runs = matching_runs(result.runs, runs)
+    of_this_fit = result.model, list(result.free), each, result.config.get("ties")
+    asked = inquiry(*of_this_fit)
+    at = linearised(result, runs, asked)
+    if is_disturbed(result, runs, at):
+        asked = inquiry(*of_this_fit, not_neutral(result, runs))
+        at = linearised(result, runs, asked)
+    return tested(result, runs, asked, at)
+
+
+def linearised(result: FitResult, runs: Sequence[Run], asked: Inquiry) -> list[Response]:
+    """The responses of each run where the fit ended, those to the fitted parameters first."""
+    directions = [*asked.free, *(candidate.direction for candidate in asked.candidates)]
+    return responses_of(result, runs, asked.model, directions)
+
+
+def tested(
+    result: FitResult, runs: Sequence[Run], asked: Inquiry, at: Sequence[Response]
+) -> Suspects:
+    """The tests from the responses where a fit ended."""
+    weights = robust_weights(result, runs, at)
+    weighing = Weighing.of(at, white_noise(result, runs, at), weights)
+    switches = _switches(result, asked, runs, at)
+    moved = Moved.of(result)
+    tables = weighing.tables(at, runs, moved, list(switches.values()))
+    rest = projected(tables, moved.known)
+    cells = weighing.chi_square(at, [response.predicted for response in at])
+    chi_square = cells + moved.squares
+    rows = parameter_rows(rest, asked)
+    first = len(asked.candidates)
+    rows += [switch_row(rest, first + i, name) for i, name in enumerate(switches)]
+    axes, ways = axes_row(result, runs, at, weighing, cells, rest)
+    rows += axes
+    rows += [impossible_row(path, reason) for path, reason in asked.impossible.items()]
+    rows, number = _corrected(rows, further=max(ways - 1, 0))
+    # What a column of random numbers takes from residuals of this size, on the scale of BIC.
+    price = np.log(rest.values) * max(1.0, chi_square / rest.values)
+
+    def worth(row: Suspect) -> float:
+        if not row.testable or row.chi_square_drop is None:
+            return -np.inf
+        return float(row.chi_square_drop - price * row.degrees_of_freedom)
+
+    return Suspects(
+        rows=tuple(sorted(rows, key=worth, reverse=True)),
+        chi_square=chi_square,
+        values=rest.values,
+        parameters=rest.parameters,
+        asked=number,
+    )
+
+
+def _switches(
+    result: FitResult, asked: Inquiry, runs: Sequence[Run], at: Sequence[Response]
+) -> dict[str, list[np.ndarray]]:
+    """By the name of each choice of the model: how it changes the predictions of each run."""
+    paths = [direction.path for direction in asked.free]
+    changes: dict[str, list[np.ndarray]] = {}
+    base: list[Response] | None = None
+    for name, variant in result.model.variants().items():
+        if not set(paths) <= set(declared(variant)):
+            continue
+        if base is None:
+            base = responses_of(result, runs, _stepped(result.model, asked))
+        try:
+            other = responses_of(result, runs, _stepped(variant, asked), variant=name)
+        except InputError:  # It cannot be evaluated with these values.
+            continue
+        changes[name] = [a.predicted - b.predicted for a, b in zip(other, base, strict=True)]
+    return changes
+
+
+def _stepped(model: AbstractModel, asked: Inquiry) -> AbstractModel:
+    """With the steps of the integrator that the columns have."""
+    return model.for_derivatives([one.direction.path for one in asked.candidates])
+
+
+def _corrected(rows: Sequence[Suspect], further: int) -> tuple[list[Suspect], int]:
+    """Rows with p-values corrected by Holm's method, and the number of tests.
+
+    Arguments:
+        rows: with p-values of single tests.
+        further: tests of which only the best has a row.
+    """
+    order = sorted(
+        (index for index, row in enumerate(rows) if row.p_value is not None),
+        key=lambda index: rows[index].p_value or 0.0,
+    )
+    number = len(order) + further
+    corrected = list(rows)
+    highest = 0.0
+    for rank, index in enumerate(order):
+        raw = rows[index].p_value or 0.0
+        highest = max(highest, min(1.0, raw * (number - rank)))
+        corrected[index] = dataclasses.replace(rows[index], p_value=highest)
+    return corrected, number

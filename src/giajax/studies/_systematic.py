@@ -1,0 +1,356 @@
+"""Systematic errors: what a held number that is a little wrong does to the fitted ones."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..fitting import (
+    ChannelFit,
+    Direction,
+    FitResult,
+    Response,
+    SystematicError,
+    matching_runs,
+    scores,
+)
+from ..models import AbstractModel
+from ..noise import ChannelNoise, whitened
+from ..recordings import Channel, Run
+from ..runtime.text import InputError
+from ..schema.parameters import elements, get, switched_on
+from ._candidates import Candidate, Inquiry, inquiry
+from ._score import Moved, responses_of
+from ._suspects import suspects
+
+# Held numbers that may be a little wrong: those whose uncertainty is stated, and all others.
+
+FRACTION = 0.01
+"""Of a held number, where its uncertainty is not stated."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Doubt:
+    """One held number, or several that move together, and by how much it may be wrong."""
+
+    path: str
+    unit: str
+    value: float | list[float]
+    uncertainty: float
+    stated: bool
+    direction: Direction
+
+
+def check_uncertainty(
+    model: AbstractModel,
+    free: Sequence[str],
+    uncertainty: Mapping[str, npt.ArrayLike],
+    ties: Mapping[str, str] | None = None,
+) -> None:
+    """Refuse uncertainties that `systematic_errors` would refuse, before anything is fitted.
+
+    Arguments:
+        model: to be fitted.
+        free: paths of the parameters to fit.
+        uncertainty: standard deviations of held numbers, SI, by path.
+        ties: expressions by the paths of what follows from them.
+
+    Raises:
+        InputError: an unknown path, one that is fitted or tied, or an uncertainty that is not
+            positive.
+    """
+    if uncertainty:
+        stated_doubts(free, inquiry(model, free, ties=ties), uncertainty)
+
+
+def is_doubtful(one: Candidate, known: set[str]) -> bool:
+    return one.value != 0 and one.direction.path not in known
+
+
+def one_percent(one: Candidate) -> Doubt:
+    size = FRACTION * abs(one.value)
+    return Doubt(one.path, one.unit, one.value, size, False, one.direction)
+
+
+def stated_doubts(
+    paths: Sequence[str], asked: Inquiry, uncertainty: Mapping[str, npt.ArrayLike]
+) -> list[Doubt]:
+    doubts = []
+    free = set(paths)
+    for path, deviation in uncertainty.items():
+        model = switched_on(asked.model, [path])
+        parts = elements(model, path)
+        about = parts[0].declaration
+        numbers = np.asarray(deviation, dtype=float)
+        if numbers.size not in (1, len(parts)):
+            raise InputError(
+                f"the uncertainty of {path} has {numbers.size} values, and it has {len(parts)}: "
+                "give one, or one for each"
+            )
+        if not np.all(np.isfinite(numbers)) or not np.all(numbers > 0):
+            raise InputError(f"the uncertainty of {path} is not positive: give a positive number")
+        fitted = [part.path for part in parts if part.path in free]
+        if fitted:
+            raise InputError(
+                f"{fitted[0]} is fitted, and its uncertainty is what the fit finds: hold it, or "
+                "leave its uncertainty out"
+            )
+        if asked.following.issuperset(part.path for part in parts):
+            raise InputError(
+                f"{path} is tied to others, and as uncertain as they are: state how uncertain "
+                "those are"
+            )
+        name = path.partition("[")[0]
+        whole = np.asarray(get(model, name), dtype=float)
+        each = np.broadcast_to(numbers, (len(parts),))
+        alone = bool(about.shape) or len(parts) == 1
+        for index, part in enumerate(parts):
+            step = np.zeros(whole.shape)
+            if alone:
+                step[... if part.index is None else part.index] = 1.0
+                value, size = float(part.value(model)), float(each[index])
+                along = Direction(name, step)
+                doubts.append(Doubt(part.path, about.unit, value, size, True, along))
+        if not alone:
+            size = float(np.max(each))
+            same = np.all(whole == whole[0])
+            shown = float(whole[0]) if same else [float(number) for number in whole]
+            step = each / size
+            doubts.append(Doubt(name, about.unit, shown, size, True, Direction(name, step)))
+    return [_shared(doubt, asked) for doubt in doubts]
+
+
+def _shared(doubt: Doubt, asked: Inquiry) -> Doubt:
+    """With the direction of a candidate, where one is the same."""
+    for one in asked.candidates:
+        same = one.direction.path == doubt.direction.path
+        if same and np.array_equal(one.direction.step, doubt.direction.step):
+            return dataclasses.replace(doubt, direction=one.direction)
+    return doubt
+
+
+_RANK = 1e-9
+# Of a cell that a robust loss leaves out: a weight of 0 would be no measurement.
+_LEAST_WEIGHT = 1e-12
+# Standard errors; what is moved by less is not moved.
+_NOTHING = 1e-6
+
+
+def systematic_errors(
+    result: FitResult,
+    runs: Run | Sequence[Run],
+    uncertainty: Mapping[str, npt.ArrayLike] | None = None,
+) -> tuple[SystematicError, ...]:
+    """What the held numbers of a fit do to the fitted ones, to first order.
+
+    Where residuals are stationary in the fitted parameters theta, a change of a constant c moves
+    them by d(theta)/dc = -(J^T J)^-1 J^T z, with the columns J of theta and z of c (the implicit
+    function theorem with the Gauss-Newton form of the Hessian), all whitened by the noise that the
+    fit used.
+
+    Arguments:
+        result: of `giajax.fit` or `giajax.load_result`.
+        runs: the runs that were fitted, in their order.
+        uncertainty: standard deviations of held numbers, SI, by path; by default those that the
+            fit was given. One number for a whole array moves its elements together; those of a
+            vector, such as the wind, are independent, and so are `links.mass[0]`,
+            `links.mass[1]`.
+
+    Returns:
+        Those that were stated, then what 1 % of each other held number that is not zero does, the
+        largest shift in standard errors first; what moves nothing is left out.
+
+    Raises:
+        InputError: other runs, an unknown path, one that was fitted, or an uncertainty that is
+            not positive.
+    """
+    several = matching_runs(result.runs, runs)
+    if uncertainty is None:
+        uncertainty = result.config.get("uncertainty") or {}
+    asked = inquiry(result.model, list(result.free), ties=result.config.get("ties"))
+    stated = stated_doubts(list(result.free), asked, uncertainty)
+    known = {doubt.path.partition("[")[0] for doubt in stated}
+    doubts = [*stated, *(one_percent(one) for one in asked.candidates if is_doubtful(one, known))]
+    # Beside the columns of all candidates, so that the program is the one that tests them.
+    directions = [*asked.free, *(one.direction for one in asked.candidates)]
+    places = {id(direction): place for place, direction in enumerate(directions)}
+    for doubt in doubts:
+        if id(doubt.direction) not in places:
+            places[id(doubt.direction)] = len(directions)
+            directions.append(doubt.direction)
+    at = responses_of(result, several, asked.model, directions)
+    columns = [places[id(doubt.direction)] for doubt in doubts]
+    slopes = _slopes(result, several, at, columns)
+    errors = [_error(result, doubt, slopes[:, index]) for index, doubt in enumerate(doubts)]
+    kept = [(error, _weight(result, error)) for error in errors]
+    # The stated ones first, then what decides most; what moves nothing is not worth a row.
+    kept.sort(key=lambda each: (not each[0].stated, -each[1]))
+    return tuple(error for error, weight in kept if error.stated or weight > _NOTHING)
+
+
+def deciding_conditions(errors: Sequence[SystematicError]) -> list[str]:
+    """A sentence on each held number that decides: 1 % of it is more than a standard error."""
+    sentences = []
+    for error in errors:
+        if error.decides:
+            by = f"{error.uncertainty:.3g}{f' {error.unit}' if error.unit else ''}"
+            change = by if error.stated else "1 %"
+            sentences.append(
+                f"{error.path}: is held and decides, because a change of it by {change} moves "
+                f"{', '.join(error.decides)} by more than a standard error"
+            )
+    return sentences
+
+
+def together(errors: Sequence[SystematicError]) -> dict[str, float]:
+    """The systematic error of each fitted parameter: the stated ones, in quadrature."""
+    squares: dict[str, float] = {}
+    for error in errors:
+        if error.stated:
+            for path, shift in error.shifts.items():
+                squares[path] = squares.get(path, 0.0) + shift**2
+    return {path: float(np.sqrt(square)) for path, square in squares.items()}
+
+
+def _error(result: FitResult, doubt: Doubt, slopes: np.ndarray) -> SystematicError:
+    shifts = {
+        path: float(slope) * doubt.uncertainty
+        for path, slope in zip(result.free, slopes, strict=True)
+    }
+    errors = {path: estimate.standard_error for path, estimate in result.free.items()}
+    decides = tuple(path for path, shift in shifts.items() if abs(shift) > (errors[path] or np.inf))
+    return SystematicError(
+        path=doubt.path,
+        unit=doubt.unit,
+        value=doubt.value,
+        uncertainty=doubt.uncertainty,
+        stated=doubt.stated,
+        shifts=shifts,
+        decides=decides,
+    )
+
+
+def _weight(result: FitResult, error: SystematicError) -> float:
+    """The largest shift, in standard errors; of a parameter without one, relative to it."""
+    sizes = {
+        path: estimate.standard_error or abs(float(estimate.value)) or 1.0
+        for path, estimate in result.free.items()
+    }
+    return max((abs(shift) / sizes[path] for path, shift in error.shifts.items()), default=0.0)
+
+
+def _slopes(
+    result: FitResult, runs: Sequence[Run], at: Sequence[Response], columns: Sequence[int]
+) -> np.ndarray:
+    """d(fitted)/d(held), shape (fitted, held); of what not all runs share, the mean."""
+    moved = Moved.of(result)
+    fitted, shared = len(result.free), len(moved.shared)
+    rows, of_runs = [], []
+    for number, (response, run) in enumerate(zip(at, runs, strict=True)):
+        common, own = moved.split(number, response.columns[..., :fitted], response.own)
+        several = np.concatenate([common, response.columns[..., list(columns)], own], axis=-1)
+        cells = _whitened(result, number, run, response, several)
+        cells, own = np.split(cells, [shared + len(columns)], axis=1)
+        # A prior is one more row, to which nothing that is held responds.
+        known = moved.known_of_runs[number]
+        cells = np.concatenate([cells, np.zeros((len(known), cells.shape[1]))])
+        own = np.concatenate([own, known[:, 1:]])
+        of_run = _explained(own, cells)
+        rows.append(cells - own @ of_run)
+        of_runs.append(of_run)
+    known = np.pad(moved.known[:, 1:], ((0, 0), (0, len(columns))))
+    jacobian, held = np.split(np.concatenate([*rows, known]), [shared], axis=1)
+    common = -_explained(jacobian, held)
+    by_path: list[list[np.ndarray]] = [[] for _ in result.free]
+    for index, slope in zip(moved.shared, common, strict=True):
+        by_path[index].append(slope)
+    for places, of_run in zip(moved.places, of_runs, strict=True):
+        alone = -(of_run[:, shared:] + of_run[:, :shared] @ common)
+        # The values of the run's own state, which come after, are no parameters of the model.
+        mine = [index for index, place in enumerate(places) if place < 0]
+        for index, slope in zip(mine, alone, strict=False):
+            by_path[index].append(slope)
+    return np.stack([np.mean(slopes, axis=0) for slopes in by_path])
+
+
+def _explained(columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Least squares, shape (column, row); columns may be of very different size, or depend."""
+    norms = np.linalg.norm(columns, axis=0)
+    norms = np.where(norms > 0, norms, 1.0)
+    coefficients: np.ndarray = np.linalg.lstsq(columns / norms, rows, rcond=_RANK)[0]
+    return coefficients / norms[:, None]
+
+
+def _whitened(
+    result: FitResult, number: int, run: Run, response: Response, columns: np.ndarray
+) -> np.ndarray:
+    """Columns (sample, channel, column) over the measured cells, as the fit weighed them."""
+    loss, record = result.config.get("loss", "linear"), result.runs[number]
+    parts = []
+    for index, name in enumerate(response.channels):
+        measured = ~np.isnan(response.observed[:, index])
+        noise = _noise_of(run.channels[name], record.channels[name])
+        rest = (response.predicted - response.observed)[measured, index] / noise.deviation
+        # The second derivative of the loss: a residual beyond its corner does not pull.
+        weights = np.maximum(scores(loss, rest)[1], _LEAST_WEIGHT)
+        times = None if run.times is None else run.times[measured]
+        parts.append(whitened(noise, times, columns[measured, index], weights))
+    return np.concatenate(parts)
+
+
+def _noise_of(channel: Channel, known: ChannelFit) -> ChannelNoise:
+    """The noise that a channel was weighted with, SI."""
+    whole, correlated = (float(channel.to_si(one)) for one in (known.noise, known.correlated))
+    return ChannelNoise.of_cell(whole, correlated, known.correlation_time_s)
+
+
+# A result with what its residuals ask for, and with what its held numbers decide.
+
+
+def with_suspects(
+    result: FitResult, runs: Run | Sequence[Run], *, each: Sequence[str] = ()
+) -> FitResult:
+    """The result with its suspects (`giajax.suspects`) and its systematic errors.
+
+    Arguments:
+        result, runs, each: as of `giajax.suspects`.
+
+    Returns:
+        The same result with `suspects`, `systematic` and further `conditions`.
+
+    Raises:
+        InputError: as `giajax.suspects`.
+    """
+    asked = dataclasses.replace(result, suspects=suspects(result, runs, each=each).rows)
+    return with_systematic_errors(asked, runs)
+
+
+def with_systematic_errors(
+    result: FitResult,
+    runs: Run | Sequence[Run],
+    uncertainty: Mapping[str, Any] | None = None,
+) -> FitResult:
+    """The result with its systematic errors, and a condition for each held number that decides.
+
+    Arguments:
+        result, runs, uncertainty: as of `giajax.systematic_errors`; what is stated here is kept
+            in `result.config`.
+
+    Returns:
+        The same result with `systematic` and further `conditions`.
+
+    Raises:
+        InputError: as `giajax.systematic_errors`.
+    """
+    errors = systematic_errors(result, runs, uncertainty)
+    before = deciding_conditions(result.systematic)
+    conditions = [condition for condition in result.conditions if condition not in before]
+    stated = {} if uncertainty is None else {"uncertainty": dict(uncertainty)}
+    return dataclasses.replace(
+        result,
+        systematic=errors,
+        conditions=(*conditions, *deciding_conditions(errors)),
+        config={**result.config, **stated},
+    )

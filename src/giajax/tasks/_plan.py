@@ -1,0 +1,420 @@
+"""A plan: one fit definition, and what differs between the fits of it. Imports no JAX."""
+
+import dataclasses
+import functools
+import itertools
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from ..recordings import Definition, Fit
+from ..runtime.arrays import sobol_points
+from ..runtime.files import check_size, parse_toml, read_bytes
+from ..runtime.limits import TEXT_BYTES
+from ..runtime.tasks import Task
+from ..runtime.text import InputError, one_of, shown
+from ..schema import flat
+from ._fit_task import FitTask
+from ._record import checksums_of
+
+# The columns of a plan: keys of `[fit]`, those of its tables by their paths. Imports no JAX.
+
+TABLES = ("start", "fix", "priors", "bounds", "ties", "groups")
+"""Keys of `[fit]` that hold a value for each of some paths."""
+
+# Where the result of one fit would go, and what is computed after a single one.
+_NOT_HERE = ("out", "uncertainty")
+
+RANGE = ("from", "to", "count", "log")
+"""Keys of a range."""
+
+DRAWS = {
+    "uniform": "[low, high]",
+    "log_uniform": "[low, high], both positive",
+    "normal": "[mean, deviation]",
+}
+"""Distributions, and what each is of."""
+
+# A table with one of these is a value, and no part of a path; the first is of a prior.
+_OF_VALUES = {"value", *RANGE, *DRAWS}
+
+Case = Mapping[str, Any]
+"""Values by column: `loss`, `fix.links.mass`."""
+
+MOST = 100_000
+"""Fits of a plan."""
+
+
+def columns_of(section: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Values by column: the keys of `[fit]`, those of its tables with their paths.
+
+    Arguments:
+        section: of a plan.
+        where: what errors call it.
+
+    Raises:
+        InputError: a key that `[fit]` does not have, or that does nothing here.
+    """
+    known = [name for name in Fit.model_fields if name not in _NOT_HERE]
+    columns = {}
+    for name, value in section.items():
+        if name not in known:
+            if name == "uncertainty":
+                raise InputError(f"{where}: {name} does nothing in a sweep: leave it out")
+            raise InputError(
+                f"{where}: unknown key {shown(name)}: give one of [fit], such as fix, start, loss "
+                "or data"
+            )
+        if name not in TABLES:
+            columns[name] = value
+            continue
+        if not isinstance(value, Mapping):
+            raise InputError(f"{where}: {name} must be a table of parameter paths: write it as one")
+        try:
+            paths = flat(value, leaves=_OF_VALUES)
+        except ValueError as error:
+            raise InputError(f"{where}: {name} {error}") from None
+        columns |= {f"{name}.{path}": item for path, item in paths.items()}
+    return columns
+
+
+def check_count(count: int, where: str) -> None:
+    """Refuse more fits than a plan may have, before they are made."""
+    if count > MOST:
+        raise InputError(f"{where} has {count:,} fits, but may have {MOST:,} at most: plan fewer")
+
+
+# The values of a plan: lists and ranges of a grid, and draws of a sample. Imports no JAX.
+
+_METHODS = ("sobol", "random")
+
+
+def grid_cases(section: Mapping[str, Any], where: str) -> list[Case]:
+    """Every combination of the values of a grid; those of the last key differ first."""
+    columns = columns_of(section, where)
+    several = [_listed(value, f"{where}: {name}") for name, value in columns.items()]
+    check_count(math.prod(map(len, several)), where)
+    return [dict(zip(columns, values, strict=True)) for values in itertools.product(*several)]
+
+
+def _listed(value: Any, where: str) -> list[Any]:
+    """The values that a list has, or a range."""
+    if isinstance(value, list) and value:
+        return value
+    if not isinstance(value, Mapping) or not {"from", "to", "count"} <= set(value) <= set(RANGE):
+        raise InputError(
+            f"{where} = {shown(value)} must be a list of values, or a range such as "
+            "{ from = 0.5, to = 1.5, count = 5 }: correct it"
+        )
+    low, high, count = value["from"], value["to"], value["count"]
+    if type(count) is int:
+        check_count(count, where)
+    if not (_is_number(low) and _is_number(high) and type(count) is int and count > 0):
+        raise InputError(f"{where} must go from a number to a number in a count: correct it")
+    logarithmic = value.get("log", False)
+    if logarithmic and not min(low, high) > 0:
+        raise InputError(f"{where} is logarithmic, and must go from and to what is positive")
+    # Whole numbers stay whole where every one is: some keys take no other.
+    steps = max(count - 1, 1)
+    if type(low) is type(high) is int and not logarithmic and (high - low) % steps == 0:
+        return [low + (high - low) // steps * step for step in range(count)]
+    with np.errstate(all="ignore"):
+        spaced = (np.geomspace if logarithmic else np.linspace)(float(low), float(high), count)
+    if not np.all(np.isfinite(spaced)):
+        raise InputError(f"{where} goes too far to be divided: give nearer ends")
+    return [float(number) for number in spaced]
+
+
+def sample_cases(section: Mapping[str, Any], where: str) -> list[Case]:
+    """Draws of start values and held values, by a Sobol sequence or at random."""
+    rest = {name: item for name, item in section.items() if name in ("start", "fix")}
+    count, seed = section.get("count"), section.get("seed", 0)
+    method = section.get("method", "sobol")
+    unknown = set(section) - {"start", "fix", "count", "seed", "method"}
+    if unknown:
+        raise InputError(
+            f"{where}: unknown key {shown(min(unknown))}: correct or remove it (known here: count, "
+            "seed, method, start, fix)"
+        )
+    if type(count) is not int or count < 1:
+        raise InputError(f"{where}: count must be how many there are to draw: give 64, say")
+    check_count(count, where)
+    if type(seed) is not int or seed < 0:
+        raise InputError(f"{where}: seed must be zero or a positive whole number: correct it")
+    if method not in _METHODS:
+        raise InputError(f"{where}: method must be {one_of(map(repr, _METHODS))}: correct it")
+    columns = columns_of(rest, where)
+    if not columns:
+        raise InputError(f"{where} draws nothing: add fix or start with a distribution")
+    points = _points(method, len(columns), count, seed)
+    drawn = [
+        _drawn(value, points[:, at], f"{where}: {name}")
+        for at, (name, value) in enumerate(columns.items())
+    ]
+    return [dict(zip(columns, row, strict=True)) for row in zip(*drawn, strict=True)]
+
+
+def _points(method: str, dimensions: int, count: int, seed: int) -> np.ndarray:
+    """Points of the unit cube, shape (count, dimensions), none of them on its faces."""
+    if method == "sobol":
+        return sobol_points(count, dimensions, seed)
+    points = np.random.default_rng(seed).random((count, dimensions))
+    return np.maximum(points, np.finfo(float).eps)
+
+
+def _drawn(value: Any, points: np.ndarray, where: str) -> Iterator[float]:
+    """Values of a distribution at points of the unit interval."""
+    kind = next(iter(value), None) if isinstance(value, Mapping) and len(value) == 1 else None
+    ends = value[kind] if kind in DRAWS else None
+    if not (isinstance(ends, list) and len(ends) == 2 and all(map(_is_number, ends))):
+        forms = one_of(f"{name} = {form}" for name, form in DRAWS.items())
+        raise InputError(f"{where} = {shown(value)} must be a table of {forms}: correct it")
+    low, high = map(float, ends)
+    if kind == "normal":
+        if not high > 0:
+            raise InputError(f"{where} must have a positive deviation: correct it")
+        from scipy.special import ndtri
+
+        return iter((low + high * ndtri(points)).tolist())
+    if not low < high or (kind == "log_uniform" and low <= 0):
+        raise InputError(f"{where} must go from a lower to a higher end, {DRAWS[kind or '']}")
+    if kind == "log_uniform":
+        return iter(np.exp(math.log(low) + points * math.log(high / low)).tolist())
+    return iter((low + points * (high - low)).tolist())
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+# The cases of a plan: what differs between its fits. Imports no JAX.
+
+
+def cases_of(data: Mapping[str, Any], source: str) -> list[Case]:
+    """Every combination of what list, sample and grid say.
+
+    Arguments:
+        data: of a plan, as plain data.
+        source: what errors call it.
+
+    Raises:
+        InputError: what they may not say, or too many fits.
+    """
+    for name, kind in (("grid", dict), ("sample", dict), ("list", list)):
+        if not isinstance(data.get(name, kind()), kind):
+            what = "a list of tables, [[list]]" if kind is list else f"a table, [{name}]"
+            raise InputError(f"{source}: {name} must be {what}: correct it")
+    listed: list[Case] = [{}]
+    if "list" in data:
+        rows = data["list"]
+        if not rows or not all(isinstance(row, Mapping) for row in rows):
+            raise InputError(f"{source}: list must be a list of tables, [[list]]: correct it")
+        listed = [_row(row, f"{source}, [[list]]") for row in rows]
+    drawn: list[Case] = [{}]
+    if "sample" in data:
+        drawn = sample_cases(data["sample"], f"{source}, [sample]")
+    combined = grid_cases(data.get("grid", {}), f"{source}, [grid]")
+    for one, other in ((listed, drawn), (listed, combined), (drawn, combined)):
+        twice = {name for case in one for name in case} & {name for case in other for name in case}
+        if twice:
+            raise InputError(
+                f"{source} has {min(twice)} in two of grid, list and sample: leave it in one"
+            )
+    check_count(len(listed) * len(drawn) * len(combined), source)
+    return [{**row, **draw, **case} for row in listed for draw in drawn for case in combined]
+
+
+def _row(section: Mapping[str, Any], where: str) -> Case:
+    """The values of one fit."""
+    row = columns_of(section, where)
+    for name, value in row.items():
+        if isinstance(value, Mapping) and "value" not in value:
+            raise InputError(
+                f"{where}: {name} = {shown(value)} must be one value: put a range into [grid], and "
+                "a distribution into [sample]"
+            )
+    return row
+
+
+_KEYS = ("schema_version", "fit", "data", "out", "grid", "list", "sample")
+_OUT = Path("giajax-out")
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """What to fit: `base`, with the settings of each case put on top.
+
+    Attributes:
+        base: the fit without anything that differs.
+        cases: of each fit the values that differ, by column.
+        out: where the table goes; None where the plan does not say.
+        source: its file; None for a plan as data.
+
+    Example:
+        >>> from giajax import tasks as sweeping
+        >>> plan = sweeping.Plan.parse({"data": ["run.csv"], "grid": {"loss": ["linear", "huber"]}})
+        >>> plan.cases
+        ({'loss': 'linear'}, {'loss': 'huber'})
+    """
+
+    base: FitTask
+    cases: tuple[Case, ...]
+    out: Path | None = None
+    source: Path | None = None
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """The plan of a TOML file; the files that it names are relative to it.
+
+        Raises:
+            InputError: the file is missing, is no TOML, or as `parse`.
+        """
+        path = Path(path)
+        try:
+            text = read_bytes(path, TEXT_BYTES).decode("utf-8-sig")
+        except FileNotFoundError:
+            raise InputError(f"{path} does not exist: give the path of a plan") from None
+        except UnicodeDecodeError:
+            raise InputError(f"{path} is not text: it must be TOML in UTF-8") from None
+        except OSError as error:
+            raise InputError(f"{path} cannot be read ({error.strerror}): give a plan") from None
+        plan = cls.parse(parse_toml(text, path), path.parent, str(path))
+        return dataclasses.replace(plan, source=path)
+
+    @classmethod
+    def parse(
+        cls, data: Mapping[str, Any], folder: str | Path = "", source: str = "the plan"
+    ) -> Self:
+        """The plan that plain data state.
+
+        Arguments:
+            data: as `tomllib` reads a file of it; see `docs/sweep.md`.
+            folder: where the paths in it begin.
+            source: what errors call it.
+
+        Raises:
+            InputError: a key or a value that it may not have, or too many fits.
+        """
+        check_size(data, source)
+        folder = Path(folder)
+        for name in data:
+            if name not in _KEYS:
+                raise InputError(
+                    f"{source}: unknown key {shown(name)}: correct or remove it (known here: "
+                    f"{', '.join(_KEYS)})"
+                )
+        if data.get("schema_version", 1) != 1:
+            raise InputError(f"{source}: schema_version must be 1: correct it")
+        if ("fit" in data) == ("data" in data):
+            raise InputError(
+                f"{source} must have one of fit, a fit definition, and data, a list of runs: give "
+                "one"
+            )
+        if "fit" in data:
+            if not isinstance(data["fit"], str):
+                raise InputError(f"{source}: fit must be the name of a fit definition: correct it")
+            base = FitTask.load(folder / data["fit"])
+        else:
+            Definition.parse({"fit": {"data": data["data"]}}, source)
+            base = FitTask.of([folder / name for name in data["data"]])
+        out = data.get("out")
+        if not isinstance(out, str | None):
+            raise InputError(f"{source}: out must be the name of a folder: correct it")
+        cases = cases_of(data, source)
+        plan = cls(base, tuple(cases), None if out is None else Path(out))
+        # Keys and kinds of values are told before the first fit begins; whether its model has a
+        # path, by each fit.
+        for number, case in enumerate(cases, 1):
+            plan.fit(case, f"{source}, fit {number}", folder)
+        return dataclasses.replace(plan, cases=tuple(_placed(case, folder) for case in cases))
+
+    @property
+    def folder(self) -> Path:
+        """Where the table goes by default."""
+        if self.out is not None:
+            return self.out
+        named = self.source or self.base.source
+        return _OUT / ("sweep" if named is None else named.stem)
+
+    @property
+    def columns(self) -> list[str]:
+        """What differs, in the order of the plan."""
+        return list(dict.fromkeys(name for case in self.cases for name in case))
+
+    def fit(self, case: Case, origin: str = "the plan", folder: Path = Path()) -> FitTask:
+        """The fit of a case.
+
+        Arguments:
+            case: one of `cases`.
+            origin: what an error calls it.
+            folder: where the files of `data` and `validation` in it begin.
+
+        Raises:
+            InputError: a value that its key may not have.
+        """
+        settings: dict[str, Any] = {}
+        for name, value in case.items():
+            table, _, path = name.partition(".")
+            if path:
+                settings.setdefault(table, {})[path] = value
+            else:
+                settings[name] = value
+        told = Definition.parse({"fit": settings}, origin).fit
+        words = {name: getattr(told, name) for name in told.model_fields_set}
+        if "priors" in words:
+            words["priors"] = {path: entry.prior() for path, entry in words["priors"].items()}
+        for name in {"data", "validation"} & set(words):
+            words[name] = [folder / file for file in words[name]]
+        return self.base.on_top(**words, origin=origin)
+
+    def tasks(self) -> list[Task]:
+        """The fits as tasks, one for each case: two with the same key are the same fit.
+
+        Raises:
+            InputError: a file cannot be read.
+        """
+        checksums = functools.cache(lambda path: tuple(checksums_of([path]).values()))
+        return [_task(self.fit(case), checksums) for case in self.cases]
+
+
+def _placed(case: Case, folder: Path) -> Case:
+    """A case whose files are found from here."""
+    files = {
+        name: [str(folder / file) for file in case[name]]
+        for name in ("data", "validation")
+        if name in case
+    }
+    return {**case, **files}
+
+
+def _task(fit: FitTask, checksums: Any) -> Task:
+    """A fit by the content of its files, which are then wherever they are."""
+    if not fit.data:
+        raise InputError("the plan has no data: give runs in it, or in its fit definition")
+    definition = fit.definition.contents()
+    settings = definition.pop("fit", {})
+    for name in ("data", "validation", "out"):
+        settings.pop(name, None)
+    for name in ("truth", "figures", "origin"):
+        definition.pop(name, None)
+    files = {"data": fit.data, "validation": fit.validation}
+    return Task(
+        "giajax.tasks._sweep:fitted",
+        {
+            "definition": {**definition, "fit": settings},
+            "inputs": {
+                part: [[path.name, *checksums(path)] for path in paths]
+                for part, paths in files.items()
+            },
+            "rename": dict(fit.rename),
+            "begin": fit.begin,
+        },
+        aside={
+            "paths": {
+                part: [str(path.absolute()) for path in paths] for part, paths in files.items()
+            }
+        },
+    )

@@ -1,0 +1,272 @@
+"""A sweep: the fits of a plan, each once, and their table."""
+
+import contextlib
+import io
+import json
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import polars as pl
+
+from ..recordings import Definition
+from ..runtime.execution import InProcess, run_tasks
+from ..runtime.files import keep
+from ..runtime.tasks import Outcome
+from ..runtime.text import InputError
+from ._fit_task import FitTask
+from ._journal import locked
+from ._plan import Case, Plan
+from ._record import checksums_of
+
+if TYPE_CHECKING:
+    from ..fitting import FitResult, HeldOut, PredictionErrors, RunFit
+
+# The table of a sweep: one row a fit, with a schema. Imports no JAX.
+
+_BEFORE: dict[str, Any] = {
+    "key": pl.String,
+    "status": pl.String,
+    "message": pl.String,
+}
+_AFTER: dict[str, Any] = {
+    "cost": pl.Float64,
+    "reduced_chi_square": pl.Float64,
+    "verdict": pl.String,
+    "iterations": pl.Int64,
+    "seconds": pl.Float64,
+    "worker": pl.String,
+}
+
+
+def table(
+    columns: Sequence[str], cases: Sequence[Case], outcomes: Sequence[Outcome]
+) -> pl.DataFrame:
+    """The rows of fits, in the order of the plan.
+
+    Arguments:
+        columns: what differs between them.
+        cases: its values, of each fit.
+        outcomes: what came of each.
+
+    Returns:
+        Key, status and message; what differs; `value.PATH` and `error.PATH` of each parameter that
+        a fit freed; how it went; and `validation.CHANNEL of RUN` and `held_out.CHANNEL of RUN`.
+        What a fit does not have is null.
+    """
+    found = [outcome.value or {} for outcome in outcomes]
+    paths = list(dict.fromkeys(path for value in found for path in value.get("values", ())))
+    swept = {name: [case.get(name) for case in cases] for name in columns}
+    kinds = {name: _kind(values) for name, values in swept.items()}
+    data: dict[str, list[Any]] = {
+        "key": [outcome.key for outcome in outcomes],
+        # How a fit ended is more than that it did.
+        "status": [
+            value.get("status", outcome.status)
+            for value, outcome in zip(found, outcomes, strict=True)
+        ],
+        "message": [
+            value.get("message", outcome.message)
+            for value, outcome in zip(found, outcomes, strict=True)
+        ],
+    }
+    for name, values in swept.items():
+        text = kinds[name] is pl.String
+        data[name] = [_as_text(value) if text else value for value in values]
+    for path in paths:
+        data[f"value.{path}"] = [value.get("values", {}).get(path) for value in found]
+        data[f"error.{path}"] = [value.get("errors", {}).get(path) for value in found]
+    for name in ("cost", "reduced_chi_square", "verdict", "iterations"):
+        data[name] = [value.get(name) for value in found]
+    data["seconds"] = [outcome.seconds for outcome in outcomes]
+    data["worker"] = [outcome.worker for outcome in outcomes]
+    predicted = list(dict.fromkeys(name for value in found for name in value.get("rmse", {})))
+    for name in predicted:
+        data[name] = [value.get("rmse", {}).get(name) for value in found]
+    estimates = {f"{what}.{path}": pl.Float64 for path in paths for what in ("value", "error")}
+    errors = dict.fromkeys(predicted, pl.Float64)
+    return pl.DataFrame(data, schema={**_BEFORE, **kinds, **estimates, **_AFTER, **errors})
+
+
+def _kind(values: Sequence[Any]) -> Any:
+    """The type of a column: numbers, true or false, else text."""
+    given = [value for value in values if value is not None]
+    if all(isinstance(value, bool) for value in given):
+        return pl.Boolean
+    if all(isinstance(value, int | float) and not isinstance(value, bool) for value in given):
+        return pl.Float64
+    return pl.String
+
+
+def _as_text(value: Any) -> str | None:
+    """Text as it is, and what is no text as JSON."""
+    return value if isinstance(value, str | None) else json.dumps(value)
+
+
+# One fit of a sweep, as a worker does it: from plain data to plain data.
+
+
+def fitted(
+    definition: Mapping[str, Any],
+    inputs: Mapping[str, Sequence[Sequence[str | None]]],
+    rename: Mapping[str, str],
+    begin: Mapping[str, Any] | None,
+    paths: Mapping[str, Sequence[str]],
+) -> dict[str, Any]:
+    """Fit, without the checks that end a single fit: gradient, tolerance and suspects.
+
+    Arguments:
+        definition: all settings, as `Definition.contents` has them.
+        inputs: name of each file of `data` and `validation` with the SHA-256 of its content and of
+            its sidecar, which is None where there is none.
+        rename, begin: as of `FitTask`.
+        paths: where the files are, in the same order.
+
+    Returns:
+        How it ended, and what it found.
+
+    Raises:
+        InputError: a file has changed, 32-bit, or the fit cannot be done.
+        KeyboardInterrupt: it was stopped.
+    """
+    check_precision()
+    for part, files in inputs.items():
+        for (_, *before), path in zip(files, paths[part], strict=True):
+            if list(checksums_of([Path(path)]).values()) != before:
+                raise InputError(f"{path} has changed since the sweep began: sweep again")
+    task = FitTask(
+        Definition.parse(definition, "the plan"),
+        data=tuple(map(Path, paths["data"])),
+        validation=tuple(map(Path, paths["validation"])),
+        rename=rename,
+        begin=begin,
+    )
+    result = task.run(check=False)
+    if result.status == "interrupted":
+        raise KeyboardInterrupt
+    estimates: dict[str, Any]
+    estimates = {path: item for path, item in result.parameters.items() if item.free}
+    for run, name in zip(result.runs, _names(result.runs), strict=True):
+        estimates |= {f"{path} of {name}": item for path, item in run.parameters.items()}
+    return {
+        "status": result.status,
+        "message": result.message,
+        "values": {path: item.value for path, item in estimates.items()},
+        "errors": {path: item.standard_error for path, item in estimates.items()},
+        "cost": result.cost,
+        "reduced_chi_square": result.reduced_chi_square,
+        "verdict": result.verdict.status,
+        "iterations": result.iterations,
+        "rmse": _prediction(result),
+    }
+
+
+def _prediction(result: "FitResult") -> dict[str, float | None]:
+    """RMSE of what was not fitted, in the unit of the recording, by channel and run."""
+    parts: dict[str, Sequence[PredictionErrors | HeldOut]]
+    parts = {"validation": result.validation, "held_out": result.held_out}
+    return {
+        f"{part}.{channel} of {name}": errors.rmse
+        for part, runs in parts.items()
+        for run, name in zip(runs, _names(runs), strict=True)
+        for channel, errors in run.channels.items()
+    }
+
+
+def _names(runs: "Sequence[RunFit | PredictionErrors | HeldOut]") -> list[str]:
+    """Of each run; of several that are called the same, with their paths."""
+    several = Counter(run.name for run in runs)
+    return [run.name if several[run.name] == 1 else f"{run.name} ({run.path})" for run in runs]
+
+
+def check_precision() -> None:
+    """Refuse 32-bit: what is kept of a fit does not say how precise it is.
+
+    Raises:
+        InputError: JAX computes in 32-bit.
+    """
+    import jax
+
+    if not jax.config.read("jax_enable_x64"):
+        raise InputError(
+            "JAX computes in 32-bit, in which no sweep is kept: call "
+            'jax.config.update("jax_enable_x64", True) first'
+        )
+
+
+TABLE = "sweep.parquet"
+"""Name of the table of a sweep in its folder."""
+
+FITS = "fits"
+"""Folder in it of the fits, a file each."""
+
+
+def sweep(
+    plan: str | Path | Mapping[str, Any] | Plan,
+    *,
+    out: str | Path | None = None,
+    executor: Executor | None = None,
+    progress: Callable[[Outcome, int, int], None] | None = None,
+    force: bool = False,
+) -> "pl.DataFrame":
+    """Fit one definition many times: with other values, runs or options each time.
+
+    Each fit has a file of its own as soon as it is done. The same call goes on after a crash or
+    Ctrl-C, and after the plan has grown. Without an executor the fits are done here, which wants
+    64-bit: call `jax.config.update("jax_enable_x64", True)` first.
+
+    Arguments:
+        plan: the file of a plan (`docs/sweep.md`), the content of one, or a `Plan`.
+        out: folder for `sweep.parquet` and the fits; by default what the plan says, else
+            `giajax-out/` and its name.
+        executor: any of `concurrent.futures`; see `giajax.runtime.execution.open_executor`.
+        progress: as of `giajax.runtime.execution.run_tasks`.
+        force: write over the table of another plan.
+
+    Returns:
+        The table, one row a fit in the order of the plan. A fit that could not be done is a row
+        with its message; one that Ctrl-C came before has the status "stopped".
+
+    Raises:
+        InputError: a plan that cannot be, a file that is missing, 32-bit, or a folder that another
+            sweep is writing to, that holds the table of another plan, or that cannot be written.
+
+    Example:
+        >>> import giajax
+        >>> table = giajax.sweep("plan.toml")  # doctest: +SKIP
+        >>> table.filter(table["status"] == "failed")["message"]  # doctest: +SKIP
+    """
+    if isinstance(plan, str | Path):
+        plan = Plan.load(plan)
+    elif not isinstance(plan, Plan):
+        plan = Plan.parse(plan)
+    folder = plan.folder if out is None else Path(out)
+    tasks = plan.tasks()
+    if executor is None or isinstance(executor, InProcess):
+        check_precision()
+    with locked(folder):
+        if not force:
+            _check_none_is_lost(folder / TABLE, {task.key for task in tasks})
+        outcomes = run_tasks(tasks, executor=executor, folder=folder / FITS, progress=progress)
+        rows = table(plan.columns, plan.cases, outcomes)
+        content = io.BytesIO()
+        rows.write_parquet(content)
+        keep(folder / TABLE, content.getvalue())
+    return rows
+
+
+def _check_none_is_lost(path: Path, keys: set[str]) -> None:
+    """Refuse to write over a table with fits that the plan does not have."""
+    import polars as pl
+
+    if not path.exists():
+        return
+    before: set[str] = set()
+    with contextlib.suppress(OSError, pl.exceptions.PolarsError):
+        before = set(pl.read_parquet(path, columns=["key"])["key"])
+    if not before or not before <= keys:
+        raise InputError(
+            f"{path} is the table of another plan: give another folder, or --force to write over it"
+        )
