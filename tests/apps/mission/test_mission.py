@@ -19,7 +19,7 @@ from giajax.fitting import predict
 from giajax.models import model_for
 from giajax.schema.parameters import replace
 
-FOLDER = Path(__file__).resolve().parents[2] / "missions"
+FOLDER = Path(__file__).resolve().parents[3] / "missions"
 
 
 def mission(name="naraha", **changes):

@@ -29,7 +29,7 @@ DENSITY, LENGTH, DIAMETER = 1.204, 0.99, 0.3
 DISPLACED = DENSITY * np.pi / 4 * DIAMETER**2 * LENGTH
 STILL = jnp.zeros(1)
 
-POINTS = Path(__file__).parents[2] / "data" / "recorded" / "cylinder_cd"
+POINTS = Path(__file__).parents[3] / "data" / "recorded" / "cylinder_cd"
 
 
 def one_link(*, axes=("yaw",), **options):

@@ -14,7 +14,7 @@ from giajax.mechanics.arm import acceleration
 from giajax.schema.parameters import replace
 from giajax.simulation import ramps, simulate
 
-FOLDER = Path(__file__).parents[1] / "data" / "paper"
+FOLDER = Path(__file__).parents[3] / "data" / "paper"
 mujoco_air = pytest.importorskip("peers.mujoco_air", reason="mujoco is not installed")
 
 

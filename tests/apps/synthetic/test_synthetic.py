@@ -9,7 +9,7 @@ import pytest
 
 from giajax import read_run
 
-FOLDER = Path(__file__).parents[1] / "data" / "synthetic"
+FOLDER = Path(__file__).parents[3] / "data" / "synthetic"
 
 
 def script(path):

@@ -18,7 +18,7 @@ from giajax.cli._design import source_of
 from giajax.schema.parameters import get
 from giajax.studies import expected_errors
 
-EARLIER = Path(__file__).parents[1] / "earlier" / "arm"
+EARLIER = Path(__file__).parents[2] / "earlier" / "arm"
 C = Criterion("c", (1.2, 0.0))
 DRAG, STIFFNESS = "air.drag_coefficient", "joints.pitch_stiffness"
 # What notebooks/05_next_experiment.ipynb and docs/design.md have, too: one program is compiled.

@@ -27,7 +27,7 @@ from giajax.schema import (
 from giajax.schema.parameters import declared, left_out, parameter, replace
 
 GROUPS = {name: group for name, group in vars(quantities).items() if isinstance(group, Group)}
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 STATED = [
     stated
     for kind in KINDS.values()
