@@ -1,4 +1,4 @@
-"""The shape of the source: sizes of files, imports between rooms, and what knows the model kinds.
+"""The shape of the source: imports between rooms and files, and what knows the kinds of models.
 
 Everything here is read from the text of the files; nothing of giajax is imported.
 """
@@ -16,65 +16,24 @@ pytestmark = pytest.mark.quick
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "giajax"
 
-# The rooms from the top: one imports what is below it. Those of a line are beside each other, and
-# may use each other as long as that is no circle.
-ROOMS = [
-    ("__init__", "__main__"),
-    ("cli",),
-    ("paper",),
-    ("experiments",),
-    ("report",),
-    ("mission",),
-    ("driving",),
-    ("viewer",),
-    ("sweeping",),
-    ("tasks",),
-    ("diagnosis",),
-    ("repetitions",),
-    ("study", "wind", "design"),
-    ("fitting",),
-    ("control",),
-    ("synthetic",),
-    ("models",),
-    ("filling", "simulation", "joint", "arm", "hysteresis", "obstacles"),
-    ("runs",),
-    ("kinds",),
-    ("verdict",),
-    ("noise",),
-    ("execution",),
-    (
-        "parameters",
-        "quantities",
-        "_shares",
-        "_threads",
-        "_cores",
-        "_devices",
-        "_blas",
-        "_process",
-        "_program",
-        "_kept",
-        "_kept_files",
-        "_structure",
-        "_maths",
-        "_running_sum",
-        "_computed_once",
-        "_small_loops",
-        "_files",
-        "_limits",
-        "_signals",
-        "_sobol",
-        "_syntax",
-        "_text",
-        "_typing",
-        "_errors",
-        "_version",
-    ),
-]
-LEVEL = {room: level for level, rooms in enumerate(ROOMS) for room in rooms}
-
-LONG = 200
-LONGEST = 300
-REASON = "longer than 200 lines because"
+# The rooms from the top: each imports those below it alone.
+ROOMS = (
+    "__main__",
+    "cli",
+    "apps",
+    "report",
+    "tasks",
+    "studies",
+    "fitting",
+    "models",
+    "simulation",
+    "mechanics",
+    "noise",
+    "recordings",
+    "schema",
+    "runtime",
+)
+LEVEL = {room: level for level, room in enumerate(ROOMS)}
 
 
 def files():
@@ -110,64 +69,65 @@ def room_of(path):
     return path.relative_to(SOURCE).with_suffix("").parts[0]
 
 
-def rooms_imported(path):
-    """Pairs of a room of giajax and the rest of the module's name, other than the file's own.
+def module_of(path):
+    """The name of the module that a file is."""
+    parts = path.relative_to(SOURCE.parent).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
-    What is imported from `giajax` itself, and is no room, comes from its `__init__`.
-    """
-    for name in imported(path, parsed(path)):
-        first, *parts = name.split(".")
-        if first != "giajax" or not parts:
-            continue
-        room, *rest = parts if parts[0] in LEVEL else ["__init__", *parts]
+
+MODULES = {module_of(path) for path in SOURCE.rglob("*.py")}
+
+
+def modules_imported(path):
+    """Modules of giajax that a file imports; of a package and a module in it, the module."""
+    names = [name for name in imported(path, parsed(path)) if name in MODULES]
+    inner = {name.rpartition(".")[0] for name in names}
+    return {name for name in names if name not in inner} - {module_of(path)}
+
+
+def rooms_imported(path):
+    """Pairs of a room of giajax, other than the file's own, and the module in it."""
+    for module in modules_imported(path):
+        room = [*module.split("."), "__init__"][1]
         if room != room_of(path):
-            yield room, rest
+            yield room, module
 
 
 def test_every_room_has_its_place():
-    assert {room_of(path) for path in files()} <= set(LEVEL)
-
-
-def test_no_file_is_too_long():
-    """At most 300 lines; beyond 200 the docstring of the module says why."""
-    offenders = []
-    for path in files():
-        lines = len(path.read_text(encoding="utf-8").splitlines())
-        said = REASON in " ".join((ast.get_docstring(parsed(path)) or "").split()).lower()
-        if lines > LONGEST or (lines > LONG and not said):
-            offenders.append(f"{named(path)}: {lines} lines{', without a reason' * (not said)}")
-    assert not offenders, "\n".join(offenders)
+    folders = {path.name for path in SOURCE.iterdir() if path.is_dir()}
+    assert folders - {"__pycache__", "_examples"} == set(ROOMS) - {"__main__"}
 
 
 def test_no_room_imports_upwards():
+    """Nor the face of the whole package, which imports all of them."""
     upwards = {
-        f"{named(path)} imports {room}"
+        f"{named(path)} imports {module}"
         for path in files()
-        for room, _ in rooms_imported(path)
-        if LEVEL[room] < LEVEL[room_of(path)]
+        if room_of(path) in LEVEL
+        for room, module in rooms_imported(path)
+        if LEVEL.get(room, -1) <= LEVEL[room_of(path)]
     }
     assert not upwards, "\n".join(sorted(upwards))
 
 
-def test_no_rooms_import_in_a_circle():
-    graph = {room: set() for room in LEVEL}
-    for path in files():
-        # What imports upwards has a test of its own.
-        below = {room for room, _ in rooms_imported(path) if LEVEL[room] >= LEVEL[room_of(path)]}
-        graph[room_of(path)] |= below
+def test_no_files_import_in_a_circle():
+    """Neither where they are imported, nor within functions or for types."""
+    graph = {module_of(path): modules_imported(path) for path in SOURCE.rglob("*.py")}
     try:
         graphlib.TopologicalSorter(graph).prepare()
     except graphlib.CycleError as error:
         pytest.fail(" <- ".join(error.args[1]))
 
 
-def test_private_modules_stay_in_their_room():
-    offenders = {
-        f"{named(path)} imports {room}.{'.'.join(rest)}"
-        for path in files()
-        for room, rest in rooms_imported(path)
-        if rest and rest[0].startswith("_") and not rest[0].startswith("__")
-    }
+def test_private_modules_stay_in_their_package():
+    """A private module is imported by the modules beside it, and by those in folders below."""
+    offenders = set()
+    for path in files():
+        for module in modules_imported(path):
+            package, _, last = module.rpartition(".")
+            inside = f"{module_of(path)}.".startswith(f"{package}.")
+            if last.startswith("_") and not last.startswith("__") and not inside:
+                offenders.add(f"{named(path)} imports {module}")
     assert not offenders, "\n".join(sorted(offenders))
 
 
@@ -250,11 +210,11 @@ def later():
 def test_the_reading_sees_what_it_must():
     """Imports of every form, and every form of asking for a class."""
     tree = ast.parse(SAMPLE)
-    reading = set(imported(SOURCE / "study" / "_sample.py", tree))
+    reading = set(imported(SOURCE / "studies" / "_sample.py", tree))
     assert reading == {
         "giajax", "giajax.models", "giajax.fitting", "giajax.fitting.fit", "giajax.cli._fit",
     }  # fmt: skip
     asked = {name for _, name in kinds_asked_for(tree)}
     assert {"int", "ArmModel", "JointModel"} <= asked
-    for above, below in itertools.pairwise(["cli", "fitting", "models", "runs", "kinds"]):
+    for above, below in itertools.pairwise(["cli", "fitting", "models", "recordings", "schema"]):
         assert LEVEL[above] < LEVEL[below]

@@ -5,6 +5,17 @@ is imported from its room when it is first used (SPEC 1), so that what needs no 
 the command line's help) starts without it.
 """
 
+import importlib
+from typing import Any
+
 import lazy_loader
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+from .runtime.aliases import MOVED, install
+
+_current, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+install()
+
+
+def __getattr__(name: str) -> Any:
+    """A public name, imported when it is first used."""
+    return importlib.import_module(f"{__name__}.{name}") if name in MOVED else _current(name)

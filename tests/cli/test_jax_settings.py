@@ -30,7 +30,7 @@ def test_there_is_no_cache_where_none_can_be(tmp_path, monkeypatch):
 @pytest.mark.parametrize("chosen", [None, "chosen"])
 def test_configure(tmp_path, chosen):
     code = (
-        "from giajax.cli._options import configure; import jax; configure(); "
+        "from giajax.runtime.process import configure; import jax; configure(); "
         "print(jax.config.jax_enable_x64, jax.config.jax_compilation_cache_dir)"
     )
     environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}

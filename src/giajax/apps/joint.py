@@ -31,6 +31,7 @@ from ..report import (
     GREY,
     INK,
     LIGHT,
+    MINUS,
     VERMILLION,
     draw_scene,
     new_figure,
@@ -38,7 +39,6 @@ from ..report import (
     to_csv,
     to_png,
 )
-from ..report._style import MINUS
 
 
 def shade_branches(panel: Axes, joint: Joint) -> None:

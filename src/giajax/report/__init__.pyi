@@ -54,6 +54,7 @@ from ._style import (
     GREY as GREY,
     INK as INK,
     LIGHT as LIGHT,
+    MINUS as MINUS,
     PAGE as PAGE,
     VERMILLION as VERMILLION,
     draw_blocks as draw_blocks,

@@ -1,0 +1,120 @@
+"""Names of earlier versions: they work on with a warning until a stated date.
+
+`docs/migration.md` lists them. A module that has moved is found by an importer at the end of
+`sys.meta_path`, so that none of it is a file, and what it had is looked up where it is now.
+"""
+
+import importlib
+import importlib.abc
+import importlib.machinery
+import sys
+import warnings
+from collections.abc import Callable, Sequence
+from types import ModuleType
+from typing import Any
+
+UNTIL = "1 December 2027"
+"""Until when the earlier names work."""
+
+MOVED: dict[str, tuple[str, ...]] = {
+    "arm": ("mechanics.arm",),
+    "control": ("apps.control",),
+    "design": ("apps.design",),
+    "diagnosis": ("studies",),
+    "driving": ("apps.driving",),
+    "execution": ("runtime.tasks", "runtime.execution"),
+    "experiments": ("apps.experiments",),
+    "filling": ("apps.filling", "mechanics.inflation"),
+    "hysteresis": ("mechanics.hysteresis",),
+    "joint": ("mechanics.joint",),
+    "kinds": ("schema",),
+    "mission": ("apps.mission",),
+    "obstacles": ("mechanics.obstacles",),
+    "paper": ("apps.paper",),
+    "parameters": ("schema.parameters",),
+    "quantities": ("schema",),
+    "repetitions": ("studies",),
+    "runs": ("recordings",),
+    "study": ("studies",),
+    "sweeping": ("tasks",),
+    "synthetic": ("apps.synthetic",),
+    "verdict": ("noise",),
+    "viewer": ("apps.viewer",),
+    "wind": ("apps.wind",),
+}
+"""Where the public names of an earlier module are now; all of it within `giajax`."""
+
+_REPORTS = {
+    "apps.design": "DESIGN_HEADINGS design_figure design_json design_rows",
+    "apps.filling": "CURVE_FILES FILLING_FILES curve_figure filling_figure filling_files "
+    "filling_json",
+    "apps.joint": "JOINT_FILES angle_figure angle_table correction_figure correction_table "
+    "equilibria_figure equilibria_table joint_figure joint_files joint_points",
+    "apps.mission": "CASES_FILES MISSION_FILES cases_files cases_json mission_figure mission_files "
+    "mission_json",
+    "apps.wind": "wind_figure wind_json",
+}
+
+RENAMED: dict[str, dict[str, str]] = {
+    "report": {name: f"{app}.{name}" for app, names in _REPORTS.items() for name in names.split()},
+}
+"""By room, where a public name that it had is now; all of it within `giajax`."""
+
+
+def earlier(room: str) -> Callable[[str], Any]:
+    """The `__getattr__` of a room of giajax for names that have moved or changed.
+
+    Arguments:
+        room: its `__name__`.
+    """
+    names = RENAMED[room.removeprefix("giajax.")]
+
+    def get(name: str) -> Any:
+        if name not in names:
+            raise AttributeError(f"module {room!r} has no attribute {name!r}")
+        where, _, now = names[name].rpartition(".")
+        _warn(f"{room}.{name}", f"giajax.{where}.{now}")
+        return getattr(importlib.import_module(f"giajax.{where}"), now)
+
+    return get
+
+
+def install() -> None:
+    """Have the earlier modules found; called once, where `giajax` is imported."""
+    if not any(isinstance(finder, _Finder) for finder in sys.meta_path):
+        sys.meta_path.append(_Finder())
+
+
+class _Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+    """Finds the earlier modules, and fills them with what looks their names up."""
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> importlib.machinery.ModuleSpec | None:
+        package, _, name = fullname.rpartition(".")
+        if package != "giajax" or name not in MOVED:
+            return None
+        return importlib.machinery.ModuleSpec(fullname, self)
+
+    def exec_module(self, module: ModuleType) -> None:
+        package, _, name = module.__name__.rpartition(".")
+        places = [f"{package}.{place}" for place in MOVED[name]]
+        _warn(module.__name__, " and ".join(places))
+
+        def get(attribute: str) -> Any:
+            if not attribute.startswith("__"):
+                for place in places:
+                    room = importlib.import_module(place)
+                    if hasattr(room, attribute):
+                        return getattr(room, attribute)
+            raise AttributeError(f"module {module.__name__!r} has no attribute {attribute!r}")
+
+        vars(module)["__getattr__"] = get
+
+
+def _warn(before: str, now: str) -> None:
+    warnings.warn(
+        f"{before} is {now} now: change the name, which works until {UNTIL}",
+        DeprecationWarning,
+        stacklevel=4,
+    )
