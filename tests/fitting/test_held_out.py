@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from giajax import Prior, Run
-from giajax.fitting import HeldOut, set_up, solve, with_held_out
+from giajax.fitting import HeldOut, HoldOut, set_up, solve
 from giajax.noise import Reason, Verdict
 from giajax.recordings import hold_out
 from giajax.schema.parameters import parameter
@@ -28,7 +28,7 @@ def judged(runs, names, **settings):
     result = solve(set_up(Decay(), fitted, **settings), check=False)
     assert result.status == "converged"
     whole = set_up(Decay(), runs, **settings)
-    return with_held_out(result, whole, parts), whole
+    return HoldOut(parts, whole).judge(result), whole
 
 
 def several(**changed):
@@ -117,7 +117,7 @@ def test_what_only_a_held_channel_knows_is_no_error_of_prediction():
     settings = {"start": {"amplitude": 1.5, "decay": 1.5}}
     result = solve(set_up(Swinging(), [part.fitted], **settings), check=False)
     assert result.parameters["decay"].value == 1.5
-    judged = with_held_out(result, set_up(Swinging(), [both], **settings), [part])
+    judged = HoldOut((part,), set_up(Swinging(), [both], **settings)).judge(result)
     assert judged.verdict.status == "adequate"
     channel = judged.held_out[0].channels["tip_z"]
     assert channel.rmse == pytest.approx(SIGMA, rel=0.3)
@@ -153,7 +153,7 @@ def test_runs_of_one_name_keep_what_each_has_for_itself():
     parts = hold_out(runs, ["last"])
     settings = {"free": ["amplitude", "decay"], "start": START}
     result = solve(set_up(Lifted(), [part.fitted for part in parts], **settings), check=False)
-    judged = with_held_out(result, set_up(Lifted(), runs, **settings), parts)
+    judged = HoldOut(parts, set_up(Lifted(), runs, **settings)).judge(result)
     assert judged.verdict.status == "adequate"
     for record in judged.held_out:
         assert record.channels["tip_z"].rmse == pytest.approx(SIGMA, rel=0.5)
@@ -180,7 +180,7 @@ def test_a_model_that_fails_for_what_was_held_out():
     whole = set_up(Decay(), runs, start=START)
     decay = dataclasses.replace(result.parameters["decay"], value=8.5)
     far = dataclasses.replace(result, parameters={**result.parameters, "decay": decay})
-    failed = with_held_out(far, whole, parts)
+    failed = HoldOut(parts, whole).judge(far)
     (record,) = failed.held_out
     assert record.channels["tip_z"].rmse == np.inf
     assert failed.verdict.reasons[0].code == "prediction"
@@ -194,7 +194,7 @@ def test_a_fit_that_did_not_converge_is_not_judged():
     parts = hold_out(runs, ["run1"])
     result = solve(set_up(Decay(), runs[:1], start=START), check=False, max_iterations=1)
     assert result.verdict.status == "not evaluated"
-    after = with_held_out(result, set_up(Decay(), runs, start=START), parts)
+    after = HoldOut(parts, set_up(Decay(), runs, start=START)).judge(result)
     assert after.verdict == result.verdict
     assert after.held_out[0].channels["tip_z"].rmse > SIGMA
 

@@ -11,7 +11,7 @@ import pytest
 
 import giajax
 from giajax.fitting import fit, set_up, solve
-from giajax.fitting._hold_out import where_it_ended
+from giajax.fitting._hold_out import state_at_end
 from giajax.fitting._transitions import tolerance_of
 from giajax.models import ArmModel, Integration
 from giajax.recordings import hold_out
@@ -154,7 +154,7 @@ def test_a_refit_and_what_is_held_out_have_a_tolerance_that_suits_them():
     result = solve(set_up(Approximate(bias=300.0), part.fitted, **settings), check=False)
     assert result.integration.tolerance < 2e-6
     whole = set_up(Approximate(bias=300.0), recorded, **settings)
-    assert tolerance_of(where_it_ended(result, whole, [part])) == result.integration.tolerance
+    assert tolerance_of(state_at_end(result, whole, [part])) == result.integration.tolerance
     again = refit(result, [recorded])
     assert again.integration == result.integration
     assert again.config["tolerance"] is None

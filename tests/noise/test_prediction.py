@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from giajax.noise import Cells, ChannelNoise, Foretold, Predictions, Reason, Series, Verdict
+from giajax.fitting import PredictedChannel, PredictionTest
+from giajax.noise import Cells, ChannelNoise, Reason, Series, Verdict
 
 quick = pytest.mark.quick
 
@@ -49,7 +50,7 @@ def drawn(rng, *, noise=None, held=None, runs=2, channels=2, add=None):
             series = Series(f"run{run}", name, residual, TIMES, noise, name, SIGMA, 0.0)
             cells = Cells(name, run, TIMES, np.ones(SAMPLES), residual, columns, own)
             mask = (held or {}).get((run, channel), np.zeros(SAMPLES, bool))
-            foretold.append(Foretold(series, cells, mask))
+            foretold.append(PredictedChannel(series, cells, mask))
     return foretold
 
 
@@ -86,20 +87,22 @@ def least(foretold, rows, prior):
 def test_it_is_what_chi_square_rises_by_where_the_held_cells_are_fitted_too(held, noise):
     foretold = drawn(np.random.default_rng(0), noise=noise, held=held)
     prior = np.array([0.3 / SIGMA, 0.0, 0.0, 0.7])
-    test = Predictions(foretold, np.outer(prior, prior), robust=False)
+    test = PredictionTest(foretold, np.outer(prior, prior), robust=False)
     everything = [np.ones(SAMPLES, bool) for _ in foretold]
     before, rank = least(foretold, [~each.held for each in foretold], prior)
     after, whole = least(foretold, everything, prior)
     found = test._of([i for i, each in enumerate(foretold) if np.any(each.held)])
     assert found.statistic == pytest.approx(after - before, rel=1e-6)
-    assert found.freedom == sum(int(np.sum(each.held)) for each in foretold) - (whole - rank)
+    assert found.degrees_of_freedom == sum(int(np.sum(each.held)) for each in foretold) - (
+        whole - rank
+    )
     # And that of one channel of a run.
     at = next(i for i, each in enumerate(foretold) if np.any(each.held))
     rows = [~each.held | (np.arange(len(foretold))[i] == at) for i, each in enumerate(foretold)]
     after, whole = least(foretold, rows, prior)
     found = test.of(foretold[at].cells.run, foretold[at].series.channel)
     assert found.statistic == pytest.approx(after - before, rel=1e-6)
-    assert found.freedom == int(np.sum(foretold[at].held)) - (whole - rank)
+    assert found.degrees_of_freedom == int(np.sum(foretold[at].held)) - (whole - rank)
 
 
 @quick
@@ -107,14 +110,14 @@ def test_what_only_the_held_run_knows_takes_nothing():
     """An offset and a slope of its own cost two degrees of freedom, however large they are."""
     rng = np.random.default_rng(1)
     foretold = drawn(rng, noise=ChannelNoise(SIGMA), held=held_run())
-    test = Predictions(foretold, np.zeros((4, 4)), robust=False)
+    test = PredictionTest(foretold, np.zeros((4, 4)), robust=False)
     assert test.reason() is None
-    assert test._of([2, 3]).freedom == 2 * SAMPLES - 2
+    assert test._of([2, 3]).degrees_of_freedom == 2 * SAMPLES - 2
     (each,) = drawn(rng, noise=ChannelNoise(SIGMA), runs=1, channels=1)
     two = np.arange(SAMPLES) >= SAMPLES - 2
     own = np.where(two[:, None], each.cells.own, 0.0)
-    each = Foretold(each.series, Cells(**{**vars(each.cells), "own": own}), two)
-    alone = Predictions([each], np.zeros((4, 4)), robust=False)
+    each = PredictedChannel(each.series, Cells(**{**vars(each.cells), "own": own}), two)
+    alone = PredictionTest([each], np.zeros((4, 4)), robust=False)
     assert alone.of(0, "link00_z").size is None
     assert alone.reason() is None
 
@@ -127,7 +130,7 @@ def test_p_values_of_the_right_model_are_uniform(held, noise):
     values, accused = [], 0
     for _ in range(200):
         foretold = drawn(rng, noise=noise, held=held)
-        test = Predictions(foretold, np.zeros((4, 4)), robust=False)
+        test = PredictionTest(foretold, np.zeros((4, 4)), robust=False)
         at = [i for i, each in enumerate(foretold) if np.any(each.held)]
         values.append(test._of(at).p_value)
         accused += test.reason() is not None
@@ -149,7 +152,7 @@ def bend(run, channel):
 @quick
 def test_what_the_model_lacks_is_found(noise):
     foretold = drawn(np.random.default_rng(3), noise=noise, held=HELD["the end of each"], add=bend)
-    test = Predictions(foretold, np.zeros((4, 4)), robust=False)
+    test = PredictionTest(foretold, np.zeros((4, 4)), robust=False)
     reason = test.reason()
     assert reason.code == "prediction"
     assert reason.channels == ("link01_z",)
@@ -168,7 +171,7 @@ def test_outliers_are_left_out_and_a_prediction_that_fails_is_not():
         foretold = drawn(rng, held=HELD["the end of each"], add=add)
         for each in foretold:
             each.series.residual[::12] += spoil
-        return Predictions(foretold, np.zeros((4, 4)), robust=robust).reason()
+        return PredictionTest(foretold, np.zeros((4, 4)), robust=robust).reason()
 
     assert reason(robust=True, spoil=0.5) is None
     assert reason(robust=True, spoil=0.5, add=bend).code == "prediction"

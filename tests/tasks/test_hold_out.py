@@ -8,13 +8,12 @@ import pytest
 
 from giajax import FitTask, InputError, ladder, load_result, write_result
 from giajax.cli import main
-from giajax.fitting import predict
+from giajax.fitting import HoldOut, predict
 from giajax.models import ArmModel
 from giajax.recordings import Run, write_run
 from giajax.report import recorded_figure, summary
 from giajax.schema.parameters import replace, switched_on
 from giajax.tasks import JOURNAL, compared, fitted_runs, held_out_runs, stored_result
-from giajax.tasks._preparation import HoldOut
 from small_arm import LINKS, START, TRUTH
 from small_loops import write_task
 

@@ -27,7 +27,12 @@ from ._free import (
     resolved_ties as resolved_ties,
     tied as tied,
 )
-from ._hold_out import not_judged as not_judged, with_held_out as with_held_out
+from ._hold_out import (
+    HoldOut as HoldOut,
+    PredictedChannel as PredictedChannel,
+    PredictionTest as PredictionTest,
+    set_up_with_hold_out as set_up_with_hold_out,
+)
 from ._linearise import BlockJacobian as BlockJacobian
 from ._optimum import (
     CellEquations as CellEquations,

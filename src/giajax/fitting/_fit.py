@@ -22,7 +22,7 @@ from ._configuration import Setup, set_up
 from ._derived import derived_estimates, with_tied
 from ._descend import Budget, descend, moving, nearly, stopped_by
 from ._estimates import estimates, findings, own_estimates
-from ._hold_out import verdict
+from ._noise import verdict
 from ._problem import Problem, predictions_by_run
 from ._records import Correlation, Iteration, NoiseFit, Seconds, finite_or_none
 from ._result import FitResult, integration_of

@@ -1,24 +1,238 @@
-"""What was held out of a fit, judged where the fit ended."""
+"""A part of the runs that is held out of a fit, and how well the fit predicts it.
+
+Which cells are held out is said in `giajax.recordings.hold_out`: whole runs, whole channels, or the
+last part of each recording by time. How they are judged is said here, by the predictive-failure
+test of Chow (Econometrica 28, 1960, p. 591), for any noise and priors. To first order in the
+parameters, with e the residuals of some cells, J their derivatives and V their covariance, the
+least chi-square that a fit of these cells can reach is
+
+    C = min_d (e + J d)^T V^-1 (e + J d).
+
+What the fitted and the held cells together have more of it than the fitted ones alone has the
+degrees of freedom of the held cells, less those parameters that only these know, such as the
+initial state of a run that was held out. That is the error of prediction against noise and the
+uncertainty of the parameters in one, and it does not depend on the weights that the fit had.
+"""
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
-from ..noise import ChannelNoise, Foretold, Predictions, Reason, Series, Verdict, judge
-from ..recordings import Parted, Run
-from ._configuration import Setup
-from ._free import between
-from ._noise import TOLERANCE, prior_gram, residual_cells, shared_and_own
+from ..models import AbstractModel, model_for
+from ..noise import (
+    DIFFERENCES,
+    OUTLIER,
+    Cells,
+    ChannelNoise,
+    Reason,
+    Series,
+    alone_and_together,
+    largest,
+    orthonormal,
+    robust_deviation,
+    satterthwaite,
+    tail,
+)
+from ..recordings import Fit, Parted, Run, hold_out
+from ..runtime.arrays import Bool, Float
+from ..runtime.text import InputError
+from ._configuration import Setup, set_up
+from ._free import Beginning, between
+from ._noise import TOLERANCE, prior_gram, residual_cells, series_of, shared_and_own
 from ._problem import predictions_by_run
-from ._records import Status
 from ._result import FitResult
 from ._run_records import HeldChannel, HeldOut
 from ._state import FitState
 from ._transitions import at_tolerance, begin, move, reweight, step
 from ._weights import Noise
+
+Groups = Mapping[str, Sequence[Sequence[str]]]
+
+Sizes = dict[tuple[int, str], float | None]
+"""By the position of a run and the name of a channel."""
+
+
+@dataclasses.dataclass(frozen=True)
+class HoldOut:
+    """What is held out of the runs of a fit.
+
+    Attributes:
+        parts: of each run.
+        whole: the setup of the fit, were nothing held out.
+    """
+
+    parts: tuple[Parted, ...]
+    whole: Setup
+
+    def judge(self, result: FitResult) -> FitResult:
+        """The result with how well it predicts what was held out, and a verdict on that.
+
+        Arguments:
+            result: of a fit of the fitted parts.
+
+        Returns:
+            The result with `held_out`; where the held cells are further off than noise and the
+            uncertainty of the parameters allow, its verdict has one more reason.
+        """
+        state = state_at_end(result, self.whole, self.parts)
+        if state.evaluated:
+            predicted = predictions_by_run(state.problem, state.inner.aux, self.whole.runs)
+            sizes, reason = _judged(state, self.parts)
+        else:
+            predicted, sizes = [{} for _ in self.parts], {}
+            said = "what was held out cannot be predicted, because the model fails where the fit "
+            reason = Reason("prediction", f"{said}ended", 0.0, math.inf)
+        verdict = result.verdict
+        # A fit that did not reach its optimum says nothing of the model.
+        if reason is not None and "end" not in [other.code for other in verdict.reasons]:
+            verdict = verdict.with_reason(reason)
+        records, of_held, of_fitted = [], [], []
+        # A result that was loaded has none.
+        fitted = iter(result.predictions or ({},) * len(self.parts))
+        for number, (part, channels) in enumerate(zip(self.parts, predicted, strict=True)):
+            known = {}
+            if part.held is not None:
+                names = list(part.held.observations)
+                known = {name: channels[name] for name in names if name in channels}
+                of_run = {name: sizes.get((number, name), math.inf) for name in names}
+                errors = _errors(part.whole, part.held, known)
+                records.append(_record(part.whole, part.held, errors, of_run))
+                of_held.append(known)
+            if part.fitted is not None:
+                of_fitted.append({**known, **next(fitted)})
+        return dataclasses.replace(
+            result,
+            held_out=tuple(records),
+            verdict=verdict,
+            predictions=tuple(of_fitted),
+            held_predictions=tuple(of_held),
+        )
+
+    def unjudged(self, result: FitResult) -> FitResult:
+        """The result with what was held out, where nothing is known of how it is predicted."""
+        records = []
+        for part in self.parts:
+            if part.held is not None:
+                unknown = dict.fromkeys(part.held.observations)
+                records.append(_record(part.whole, part.held, unknown, unknown))
+        return dataclasses.replace(result, held_out=tuple(records))
+
+
+def set_up_with_hold_out(
+    settings: Fit, runs: Sequence[Run], begin: Beginning | None
+) -> tuple[Setup, HoldOut | None]:
+    """What a fit is asked, and what of its runs is held out.
+
+    Arguments:
+        settings: of the fit.
+        runs: those that it names.
+        begin: where another fit ended; None for a start as the settings say.
+
+    Returns:
+        The setup of the fit, whose `config` says what is held out; and that, if it is anything.
+
+    Raises:
+        InputError: as `giajax.fit`, or a `hold_out` that names nothing, or everything.
+    """
+    names, groups = settings.hold_out or (), settings.groups or {}
+
+    def set_up_for(model: AbstractModel, runs: Sequence[Run], groups: Groups) -> Setup:
+        return set_up(
+            model,
+            runs,
+            free=settings.free,
+            start=settings.start,
+            fix=settings.fix,
+            loss=settings.loss or "linear",
+            noise_model=settings.noise_model or "correlated",
+            noise_per_run=bool(settings.noise_per_run),
+            solver=settings.solver,
+            tolerance=settings.tolerance,
+            priors={path: entry.prior() for path, entry in settings.priors.items()},
+            bounds=settings.bounds,
+            ties=settings.ties,
+            per_run=settings.per_run or (),
+            groups=groups,
+            begin=begin,
+        )
+
+    if not names:
+        return set_up_for(model_for(runs), runs, groups), None
+    parts = hold_out(runs, names)
+    fitted = [part.fitted for part in parts if part.fitted is not None]
+    for model in dict.fromkeys(run.model for run in runs):
+        if fitted and not any(run.model == model for run in fitted):
+            raise InputError(
+                f"every run of the {model} model is held out, so that no model predicts them: "
+                "hold out only some of them"
+            )
+    if len(fitted) < len(parts):
+        model_for(runs)  # refuses runs whose sidecars contradict each other
+    setup = set_up_for(model_for(fitted), fitted, _among(groups, fitted, runs))
+    whole = set_up_for(setup.model, runs, groups)
+    config: dict[str, list[dict[str, Any]]] = {"runs": [], "hold_out": []}
+    records = iter(setup.config["runs"])
+    for part, record in zip(parts, whole.config["runs"], strict=True):
+        first = {} if part.held is None else _first_rows(part.held)
+        if part.fitted is not None:
+            partly = {name: row for name, row in first.items() if name in part.fitted.observations}
+            config["runs"].append({**next(records), **({"held_from": partly} if partly else {})})
+        if part.held is not None:
+            channels = list(part.held.observations)
+            config["hold_out"].append({**record, "channels": channels, "held_from": first})
+    return dataclasses.replace(setup, config={**setup.config, **config}), HoldOut(parts, whole)
+
+
+def _among(groups: Groups, runs: Sequence[Run], everything: Sequence[Run]) -> Groups:
+    """The groups without the runs that are not among these."""
+
+    def names_of(several: Sequence[Run]) -> set[str]:
+        return {name for run in several for name in (run.name, run.recording)}
+
+    gone = names_of(everything) - names_of(runs)
+    kept = {
+        path: [[name for name in names if name not in gone] for names in sharing]
+        for path, sharing in groups.items()
+    }
+    return {path: [names for names in sharing if names] for path, sharing in kept.items()}
+
+
+def _first_rows(held: Run) -> dict[str, int]:
+    """By channel, the first sample that is held out."""
+    return {name: int(np.argmax(~np.isnan(cells))) for name, cells in held.observations.items()}
+
+
+def _errors(whole: Run, held: Run, predicted: Mapping[str, np.ndarray]) -> dict[str, float]:
+    """Root mean square error of the held cells of each channel, in the unit of the recording."""
+    errors = dict.fromkeys(held.observations, math.inf)
+    for name, values in predicted.items():
+        observed = held.observations[name]
+        off = (values - observed)[~np.isnan(observed)]
+        rmse = float(np.sqrt(np.mean(off**2)))
+        errors[name] = float(whole.channels[name].from_si(rmse))
+    return errors
+
+
+def _record(
+    whole: Run,
+    held: Run,
+    errors: Mapping[str, float | None],
+    sizes: Mapping[str, float | None],
+) -> HeldOut:
+    """What was held out of a run."""
+    channels = {
+        name: HeldChannel(
+            whole.channels[name].unit, errors[name], int(np.sum(~np.isnan(values))), sizes[name]
+        )
+        for name, values in held.observations.items()
+    }
+    path = None if whole.path is None else str(whole.path)
+    return HeldOut(whole.name, path, whole.sha256, channels)
+
 
 # Where a fit of parts of runs ended, as the state of a fit of the whole runs.
 
@@ -27,13 +241,15 @@ from ._weights import Noise
 _STEPS = 10
 
 
-def where_it_ended(result: FitResult, setup: Setup, parts: Sequence[Parted]) -> FitState:
+def state_at_end(result: FitResult, setup: Setup, parts: Sequence[Parted]) -> FitState:
     """The state of a fit of the whole runs where that of the fitted parts ended, evaluated.
 
     What no fitted cell responds to is where the held cells want it.
 
     Arguments:
-        result, setup, parts: as of `with_held_out`.
+        result: of the fit of the fitted parts.
+        setup: the same fit of the whole runs.
+        parts: of each run of `setup`.
     """
     values = {
         p.path: between(result.parameters[p.path].value, p.declaration.lower, p.declaration.upper)
@@ -123,134 +339,6 @@ def held_cells(part: Parted, name: str) -> np.ndarray:
     return ~np.isnan(part.held.observations[name][measured])
 
 
-# The verdict on a fit: its residuals as they are, whatever they were weighted with.
-
-
-def verdict(state: FitState, status: Status, prior_freedom: float) -> Verdict:
-    """Whether the model describes the data, at the end of a fit.
-
-    Arguments:
-        state: the last one.
-        status: how the fit ended; a fit that never reached an optimum is not judged.
-        prior_freedom: degrees of freedom of the parameters that their priors know.
-    """
-    ended = {"not_converged": "did not converge", "interrupted": "was interrupted"}.get(status, "")
-    early = Verdict("not evaluated", (Reason("end", f"the fit {ended}", 1.0, 1.0),))
-    # Where the noise was estimated anew, an optimum was reached with the noise before.
-    anew = status == "not_converged" and state.rounds_left < FitState.rounds_left
-    if ended and not anew:
-        return early
-    series = residual_series(state, prior_freedom)
-    if not series:
-        return Verdict("adequate")
-    found = judge(series, robust=state.setup.loss != "linear")
-    return early if ended and found.status != "inadequate" else found
-
-
-def residual_series(state: FitState, prior_freedom: float) -> list[Series]:
-    """The residuals of each channel of each run; those of a perfect description are left out."""
-    runs = state.setup.runs
-    predictions = predictions_by_run(state.problem, state.inner.aux, runs)
-    cells = sum(int(np.sum(~np.isnan(v))) for run in runs for v in run.observations.values())
-    lost = float(np.sum(np.asarray(state.active))) - prior_freedom
-    share = lost / max(cells, 1)
-    series = []
-    for number, (run, predicted) in enumerate(zip(runs, predictions, strict=True)):
-        for name, recorded in run.observations.items():
-            measured = ~np.isnan(recorded)
-            difference = (predicted[name] - recorded)[measured]
-            largest = float(np.max(np.abs(recorded[measured]), initial=0.0))
-            if not len(difference) or np.max(np.abs(difference)) <= TOLERANCE * largest:
-                continue
-            times = None if run.times is None else run.times[measured]
-            lost = share * len(difference)
-            series.append(series_of(state, number, name, difference, times, lost=lost))
-    return series
-
-
-def series_of(
-    state: FitState,
-    number: int,
-    name: str,
-    residual: np.ndarray,
-    times: np.ndarray | None,
-    *,
-    lost: float,
-) -> Series:
-    """Residuals of a channel of a run, with what is known of their noise.
-
-    Arguments:
-        state: the last one.
-        number: position of the run.
-        name: of the channel.
-        residual: predicted minus recorded, SI, shape (cell,).
-        times: of the cells, s; None for a run without time.
-        lost: degrees of freedom that fitted parameters took from them.
-    """
-    noise = state.noise
-    return Series(
-        run=state.setup.runs[number].name,
-        channel=name,
-        residual=residual,
-        times=times,
-        stated=noise.stated[number][name].noise,
-        key=noise.keys[number][name],
-        adopted=noise.values[number][name].deviation,
-        lost=lost,
-    )
-
-
-# By the position of a run and the name of a channel.
-Sizes = dict[tuple[int, str], float | None]
-
-
-def with_held_out(result: FitResult, setup: Setup, parts: Sequence[Parted]) -> FitResult:
-    """The result with how well it predicts what was held out of its runs, and a verdict on that.
-
-    Arguments:
-        result: of a fit of the fitted parts.
-        setup: the same fit of the whole runs.
-        parts: of each run of `setup`.
-
-    Returns:
-        The result with `held_out`; where the held cells are further off than noise and the
-        uncertainty of the parameters allow, its verdict has one more reason.
-    """
-    state = where_it_ended(result, setup, parts)
-    if state.evaluated:
-        predicted = predictions_by_run(state.problem, state.inner.aux, setup.runs)
-        sizes, reason = _judged(state, parts)
-    else:
-        predicted, sizes = [{} for _ in parts], {}
-        said = "what was held out cannot be predicted, because the model fails where the fit ended"
-        reason = Reason("prediction", said, 0.0, math.inf)
-    verdict = result.verdict
-    # A fit that did not reach its optimum says nothing of the model.
-    if reason is not None and "end" not in [other.code for other in verdict.reasons]:
-        verdict = verdict.with_reason(reason)
-    records, of_held, of_fitted = [], [], []
-    # A result that was loaded has none.
-    fitted = iter(result.predictions or ({},) * len(parts))
-    for number, (part, channels) in enumerate(zip(parts, predicted, strict=True)):
-        known = {}
-        if part.held is not None:
-            names = list(part.held.observations)
-            known = {name: channels[name] for name in names if name in channels}
-            of_run = {name: sizes.get((number, name), math.inf) for name in names}
-            errors = _errors(part.whole, part.held, known)
-            records.append(_record(part.whole, part.held, errors, of_run))
-            of_held.append(known)
-        if part.fitted is not None:
-            of_fitted.append({**known, **next(fitted)})
-    return dataclasses.replace(
-        result,
-        held_out=tuple(records),
-        verdict=verdict,
-        predictions=tuple(of_fitted),
-        held_predictions=tuple(of_held),
-    )
-
-
 def _judged(state: FitState, parts: Sequence[Parted]) -> tuple[Sizes, Reason | None]:
     """How far off the held cells of each channel of each run are, and what speaks against it."""
     channels, sizes = [], Sizes()
@@ -263,8 +351,8 @@ def _judged(state: FitState, parts: Sequence[Parted]) -> tuple[Sizes, Reason | N
             sizes[number, name] = 0.0
             continue
         series = series_of(state, number, name, cells.residual, cells.times, lost=0.0)
-        channels.append(Foretold(series, cells, held_cells(parts[number], name)))
-    test = Predictions(channels, prior_gram(state), robust=state.setup.loss != "linear")
+        channels.append(PredictedChannel(series, cells, held_cells(parts[number], name)))
+    test = PredictionTest(channels, prior_gram(state), robust=state.setup.loss != "linear")
     for each in channels:
         if np.any(each.held):
             at = each.cells.run, each.series.channel
@@ -272,45 +360,190 @@ def _judged(state: FitState, parts: Sequence[Parted]) -> tuple[Sizes, Reason | N
     return sizes, test.reason()
 
 
-def not_judged(result: FitResult, parts: Sequence[Parted]) -> FitResult:
-    """The result with what was held out of its runs, of which no error is known.
+# The test: what the held cells add to the least chi-square that a fit can reach.
+
+
+@dataclasses.dataclass(frozen=True)
+class PredictedChannel:
+    """One channel of one run, of which cells may have been held out.
+
+    Attributes:
+        series: residuals of all of its cells, at the fitted values.
+        cells: the same with their derivatives, those by what runs share in the same columns.
+        held: which of them were held out of the fit, shape (cell,).
+    """
+
+    series: Series
+    cells: Cells
+    held: Bool[np.ndarray, " cell"]
+
+    @property
+    def noise(self) -> ChannelNoise:
+        """What the cells may be off by, whatever the model.
+
+        As stated, with the memory that is stated. Else white, from second differences: a memory
+        that was estimated from the residuals of the fit would take physics that the model lacks
+        for noise, and expect it in the held cells, too.
+        """
+        return self.series.stated or ChannelNoise(self.series.from_differences)
+
+    @property
+    def noise_degrees_of_freedom(self) -> float:
+        """Degrees of freedom that this noise is known with; infinite where it is stated."""
+        return np.inf if self.series.stated is not None else DIFFERENCES * len(self.series)
+
+    def without_outliers(self) -> "PredictedChannel":
+        """The cells that no loss which lets outliers stand would leave alone.
+
+        Held cells among which many are off are no outliers, but a prediction that fails.
+        """
+        size = np.abs(self.series.residual)
+        usual = np.full(len(size), self.series.adopted)
+        if np.any(self.held):
+            many = robust_deviation(self.series.residual[self.held])
+            usual[self.held] = max(self.series.adopted, many)
+        kept = size <= OUTLIER * usual
+        return PredictedChannel(self.series.where(kept), self.cells.where(kept), self.held[kept])
+
+
+@dataclasses.dataclass(frozen=True)
+class Prediction:
+    """How well the held cells of some channels are predicted.
+
+    Attributes:
+        statistic: chi-square that these cells have beyond what the fitted ones have, with the
+            parameters where both together want them.
+        degrees_of_freedom: its degrees of freedom.
+        noise_degrees_of_freedom: those of the noise that it is in units of.
+    """
+
+    statistic: float
+    degrees_of_freedom: int
+    noise_degrees_of_freedom: float
+
+    @property
+    def size(self) -> float | None:
+        """How many times as far off the cells are as they may; None without any freedom."""
+        return (
+            float(np.sqrt(self.statistic / self.degrees_of_freedom))
+            if self.degrees_of_freedom > 0
+            else None
+        )
+
+    @property
+    def p_value(self) -> float:
+        """Chance of more where the model is right."""
+        if self.degrees_of_freedom <= 0:
+            return 1.0
+        return tail(
+            self.degrees_of_freedom,
+            self.noise_degrees_of_freedom,
+            self.statistic / self.degrees_of_freedom,
+        )
+
+
+class PredictionTest:
+    """The cells of a fit and those that were held out of it.
 
     Arguments:
-        result: of a fit of the fitted parts.
-        parts: of each run.
+        channels: of all runs.
+        priors: X^T X of the rows of the priors; X are the shared columns and, last, the residual.
+        robust: whether the loss of the fit lets outliers stand; they are then left out.
     """
-    records = [
-        _record(part.whole, part.held, unknown, unknown)
-        for part in parts
-        if part.held is not None
-        for unknown in [dict.fromkeys(part.held.observations)]
-    ]
-    return dataclasses.replace(result, held_out=tuple(records))
 
+    def __init__(
+        self,
+        channels: Sequence[PredictedChannel],
+        priors: Float[np.ndarray, "column column"],
+        *,
+        robust: bool,
+    ) -> None:
+        self._channels = [each.without_outliers() for each in channels] if robust else channels
+        self._priors = priors
+        self._fitted = [_gram(each, ~each.held) for each in self._channels]
+        self._whole = [_gram(each, np.ones_like(each.held)) for each in self._channels]
+        self._members: dict[int, list[int]] = {}
+        for position, each in enumerate(self._channels):
+            self._members.setdefault(each.cells.run, []).append(position)
+        self._of_runs: dict[tuple[int, frozenset[int]], tuple[np.ndarray, int]] = {}
+        self._alone = self._least(frozenset())
 
-def _errors(whole: Run, held: Run, predicted: Mapping[str, np.ndarray]) -> dict[str, float]:
-    """Root mean square error of the held cells of each channel, in the unit of the recording."""
-    errors = dict.fromkeys(held.observations, math.inf)
-    for name, values in predicted.items():
-        observed = held.observations[name]
-        off = (values - observed)[~np.isnan(observed)]
-        rmse = float(np.sqrt(np.mean(off**2)))
-        errors[name] = float(whole.channels[name].from_si(rmse))
-    return errors
-
-
-def _record(
-    whole: Run,
-    held: Run,
-    errors: Mapping[str, float | None],
-    sizes: Mapping[str, float | None],
-) -> HeldOut:
-    """What was held out of a run."""
-    channels = {
-        name: HeldChannel(
-            whole.channels[name].unit, errors[name], int(np.sum(~np.isnan(values))), sizes[name]
+    def of(self, run: int, channel: str) -> Prediction:
+        """That of the held cells of a channel of one run."""
+        return self._of(
+            [
+                position
+                for position in self._members[run]
+                if self._channels[position].series.channel == channel
+            ]
         )
-        for name, values in held.observations.items()
-    }
-    path = None if whole.path is None else str(whole.path)
-    return HeldOut(whole.name, path, whole.sha256, channels)
+
+    def reason(self) -> Reason | None:
+        """What speaks against the model: all held cells, or those of one channel in all runs."""
+        held = {i: each for i, each in enumerate(self._channels) if np.any(each.held)}
+        groups = alone_and_together([each.series for each in held.values()])
+
+        def looked_at() -> Iterator[Reason]:
+            for names in groups:
+                at = [i for i, each in held.items() if each.series.channel in names]
+                found = self._of(at)
+                if found.size is None:
+                    continue
+                where = "" if names == groups[0] else f" of {', '.join(names)}"
+                sentence = (
+                    f"what was held out{where} is {found.size:.3g} times as far off as noise and "
+                    "the uncertainty of the parameters allow"
+                )
+                yield Reason("prediction", sentence, found.p_value, found.size, names)
+
+        return largest(looked_at(), len(groups))
+
+    def _of(self, positions: Sequence[int]) -> Prediction:
+        held = [self._channels[position] for position in positions]
+        counts = [int(np.sum(each.held)) for each in held]
+        known, rank = self._least(frozenset(positions))
+        alone, rank_alone = self._alone
+        return Prediction(
+            statistic=max(known - alone, 0.0),
+            degrees_of_freedom=sum(counts) - (rank - rank_alone),
+            noise_degrees_of_freedom=satterthwaite(
+                counts, [each.noise_degrees_of_freedom for each in held]
+            ),
+        )
+
+    def _least(self, positions: frozenset[int]) -> tuple[float, int]:
+        """C of the fitted cells with the held ones of some channels, and how much they determine.
+
+        What one run alone responds to is taken out of that run first (Frisch, Waugh and Lovell),
+        so that no matrix with the parameters of all runs is ever made.
+        """
+        total, rank = self._priors, 0
+        for run in self._members:
+            rest, own = self._of_run(run, positions)
+            total, rank = total + rest, rank + own
+        rest, shared = _without(total, len(total) - 1)
+        return float(rest[0, 0]), rank + shared
+
+    def _of_run(self, run: int, positions: frozenset[int]) -> tuple[np.ndarray, int]:
+        members = self._members[run]
+        key = run, positions.intersection(members)
+        if key not in self._of_runs:
+            grams = [self._whole[i] if i in positions else self._fitted[i] for i in members]
+            width = self._channels[members[0]].cells.own.shape[1]
+            self._of_runs[key] = _without(np.sum(grams, axis=0), width)
+        return self._of_runs[key]
+
+
+def _gram(each: PredictedChannel, kept: Bool[np.ndarray, " cell"]) -> np.ndarray:
+    """X^T V^-1 X of own and shared columns and the residual, of some cells."""
+    if not np.any(kept):
+        width = each.cells.own.shape[1] + each.cells.shared.shape[1] + 1
+        return np.zeros((width, width))
+    return each.cells.where(kept).gram(each.noise)[0]
+
+
+def _without(gram: np.ndarray, width: int) -> tuple[np.ndarray, int]:
+    """A Gram matrix without the span of its first columns, and how many dimensions that has."""
+    basis = orthonormal(gram[:width, :width])
+    across = basis.T @ gram[:width, width:]
+    return gram[width:, width:] - across.T @ across, basis.shape[1]

@@ -19,12 +19,17 @@ from ._model import (
     gains as gains,
     whitened as whitened,
 )
-from ._prediction import Foretold as Foretold, Prediction as Prediction, Predictions as Predictions
 from ._restricted import Cells as Cells, Restricted as Restricted, orthonormal as orthonormal
 from ._verdict import (
+    DIFFERENCES as DIFFERENCES,
+    OUTLIER as OUTLIER,
     Reason as Reason,
     Series as Series,
     Verdict as Verdict,
     VerdictStatus as VerdictStatus,
+    alone_and_together as alone_and_together,
     judge as judge,
+    largest as largest,
+    satterthwaite as satterthwaite,
+    tail as tail,
 )

@@ -175,7 +175,7 @@ class Verdict:
 # large misfit may be chance. Each function looks at several things and corrects for how many
 # (Bonferroni), so that noise alone gives a reason with the chance `LEVEL` at most.
 
-# These five tests and that of what was held out (`_prediction`) together have a chance of 2 % to
+# These five tests and that of what was held out (`giajax.fitting`) together have a chance of 2 % to
 # accuse an adequate model.
 LEVEL = 0.02 / 6
 

@@ -1,4 +1,7 @@
-"""Runs in two parts: one to fit to, and one that is held out to judge the fit by."""
+"""Which cells of runs are held out of a fit: whole runs or channels, or a last span of time.
+
+How they are judged, once the others are fitted, is said in `giajax.fitting`.
+"""
 
 import dataclasses
 import re
