@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.test_structure import LEVEL
+from tests.test_structure import ROOMS, test_nobody_asks_what_kind_a_model_is as nobody_asks
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
@@ -210,9 +210,13 @@ def test_the_files_that_pages_name_are_there():
 
 @pytest.mark.quick
 def test_the_rooms_are_those_of_the_source_in_their_order():
-    rows = re.findall(r"^\| ((?:`\w+`(?:, )?)+) \|", section("Rooms"), re.MULTILINE)
-    named = [room for row in rows for room in re.findall(r"`(\w+)`", row)]
-    folders = {path.name for path in (ROOT / "src" / "giajax").iterdir() if path.is_dir()}
-    assert set(named) >= folders - {"__pycache__", "_examples"}
-    levels = [LEVEL[room] for room in named]
-    assert levels == sorted(levels)
+    named = re.findall(r"^### (\w+)$", section("Rooms"), re.MULTILINE)
+    assert named == [room for room in ROOMS if room != "__main__"]
+    assert all(f"<!-- table: files {room} -->" in PAGE for room in named)
+
+
+@pytest.mark.quick
+def test_no_room_but_models_asks_which_model_it_has():
+    """What the page says at its top; the test of the structure itself."""
+    assert "No room\nbut `models` asks which class of model it has." in PAGE
+    nobody_asks()

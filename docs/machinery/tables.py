@@ -6,6 +6,8 @@ A page has a table between two comments, `<!-- table: NAME -->` and `<!-- end of
 tests ask whether each is as its declarations make it.
 """
 
+import ast
+import functools
 import json
 import re
 from collections.abc import Callable, Iterator
@@ -18,6 +20,8 @@ from giajax.mechanics.joint import Friction
 from giajax.schema import KINDS, FillingSection
 
 DOCS = Path(__file__).resolve().parents[1]
+SOURCE = DOCS.parent / "src" / "giajax"
+ROOMS = sorted(path.parent.name for path in SOURCE.glob("*/__init__.py"))
 _TABLE = re.compile(r"(<!-- table: ([\w ]+) -->\n\n).*?(<!-- end of table -->)", re.DOTALL)
 
 
@@ -82,6 +86,17 @@ def _keys() -> Iterator[str]:
                 yield f"| `{name}.{key}` | {paths} | {value} | {field.description} |"
 
 
+def _files(room: str) -> Iterator[str]:
+    """A row for each file of a room, by the first sentence of its docstring."""
+    yield "| file | what it has |"
+    yield "| --- | --- |"
+    folder = SOURCE / room
+    for path in sorted(folder.rglob("*.py")):
+        if path.name != "__init__.py":
+            text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+            yield f"| `{path.relative_to(folder)}` | {text.partition(chr(10))[0]} |"
+
+
 TABLES: dict[str, Callable[[], Iterator[str]]] = {
     "assumed arm": lambda: _assumed(giajax.ArmModel(giajax.takeichi_20m())),
     "assumed joint": lambda: _assumed(giajax.JointModel(giajax.Joint())),
@@ -92,6 +107,7 @@ TABLES: dict[str, Callable[[], Iterator[str]]] = {
     "filling keys": _filling_keys,
     "channels": _channels,
     "keys": _keys,
+    **{f"files {room}": functools.partial(_files, room) for room in ROOMS},
 }
 """What makes the rows of each table, by its name."""
 
