@@ -122,8 +122,8 @@ def check_style(tree, paths):
 def test_a_kind_of_model_is_two_files_and_a_line(tree, giajax):
     text = section("To add a kind of model")
     new, edited = done_to(tree, text)
-    assert new == ["src/giajax/kinds/_leak.py", "src/giajax/models/_leak.py"]
-    assert edited == ["src/giajax/kinds/__init__.py"]
+    assert new == ["src/giajax/schema/_leak.py", "src/giajax/models/_leak.py"]
+    assert edited == ["src/giajax/schema/__init__.py"]
     added = [line for _, block in blocks(text) for line in block.splitlines() if line[:1] == "+"]
     assert len(added) == 1
     check_style(tree, [*new, *edited])
