@@ -17,8 +17,7 @@ import polars as pl
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
-from giajax.recordings import Definition, describe, read_run
-from giajax.recordings._table import read_table
+from giajax.recordings import Definition, describe, read_run, read_table
 from giajax.runtime.files import parse_json
 from giajax.runtime.text import InputError
 

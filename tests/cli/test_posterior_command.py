@@ -10,7 +10,7 @@ import pytest
 from giajax import load_result
 from giajax.cli import main
 from giajax.cli._posterior import _is_unfinished
-from giajax.report.page._tables import posterior_part
+from giajax.report.page import posterior_part
 from giajax.studies import PosteriorSummary
 from page_reader import Page
 

@@ -13,11 +13,18 @@ import pytest
 from numpy.testing import assert_allclose
 
 from giajax import Run, fit, pendulum
-from giajax.fitting import BlockJacobian
-from giajax.fitting._coordinates import Bijector, Layout
-from giajax.fitting._linearise import linearise
-from giajax.fitting._problem import Problem, build_groups, own_start, residual
-from giajax.fitting._weights import Noise, curvature_ratio
+from giajax.fitting import (
+    Bijector,
+    BlockJacobian,
+    Layout,
+    Noise,
+    Problem,
+    build_groups,
+    curvature_ratio,
+    linearise,
+    own_start,
+    residual,
+)
 from giajax.models import AbstractModel, ArmModel
 from giajax.schema import InitialSection
 from giajax.schema.parameters import parameter

@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from giajax.fitting import Iteration, fit, set_up
-from giajax.fitting._descend import descend, stopped_by
-from giajax.fitting._transitions import begin, residuals_at, step
+from giajax.fitting import Iteration, begin, descend, fit, residuals_at, set_up, step, stopped_by
 from giajax.recordings import Run
 from small_pendulum import Pendulum, start, swing
 from toy_model import Decay, run

@@ -9,9 +9,7 @@ from scipy.optimize import brentq, least_squares, minimize_scalar
 from test_blocks import OwnHeights, recording
 
 from giajax import Prior, Run, fit, pendulum, predict
-from giajax.fitting import Finding, Statistics, _estimates as _findings
-from giajax.fitting._statistics import combinations
-from giajax.fitting._uncertainty import inverse_gram
+from giajax.fitting import Finding, Statistics, _estimates as _findings, combinations, inverse_gram
 from giajax.models import ArmModel
 from toy_model import Decay, height, run
 

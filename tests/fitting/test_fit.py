@@ -11,8 +11,7 @@ import pytest
 
 import giajax
 from giajax import InputError, Run
-from giajax.fitting import _checks, fit, set_up
-from giajax.fitting._transitions import begin, step, trial
+from giajax.fitting import _checks, begin, fit, set_up, step, trial
 from giajax.models import Integration
 from giajax.report import summary
 from toy_model import TRUTH, Decay, height, run

@@ -9,8 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from giajax import InputError, Prior, RunFit, fit
-from giajax.fitting import set_up
-from giajax.fitting._coordinates import Layout, members, sharing
+from giajax.fitting import Layout, members, set_up, sharing
 from giajax.studies import refit
 from toy_model import TRUTH, Decay, height, run
 

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from giajax import InputError
-from giajax.fitting import Estimate, NoiseFit, RunFit, fit
-from giajax.fitting._weights import Noise
+from giajax.fitting import Estimate, Noise, NoiseFit, RunFit, fit
 from giajax.noise import Verdict
 from giajax.recordings import Run
 from giajax.report import summary

@@ -6,10 +6,20 @@ import numpy as np
 import pytest
 
 from giajax import InputError
-from giajax.fitting import BlockJacobian, between, rho as counts_as, scores
-from giajax.fitting._coordinates import Bijector
-from giajax.fitting._uncertainty import responds, uncertainty, undetermined_groups
-from giajax.fitting._weights import LOSSES, check_loss, curvature_ratio, transform
+from giajax.fitting import (
+    LOSSES,
+    Bijector,
+    BlockJacobian,
+    between,
+    check_loss,
+    curvature_ratio,
+    responds,
+    rho as counts_as,
+    scores,
+    transform,
+    uncertainty,
+    undetermined_groups,
+)
 from giajax.noise import from_differences, robust_deviation
 
 INF = float("inf")

@@ -11,10 +11,7 @@ from scipy.optimize import least_squares
 from test_blocks import OwnHeights, bends, recording
 
 from giajax import InputError, Prior, fit, model_for
-from giajax.fitting import BlockJacobian, set_up
-from giajax.fitting._linearise import linearise
-from giajax.fitting._problem import residual
-from giajax.fitting._transitions import begin
+from giajax.fitting import BlockJacobian, begin, linearise, residual, set_up
 from small_arm import START, TRUTH, small_run
 from toy_model import Decay, run
 

@@ -9,8 +9,7 @@ import optimistix as optx
 import pytest
 import scipy.optimize
 
-from giajax.fitting import Marquardt
-from giajax.fitting._solver import boxed_step
+from giajax.fitting import Marquardt, boxed_step
 
 
 def rosenbrock(y, args):

@@ -7,8 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from giajax import InputError, Run, chain, fit, predict
-from giajax.fitting import resolved_ties, set_up, tied
-from giajax.fitting._free import within_bounds
+from giajax.fitting import resolved_ties, set_up, tied, within_bounds
 from giajax.models import ArmModel
 from giajax.schema import Expression
 from giajax.schema.parameters import replace

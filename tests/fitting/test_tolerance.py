@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 
 import giajax
-from giajax.fitting import fit, set_up, solve
-from giajax.fitting._hold_out import state_at_end
-from giajax.fitting._transitions import tolerance_of
+from giajax.fitting import fit, set_up, solve, state_at_end, tolerance_of
 from giajax.models import ArmModel, Integration
 from giajax.recordings import hold_out
 from giajax.studies import refit

@@ -10,10 +10,7 @@ import pytest
 
 import giajax
 from giajax import InputError, Run
-from giajax.fitting import fit
-from giajax.fitting._coordinates import Bijector, Layout
-from giajax.fitting._problem import Problem, build_groups, residual
-from giajax.fitting._weights import Noise
+from giajax.fitting import Bijector, Layout, Noise, Problem, build_groups, fit, residual
 from giajax.models import ArmModel, arm_to_definition, build_model, model_for, parameter_values
 
 TIMES = np.linspace(0.0, 6.0, 61)

@@ -12,16 +12,17 @@ from giajax.cli import main
 from giajax.fitting import fit
 from giajax.mechanics.arm import acceleration
 from giajax.models import (
+    SCALE,
     ArmModel,
     JointModel,
     MuscleModel,
     arm_from_definition,
     arm_to_definition,
+    arm_variants,
     build_model,
     model_for,
     parameter_values,
 )
-from giajax.models._arm_conditions import SCALE, arm_variants
 from giajax.recordings import Definition
 from giajax.schema.parameters import declared, default_free, get, replace
 

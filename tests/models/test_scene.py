@@ -22,8 +22,7 @@ from giajax import (
 )
 from giajax.mechanics.arm import Contact, drag_force
 from giajax.mechanics.obstacles import Plane
-from giajax.models import Line, Scene, arm_scene, joint_scene, model_for
-from giajax.models._arm_sensors import Marker
+from giajax.models import Line, Marker, Scene, arm_scene, joint_scene, model_for
 from small_arm import small_run
 
 ANGLES = np.deg2rad([-60.0, -30.0, -2.0, 2.0, 10.0, 45.0])

@@ -10,8 +10,7 @@ import giajax
 from giajax import ArmModel, InputError, Run
 from giajax.apps.synthetic import RecordingErrors, synthesise, with_errors
 from giajax.mechanics.arm import link_centres, tip_position
-from giajax.models import Sensors, build_model, model_for, parameter_values
-from giajax.models._arm_sensors import Camera, Marker
+from giajax.models import Camera, Marker, Sensors, build_model, model_for, parameter_values
 from giajax.studies import sensitivity
 
 LINKS = 3

@@ -10,10 +10,10 @@ from giajax.noise import (
     Restricted,
     Stated,
     estimate,
+    grams,
     outlier_weights,
     small_sample,
 )
-from giajax.noise._restricted import grams
 
 
 def memory(times, time_s, rng):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from giajax.fitting._weights import Whitening
+from giajax.fitting import Whitening
 from giajax.noise import ChannelNoise, gains, whitened
 from giajax.noise._model import solve
 

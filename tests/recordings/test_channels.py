@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from giajax.recordings import Channel, parse_column
-from giajax.recordings._channels import parse_columns
+from giajax.recordings import Channel, parse_column, parse_columns
 from giajax.runtime.text import InputError
 
 pytestmark = pytest.mark.quick

@@ -6,8 +6,7 @@ import tomllib
 import numpy as np
 import pytest
 
-from giajax.recordings import Definition
-from giajax.recordings._definition import to_toml
+from giajax.recordings import Definition, to_toml
 from giajax.runtime.text import InputError
 
 pytestmark = pytest.mark.quick

@@ -9,13 +9,16 @@ import pytest
 from giajax.fitting import Correlation, Finding, SystematicError
 from giajax.recordings import Run
 from giajax.report import report_page
-from giajax.report.page import _report
-from giajax.report.page._plots import autocorrelation, thinned
-from giajax.report.page._report import opening
-from giajax.report.page._tables import influence_part, repeated_part
+from giajax.report.page import (
+    _report,
+    autocorrelation,
+    influence_part,
+    opening,
+    repeated_part,
+    thinned,
+)
 from giajax.runtime.text import InputError
-from giajax.studies import Bootstrap, Influence, LeftOut
-from giajax.studies._bootstrap import repeated
+from giajax.studies import Bootstrap, Influence, LeftOut, repeated
 from page_reader import Page, loaded_from_elsewhere
 
 SECTIONS = [

@@ -11,10 +11,7 @@ from giajax.models import ArmModel
 from giajax.noise import Verdict
 from giajax.recordings import Definition
 from giajax.report import check_page, report_page
-from giajax.report.page import _report
-from giajax.report.page._render import animation, some_of
-from giajax.report.page._report import opening
-from giajax.report.page._tables import correlation_cells
+from giajax.report.page import _report, animation, correlation_cells, opening, some_of
 from giajax.runtime.text import InputError
 from giajax.simulation import SimulationError
 from giajax.studies import begun_where_it_ended

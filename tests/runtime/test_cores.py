@@ -12,10 +12,7 @@ import pytest
 from threadpoolctl import ThreadpoolController
 
 from giajax import InputError, fit, map_on_cores
-from giajax.fitting import set_up
-from giajax.fitting._linearise import residuals
-from giajax.fitting._problem import in_a_share
-from giajax.fitting._transitions import begin, evaluate
+from giajax.fitting import begin, evaluate, in_a_share, residuals, set_up
 from giajax.runtime.parallel import Batch, dealt, on_all_cores, side_by_side
 from giajax.runtime.process import _quota, cores, enable_x64, one_blas_thread
 from toy_model import Decay, run

@@ -9,8 +9,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-
 import small_jobs
+
 from giajax import InputError
 from giajax.runtime.execution import InProcess, prepared, run_tasks
 from giajax.runtime.tasks import Task, read_outcome

@@ -7,8 +7,8 @@ import threading
 import time
 
 import pytest
-
 import small_jobs
+
 from giajax import InputError
 from giajax.runtime.execution import open_executor, run_tasks
 from giajax.runtime.tasks import Task

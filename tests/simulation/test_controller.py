@@ -10,9 +10,7 @@ from scipy.linalg import eigh
 
 from giajax.mechanics.arm import mass_matrix, pendulum
 from giajax.schema.parameters import replace
-from giajax.simulation import constant, simulate
-from giajax.simulation._controller import step_size_controller
-from giajax.simulation._motion import fastest_rate
+from giajax.simulation import constant, fastest_rate, simulate, step_size_controller
 from peers.arms import general_arm, random_states
 
 

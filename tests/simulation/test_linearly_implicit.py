@@ -13,9 +13,19 @@ from numpy.testing import assert_allclose
 
 from giajax.mechanics.arm import takeichi_20m
 from giajax.schema.parameters import replace
-from giajax.simulation import constant, joint_ramps, joint_steps, ramps, simulate
-from giajax.simulation._linearly_implicit import LinearlyImplicit, tableau
-from giajax.simulation._motion import Inputs, motion, pull, springs
+from giajax.simulation import (
+    Inputs,
+    LinearlyImplicit,
+    constant,
+    joint_ramps,
+    joint_steps,
+    motion,
+    pull,
+    ramps,
+    simulate,
+    springs,
+    tableau,
+)
 from peers.arms import driven_arm
 
 # Order conditions of W-methods (Hairer and Wanner, Solving ODEs II, IV.7). A tree is a node of

@@ -10,9 +10,7 @@ from numpy.testing import assert_allclose
 from giajax import InputError
 from giajax.mechanics.arm import acceleration, chain
 from giajax.schema.parameters import replace
-from giajax.simulation import Signal, logged, simulate
-from giajax.simulation._catch_up import catching_up
-from giajax.simulation._linearly_implicit import solver as solver_named
+from giajax.simulation import Signal, catching_up, logged, simulate, solver as solver_named
 
 LINKS = 2
 END = 2.0

@@ -21,13 +21,13 @@ from giajax.schema.parameters import replace
 from giajax.simulation import (
     Pressures,
     check_muscles,
+    fastest_rate,
     joint_ramps,
     joint_steps,
     logged,
     simulate,
     steps,
 )
-from giajax.simulation._motion import fastest_rate
 
 LINKS = 3
 DAMPED = {"joints.damping": 0.6, "joints.yaw_stiffness": 5.0}

@@ -9,8 +9,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from giajax.runtime.text import InputError
-from giajax.simulation import constant, joint_ramps, joint_steps, logged, ramps, steps
-from giajax.simulation._signal import last_before
+from giajax.simulation import constant, joint_ramps, joint_steps, last_before, logged, ramps, steps
 
 RANDOM = np.random.default_rng(0)
 

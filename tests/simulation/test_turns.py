@@ -4,9 +4,8 @@ import jax.numpy as jnp
 import pytest
 from numpy.testing import assert_allclose
 
-from giajax.simulation._catch_up import angle_after, turns
-from giajax.simulation._controller import _first_turn, step_size_controller
-from giajax.simulation._linearly_implicit import solver
+from giajax.simulation import angle_after, solver, step_size_controller, turns
+from giajax.simulation._controller import _first_turn
 
 STEP = 0.4
 

@@ -14,7 +14,7 @@ import giajax
 import small_arm
 from giajax.models import ArmModel
 from giajax.schema.parameters import left_out, replace
-from giajax.studies._candidates import inquiry
+from giajax.studies import inquiry
 
 CHANNELS = [f"link{link:02d}_{axis}" for link in (2, 4) for axis in "xyz"]
 TIMES = np.linspace(0.0, 4.0, 41)

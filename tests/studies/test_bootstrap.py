@@ -10,8 +10,14 @@ from line import FREE, SIGMA, Line, columns
 import giajax
 from giajax import Bootstrap, InputError
 from giajax.noise import ChannelNoise
-from giajax.studies import _bootstrap, _bootstrap as _replicates
-from giajax.studies._bootstrap import Residuals, binomial_interval, block_length, repeated
+from giajax.studies import (
+    Residuals,
+    _bootstrap,
+    _bootstrap as _replicates,
+    binomial_interval,
+    block_length,
+    repeated,
+)
 
 SIZE = 96
 

@@ -11,8 +11,7 @@ from giajax import Influence, InputError
 from giajax.fitting import CellEquations
 from giajax.noise import whitened
 from giajax.report import influence_table
-from giajax.studies import _influence, optimum_of
-from giajax.studies._influence import parts_of
+from giajax.studies import _influence, optimum_of, parts_of
 
 DRIFTING = {"position_m": SIGMA, "position_correlated_m": 0.015, "position_correlation_s": 0.4}
 

@@ -10,9 +10,8 @@ from test_suspects import FREE, fitted
 from giajax import InputError, fit, ladder, suspects
 from giajax.noise import by_second_differences
 from giajax.recordings import parted
-from giajax.studies import Rung, refit
-from giajax.studies._ladder import _spare, best_step
-from giajax.studies._suspects import all_axes, name_of, turned_back
+from giajax.studies import Rung, all_axes, best_step, name_of, refit, turned_back
+from giajax.studies._ladder import _spare
 
 TIGHT = 4
 

@@ -10,7 +10,7 @@ import pytest
 from giajax import InputError, Prior, Run, fit, load_result
 from giajax.fitting import Budget, Start, set_up
 from giajax.report import summary
-from giajax.report.page._tables import optima_table
+from giajax.report.page import optima_table
 from giajax.runtime.execution import InProcess, open_executor
 from giajax.studies import (
     _multi_start,
@@ -19,9 +19,9 @@ from giajax.studies import (
     misfit,
     multi_start,
     solve_from_starts,
+    start_values,
     valleys,
 )
-from giajax.studies._starts import start_values
 from toy_model import TRUTH, Decay, height, run
 
 

@@ -11,13 +11,19 @@ import pytest
 
 import giajax
 from giajax import InputError, Prior
-from giajax.fitting import density_of, energy_at
-from giajax.fitting._density import check_proper
-from giajax.report import posterior_files
-from giajax.report._posterior import draws_file
-from giajax.studies import Fitted, check_posterior, optimum_of, posterior
+from giajax.fitting import check_proper, density_of, energy_at
+from giajax.report import draws_file, posterior_files
+from giajax.studies import (
+    Fitted,
+    as_arviz,
+    bands,
+    check_posterior,
+    doubts,
+    mixing,
+    optimum_of,
+    posterior,
+)
 from giajax.studies._posterior import _within
-from giajax.studies._posterior_records import as_arviz, bands, doubts, mixing
 from toy_model import TRUTH, Decay, run
 
 # Near the optimum of 0.699, which a density that knew no bound would hardly see.

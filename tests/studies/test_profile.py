@@ -13,8 +13,7 @@ from giajax import InputError, Run
 from giajax.models import Derived
 from giajax.runtime.arrays import Scalar
 from giajax.schema.parameters import parameter
-from giajax.studies import ProfilePoint, load_profiles, profile
-from giajax.studies._profile_records import interval_end
+from giajax.studies import ProfilePoint, interval_end, load_profiles, profile
 from toy_model import Decay, Plain, run
 
 TIMES = np.linspace(0.0, 4.0, 40)

@@ -5,7 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from giajax.studies._score import Table, alike, projected, score
+from giajax.studies import alike, projected, score
+from giajax.studies._score import Table
 
 pytestmark = pytest.mark.quick
 FREE = (-np.inf, np.inf)

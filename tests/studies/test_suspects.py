@@ -8,9 +8,7 @@ import pytest
 from curves import NOISE, TRUTH, OwnHeights, curve, recorded
 
 from giajax import InputError, fit, suspects
-from giajax.studies import with_suspects
-from giajax.studies._candidates import inquiry, is_disturbed
-from giajax.studies._suspects import linearised
+from giajax.studies import inquiry, is_disturbed, linearised, with_suspects
 from toy_model import Decay, run
 
 FREE = ["amplitude", "decay"]

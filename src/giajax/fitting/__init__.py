@@ -1,7 +1,18 @@
 """Least squares over chosen parameters of any model that predicts channels."""
 
 from ._configuration import Setup as Setup, set_up as set_up
-from ._density import Density as Density, density_of as density_of, energy_at as energy_at
+from ._coordinates import (
+    Bijector as Bijector,
+    Layout as Layout,
+    members as members,
+    sharing as sharing,
+)
+from ._density import (
+    Density as Density,
+    check_proper as check_proper,
+    density_of as density_of,
+    energy_at as energy_at,
+)
 from ._derived import (
     Direction as Direction,
     Response as Response,
@@ -11,7 +22,7 @@ from ._derived import (
     units_in_si as units_in_si,
     units_note as units_note,
 )
-from ._descend import Budget as Budget
+from ._descend import Budget as Budget, descend as descend, stopped_by as stopped_by
 from ._estimates import Finding as Finding, student_reach as student_reach
 from ._fit import (
     MAX_ITERATIONS as MAX_ITERATIONS,
@@ -26,14 +37,20 @@ from ._free import (
     between as between,
     resolved_ties as resolved_ties,
     tied as tied,
+    within_bounds as within_bounds,
 )
 from ._hold_out import (
     HoldOut as HoldOut,
     PredictedChannel as PredictedChannel,
     PredictionTest as PredictionTest,
     set_up_with_hold_out as set_up_with_hold_out,
+    state_at_end as state_at_end,
 )
-from ._linearise import BlockJacobian as BlockJacobian
+from ._linearise import (
+    BlockJacobian as BlockJacobian,
+    linearise as linearise,
+    residuals as residuals,
+)
 from ._optimum import (
     CellEquations as CellEquations,
     Equations as Equations,
@@ -41,7 +58,15 @@ from ._optimum import (
     Point as Point,
     optimum as optimum,
 )
-from ._problem import Recorded as Recorded, prepared_with as prepared_with
+from ._problem import (
+    Problem as Problem,
+    Recorded as Recorded,
+    build_groups as build_groups,
+    in_a_share as in_a_share,
+    own_start as own_start,
+    prepared_with as prepared_with,
+    residual as residual,
+)
 from ._records import (
     Correlation as Correlation,
     Estimate as Estimate,
@@ -77,15 +102,35 @@ from ._run_records import (
     layout_of as layout_of,
     matching_runs as matching_runs,
 )
-from ._solver import Marquardt as Marquardt
-from ._statistics import Statistics as Statistics
-from ._transitions import FitJournal as FitJournal
+from ._solver import Marquardt as Marquardt, boxed_step as boxed_step
+from ._statistics import Statistics as Statistics, combinations as combinations
+from ._transitions import (
+    FitJournal as FitJournal,
+    begin as begin,
+    evaluate as evaluate,
+    residuals_at as residuals_at,
+    step as step,
+    tolerance_of as tolerance_of,
+    trial as trial,
+)
+from ._uncertainty import (
+    inverse_gram as inverse_gram,
+    responds as responds,
+    uncertainty as uncertainty,
+    undetermined_groups as undetermined_groups,
+)
 from ._weights import (
+    LOSSES as LOSSES,
     NOISE_MODELS as NOISE_MODELS,
+    Noise as Noise,
     NoiseModel as NoiseModel,
+    Whitening as Whitening,
+    check_loss as check_loss,
     checked_priors as checked_priors,
+    curvature_ratio as curvature_ratio,
     prior_of as prior_of,
     prior_row as prior_row,
     rho as rho,
     scores as scores,
+    transform as transform,
 )

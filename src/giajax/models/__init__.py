@@ -1,12 +1,15 @@
 """What predicts channels for a run."""
 
 from ._arm import ArmInputs as ArmInputs, ArmModel as ArmModel
+from ._arm_conditions import SCALE as SCALE, arm_variants as arm_variants
 from ._arm_definition import (
     arm_from_definition as arm_from_definition,
     arm_to_definition as arm_to_definition,
     sensors_from_definition as sensors_from_definition,
 )
 from ._arm_sensors import (
+    Camera as Camera,
+    Marker as Marker,
     Sensors as Sensors,
     camera_of as camera_of,
     clock_of as clock_of,

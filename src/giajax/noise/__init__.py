@@ -19,7 +19,12 @@ from ._model import (
     gains as gains,
     whitened as whitened,
 )
-from ._restricted import Cells as Cells, Restricted as Restricted, orthonormal as orthonormal
+from ._restricted import (
+    Cells as Cells,
+    Restricted as Restricted,
+    grams as grams,
+    orthonormal as orthonormal,
+)
 from ._verdict import (
     DIFFERENCES as DIFFERENCES,
     OUTLIER as OUTLIER,

@@ -1,11 +1,16 @@
 """Recorded runs: reading, checking, describing and writing them. Imports no JAX."""
 
-from ._channels import Channel as Channel, parse_column as parse_column
+from ._channels import (
+    Channel as Channel,
+    parse_column as parse_column,
+    parse_columns as parse_columns,
+)
 from ._definition import (
     Definition as Definition,
     complaint as complaint,
     run_keys as run_keys,
     sidecar_template as sidecar_template,
+    to_toml as to_toml,
     upgraded as upgraded,
 )
 from ._describe import describe as describe
@@ -27,6 +32,7 @@ from ._read import (
     windows as windows,
 )
 from ._run import Run as Run, unique_names as unique_names
+from ._table import read_table as read_table
 from ._tracked import (
     Beside as Beside,
     TrackedPoints as TrackedPoints,

@@ -24,6 +24,7 @@ from ._posterior import (
     POSTERIOR_HEADINGS as POSTERIOR_HEADINGS,
     bands_figure as bands_figure,
     corner_figure as corner_figure,
+    draws_file as draws_file,
     posterior_files as posterior_files,
     posterior_rows as posterior_rows,
 )

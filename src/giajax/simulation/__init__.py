@@ -1,5 +1,7 @@
 """Motion over time: inputs, integration by diffrax, and its result."""
 
+from ._catch_up import angle_after as angle_after, catching_up as catching_up, turns as turns
+from ._controller import step_size_controller as step_size_controller
 from ._integrate import (
     STEPS_FOR as STEPS_FOR,
     StepsFor as StepsFor,
@@ -7,11 +9,24 @@ from ._integrate import (
     integrate as integrate,
     is_disturbance as is_disturbance,
 )
-from ._linearly_implicit import SOLVERS as SOLVERS
+from ._linearly_implicit import (
+    SOLVERS as SOLVERS,
+    LinearlyImplicit as LinearlyImplicit,
+    solver as solver,
+    tableau as tableau,
+)
+from ._motion import (
+    Inputs as Inputs,
+    fastest_rate as fastest_rate,
+    motion as motion,
+    pull as pull,
+    springs as springs,
+)
 from ._pressures import Pressures as Pressures, check_muscles as check_muscles
 from ._signal import (
     Signal as Signal,
     constant as constant,
+    last_before as last_before,
     logged as logged,
     ramps as ramps,
     steps as steps,

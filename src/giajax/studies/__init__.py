@@ -1,6 +1,15 @@
 """Questions that take many fits or derivatives of a fitted model."""
 
-from ._bootstrap import Bootstrap as Bootstrap, Repeated as Repeated, bootstrap as bootstrap
+from ._bootstrap import (
+    Bootstrap as Bootstrap,
+    Repeated as Repeated,
+    Residuals as Residuals,
+    binomial_interval as binomial_interval,
+    block_length as block_length,
+    bootstrap as bootstrap,
+    repeated as repeated,
+)
+from ._candidates import inquiry as inquiry, is_disturbed as is_disturbed
 from ._choose import (
     CANDIDATES as CANDIDATES,
     Candidate as Candidate,
@@ -16,8 +25,19 @@ from ._contrast import (
     ContrastRow as ContrastRow,
     contrast as contrast,
 )
-from ._influence import Influence as Influence, LeftOut as LeftOut, influence as influence
-from ._ladder import TRIES as TRIES, Ladder as Ladder, Rung as Rung, ladder as ladder
+from ._influence import (
+    Influence as Influence,
+    LeftOut as LeftOut,
+    influence as influence,
+    parts_of as parts_of,
+)
+from ._ladder import (
+    TRIES as TRIES,
+    Ladder as Ladder,
+    Rung as Rung,
+    best_step as best_step,
+    ladder as ladder,
+)
 from ._multi_start import (
     SAME_END as SAME_END,
     SEED as SEED,
@@ -34,6 +54,10 @@ from ._posterior_records import (
     Marginal as Marginal,
     Posterior as Posterior,
     PosteriorSummary as PosteriorSummary,
+    as_arviz as as_arviz,
+    bands as bands,
+    doubts as doubts,
+    mixing as mixing,
 )
 from ._profile import profile as profile, profiles_beside as profiles_beside
 from ._profile_records import (
@@ -41,6 +65,7 @@ from ._profile_records import (
     Profile as Profile,
     ProfilePoint as ProfilePoint,
     Profiles as Profiles,
+    interval_end as interval_end,
     load_profiles as load_profiles,
 )
 from ._refit import (
@@ -51,6 +76,7 @@ from ._refit import (
     optimum_of as optimum_of,
     refit as refit,
 )
+from ._score import alike as alike, projected as projected, score as score
 from ._sensitivity import (
     Sensitivity as Sensitivity,
     body_of as body_of,
@@ -58,12 +84,20 @@ from ._sensitivity import (
     planned as planned,
     sensitivity as sensitivity,
 )
-from ._starts import has_earlier_starts as has_earlier_starts, misfit as misfit
+from ._starts import (
+    has_earlier_starts as has_earlier_starts,
+    misfit as misfit,
+    start_values as start_values,
+)
 from ._suspects import (
     LEVEL as LEVEL,
     Suspects as Suspects,
+    all_axes as all_axes,
+    linearised as linearised,
+    name_of as name_of,
     promising as promising,
     suspects as suspects,
+    turned_back as turned_back,
 )
 from ._systematic import (
     check_uncertainty as check_uncertainty,

@@ -10,8 +10,7 @@ from numpy.testing import assert_allclose
 
 from giajax import InputError
 from giajax.mechanics import arm as mechanics
-from giajax.mechanics.arm import Contact, chain, mass_matrix, pose
-from giajax.mechanics.arm._contact import Pairs, flattening
+from giajax.mechanics.arm import Contact, Pairs, chain, flattening, mass_matrix, pose
 from giajax.mechanics.obstacles import Box, Plane, WallWithOpening, nearest, solids
 
 touch, touched = jax.jit(mechanics.touch), jax.jit(mechanics.touched)

@@ -7,14 +7,18 @@ import pytest
 from numpy.testing import assert_allclose
 
 import giajax.schema.parameters
-from giajax.mechanics.arm import acceleration, forward_dynamics, inverse_dynamics, mass_matrix, pose
-from giajax.mechanics.arm._inverse_dynamics import (
+from giajax.mechanics.arm import (
+    acceleration,
     carried_inertia,
     eliminate_and_solve,
+    forward_dynamics,
+    inverse_dynamics,
+    mass_matrix,
     motion_and_momentum,
+    pose,
     solve_eliminated,
+    sum_from_tip,
 )
-from giajax.mechanics.arm._kinematics import sum_from_tip
 from peers.arms import driven_arm, full_arm, general_arm, random_states
 
 # One piece, two, three and four.

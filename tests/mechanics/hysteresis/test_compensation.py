@@ -15,9 +15,9 @@ from giajax.mechanics.hysteresis import (
     PrandtlIshlinskii,
     Preisach,
     branches_from_loop,
+    history_by_steps,
     isotonic,
 )
-from giajax.mechanics.hysteresis._operator import history_by_steps
 
 
 def compensator(travel=0.5):

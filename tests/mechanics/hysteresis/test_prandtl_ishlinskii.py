@@ -8,8 +8,12 @@ import pytest
 from test_play_stop import definition
 
 from giajax import InputError
-from giajax.mechanics.hysteresis import DeadZones, ModifiedPrandtlIshlinskii, PrandtlIshlinskii
-from giajax.mechanics.hysteresis._operator import history_by_steps
+from giajax.mechanics.hysteresis import (
+    DeadZones,
+    ModifiedPrandtlIshlinskii,
+    PrandtlIshlinskii,
+    history_by_steps,
+)
 
 
 def operator(elements="play", seed=0, count=12):

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from giajax import InputError
-from giajax.mechanics.hysteresis import PrandtlIshlinskii, Preisach
-from giajax.mechanics.hysteresis._operator import history_by_steps
+from giajax.mechanics.hysteresis import PrandtlIshlinskii, Preisach, history_by_steps
 
 
 def operator(rows=12, **changed):

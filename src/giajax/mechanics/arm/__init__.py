@@ -14,10 +14,12 @@ from ._build import (
     trimmed as trimmed,
 )
 from ._contact import (
+    Pairs as Pairs,
     Stiffness as Stiffness,
     Touch as Touch,
     contact_energy as contact_energy,
     contact_stiffness as contact_stiffness,
+    flattening as flattening,
     touch as touch,
     touched as touched,
 )
@@ -32,12 +34,20 @@ from ._dynamics import (
     muscle_power as muscle_power,
     potential_energy as potential_energy,
 )
-from ._inverse_dynamics import inverse_dynamics as inverse_dynamics, mass_matrix as mass_matrix
+from ._inverse_dynamics import (
+    carried_inertia as carried_inertia,
+    eliminate_and_solve as eliminate_and_solve,
+    inverse_dynamics as inverse_dynamics,
+    mass_matrix as mass_matrix,
+    motion_and_momentum as motion_and_momentum,
+    solve_eliminated as solve_eliminated,
+)
 from ._kinematics import (
     Pose as Pose,
     link_centres as link_centres,
     link_velocities as link_velocities,
     pose as pose,
+    sum_from_tip as sum_from_tip,
     tip_position as tip_position,
 )
 from ._memory import JointHysteresis as JointHysteresis, Memory as Memory, Stops as Stops

@@ -17,6 +17,7 @@ from ._operator import (
     InverseByBisection as InverseByBisection,
     Play as Play,
     Stop as Stop,
+    history_by_steps as history_by_steps,
     play as play,
     stop as stop,
 )

@@ -1,4 +1,13 @@
 """Pages for a browser: one result, or several side by side. Needs the extra `report`."""
 
 from ._compare import compare_page as compare_page
-from ._report import report_page as report_page
+from ._plots import autocorrelation as autocorrelation, thinned as thinned
+from ._render import animation as animation, some_of as some_of
+from ._report import opening as opening, report_page as report_page
+from ._tables import (
+    correlation_cells as correlation_cells,
+    influence_part as influence_part,
+    optima_table as optima_table,
+    posterior_part as posterior_part,
+    repeated_part as repeated_part,
+)
