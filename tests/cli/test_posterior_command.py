@@ -10,7 +10,7 @@ import pytest
 from giajax import load_result
 from giajax.cli import main
 from giajax.cli._posterior import _is_unfinished
-from giajax.report.page import posterior_part
+from giajax.report import sections
 from giajax.studies import PosteriorSummary
 from page_reader import Page
 
@@ -71,13 +71,13 @@ def test_more_chains_keep_those_that_are_there_and_a_page_shows_them(fit, tmp_pa
     # That of another fit is not shown.
     result = load_result(folder)
     other = dataclasses.replace(result, cost=1.01 * result.cost)
-    assert posterior_part(result, folder / "result.json") is not None
-    assert posterior_part(other, folder / "result.json") is None
+    assert [section.id for section in sections(result, folder / "result.json")] == ["posterior"]
+    assert sections(other, folder / "result.json") == []
 
 
 def test_only_what_is_unfinished_of_this_fit_is_written_over(fit, tmp_path):
     result = load_result(fit)
-    known = PosteriorSummary.from_json((fit / "posterior.json").read_text())
+    known = PosteriorSummary.of_json((fit / "posterior.json").read_text())
     path = tmp_path / "posterior.json"
     for asked, cost, unfinished in (
         (2, result.cost, False),

@@ -8,13 +8,11 @@ import pytest
 
 from giajax.fitting import Correlation, Finding, SystematicError
 from giajax.recordings import Run
-from giajax.report import report_page
+from giajax.report import report_page, sections
 from giajax.report.page import (
     _report,
     autocorrelation,
-    influence_part,
     opening,
-    repeated_part,
     thinned,
 )
 from giajax.runtime.text import InputError
@@ -194,9 +192,9 @@ def test_repetitions_are_on_the_page_of_their_fit_alone(result, run, tmp_path):
     assert ["link04", "marker", "72", "fit", "-", "+0.50 (1.25)"] in parsed.rows
     assert "21 of 22 fits came back (95.5 %); the others were ended by: wall 1" in parsed.text
     assert any(row[0] == path and "100.0 % (83.9 .. 100.0)" in row for row in parsed.rows if row)
-    assert json.loads(parsed.data("repeated-0"))["doc"]["roots"]
+    assert json.loads(parsed.data("repetitions-0"))["doc"]["roots"]
     # Of another fit in the same folder, nothing.
     other = dataclasses.replace(found, fitted={**fitted, path: 7.0})
     (tmp_path / "bootstrap.json").write_text(other.to_json())
-    assert repeated_part(result, source) is None
-    assert influence_part(dataclasses.replace(result, parameters={}), source) is None
+    assert [section.id for section in sections(result, source)] == ["influence"]
+    assert sections(dataclasses.replace(result, parameters={}), source) == []

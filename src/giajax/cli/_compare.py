@@ -1,4 +1,4 @@
-"""`giajax compare`: results side by side."""
+"""`giajax compare`, `choose` and `report`: what results say, side by side or one on a page."""
 
 from pathlib import Path
 from typing import Annotated
@@ -6,7 +6,8 @@ from typing import Annotated
 import typer
 
 from ._commands import command
-from ._options import Renamed
+from ._on_result import OnResult, on_result
+from ._options import Renamed, print_table
 
 
 @command("""\b
@@ -49,7 +50,6 @@ def compare(
     from ..fitting import load_result
     from ..report import check_page, compare_page, contrast_json, contrast_tables
     from ..studies import contrast
-    from ._options import print_table
 
     if out is not None:
         check_page()
@@ -151,7 +151,6 @@ def choose(
 
         typer.echo(json.dumps({"unit": choice.unit, "candidates": facts}, indent=2))
         return
-    from ._options import print_table
 
     unit = f" {choice.unit}" if choice.unit else ""
     headings = ["model", "parameters", f"held out{unit}", f"fitted{unit}", "AIC", "BIC", "fit"]
@@ -170,10 +169,8 @@ def choose(
     print_table(headings, rows)
 
 
-# `giajax report`: a result as a page for a browser.
-
-
-@command("""\b
+@on_result(
+    """\b
 Examples:
   giajax report giajax-out/run
   giajax report giajax-out/run --out for_the_group.html
@@ -182,45 +179,29 @@ Examples:
 \b
 RESULT is the folder of a fit, or its result.json. The page is one file that
 opens without a network: the verdict, the parameters, what limits them, recorded
-against fitted values, the arm as it moves, and where all of it comes from.""")
-def report(
-    result: Annotated[Path, typer.Argument(metavar="RESULT", help="A fit; see below.")],
-    data: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="RUN.csv", help="A fitted run, if it has moved. Repeatable."),
-    ] = None,
-    rename: Renamed = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.html", help="The page (report.html beside the result)."),
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Write over a file.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
-) -> None:
+against fitted values, the arm as it moves, and where all of it comes from.""",
+    out=("FILE.html", "The page (report.html beside the result)."),
+    force="Write over a file.",
+)
+def report(given: OnResult) -> None:
     """Write a result as a page for a browser.
 
     One file that says first whether to believe the numbers.
     """
-    from ..recordings import check_output_files, parse_rename, write_files
-    from ..tasks import fitted_runs, held_out_runs, stored_result
+    from ..recordings import check_output_files, write_files
+    from ..tasks import held_out_runs
 
-    folder, _ = stored_result(result)
-    source = result / "result.json" if result.is_dir() else result
-    page = folder / "report.html" if out is None else out
-    check_output_files([page], force=force)
-    renamed = parse_rename(rename or [])
-
-    from ..runtime.process import configure
-
-    configure()
-    from ..fitting import load_result
+    page = given.home / "report.html" if given.out is None else given.out
+    check_output_files([page], force=given.force)
+    fitted = given.fitted
     from ..report import check_page, report_page
 
     check_page()
-    fitted = load_result(result)
-    runs = fitted_runs(fitted, data or [], rename=renamed)
-    held_out = held_out_runs(fitted, data or [], rename=renamed) if fitted.held_out else []
-    made = report_page(fitted, runs, held_out=held_out, source=source)
-    write_files({page: made}, force=force)
-    if not quiet:
+    held_out = []
+    if fitted.held_out:
+        held_out = held_out_runs(fitted, given.data or [], rename=given.renamed)
+    source = given.result / "result.json" if given.result.is_dir() else given.result
+    made = report_page(fitted, given.runs, held_out=held_out, source=source)
+    write_files({page: made}, force=given.force)
+    if not given.quiet:
         typer.echo(f"wrote {page} ({len(made) / 1e6:.1f} MB)")

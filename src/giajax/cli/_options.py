@@ -18,9 +18,6 @@ from ..runtime.text import InputError, time_in_words
 if TYPE_CHECKING:
     from ..runtime.tasks import Outcome
 
-# How commands use JAX: as their workers do, too, which know nothing of the command line.
-
-
 # Tables on standard output: bold headings on a terminal, plain text elsewhere.
 
 
@@ -174,21 +171,26 @@ class ManyProgress:
         self._first: tuple[int, float] | None = None
         self._said = self._began = time.monotonic()
         self._failed = 0
+        self._ended = False
 
     def __call__(self, outcome: "Outcome", done: int, total: int) -> None:
-        now = time.monotonic()
         self._failed += outcome.status == "failed"
+        if self._first is None and done > 1:
+            typer.echo(f"{done - 1} of {total} {self._what} are there already", err=True)
+        self.after(done, total)
+
+    def after(self, done: int, total: int) -> None:
+        """Say how many are done, and how long the others will take."""
+        now = time.monotonic()
         if self._first is None:
+            # The first one compiles what the others share.
             self._first = done, now
-            if done > 1:
-                typer.echo(f"{done - 1} of {total} {self._what} are there already", err=True)
-        if done < total and now - self._said < _BETWEEN_S:
+        if self._ended or (done < total and now - self._said < _BETWEEN_S):
             return
-        self._said = now
+        self._said, self._ended = now, done == total
         words = f"{done} of {total} {self._what} done"
         if self._failed:
             words += f", {self._failed} of them failed"
-        # The first one compiles what the others share.
         first, began = self._first
         if done == total:
             words += f", in {time_in_words(now - self._began)}"

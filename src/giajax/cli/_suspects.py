@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ._commands import command
-from ._options import Renamed
+from ._on_result import OnResult, on_result
+from ._options import print_table
 from ._values import plain_settings
 
 if TYPE_CHECKING:
@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from ..studies import Ladder, Rung, Suspects
 
 
-@command("""\b
+@on_result(
+    """\b
 Examples:
   giajax suspects giajax-out/run
   giajax suspects giajax-out/run --ladder
@@ -30,13 +31,14 @@ RESULT is the folder of a fit, or its result.json. The runs are read again from
 where they were. The most promising suspect comes first: what lowers chi-square most.
 --ladder fits the first few, takes the one whose fit has the lowest BIC, asks again,
 and so on, as long as BIC falls: minutes for each step of a long arm, and fewer with
---tries 1, which takes the first one at its word.""")
+--tries 1, which takes the first one at its word.""",
+    out=("FILE.json", "Write the result with its suspects there."),
+    force="Write over a file.",
+    as_json="Print JSON instead of tables.",
+    quiet="No progress.",
+)
 def suspects(
-    result: Annotated[Path, typer.Argument(metavar="RESULT", help="A fit; see below.")],
-    data: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="RUN.csv", help="A fitted run, if it has moved. Repeatable."),
-    ] = None,
+    given: OnResult,
     each: Annotated[
         list[str] | None,
         typer.Option(
@@ -58,7 +60,6 @@ def suspects(
         list[Path] | None,
         typer.Option(metavar="RUN.csv", help="A run to judge the ladder by. Repeatable."),
     ] = None,
-    rename: Renamed = None,
     most: Annotated[
         int, typer.Option(metavar="N", min=1, help="Rows of the table and steps of the ladder.")
     ] = 8,
@@ -66,60 +67,44 @@ def suspects(
         int | None,
         typer.Option(metavar="N", min=1, help="Suspects that each step of the ladder fits (3)."),
     ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.json", help="Write the result with its suspects there."),
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Write over a file.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", help="No progress.")] = False,
 ) -> None:
     """Test what a fit held, switched off or left out.
 
     Which of it would lower chi-square, and to which value one step leads: added mass, a late
     camera, wind, friction, swapped axes and all else that the model knows.
     """
-    from ..recordings import Definition, check_output_files, parse_rename, read_runs, write_files
+    from ..recordings import Definition, check_output_files, read_runs, write_files
+    from ..tasks import held_out_runs
 
     deviations = plain_settings(uncertainty, "--uncertainty")
-    if out is not None:
-        check_output_files([out], force=force)
+    if given.out is not None:
+        check_output_files([given.out], force=given.force)
     if held_out and not ladder:
         raise typer.BadParameter("--held-out judges the fits of a ladder: add --ladder")
     if tries is not None and not ladder:
         raise typer.BadParameter("--tries is how many fits a step of a ladder makes: add --ladder")
-    renamed = parse_rename(rename or [])
-
-    from ..tasks import fitted_runs, held_out_runs, stored_result
-
-    # What is no result is told before JAX is imported, which takes seconds.
-    stored_result(result)
-    from ..runtime.process import configure
-
-    configure()
-    from ..fitting import load_result
+    fitted, runs = given.fitted, given.runs
     from ..studies import TRIES, ladder as climb, suspects as ask, with_systematic_errors
 
-    fitted = load_result(result)
-    runs = fitted_runs(fitted, data or [], rename=renamed)
-    others = read_runs(held_out or [], Definition(), rename=renamed)
+    others = read_runs(held_out or [], Definition(), rename=given.renamed)
     found = ask(fitted, runs, each=each or [])
     fitted = dataclasses.replace(fitted, suspects=found.rows)
     fitted = with_systematic_errors(fitted, runs, deviations or None)
-    if not (as_json or quiet):
+    shown = not (given.as_json or given.quiet)
+    if shown:
         _show(found, most)
         if systematic or deviations:
             _show_systematic(fitted)
     steps = None
     if ladder:
-        others += held_out_runs(fitted, data or [], rename=renamed)
-        said = None if quiet else _say
+        others += held_out_runs(fitted, given.data or [], rename=given.renamed)
+        said = None if given.quiet else _say
         steps = climb(fitted, runs, held_out=others, most=most, tries=tries or TRIES, progress=said)
-        if not (as_json or quiet):
+        if shown:
             _show_ladder(steps)
-    if out is not None:
-        write_files({out: fitted.to_json().encode()}, force=force)
-    if as_json:
+    if given.out is not None:
+        write_files({given.out: fitted.to_json().encode()}, force=given.force)
+    if given.as_json:
         typer.echo(json.dumps(_facts(fitted, found, steps), indent=2, allow_nan=False))
 
 
@@ -130,7 +115,6 @@ def _say(rung: "Rung") -> None:
 
 def _show(found: "Suspects", most: int) -> None:
     from ..report import SUSPECT_HEADINGS, suspect_rows, suspect_summary
-    from ._options import print_table
 
     if rows := suspect_rows(found, most):
         print_table(SUSPECT_HEADINGS, rows)
@@ -140,7 +124,6 @@ def _show(found: "Suspects", most: int) -> None:
 
 def _show_systematic(result: "FitResult") -> None:
     from ..report import systematic_table
-    from ._options import print_table
 
     print("\nwhat a held number moves, in standard errors:")
     print_table(*systematic_table(result))
@@ -148,7 +131,6 @@ def _show_systematic(result: "FitResult") -> None:
 
 def _show_ladder(steps: "Ladder") -> None:
     from ..report import ladder_table
-    from ._options import print_table
 
     print()
     print_table(*ladder_table(steps))

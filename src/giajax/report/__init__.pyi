@@ -33,6 +33,7 @@ from ._profiles import (
     profile_figure as profile_figure,
     profile_rows as profile_rows,
 )
+from ._records import register as register, sections as sections, view_of as view_of
 from ._repetitions import (
     BOOTSTRAP as BOOTSTRAP,
     INFLUENCE as INFLUENCE,
@@ -76,3 +77,4 @@ from ._suspects import (
     systematic_table as systematic_table,
 )
 from ._text import parameter_table as parameter_table, summary as summary
+from ._views import Section as Section, Table as Table, View as View

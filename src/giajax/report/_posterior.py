@@ -1,5 +1,6 @@
-"""A posterior as a table and as files."""
+"""A posterior as a table, as files and as a section of a page."""
 
+import base64
 import io
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -15,10 +16,12 @@ from matplotlib.ticker import MaxNLocator
 
 from ..fitting import FitResult, column_factors, in_column_units
 from ..recordings import Run, unique_names
+from ..runtime.files import read_bytes
 from ..runtime.text import InputError
 from ..studies import Band, Marginal, Posterior, PosteriorSummary
 from ._pictures import channel_label, sample_times, time_label
 from ._style import BLUE, GREY, INK, VERMILLION, new_figure, plain, to_csv, to_png, unfinished
+from ._views import Section, Table, View
 
 # Pictures of a posterior: pairs of parameters, and where channels are predicted to be.
 
@@ -311,3 +314,74 @@ def bands_table(
             for column, word in zip(words, (name, channel, about.unit), strict=True):
                 columns[column] += [word] * len(times)
     return to_csv(columns)
+
+
+# A page stays below 5 MB; a larger picture is left in its file.
+_MOST_BYTES = 600_000
+
+_PICTURES = {CORNER: "pairs of parameters", BANDS: "channels with the bands of the posterior"}
+
+
+def _table(summary: PosteriorSummary, result: FitResult, most: int | None = None) -> Table:
+    return Table(POSTERIOR_HEADINGS, posterior_rows(summary, result)[:most], 2)
+
+
+def _chains(summary: PosteriorSummary) -> str:
+    return f"{summary.chains} chains of {summary.draws} draws, {summary.divergences} diverged"
+
+
+def _sentences(summary: PosteriorSummary, most: int | None) -> list[str]:
+    held = [f"held, because no channel responds: {', '.join(summary.held)}"] if summary.held else []
+    return [_chains(summary), *held, *(f"warning: {doubt}" for doubt in summary.warnings)]
+
+
+def _section(summary: PosteriorSummary, result: FitResult, folder: Path) -> Section:
+    note = f"{_chains(summary)}; the noise is held as it was fitted"
+    if summary.held:
+        note += f", and so is what no channel responds to ({', '.join(summary.held)})"
+    note += (
+        ". R-hat is 1 where the chains agree, ESS how many independent draws they are worth; the "
+        "linear interval is that of the Jacobian alone."
+    )
+    shares = [
+        (share, f"{channel} of {run}")
+        for run, by_channel in summary.within.items()
+        for channel, share in by_channel.items()
+        if share is not None
+    ]
+    if shares:
+        least, where = min(shares)
+        note += (
+            f" Of the recorded values, those within the band of 95 %: {least:.1%} in the channel "
+            f"with the fewest, {where}."
+        )
+    return Section(
+        id="posterior",
+        name="Posterior",
+        heading="Posterior",
+        warnings=summary.warnings,
+        table=_table(summary, result),
+        note=note,
+        pictures=[
+            (data, words)
+            for name, words in _PICTURES.items()
+            if (data := _picture(folder / name)) is not None
+        ],
+    )
+
+
+def _picture(path: Path) -> str | None:
+    try:
+        content = read_bytes(path, _MOST_BYTES)
+    except (OSError, InputError):
+        return None
+    return "data:image/png;base64," + base64.b64encode(content).decode()
+
+
+POSTERIOR_VIEW = View(
+    record=PosteriorSummary,
+    file=POSTERIOR,
+    table=_table,
+    sentences=_sentences,
+    section=_section,
+)

@@ -1,6 +1,8 @@
-"""Profiles as a table and as a picture, in the units of the columns."""
+"""Profiles as a table, a picture and a section of a page, in the units of the columns."""
 
+import json
 from collections.abc import Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -11,16 +13,17 @@ from scipy.interpolate import PchipInterpolator
 from ..fitting import Estimate, FitResult, in_column_units
 from ..models import AbstractModel
 from ..runtime.text import format_estimate
-from ..studies import Profile, Profiles
-from ._style import BLUE, GREY, LIGHT, VERMILLION, new_figure, plain
+from ..studies import PROFILES, Profile, Profiles
+from ._style import BLUE, GREY, LIGHT, VERMILLION, new_figure, new_plot, plain, small
+from ._views import Section, Table, View
 
 PROFILE_HEADINGS = ("quantity", "value", "error", "unit", "by the error", "by profile", "remark")
 
-# More pictures than this are small print.
-_MOST, _ACROSS = 12, 3
+# More pictures than this are small print, and more plots a page that no phone opens.
+_MOST, _ACROSS, _MOST_ON_PAGE = 12, 3, 24
 
 # A picture ends so far above the deviance of the interval.
-ABOVE = 1.6
+_ABOVE = 1.6
 
 
 class ProfileCurve(NamedTuple):
@@ -107,7 +110,7 @@ def _curve(profile: Profile, result: FitResult) -> ProfileCurve:
     at_fit = next((p.at_bounds for p in profile.points if p.value == profile.value), ())
     over, line = np.zeros(0), np.zeros(0)
     if profile.standard_error is not None:
-        width = np.sqrt(ABOVE * level) * profile.standard_error
+        width = np.sqrt(_ABOVE * level) * profile.standard_error
         low = -np.inf if profile.lower is None else profile.lower
         high = np.inf if profile.upper is None else profile.upper
         over = np.linspace(max(profile.value - width, low), min(profile.value + width, high), 81)
@@ -138,12 +141,12 @@ def _curve(profile: Profile, result: FitResult) -> ProfileCurve:
 
 def _shown(deviances: np.ndarray, level: float) -> slice:
     """The points that a picture has: far ones would make of the part that counts a line."""
-    inside = np.flatnonzero(deviances <= ABOVE * level)
+    inside = np.flatnonzero(deviances <= _ABOVE * level)
     return slice(max(int(inside[0]) - 1, 0), min(int(inside[-1]) + 2, len(deviances)))
 
 
 def _draw(axes: Axes, curve: ProfileCurve) -> None:
-    top, kept = ABOVE * curve.level, _shown(curve.deviances, curve.level)
+    top, kept = _ABOVE * curve.level, _shown(curve.deviances, curve.level)
     if len(curve.over):
         axes.plot(curve.over, curve.line, color=GREY, lw=1, ls="--", label="standard error")
     axes.plot(curve.between, curve.smooth, color=BLUE, lw=1.3, label="profile")
@@ -176,3 +179,65 @@ def _in_columns(profile: Profile, model: AbstractModel) -> tuple[float, str]:
 def _interval(ends: Sequence[float | None], factor: float) -> str:
     low, high = ("open" if end is None else f"{end * factor:.5g}" for end in ends)
     return f"{low} .. {high}"
+
+
+def _table(found: Profiles, result: FitResult, most: int | None = None) -> Table:
+    return Table(list(PROFILE_HEADINGS), profile_rows(found, result)[:most])
+
+
+def _section(found: Profiles, result: FitResult, folder: Path) -> Section:
+    curves = profile_curves(found, result)[:_MOST_ON_PAGE]
+    return Section(
+        id="profiles",
+        name="Profiles",
+        heading="Profiles",
+        early=True,
+        table=_table(found, result),
+        plots=[(curve.name, _plot(curve)) for curve in curves],
+        note="Each quantity was held at other values while all others were fitted. Line: how much "
+        "worse the fit becomes; dashed: what the standard error takes it for. The "
+        f"{100 * found.level:.3g} % interval ends where the line crosses the level; at orange dots "
+        "another parameter is at a bound.",
+    )
+
+
+def _plot(curve: ProfileCurve) -> str:
+    """A profile with the parabola of the standard error, as what BokehJS embeds."""
+    from bokeh.embed import json_item
+    from bokeh.models import BoxAnnotation, ColumnDataSource, HoverTool, Span
+
+    top = _ABOVE * curve.level
+    plot = new_plot(200, curve.unit or "-", "deviance", y_range=(-0.05 * top, top))
+    low, high = curve.interval
+    plot.add_layout(BoxAnnotation(left=low, right=high, fill_color=GREY, fill_alpha=0.15))
+    plot.add_layout(Span(location=curve.level, dimension="width", line_color=GREY, line_width=0.7))
+    if len(curve.over):
+        parabola = ColumnDataSource({"x": small(curve.over), "y": small(curve.line)})
+        plot.line("x", "y", source=parabola, color=GREY, line_dash="dashed", line_width=1)
+    line = ColumnDataSource({"x": small(curve.between), "y": small(curve.smooth)})
+    plot.line("x", "y", source=line, color=BLUE, line_width=1.3)
+    kept = curve.deviances <= 2 * top
+    colours = [VERMILLION if bounded else BLUE for bounded in curve.bounded[kept]]
+    source = ColumnDataSource(
+        {"x": curve.values[kept], "y": curve.deviances[kept], "colour": colours}
+    )
+    dots = plot.scatter("x", "y", source=source, size=5, color="colour")
+    tips = [(curve.name, "@x{0.0000a}"), ("deviance", "@y{0.000}")]
+    plot.add_tools(HoverTool(renderers=[dots], tooltips=tips))
+    return json.dumps(json_item(plot))
+
+
+def _title(result: FitResult) -> str:
+    return f"{', '.join(record.name for record in result.runs[:3])}: profiles"
+
+
+PROFILE_VIEW = View(
+    record=Profiles,
+    file=PROFILES,
+    table=_table,
+    sentences=lambda found, most: [
+        f"intervals of {found.level:.3g}; 'open' where the data give no end"
+    ],
+    figure=lambda found, result: profile_figure(found, result, _title(result)),
+    section=_section,
+)

@@ -1,20 +1,24 @@
-"""Repetitions of a fit as a table, sentences and a picture."""
+"""Repetitions of a fit, and the influence of its data: tables, sentences, pictures, sections."""
+
+import json
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from ..fitting import FitResult
 from ..runtime.text import format_estimate
 from ..studies import Bootstrap, Influence, LeftOut, Repeated
-from ._style import BLUE, GREY, INK, LIGHT, VERMILLION, new_figure, plain
+from ._style import BLUE, GREY, INK, LIGHT, VERMILLION, new_figure, new_plot, plain
+from ._views import Section, Table, View
 
-# Repetitions of a fit as a table, sentences and a picture.
-
-BOOTSTRAP = "bootstrap.json"
-"""Name of the file beside a `result.json`."""
+BOOTSTRAP, INFLUENCE = "bootstrap.json", "influence.json"
+"""Names of the files beside a `result.json`."""
 
 _ACROSS = 3
-# More histograms than these are small print.
-_MOST_DRAWN = 12
+# More histograms than these are small print, and on a page still fewer are enough.
+_MOST_DRAWN, _MOST_ON_PAGE = 12, 6
 
 
 def bootstrap_table(found: Bootstrap) -> tuple[list[str], list[list[str]]]:
@@ -94,8 +98,9 @@ def bootstrap_figure(found: Bootstrap, title: str = "") -> Figure:
     for place, (path, one) in enumerate(drawn):
         axes = figure.add_subplot(down, across, place + 1)
         values = np.asarray(one.values)
-        bins = int(np.clip(np.sqrt(len(values)) * 1.5, 8, 40))
-        axes.hist(values, bins=bins, density=True, color=LIGHT, edgecolor=GREY, linewidth=0.4)
+        axes.hist(
+            values, bins=_bins(values), density=True, color=LIGHT, edgecolor=GREY, linewidth=0.4
+        )
         if one.standard_error:
             reach = max(4 * one.standard_error, float(np.max(np.abs(values - one.value))))
             over = np.linspace(one.value - reach, one.value + reach, 200)
@@ -137,10 +142,55 @@ def _coverage(one: Repeated) -> str:
     return f"{100 * one.coverage:.1f} % ({100 * low:.1f} .. {100 * high:.1f})"
 
 
-# What each part of the data does to a fit, as a table, sentences and a picture.
+def _bootstrap_section(found: Bootstrap, result: FitResult, folder: Path) -> Section:
+    first, *others = bootstrap_summary(found)
+    drawn = [(path, one) for path, one in found.parameters.items() if len(one.values) > 1]
+    return Section(
+        id="repetitions",
+        name="Repeated",
+        heading="The fit repeated",
+        intro=f"{first}.",
+        table=Table(*bootstrap_table(found)),
+        sentences=others,
+        plots=[(path, _histogram(one)) for path, one in drawn[:_MOST_ON_PAGE]],
+        note="Bars: where the repetitions ended; dashed: the result, which made their data; red: "
+        "95 % of them lie between.",
+    )
 
-INFLUENCE = "influence.json"
-"""Name of the file beside a `result.json`."""
+
+def _bins(values: np.ndarray) -> int:
+    return int(np.clip(np.sqrt(len(values)) * 1.5, 8, 40))
+
+
+def _histogram(one: Repeated) -> str:
+    from bokeh.embed import json_item
+    from bokeh.models import HoverTool, Span
+
+    values = np.asarray(one.values)
+    counts, edges = np.histogram(values, bins=_bins(values))
+    plot: Any = new_plot(180, one.unit or "value", "repetitions")
+    bars = plot.quad(
+        top=counts, bottom=0, left=edges[:-1], right=edges[1:], fill_color=LIGHT, line_color=BLUE
+    )
+    for end in one.percentile or ():
+        plot.add_layout(Span(location=end, dimension="height", line_color=VERMILLION))
+    plot.add_layout(
+        Span(location=one.value, dimension="height", line_color=BLUE, line_dash="dashed")
+    )
+    tips = [("from", "@left"), ("to", "@right"), ("repetitions", "@top")]
+    plot.add_tools(HoverTool(renderers=[bars], tooltips=tips))
+    return json.dumps(json_item(plot))
+
+
+BOOTSTRAP_VIEW = View(
+    record=Bootstrap,
+    file=BOOTSTRAP,
+    table=lambda found, result, most: Table(*bootstrap_table(found)),
+    sentences=lambda found, most: bootstrap_summary(found),
+    figure=lambda found, result: bootstrap_figure(found),
+    section=_bootstrap_section,
+)
+
 
 # More rows than these are a list to read in the file.
 _MOST_PARTS = 30
@@ -242,3 +292,26 @@ def _cell(part: LeftOut, path: str) -> str:
     if shift is None:
         return "lost" if part.steps[path] is None else "-"
     return f"{shift:+.2f}" + ("" if wider is None else f" ({wider:.2f})")
+
+
+def _influence_sentences(found: Influence, most: int | None) -> list[str]:
+    more = 0 if most is None else len(found.parts) - most
+    left_out = [f"and {more} more, which move less (--most)"] if more > 0 else []
+    return [*left_out, *influence_summary(found)]
+
+
+INFLUENCE_VIEW = View(
+    record=Influence,
+    file=INFLUENCE,
+    table=lambda found, result, most: Table(*influence_table(found, most), 2),
+    sentences=_influence_sentences,
+    figure=lambda found, result: influence_figure(found),
+    section=lambda found, result, folder: Section(
+        id="influence",
+        name="Influence",
+        heading="What each part of the data does",
+        table=Table(*influence_table(found), 2),
+        folded="parts of the data",
+        sentences=influence_summary(found),
+    ),
+)

@@ -73,6 +73,39 @@ def to_png(figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
+def new_plot(height: int, across: str, up: str, **more: Any) -> Any:
+    """An empty plot of this height that is as wide as its place, for BokehJS."""
+    from bokeh.plotting import figure
+
+    plot = figure(
+        height=height,
+        sizing_mode="stretch_width",
+        tools="xpan,box_zoom,reset",
+        # None for the wheel: who scrolls the page does not mean to zoom.
+        active_drag="box_zoom",
+        toolbar_location="above",
+        x_axis_label=across,
+        y_axis_label=up,
+        **more,
+    )
+    plot.toolbar.logo = None
+    plot.toolbar.autohide = True
+    plot.outline_line_color = None
+    plot.grid.grid_line_alpha = 0.5
+    for axis in plot.axis:
+        axis.axis_label_text_font_style = "normal"
+        axis.axis_label_text_font_size = "11px"
+        axis.major_label_text_font_size = "11px"
+        axis.minor_tick_line_color = None
+    plot.yaxis.ticker.desired_num_ticks = 6 if height > 180 else 4
+    return plot
+
+
+def small(values: np.ndarray) -> np.ndarray:
+    """As seven digits, which no screen shows: half of the page's size."""
+    return np.asarray(values, dtype=np.float32)
+
+
 # Columns of words and numbers as CSV.
 
 

@@ -59,7 +59,7 @@ from ._posterior_records import (
     doubts as doubts,
     mixing as mixing,
 )
-from ._profile import profile as profile, profiles_beside as profiles_beside
+from ._profile import profile as profile
 from ._profile_records import (
     PROFILES as PROFILES,
     Profile as Profile,

@@ -109,6 +109,10 @@ class Bootstrap:
     notes: tuple[str, ...]
     fitted: dict[str, float]
 
+    def is_of(self, result: FitResult) -> bool:
+        """Whether it is of this fit, and not of another one that was in its place."""
+        return self.fitted == {path: float(one.value) for path, one in result.free.items()}
+
     def to_json(self) -> str:
         """The text of `bootstrap.json`."""
         record = {"schema_version": SCHEMA_VERSION, **dataclasses.asdict(self)}

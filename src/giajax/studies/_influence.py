@@ -95,6 +95,10 @@ class Influence:
         """The parts of a kind: "run", "marker", "channel" or "span"."""
         return tuple(part for part in self.parts if part.kind == kind)
 
+    def is_of(self, result: FitResult) -> bool:
+        """Whether it is of this fit, and not of another one that was in its place."""
+        return self.fitted == {path: float(one.value) for path, one in result.free.items()}
+
     def to_json(self) -> str:
         """The text of `influence.json`."""
         record = {"schema_version": SCHEMA_VERSION, **dataclasses.asdict(self)}

@@ -390,7 +390,7 @@ class PosteriorSummary:
         return json.dumps(_plain(record), indent=2, allow_nan=False) + "\n"
 
     @classmethod
-    def from_json(cls, text: str) -> Self:
+    def of_json(cls, text: str | bytes) -> Self:
         """What `to_json` wrote.
 
         Raises:

@@ -24,7 +24,6 @@ from ._profile_records import (
     ProfilePoint,
     Profiles,
     interval_end,
-    load_profiles,
     remarks_on,
 )
 from ._profiled import Followed, Profiled, profiled_of, quantity_names, tangent
@@ -376,17 +375,3 @@ def profile(
         labels=optimum.labels[: optimum.state.problem.shared],
         profiles={name: there[name] if name in there else profiles[name] for name in asked},
     )
-
-
-def profiles_beside(result: FitResult, folder: str | Path) -> Profiles | None:
-    """The profiles of a result that are in a folder; None if there are none of it.
-
-    Arguments:
-        result: of a fit.
-        folder: that `result.json` is in.
-    """
-    try:
-        found = load_profiles(folder)
-    except InputError:
-        return None
-    return found if found.fit == fit_key(result) else None

@@ -11,9 +11,11 @@ from typing import Any, Literal, Self, TypeAlias
 
 import numpy as np
 
-from ..runtime.files import parse_json, read_bytes
+from ..fitting import FitResult
+from ..runtime.files import read_bytes
 from ..runtime.limits import RESULT_BYTES
 from ..runtime.text import InputError
+from ._refit import fit_key
 
 PROFILES = "profiles.json"
 _FORMAT = 1
@@ -130,10 +132,32 @@ class Profiles:
         """The profile of a quantity."""
         return self.profiles[name]
 
+    def is_of(self, result: FitResult) -> bool:
+        """Whether they are of this fit, and not of another one that was in its place."""
+        return self.fit == fit_key(result)
+
     def to_json(self) -> str:
         """The profiles as JSON."""
         record = {"giajax_profiles": _FORMAT, **dataclasses.asdict(self)}
         return json.dumps(record, indent=1, allow_nan=False) + "\n"
+
+    @classmethod
+    def of_json(cls, text: str | bytes) -> Self:
+        """The profiles that a text of `to_json` holds.
+
+        Raises:
+            InputError: it is of none, or of another version.
+        """
+        try:
+            record = json.loads(text)
+            if record.pop("giajax_profiles") != _FORMAT:
+                raise ValueError
+            profiles = {name: Profile.of_json(item) for name, item in record["profiles"].items()}
+            return cls(record["fit"], record["level"], tuple(record["labels"]), profiles)
+        except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
+            raise InputError(
+                "this is no profiles.json of this version of giajax: profile the fit again"
+            ) from None
 
 
 def load_profiles(path: str | Path) -> Profiles:
@@ -152,17 +176,17 @@ def load_profiles(path: str | Path) -> Profiles:
     path = Path(path)
     path = path / PROFILES if path.is_dir() else path
     try:
-        record = parse_json(read_bytes(path, RESULT_BYTES).decode(), path)
-        if record.pop("giajax_profiles") != _FORMAT:
-            raise InputError(f"{path} was written by another version of giajax: profile it again")
-        profiles = {name: Profile.of_json(item) for name, item in record["profiles"].items()}
-        return Profiles(record["fit"], record["level"], tuple(record["labels"]), profiles)
+        content = read_bytes(path, RESULT_BYTES)
     except FileNotFoundError:
         raise InputError(f"{path} does not exist: make it with giajax profile") from None
+    except OSError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror}): make it anew") from None
+    try:
+        return Profiles.of_json(content)
     except InputError:
-        raise
-    except (OSError, ValueError, LookupError, TypeError, AttributeError):
-        raise InputError(f"{path} holds no profiles of giajax: make it anew") from None
+        raise InputError(
+            f"{path} holds no profiles of this version of giajax: make it anew"
+        ) from None
 
 
 # What the points of a profile say: the ends of the interval, and what a reader must know.

@@ -6,8 +6,5 @@ from ._render import animation as animation, some_of as some_of
 from ._report import opening as opening, report_page as report_page
 from ._tables import (
     correlation_cells as correlation_cells,
-    influence_part as influence_part,
     optima_table as optima_table,
-    posterior_part as posterior_part,
-    repeated_part as repeated_part,
 )

@@ -7,9 +7,9 @@ from ...fitting import FitResult
 from ...studies import Contrast, ContrastRow
 from .. import BLUE, GREEN, GREY, INK, VERMILLION, contrast_tables
 from .._style import ORANGE, PURPLE, SKY
+from .._views import Table
 from ._render import rendered, some_of
 from ._report import Opening, opening
-from ._tables import Table
 
 # Width of the picture of one parameter and height of a result in it, pixels.
 _WIDTH, _HEIGHT = 360.0, 15.0

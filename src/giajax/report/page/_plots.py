@@ -9,7 +9,6 @@ import numpy as np
 from bokeh.embed import json_item
 from bokeh.layouts import column
 from bokeh.models import BoxAnnotation, ColumnDataSource, HoverTool, Span
-from bokeh.plotting import figure
 from bokeh.transform import dodge
 
 from ...fitting import FitResult, RunFit, predict
@@ -18,6 +17,7 @@ from ...runtime.arrays import Float, Int
 from ...schema.parameters import replace
 from .. import BLUE, GREEN, GREY, INK, VERMILLION
 from .._pictures import abscissa, channel_label, channels_together, sweep_starts
+from .._style import new_plot, small
 from .._text import times_noise
 
 # The autocorrelation of residuals, with gaps.
@@ -87,32 +87,6 @@ def thinned(columns: Sequence[Float[np.ndarray, " sample"]], most: int) -> Int[n
 _COLOURS = (BLUE, VERMILLION, GREEN)
 
 
-def new_plot(height: int, across: str, up: str, **more: Any) -> Any:
-    """An empty plot of this height that is as wide as its place."""
-    plot = figure(
-        height=height,
-        sizing_mode="stretch_width",
-        tools="xpan,box_zoom,reset",
-        # None for the wheel: who scrolls the page does not mean to zoom.
-        active_drag="box_zoom",
-        toolbar_location="above",
-        x_axis_label=across,
-        y_axis_label=up,
-        **more,
-    )
-    plot.toolbar.logo = None
-    plot.toolbar.autohide = True
-    plot.outline_line_color = None
-    plot.grid.grid_line_alpha = 0.5
-    for axis in plot.axis:
-        axis.axis_label_text_font_style = "normal"
-        axis.axis_label_text_font_size = "11px"
-        axis.major_label_text_font_size = "11px"
-        axis.minor_tick_line_color = None
-    plot.yaxis.ticker.desired_num_ticks = 6 if height > 180 else 4
-    return plot
-
-
 def curve_item(label: str, over: Sequence[float], values: Sequence[float], *, log: bool) -> str:
     """A line over steps, such as the cost of each iteration, as what BokehJS embeds."""
     plot = new_plot(200, "iteration", label, y_axis_type="log" if log else "linear")
@@ -152,11 +126,6 @@ def colour_of(place: int, channel: Channel, several: bool) -> str:
     if not several:
         return BLUE
     return _COLOURS[(place if channel.component is None else channel.component) % len(_COLOURS)]
-
-
-def small(values: np.ndarray) -> np.ndarray:
-    """As seven digits, which no screen shows: half of the page's size."""
-    return np.asarray(values, dtype=np.float32)
 
 
 # How far the uncertainty of the parameters moves a prediction, without another fit.

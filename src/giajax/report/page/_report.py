@@ -12,10 +12,12 @@ import numpy as np
 from ...fitting import Estimate, FitResult, in_column_units, matching_runs
 from ...recordings import Run
 from ...runtime.text import InputError, format_estimate
-from ...studies import LEVEL, begun_where_it_ended, profiles_beside, promising
+from ...studies import LEVEL, begun_where_it_ended, promising
 from ...tasks import repeatable
 from .. import SUSPECT_HEADINGS, first_suspects, systematic_table
+from .._records import sections
 from .._text import WRONG_DERIVATIVES, summary_rows, worth_drawing
+from .._views import Table
 from ._plots import (
     Panel,
     can_have_bands,
@@ -26,18 +28,13 @@ from ._plots import (
 )
 from ._render import Arm, animation, rendered, some_of
 from ._tables import (
-    Table,
     correlation_cells,
     file_rows,
     held_out_table,
-    influence_part,
     noise_table,
     optima_table,
     own_table,
     parameter_rows,
-    posterior_part,
-    profile_part,
-    repeated_part,
     starts_table,
     validation_table,
 )
@@ -266,7 +263,6 @@ def report_page(
     bands = can_have_bands(result)
     parts = _run_parts(result, runs, predictions, held_out, bands=bands)
     parameters = parameter_rows(result)
-    profiles = None if source is None else profiles_beside(result, source.parent)
     suspects = Table(list(SUSPECT_HEADINGS), first_suspects(result, _MOST_SUSPECTS), 1)
     return rendered(
         "report.html",
@@ -278,7 +274,6 @@ def report_page(
         places={row.path: index for index, row in enumerate(parameters, 1)},
         has_systematic=any(error.stated for error in result.systematic),
         has_sources=any(one.sources for one in result.free.values()),
-        profiles=None if profiles is None else profile_part(profiles, result),
         suspects=suspects,
         systematic=Table(*systematic_table(result), 1) if result.systematic else None,
         parts=parts,
@@ -288,15 +283,13 @@ def report_page(
         cost=_cost(result),
         paths=result.correlation.parameters,
         correlations=correlation_cells(result),
-        repeated=repeated_part(result, source),
-        influence=influence_part(result, source),
+        sections=sections(result, source),
         noise=noise_table(result),
         held_out=held_out_table(result),
         validation=validation_table(result),
         starts=starts_table(result),
         optima=optima_table(result),
         own=own_table(result),
-        posterior=posterior_part(result, source),
         summary=summary_rows(result),
         files=file_rows(result),
         config=json.dumps(json.loads(result.to_json())["config"], indent=2),

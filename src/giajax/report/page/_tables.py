@@ -1,50 +1,16 @@
 """The tables of a page about one result, as rows of text that a template lays out."""
 
-import base64
 import json
 import math
-from collections.abc import Callable, Mapping
-from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
-from bokeh.embed import json_item
-from bokeh.models import BoxAnnotation, ColumnDataSource, HoverTool, Span
 
 from ...fitting import Estimate, FitResult, column_factors, in_column_units
-from ...runtime.files import read_bytes
-from ...runtime.limits import RESULT_BYTES
-from ...runtime.text import InputError, format_bounds, format_estimate
-from ...studies import (
-    Bootstrap,
-    Influence,
-    PosteriorSummary,
-    Profiles,
-    Repeated,
-    lost_starts,
-    together,
-    valleys,
-)
-from .. import (
-    BLUE,
-    BOOTSTRAP,
-    GREY,
-    INFLUENCE,
-    LIGHT,
-    POSTERIOR,
-    POSTERIOR_HEADINGS,
-    PROFILE_HEADINGS,
-    VERMILLION,
-    bootstrap_summary,
-    bootstrap_table,
-    influence_summary,
-    influence_table,
-    posterior_rows,
-    profile_rows,
-)
-from .._posterior import BANDS, CORNER
-from .._profiles import ABOVE, ProfileCurve, profile_curves
-from ._plots import new_plot, small
+from ...runtime.text import format_bounds, format_estimate
+from ...studies import lost_starts, together, valleys
+from .._views import Table
 
 # The correlation matrix as coloured cells of a table.
 
@@ -83,14 +49,6 @@ def _cell(value: float | None, about: str) -> Cell:
     # Three digits where two would round to one, which no correlation here is.
     text = f"{value:.{3 if size >= 0.995 else 2}f}"
     return Cell(text, f"#{mixed}", "#ffffff" if size > 0.6 else "#222222", f"{about}: {value:+.4f}")
-
-
-class Table(NamedTuple):
-    """Headings and rows of text; how many columns at the left are words."""
-
-    headings: list[str]
-    rows: list[list[str]]
-    words: int = 1
 
 
 class ParameterRow(NamedTuple):
@@ -257,207 +215,3 @@ def _times(value: float | None, factor: float) -> float | None:
 
 def _number(value: float | None, missing: str = "not finite") -> str:
     return missing if value is None else f"{value:.4g}"
-
-
-# What a page says of the posterior that lies beside a result.
-
-# A page stays below 5 MB; a larger picture is left in its file.
-_MOST_BYTES = 600_000
-
-
-class PosteriorPart(NamedTuple):
-    """What the page shows of a posterior.
-
-    Attributes:
-        summary: of the draws.
-        table: of the parameters.
-        within: the least share of recorded cells within their 95 % band, and of which channel;
-            empty where nothing was recorded.
-        pictures: as data of a browser, each with what it shows.
-    """
-
-    summary: PosteriorSummary
-    table: Table
-    within: str
-    pictures: list[tuple[str, str]]
-
-
-def posterior_part(result: FitResult, source: Path | None) -> PosteriorPart | None:
-    """The posterior in the folder of a result.
-
-    Arguments:
-        result: of the fit.
-        source: its `result.json`.
-
-    Returns:
-        What is shown of it; None where there is none, or it is of another fit.
-    """
-    if source is None:
-        return None
-    folder = source.parent
-    try:
-        text = read_bytes(folder / POSTERIOR, RESULT_BYTES).decode()
-        summary = PosteriorSummary.from_json(text)
-    except (OSError, UnicodeError, InputError):
-        return None
-    if not summary.is_of(result):
-        return None
-    shares = [
-        (share, f"{channel} of {run}")
-        for run, by_channel in summary.within.items()
-        for channel, share in by_channel.items()
-        if share is not None
-    ]
-    within = ""
-    if shares:
-        least, where = min(shares)
-        within = f"{least:.1%} in the channel with the fewest, {where}"
-    pictures = [
-        (data, words)
-        for name, words in (
-            (CORNER, "pairs of parameters"),
-            (BANDS, "channels with the bands of the posterior"),
-        )
-        if (data := _picture(folder / name)) is not None
-    ]
-    table = Table(POSTERIOR_HEADINGS, posterior_rows(summary, result), 2)
-    return PosteriorPart(summary, table, within, pictures)
-
-
-def _picture(path: Path) -> str | None:
-    try:
-        content = read_bytes(path, _MOST_BYTES)
-    except (OSError, InputError):
-        return None
-    return "data:image/png;base64," + base64.b64encode(content).decode()
-
-
-# Profiles on a page: a plot of each, with the parabola of the standard error.
-
-# More plots than this are a page that no phone opens.
-_MOST_PROFILES = 24
-
-
-class ProfilePart(NamedTuple):
-    """What the page shows of profiles: how sure, all of them as rows, and the plots of some."""
-
-    level: float
-    table: Table
-    plots: list[tuple[str, str]]
-
-
-def profile_part(profiles: Profiles, result: FitResult) -> ProfilePart:
-    """The table and the plots, by the name of the quantity."""
-    curves = profile_curves(profiles, result)[:_MOST_PROFILES]
-    return ProfilePart(
-        profiles.level,
-        Table(list(PROFILE_HEADINGS), profile_rows(profiles, result), 1),
-        [(curve.name, _item(curve)) for curve in curves],
-    )
-
-
-def _item(curve: ProfileCurve) -> str:
-    top = ABOVE * curve.level
-    plot = new_plot(200, curve.unit or "-", "deviance", y_range=(-0.05 * top, top))
-    low, high = curve.interval
-    plot.add_layout(BoxAnnotation(left=low, right=high, fill_color=GREY, fill_alpha=0.15))
-    plot.add_layout(Span(location=curve.level, dimension="width", line_color=GREY, line_width=0.7))
-    if len(curve.over):
-        parabola = ColumnDataSource({"x": small(curve.over), "y": small(curve.line)})
-        plot.line("x", "y", source=parabola, color=GREY, line_dash="dashed", line_width=1)
-    line = ColumnDataSource({"x": small(curve.between), "y": small(curve.smooth)})
-    plot.line("x", "y", source=line, color=BLUE, line_width=1.3)
-    kept = curve.deviances <= 2 * top
-    colours = [VERMILLION if bounded else BLUE for bounded in curve.bounded[kept]]
-    source = ColumnDataSource(
-        {"x": curve.values[kept], "y": curve.deviances[kept], "colour": colours}
-    )
-    dots = plot.scatter("x", "y", source=source, size=5, color="colour")
-    tips = [(curve.name, "@x{0.0000a}"), ("deviance", "@y{0.000}")]
-    plot.add_tools(HoverTool(renderers=[dots], tooltips=tips))
-    return json.dumps(json_item(plot))
-
-
-# What repetitions of a fit add to its page, where their files are beside the result.
-
-Found = TypeVar("Found", Bootstrap, Influence)
-
-# Histograms of more parameters than these are in bootstrap.png.
-_MOST_PARTS = 6
-
-
-class RepeatedPart(NamedTuple):
-    """The section on a bootstrap.
-
-    Attributes:
-        table: of the parameters.
-        sentences: beside it.
-        plots: a title and what BokehJS embeds, of each histogram.
-    """
-
-    table: Table
-    sentences: list[str]
-    plots: list[tuple[str, str]]
-
-
-def repeated_part(result: FitResult, source: Path | None) -> RepeatedPart | None:
-    """The section on the bootstrap of a result; None where there is none, or of another fit.
-
-    Arguments:
-        result: that the page is about.
-        source: its `result.json`.
-    """
-    found = _beside(result, source, BOOTSTRAP, Bootstrap.of_json)
-    if found is None:
-        return None
-    drawn = [(path, one) for path, one in found.parameters.items() if len(one.values) > 1]
-    plots = [(path, _histogram(one)) for path, one in drawn[:_MOST_PARTS]]
-    return RepeatedPart(Table(*bootstrap_table(found)), bootstrap_summary(found), plots)
-
-
-def influence_part(result: FitResult, source: Path | None) -> tuple[Table, list[str]] | None:
-    """The table and the sentences on the influence of the data; None as of `repeated_part`.
-
-    Arguments:
-        result: that the page is about.
-        source: its `result.json`.
-    """
-    found = _beside(result, source, INFLUENCE, Influence.of_json)
-    if found is None:
-        return None
-    return Table(*influence_table(found), 2), influence_summary(found)
-
-
-def is_of(fitted: dict[str, float], result: FitResult) -> bool:
-    """Whether values of free parameters are those of a result."""
-    return fitted == {path: float(estimate.value) for path, estimate in result.free.items()}
-
-
-def _beside(
-    result: FitResult, source: Path | None, name: str, read: Callable[[bytes], Found]
-) -> Found | None:
-    """What a file beside a result holds; None where there is none, or one of another fit."""
-    if source is None:
-        return None
-    try:
-        found = read(read_bytes(source.parent / name, RESULT_BYTES))
-    except (OSError, InputError):
-        return None
-    return found if is_of(found.fitted, result) else None
-
-
-def _histogram(one: Repeated) -> str:
-    values = np.asarray(one.values)
-    counts, edges = np.histogram(values, bins=int(np.clip(np.sqrt(len(values)) * 1.5, 8, 40)))
-    plot: Any = new_plot(180, one.unit or "value", "repetitions")
-    bars = plot.quad(
-        top=counts, bottom=0, left=edges[:-1], right=edges[1:], fill_color=LIGHT, line_color=BLUE
-    )
-    for end in one.percentile or ():
-        plot.add_layout(Span(location=end, dimension="height", line_color=VERMILLION))
-    plot.add_layout(
-        Span(location=one.value, dimension="height", line_color=BLUE, line_dash="dashed")
-    )
-    tips = [("from", "@left"), ("to", "@right"), ("repetitions", "@top")]
-    plot.add_tools(HoverTool(renderers=[bars], tooltips=tips))
-    return json.dumps(json_item(plot))

@@ -1,0 +1,221 @@
+"""The frame of commands on a result: what all of them are given, and what they do with a record.
+
+Such a command has its own options, calls its study and hands over the record; how that is shown
+is known by its type (`giajax.report.View`).
+"""
+
+import dataclasses
+import functools
+import inspect
+import shlex
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ..runtime.text import InputError
+from ._commands import command
+from ._options import ManyProgress, Renamed, Scheduler, Workers, end_if_stopped, print_table
+
+if TYPE_CHECKING:
+    from ..fitting import FitResult
+    from ..recordings import Run
+
+Parameter = inspect.Parameter
+_RESULT = Annotated[Path, typer.Argument(metavar="RESULT", help="A fit; see below.")]
+_DATA = Annotated[
+    list[Path] | None,
+    typer.Option(metavar="RUN.csv", help="A fitted run, if it has moved. Repeatable."),
+]
+
+
+@dataclasses.dataclass(frozen=True)
+class OnResult:
+    """What a command on a result is given, by the names of its options.
+
+    Those that the command does not have are as they are here.
+    """
+
+    result: Path
+    data: list[Path] | None = None
+    rename: list[str] | None = None
+    workers: int | None = None
+    scheduler: str | None = None
+    folder: Path | None = None
+    out: Path | None = None
+    figures: bool = False
+    force: bool = False
+    as_json: bool = False
+    quiet: bool = False
+
+    @functools.cached_property
+    def home(self) -> Path:
+        """The folder of the result, which is told before JAX is imported if there is none."""
+        from ..tasks import stored_result
+
+        return stored_result(self.result)[0]
+
+    @functools.cached_property
+    def renamed(self) -> Mapping[str, str]:
+        """What columns of the files are read as."""
+        from ..recordings import parse_rename
+
+        return parse_rename(self.rename or [])
+
+    @functools.cached_property
+    def fitted(self) -> "FitResult":
+        """The result; what can be refused without JAX is refused first."""
+        _ = self.home, self.renamed
+        from ..runtime.process import configure
+
+        configure()
+        from ..fitting import load_result
+
+        return load_result(self.result)
+
+    @functools.cached_property
+    def runs(self) -> "list[Run]":
+        """What was fitted."""
+        from ..tasks import fitted_runs
+
+        return fitted_runs(self.fitted, self.data or [], rename=self.renamed)
+
+    def computed(self, study: Callable[..., Any], what: str, **settings: Any) -> Any:
+        """What a study of the fit finds, by the workers that were asked for.
+
+        Arguments:
+            study: of `giajax.studies`, which takes a result, its runs, and an executor.
+            what: its tasks are called.
+            settings: of the study, in place of `folder` and `progress` too.
+        """
+        from ..runtime.execution import open_executor
+
+        usual = {"folder": self.folder, "progress": None if self.quiet else ManyProgress(what)}
+        fitted, runs = self.fitted, self.runs
+        with open_executor(self.workers, self.scheduler) as executor:
+            return study(fitted, runs, executor=executor, **{**usual, **settings})
+
+    def record(self, study: str, *, most: int | None = None, **settings: Any) -> None:
+        """Compute a record, write it beside the result, with its picture, and show it.
+
+        Arguments:
+            study: name of a function of `giajax.studies`, and of the file: `STUDY.json`.
+            most: rows of the table.
+            settings: of the study.
+        """
+        from ..recordings import check_output_files
+
+        path = self.home / f"{study}.json" if self.out is None else self.out
+        picture = path.with_suffix(".png")
+        if picture == path:
+            raise InputError(f"--out {path} is the name of a picture: give that of a .json file")
+        check_output_files([path, *([picture] if self.figures else [])], force=self.force)
+        fitted = self.fitted
+        from .. import studies
+
+        found = self.computed(getattr(studies, study), "parts", **settings)
+        files = record_files(found, fitted, path, figures=self.figures)
+        self.finish(found, files, force=self.force, most=most)
+        end_if_stopped(self.folder)
+
+    def finish(
+        self, found: Any, files: Mapping[Path, bytes], *, force: bool, most: int | None = None
+    ) -> None:
+        """Write files, and print a record."""
+        from ..recordings import write_files
+
+        write_files(files, force=force)
+        if self.as_json:
+            typer.echo(found.to_json(), nl=False)
+        elif not self.quiet:
+            show(found, self.fitted, most)
+            show_files(files)
+
+
+def record_files(
+    found: Any, result: "FitResult", path: Path, *, figures: bool
+) -> dict[Path, bytes]:
+    """A record as a file, and its picture beside it."""
+    from ..report import to_png, view_of
+
+    files = {path: found.to_json().encode()}
+    draw = view_of(found).figure
+    if figures and draw is not None:
+        files[path.with_suffix(".png")] = to_png(draw(found, result))
+    return files
+
+
+def show(found: Any, result: "FitResult", most: int | None = None) -> None:
+    """Print the table and the sentences of a record."""
+    from ..report import view_of
+
+    view = view_of(found)
+    headings, rows, words = view.table(found, result, most)
+    print_table(headings, rows, left=words)
+    print("\n" + "\n".join(view.sentences(found, most)))
+
+
+def show_files(files: Mapping[Path, bytes]) -> None:
+    """Print where files of one folder are."""
+    (folder,) = {path.parent for path in files}
+    print(f"\nwrote {shlex.quote(str(folder))}: {', '.join(path.name for path in files)}")
+
+
+def on_result(
+    examples: str,
+    *,
+    workers: bool = False,
+    folder: str | None = None,
+    out: tuple[str, str] | None = None,
+    figures: str | None = None,
+    force: str = "Write over files.",
+    as_json: str | None = None,
+    quiet: str = "Print errors only.",
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Make a function of `OnResult` and its own options a command on a result.
+
+    Arguments:
+        examples: at the end of its help.
+        workers: whether it has tasks, which workers may do.
+        folder, figures, force, as_json, quiet: what the help says of these options; None for none.
+        out: what it writes, and what the help says of it.
+    """
+    flags = {
+        "figures": ("--figures/--no-figures", figures, True),
+        "force": ("--force", force, False),
+        "as_json": ("--json", as_json, False),
+        "quiet": ("--quiet", quiet, False),
+    }
+    paths = {"folder": folder and ("DIR", folder), "out": out}
+    shared: dict[str, tuple[Any, Any]] = {"data": (_DATA, None), "rename": (Renamed, None)}
+    if workers:
+        shared |= {"workers": (Workers, None), "scheduler": (Scheduler, None)}
+    for name, about in paths.items():
+        if about:
+            option = typer.Option(metavar=about[0], help=about[1])
+            shared[name] = (Annotated[Path | None, option], None)
+    for name, (words, text, default) in flags.items():
+        if text is not None:
+            shared[name] = (Annotated[bool, typer.Option(words, help=text)], default)
+
+    def register(function: Callable[..., None]) -> Callable[..., None]:
+        own = list(inspect.signature(function, eval_str=True).parameters.values())[1:]
+        kinds = {"result": _RESULT} | {name: kind for name, (kind, _) in shared.items()}
+
+        def run(**options: Any) -> None:
+            given = OnResult(**{name: options.pop(name) for name in kinds})
+            function(given, **options)
+
+        parameters = [Parameter("result", Parameter.KEYWORD_ONLY, annotation=_RESULT), *own]
+        for name, (kind, default) in shared.items():
+            parameters.append(
+                Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=kind)
+            )
+        keywords = [each.replace(kind=Parameter.KEYWORD_ONLY) for each in parameters]
+        run.__name__, run.__doc__ = function.__name__, function.__doc__
+        run.__signature__ = inspect.Signature(keywords)  # type: ignore[attr-defined]
+        run.__annotations__ = {each.name: each.annotation for each in keywords}
+        return command(examples)(run)
+
+    return register

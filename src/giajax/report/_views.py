@@ -1,0 +1,90 @@
+"""What it takes to show a record beside a result: a table, a section of its page, and a view."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Generic, NamedTuple, Protocol, Self, TypeVar
+
+from matplotlib.figure import Figure
+
+from ..fitting import FitResult
+
+
+class Record(Protocol):
+    """What a command on a result finds and writes beside it."""
+
+    def to_json(self) -> str:
+        """The text of its file."""
+        ...
+
+    @classmethod
+    def of_json(cls, text: str | bytes) -> Self:
+        """The record that a text of `to_json` holds; InputError where there is none."""
+        ...
+
+    def is_of(self, result: FitResult) -> bool:
+        """Whether it is of this fit, and not of another one in its folder."""
+        ...
+
+
+R = TypeVar("R", bound=Record)
+
+
+class Table(NamedTuple):
+    """Headings and rows of text; how many columns at the left are words."""
+
+    headings: list[str]
+    rows: list[list[str]]
+    words: int = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Section:
+    """A section of a page, from top to bottom.
+
+    Attributes:
+        id, name, heading: in the address, in the list of sections and above it.
+        early: whether it stands beside the parameters, before recorded and fitted values.
+        warnings: sentences in bold.
+        intro: a paragraph.
+        table: of the record.
+        folded: what its rows are called where a long table is folded; empty where none is.
+        sentences: a list.
+        plots: title and what BokehJS embeds, of each.
+        pictures: as data of a browser, each with what it shows.
+        note: a paragraph in small print.
+    """
+
+    id: str
+    name: str
+    heading: str
+    table: Table
+    early: bool = False
+    warnings: tuple[str, ...] = ()
+    intro: str = ""
+    folded: str = ""
+    sentences: list[str] | tuple[str, ...] = ()
+    plots: list[tuple[str, str]] | tuple[()] = ()
+    pictures: list[tuple[str, str]] | tuple[()] = ()
+    note: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class View(Generic[R]):
+    """How records of one type are shown.
+
+    Attributes:
+        record: the type.
+        file: that keeps one beside a `result.json`.
+        table: of a record, the result and a number of rows (None for all).
+        sentences: below the table, likewise.
+        figure: the picture of a record beside its file; None where the files have another way.
+        section: of the page, of a record, the result and its folder.
+    """
+
+    record: type[R]
+    file: str
+    table: Callable[[R, FitResult, int | None], Table]
+    sentences: Callable[[R, int | None], list[str]]
+    section: Callable[[R, FitResult, Path], Section]
+    figure: Callable[[R, FitResult], Figure] | None = None
