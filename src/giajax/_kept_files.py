@@ -5,6 +5,7 @@ import hashlib
 import sys
 import tempfile
 from importlib.metadata import version
+from importlib.resources import files
 from pathlib import Path
 
 SUFFIX = ".stablehlo"
@@ -18,7 +19,8 @@ def sources() -> str:
     digest = hashlib.sha256(sys.version.encode())
     for name in _LIBRARIES:
         digest.update(f"{name} {version(name)}\n".encode())
-    root = Path(__file__).parent
+    # Of the whole package, wherever in it this module lies.
+    root = Path(str(files(__name__.partition(".")[0])))
     for path in sorted(root.rglob("*.py")):
         digest.update(f"{path.relative_to(root)}\0".encode())
         digest.update(path.read_bytes())
