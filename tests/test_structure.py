@@ -55,6 +55,7 @@ ROOMS = [
         "_kept",
         "_kept_files",
         "_structure",
+        "_identities",
         "_maths",
         "_running_sum",
         "_computed_once",
