@@ -6,14 +6,14 @@ import hashlib
 import importlib
 import json
 import math
-import pickle
 from collections.abc import Callable, Mapping
 from pathlib import Path, PurePath
 from typing import Any, Literal
 
 from .files import keep, read_bytes
+from .identities import FORMAT, arguments_of, identity
 from .limits import RESULT_BYTES
-from .text import InputError, __version__
+from .text import InputError
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,15 +54,20 @@ class Task:
 
     @functools.cached_property
     def key(self) -> str:
-        """SHA-256 of function, arguments, seed and version of giajax, in hexadecimal digits.
+        """SHA-256 of function, arguments and seed, in hexadecimal digits.
 
-        Arrays and modules count by their content; what else is no plain data, by its pickle.
+        Arrays and modules count by their content. Where code of giajax lies does not count
+        (`giajax.runtime.identities`), nor does its version.
+
+        Raises:
+            InputError: an argument that nothing describes in every process alike.
         """
+        place = str(self.function)
         content = {
-            "function": self.function,
-            "arguments": self.arguments,
+            "function": identity(place),
+            "arguments": arguments_of(place, self.arguments),
             "seed": self.seed,
-            "giajax": __version__,
+            "giajax": FORMAT,
         }
         text = json.dumps(content, sort_keys=True, separators=(",", ":"), default=_described)
         return hashlib.sha256(text.encode()).hexdigest()
@@ -92,15 +97,20 @@ def _described(value: Any) -> Any:
         return str(value)
     if isinstance(value, Mapping):
         return dict(value)
+    kind = type(value)
+    name = identity(f"{kind.__module__}:{kind.__qualname__}").partition(":")[2]
     if isinstance(key := getattr(value, "task_key", None), str):
-        return f"{type(value).__qualname__} {key}"
+        return f"{name} {key}"
     from .programs import NoStructureError, content
 
     try:
         digits = hashlib.sha256(content(value).encode()).hexdigest()
-    except NoStructureError:
-        digits = hashlib.sha256(pickle.dumps(value, protocol=5)).hexdigest()
-    return f"{type(value).__qualname__} {digits}"
+    except (NoStructureError, RecursionError) as error:
+        raise InputError(
+            f"an argument of a task is or has what no text describes ({error}): give plain data, "
+            "arrays, dataclasses, or a `task_key` of its own"
+        ) from None
+    return f"{name} {digits}"
 
 
 # What came of a task, and the file that keeps it: one for each that is done, by who did it.

@@ -4,6 +4,7 @@ import dataclasses
 import functools
 import hashlib
 import json
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Self
 
@@ -26,6 +27,7 @@ from ..fitting import (
 from ..models import AbstractModel
 from ..recordings import Definition, Run
 from ..runtime.execution import prepared
+from ..runtime.identities import fields_of
 from ..runtime.programs import content
 from ..schema.parameters import Parameter, declared, elements, get, switched_on
 
@@ -269,12 +271,30 @@ def fit_key(result: FitResult) -> str:
 
     It says whether a file beside `result.json` is of this fit.
     """
-    stored = json.loads(result.to_json())
     kept: dict[str, Any] = {
-        key: stored[key] for key in ("model", "config", "parameters", "integration")
+        name: _told(getattr(result, name)) for name in ("config", "parameters", "integration")
     }
-    kept["runs"] = [{**record, "path": None} for record in stored["runs"]]
+    kept["model"] = result.model.kind
+    kept["runs"] = [{**_told(record), "path": None} for record in result.runs]
     return hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()
+
+
+def _told(value: Any) -> Any:
+    """What of a record counts, as JSON gives it: a field by the name that it has in keys."""
+    if dataclasses.is_dataclass(value):
+        fields = ((name, _told(item), default) for name, item, default in fields_of(value))
+        return {
+            name: item
+            for name, item, default in fields
+            if default is dataclasses.MISSING or item != _told(default)
+        }
+    if isinstance(value, Mapping):
+        return {key: _told(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_told(item) for item in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    return value
 
 
 def told_of(run: Run) -> tuple[Any, ...]:

@@ -1,0 +1,49 @@
+"""An edit of the source is never answered by a program that was kept before it."""
+
+import inspect
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import giajax
+from small_loops import write_task
+
+PACKAGE = Path(giajax.__path__[0])
+
+
+def programs(home):
+    """How many programs are kept after a fit by the copied package."""
+    words = ["fit", "loops_fit.toml", "--no-figures", "--quiet", "--out", "out", "--force"]
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(home / "copy"),
+        "JAX_COMPILATION_CACHE_DIR": str(home / "cache"),
+    }
+    for words_of in (words, ["cache"]):
+        done = subprocess.run(
+            [sys.executable, "-m", "giajax", *words_of],
+            cwd=home, env=environment, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+    (line,) = (line for line in done.stdout.splitlines() if line.startswith("traced"))
+    return int(line.split()[1])
+
+
+@pytest.mark.slow
+def test_an_edit_of_the_physics_makes_other_programs(tmp_path):
+    """In whatever folder it is, and wherever the programs are looked after."""
+    shutil.copytree(PACKAGE, tmp_path / "copy" / "giajax")
+    write_task(tmp_path)
+    first = programs(tmp_path)
+    assert first > 0
+    assert programs(tmp_path) == first
+    edited = [giajax.drag_force, giajax.simulate, giajax.PrandtlIshlinskii, giajax.Signal]
+    for number, code in enumerate(edited, 2):
+        source = Path(inspect.getsourcefile(inspect.unwrap(code))).relative_to(PACKAGE)
+        with (tmp_path / "copy" / "giajax" / source).open("a") as file:
+            file.write("\n# edited\n")
+        assert programs(tmp_path) == number * first, source

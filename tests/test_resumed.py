@@ -1,0 +1,308 @@
+"""What version 0.1.0 wrote is read, and what it left half done is ended, with the same numbers.
+
+`earlier/make.py` made the files, with the code of that version, and says how. The numbers were the
+same bit for bit there; other processors, libraries and settings of the compiler (those of these
+tests, too) compute other last digits. So estimates may differ here by `NEAR` of a standard error,
+or of themselves where they have none, and what is computed from derivatives and differences by
+`WORTH` of itself; what a file has kept is the same exactly. `earlier/make.py again` fits all
+results again without the settings of tests, and says whether a bit differs.
+"""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import giajax
+from giajax import FitTask, load_profiles, load_result, read_run
+from giajax.cli import main
+from giajax.report import summary
+from giajax.runtime.execution import InProcess
+from giajax.runtime.tasks import Task
+from giajax.studies import Fitted, PosteriorSummary
+from page_reader import Page
+
+EARLIER = Path(__file__).parent / "earlier"
+RESULTS = sorted(path.name for path in (EARLIER / "results").iterdir())
+KEYS = json.loads((EARLIER / "keys.json").read_text())
+NEAR = 1e-6
+WORTH = 1e-3
+
+# Where estimates are.
+ESTIMATES = ("value", "values", "parameters", "start", "end", "elastic", "weights[0]")
+
+
+def record(path):
+    return json.loads(Path(path).read_text())
+
+
+def assert_near(now, before, at="", size=None):
+    """The same, but for the last digits of numbers.
+
+    Arguments:
+        now, before: what JSON gives.
+        at: where in the whole they are.
+        size: the standard error of the estimates, where there is one.
+    """
+    if isinstance(before, dict):
+        assert isinstance(now, dict), at
+        assert before.keys() <= now.keys(), at
+        size = before.get("standard_error") or size
+        for key, value in before.items():
+            assert_near(now[key], value, f"{at}/{key}", size)
+    elif isinstance(before, list):
+        assert len(now) == len(before), at
+        for index, (one, other) in enumerate(zip(now, before, strict=True)):
+            assert_near(one, other, f"{at}/{index}", size)
+    elif isinstance(before, float) and isinstance(now, float):
+        names = at.split("/")
+        is_estimate = any(name in ESTIMATES for name in (names[-1], names[-2:][0]))
+        near = NEAR if is_estimate else WORTH
+        assert now == pytest.approx(before, rel=near, abs=near * (size or 1e-6)), at
+    else:
+        assert now == before, at
+
+
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    """A function that copies a study here."""
+    monkeypatch.chdir(tmp_path)
+
+    def begin(name):
+        shutil.copytree(EARLIER / "studies" / name, tmp_path, dirs_exist_ok=True)
+
+    return begin
+
+
+class Counting(InProcess):
+    """Counts what is done."""
+
+    def __init__(self):
+        self.keys = []
+
+    def submit(self, function, task, *words):
+        self.keys.append(task.key)
+        return super().submit(function, task, *words)
+
+
+class Watched:
+    """The files of tasks in a folder: those that were there stay, and those of `tasks.json` come.
+
+    A file is written by who does the task, with the time that it took: one that is as it was is
+    of a task that was not done again.
+    """
+
+    def __init__(self, folder):
+        self.folder = Path(folder)
+        self.before = self.contents()
+        self.executor = Counting()
+
+    def contents(self):
+        return {path.name: path.read_bytes() for path in self.folder.glob("*.json")}
+
+    def check(self):
+        after, names = self.contents(), record("tasks.json")
+        assert {name: after[name] for name in self.before} == self.before
+        assert sorted(after) == names
+        done = sorted(f"{key}.json" for key in self.executor.keys)
+        assert done == sorted(set(names) - set(self.before))
+        assert done
+
+
+# What was written.
+
+
+@pytest.mark.parametrize("name", RESULTS)
+def test_results_are_read(name):
+    folder = EARLIER / "results" / name / "fit"
+    before, result = record(folder / "result.json"), load_result(folder)
+    again = json.loads(result.to_json())
+    assert_near(again, before)
+    for key in ("parameters", "config", "runs", "cost", "history"):
+        assert again[key] == before[key], key
+    assert result.headline in summary(result)
+
+
+@pytest.mark.parametrize("name", RESULTS)
+def test_keys_and_seeds_are_those_of_then(name):
+    """Wherever the classes lie now: of a model, and of a fit with its run."""
+    folder = EARLIER / "results" / name
+    result = load_result(folder / "fit")
+    about = {"model": result.model}
+    if f"fitted of {name}" in KEYS:
+        about["fitted"] = Fitted.of(result, read_run(folder / "run.csv"))
+    for what, argument in about.items():
+        task = Task("math:hypot", {what: argument}, seed=1)
+        assert [task.key, task.own_seed] == KEYS[f"{what} of {name}"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=pytest.mark.long) if name == "several" else name for name in RESULTS],
+)
+def test_results_are_repeated(name, tmp_path, monkeypatch):
+    """`giajax fit --again`."""
+    shutil.copytree(EARLIER / "results" / name, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    words = ["fit", "--again", "fit", "--out", "again", "--no-figures", "--quiet"]
+    before = record("fit/result.json")
+    assert main(words) == (0 if before["status"] == "converged" else 1)
+    after = record("again/result.json")
+    assert after["status"] == before["status"]
+    assert_near(after["parameters"], before["parameters"])
+    assert_near(after["config"], before["config"])
+    assert_near([run["channels"] for run in after["runs"]], [r["channels"] for r in before["runs"]])
+
+
+def test_what_lies_beside_a_result_is_read(tmp_path, monkeypatch):
+    shutil.copytree(EARLIER / "written" / "beside", tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    result = load_result("fit")
+    for name, kind in (("bootstrap", giajax.Bootstrap), ("influence", giajax.Influence)):
+        text = Path(f"fit/{name}.json").read_text()
+        assert json.loads(kind.of_json(text).to_json()) == json.loads(text)
+    assert json.loads(load_profiles("fit").to_json()) == record("fit/profiles.json")
+    drawn = PosteriorSummary.from_json(Path("fit/posterior.json").read_text())
+    assert drawn.is_of(result)
+    assert json.loads(drawn.to_json()) == record("fit/posterior.json")
+    suspected = load_result("suspected.json")
+    assert json.loads(suspected.to_json())["suspects"] == record("suspected.json")["suspects"]
+    assert suspected.suspects
+    assert main(["report", "fit", "--out", "page.html", "--quiet"]) == 0
+    headings = Page(Path("page.html").read_bytes()).headings
+    assert {"profiles", "suspects", "repetitions", "influence", "posterior"} <= set(headings)
+
+
+def test_runs_that_commands_wrote_are_read():
+    for name in ("design/design/command.csv", "drive/drive.csv", "wind/run.csv"):
+        run = read_run(EARLIER / "written" / name)
+        assert run.model == "arm"
+        assert len(run.times) > 5
+
+
+@pytest.mark.slow
+def test_other_commands_write_the_same_again(tmp_path, monkeypatch):
+    """The design is left out: it is a search, whose way the last digits decide."""
+    written = EARLIER / "written"
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(written, tmp_path, dirs_exist_ok=True)
+    commands = {
+        "wind/wind/wind.json": "wind --data wind/run.csv --wind 0,0.5,0.2 --out again",
+        "fill/filling/filling.json": "fill fill/filling.toml --no-curve --out again",
+    }
+    for path, command in commands.items():
+        assert main([*command.split(), "--force"]) == 0
+        assert_near(record(f"again/{Path(path).name}"), record(path))
+    words = "drive drive/arm.toml --replay drive/pad.csv --noise position_m=0.01 --out again.csv"
+    assert main(words.split()) == 0
+    before = read_run("drive/drive.csv")
+    for name, values in read_run("again.csv").values.items():
+        np.testing.assert_allclose(values, before.values[name], rtol=NEAR, atol=1e-8)
+
+
+# What was half done.
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("journal", ()),
+        ("journal_of_starts", ("--starts", "3")),
+        pytest.param("journal_of_arm", (), marks=pytest.mark.slow),
+    ],
+)
+def test_a_journal_is_gone_on_with(home, capsys, name, words):
+    home(name)
+    Path("half").rename("fit")
+    lines = Path("fit/journal.jsonl").read_text().splitlines()[1:-1]
+    last = json.loads(lines[-1])
+    assert main(["fit", "--resume", "fit", "--no-figures"]) in (0, 1)
+    said = capsys.readouterr().err
+    assert "going on where fit/journal.jsonl ends" in said
+    # The steps that are shown are those that were done now.
+    words = [line.split() for line in said.splitlines()]
+    steps = [int(each[0]) for each in words if each and each[0].isdigit()]
+    if name == "journal_of_starts":
+        assert last["fit"] == 2
+        assert steps.count(0) == 2, "of the third start, and of the check of the best"
+    else:
+        assert steps[0] == last["trials"] + 1
+    before, after = record("whole/result.json"), record("fit/result.json")
+    for each in (before, after):
+        del each["seconds"], each["task"], each["versions"]
+    assert_near(after, before)
+
+
+@pytest.mark.parametrize("name", ["starts", pytest.param("starts_of_arm", marks=pytest.mark.slow)])
+def test_starts_are_gone_on_with(home, name):
+    home(name)
+    watched = Watched("half/starts")
+    before = record("whole/result.json")
+    task = FitTask.load("run_fit.toml").on_top(starts=5, seed=2)
+    ready = task.prepare()
+    result = ready.run(executor=watched.executor, folder="half/starts")
+    watched.check()
+    after = json.loads(result.to_json())
+    for key in ("parameters", "starts", "config", "correlation"):
+        assert_near(after[key], before[key], f"/{key}")
+
+
+def test_a_sweep_is_gone_on_with(home):
+    home("sweep")
+    watched = Watched("half/fits")
+    table = giajax.sweep("plan.toml", out="half", executor=watched.executor)
+    watched.check()
+    before, after = record("whole/table.json"), table.to_dict(as_series=False)
+    kept = [f"{key}.json" in watched.before for key in before["key"]]
+    assert sum(kept) == 2
+    for name, column in before.items():
+        exact = [value for value, is_kept in zip(column, kept, strict=True) if is_kept]
+        assert [v for v, is_kept in zip(after[name], kept, strict=True) if is_kept] == exact, name
+        if name not in ("seconds", "worker"):
+            assert_near(after[name], column, f"/{name}")
+    # The table of then is one of this plan, or it would not be written over.
+    shutil.copytree("half/fits", "whole/fits")
+    executor = Counting()
+    assert giajax.sweep("plan.toml", out="whole", executor=executor).equals(table)
+    assert executor.keys == []
+
+
+def study(name, result, runs, **how):
+    """As `earlier/make.py` asked for it."""
+    match name:
+        case "profile":
+            return giajax.profile(result, runs, **how)
+        case "profile_of_arm":
+            return giajax.profile(result, runs, ["joints.pitch_stiffness"], **how)
+        case "bootstrap":
+            return giajax.bootstrap(result, runs, size=40, seed=3, **how)
+        case "blocks":
+            return giajax.bootstrap(result, runs, size=20, method="block", **how)
+        case "influence":
+            return giajax.influence(result, runs, exact=True, spans=17, **how)
+        case "posterior":
+            return giajax.posterior(result, runs, chains=3, draws=12, warmup=20, **how).summary
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "profile",
+        pytest.param("profile_of_arm", marks=pytest.mark.slow),
+        "bootstrap",
+        "blocks",
+        "influence",
+        "posterior",
+    ],
+)
+def test_a_study_of_a_fit_is_gone_on_with(home, name):
+    home(name)
+    watched = Watched("half/posterior_chains" if name == "posterior" else "half/tasks")
+    about = load_result("fit"), [read_run("run.csv")]
+    found = study(name, *about, executor=watched.executor, folder=watched.folder)
+    watched.check()
+    (path,) = Path("whole").glob("*.json")
+    assert_near(json.loads(found.to_json()), record(path))
