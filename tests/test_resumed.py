@@ -165,7 +165,7 @@ def test_what_lies_beside_a_result_is_read(tmp_path, monkeypatch):
         text = Path(f"fit/{name}.json").read_text()
         assert json.loads(kind.of_json(text).to_json()) == json.loads(text)
     assert json.loads(load_profiles("fit").to_json()) == record("fit/profiles.json")
-    drawn = PosteriorSummary.from_json(Path("fit/posterior.json").read_text())
+    drawn = PosteriorSummary.of_json(Path("fit/posterior.json").read_text())
     assert drawn.is_of(result)
     assert json.loads(drawn.to_json()) == record("fit/posterior.json")
     suspected = load_result("suspected.json")
