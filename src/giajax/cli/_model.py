@@ -1,12 +1,12 @@
 """What `--model` names, in every command alike: a fit, or a file that states a model."""
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ..runtime.records import finite_or_none
 from ..runtime.text import InputError
 from ._commands import command
 from ._options import Renamed
@@ -148,8 +148,8 @@ def _facts(parameter: "Parameter", unit: str, model: Any) -> dict[str, Any]:
         "unit": unit,
         "value": None if value is None else value.tolist(),
         "default": declaration.default,
-        "lower": _finite(declaration.lower),
-        "upper": _finite(declaration.upper),
+        "lower": finite_or_none(declaration.lower),
+        "upper": finite_or_none(declaration.upper),
         "on": on,
         "free": on and not declaration.frozen,
         "assumed": declaration.assumed,
@@ -158,10 +158,6 @@ def _facts(parameter: "Parameter", unit: str, model: Any) -> dict[str, Any]:
         "source": declaration.source or None,
         "key": None if declaration.key is None else declaration.key.name,
     }
-
-
-def _finite(bound: float) -> float | None:
-    return bound if math.isfinite(bound) else None
 
 
 def _show(facts: list[dict[str, Any]]) -> None:

@@ -26,8 +26,9 @@ from typing import Any, TypeVar
 
 from .files import check_path
 from .process import CORES_VARIABLE, configure, is_own_process, own_process
+from .records import plain_data
 from .signals import is_stopped
-from .tasks import Outcome, Task, plain, read_outcome, write_outcome
+from .tasks import Outcome, Task, read_outcome, write_outcome
 from .text import InputError, abridged
 
 Kept = TypeVar("Kept")
@@ -87,7 +88,7 @@ def perform(task: Task, folder: Path | None, home: str, own: bool) -> Outcome:
     began = time.perf_counter()
     value, message = None, ""
     try:
-        value = plain(task.call())
+        value = plain_data(task.call())
     except InputError as error:
         message = str(error)
     except Exception as error:

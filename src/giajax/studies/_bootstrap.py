@@ -1,7 +1,6 @@
 """A fit repeated with data that might have been recorded instead: the bootstrap."""
 
 import dataclasses
-import json
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
@@ -16,6 +15,7 @@ from ..noise import ChannelNoise, drawn
 from ..recordings import Run
 from ..runtime.arrays import Float
 from ..runtime.execution import run_tasks
+from ..runtime.records import json_text, parse_record
 from ..runtime.tasks import Outcome, Task
 from ..runtime.text import InputError
 from ..schema.parameters import get
@@ -25,7 +25,7 @@ from ._refit import Fitted, optimum_of, refit
 
 Method = Literal["parametric", "block"]
 
-SCHEMA_VERSION = 1
+_HEAD = {"schema_version": 1}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -115,8 +115,7 @@ class Bootstrap:
 
     def to_json(self) -> str:
         """The text of `bootstrap.json`."""
-        record = {"schema_version": SCHEMA_VERSION, **dataclasses.asdict(self)}
-        return json.dumps(record, indent=1, allow_nan=False) + "\n"
+        return json_text(self, _HEAD, indent=1)
 
     @classmethod
     def of_json(cls, text: str | bytes) -> Self:
@@ -125,23 +124,8 @@ class Bootstrap:
         Raises:
             InputError: it is of none, or of a later version.
         """
-        try:
-            record = json.loads(text)
-            if record.pop("schema_version") != SCHEMA_VERSION:
-                raise ValueError
-            repeated = {path: _repeated(item) for path, item in record["parameters"].items()}
-            tuples = {key: tuple(record[key]) for key in ("failures", "notes")}
-            return cls(**{**record, **tuples, "parameters": repeated})
-        except (ValueError, LookupError, TypeError, AttributeError):
-            raise InputError(
-                "this is no bootstrap.json of this version of giajax: repeat the fit again"
-            ) from None
-
-
-def _repeated(record: Mapping[str, Any]) -> Repeated:
-    pairs = ("percentile", "basic", "coverage_interval", "values")
-    tuples = {key: None if record[key] is None else tuple(record[key]) for key in pairs}
-    return Repeated(**{**record, **tuples})
+        what = "this is no bootstrap.json of this version of giajax"
+        return parse_record(cls, text, _HEAD, what, "repeat the fit again")
 
 
 # From where repetitions of a fit ended to what they say of its standard errors and intervals.

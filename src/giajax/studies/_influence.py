@@ -1,7 +1,6 @@
 """What each run, marker, channel and span of time does to each parameter of a fit."""
 
 import dataclasses
-import json
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
@@ -12,13 +11,14 @@ import numpy as np
 from ..fitting import CellEquations, FitResult, Optimum, Recorded
 from ..recordings import Channel, Run
 from ..runtime.execution import run_tasks
+from ..runtime.records import finite_or_none, json_text, parse_record
 from ..runtime.tasks import Outcome, Task
 from ..runtime.text import InputError
 from ._refit import Fitted
 
 # What each part of the data does to a fit, as data: `influence.json` gives each record back.
 
-SCHEMA_VERSION = 1
+_HEAD = {"schema_version": 1}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,8 +101,7 @@ class Influence:
 
     def to_json(self) -> str:
         """The text of `influence.json`."""
-        record = {"schema_version": SCHEMA_VERSION, **dataclasses.asdict(self)}
-        return json.dumps(record, indent=1, allow_nan=False) + "\n"
+        return json_text(self, _HEAD, indent=1)
 
     @classmethod
     def of_json(cls, text: str | bytes) -> Self:
@@ -111,16 +110,8 @@ class Influence:
         Raises:
             InputError: it is of none, or of a later version.
         """
-        try:
-            record = json.loads(text)
-            if record.pop("schema_version") != SCHEMA_VERSION:
-                raise ValueError
-            parts = tuple(LeftOut(**part) for part in record.pop("parts"))
-            return cls(parts=parts, **{**record, "notes": tuple(record["notes"])})
-        except (ValueError, LookupError, TypeError, AttributeError):
-            raise InputError(
-                "this is no influence.json of this version of giajax: ask for it again"
-            ) from None
+        what = "this is no influence.json of this version of giajax"
+        return parse_record(cls, text, _HEAD, what, "ask for it again")
 
 
 # Parts of the data of a fit that may be left out: runs, channels, markers and spans of time.
@@ -361,8 +352,8 @@ def _steps(optimum: Optimum, parts: Sequence[Part]) -> list[LeftOut]:
                 continue
             at = equations.positions.index(place)
             # What the fit has left to go is no part's.
-            shifts[label] = _number((step[at] - offset[at]) / error)
-            widening[label] = _number(wider[at] / errors[at])
+            shifts[label] = finite_or_none((step[at] - offset[at]) / error)
+            widening[label] = finite_or_none(wider[at] / errors[at])
         steps.append(LeftOut(part.kind, part.name, cells, shifts, widening))
     return steps
 
@@ -393,10 +384,6 @@ def _own(optimum: Optimum, part: Part) -> set[int]:
         for member, columns in zip(group.members, group.columns().tolist(), strict=True):
             (mine if member in part.runs else others).update(columns)
     return mine - others
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 def _notes(optimum: Optimum, *, exact: bool) -> tuple[str, ...]:

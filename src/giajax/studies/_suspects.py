@@ -2,7 +2,6 @@
 
 import dataclasses
 import itertools
-import json
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -10,6 +9,7 @@ import numpy as np
 from ..fitting import FitResult, Response, Suspect, matching_runs, predict, resolved_ties, tied
 from ..models import AbstractModel
 from ..recordings import Channel, Run
+from ..runtime.records import json_text
 from ..runtime.text import InputError
 from ..schema.parameters import declared, replace
 from ._candidates import Candidate, Inquiry, inquiry, is_disturbed, not_neutral
@@ -100,7 +100,7 @@ class Suspects:
 
     def to_json(self) -> str:
         """As JSON: an object with the attributes."""
-        return json.dumps(dataclasses.asdict(self), indent=2, allow_nan=False) + "\n"
+        return json_text(self)
 
 
 # Whether a recording has its axes in another order, or turned round: all 48 ways, directly.
