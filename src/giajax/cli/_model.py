@@ -54,8 +54,6 @@ def model_of(path: Path | None, runs: Sequence["Run"]) -> "AbstractModel":
     return model_for(runs) if path is None or not is_result(path) else load_result(path).model
 
 
-# `giajax parameters`: what can be fitted, set and held.
-
 # An array of more elements is shown by its range.
 _FEW = 3
 
@@ -201,9 +199,6 @@ def _bounds(lower: float | None, upper: float | None) -> str:
     if upper is None:
         return f"above {lower:g}"
     return f"{lower:g} to {upper:g}"
-
-
-# `giajax predict`: how well a model predicts runs that it was not fitted to.
 
 
 @command("""\b

@@ -142,8 +142,6 @@ def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.3g}"
 
 
-# Results side by side as tables of text cells, and as plain data.
-
 PLUS_MINUS = "\N{PLUS-MINUS SIGN}"
 
 

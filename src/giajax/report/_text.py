@@ -17,8 +17,6 @@ from ..fitting import (
 from ..runtime.text import wrapped
 from ..studies import SAME_END, lost_starts, misfit, valleys
 
-# Which of many runs are worth a look: those that are described worst.
-
 MOST_RUNS = 6
 """How many are drawn: a picture takes a second, and nobody looks at twenty of them."""
 
@@ -42,8 +40,6 @@ def times_noise(record: RunFit, names: Iterable[str] | None = None) -> float:
         default=0.0,
     )
 
-
-# Which recording determines which parameter, as text.
 
 # Without one of two equal recordings errors are 1.4 times as large; more than this is worth a word.
 _NOTABLE = 2.0
@@ -82,9 +78,6 @@ def source_lines(result: FitResult) -> list[str]:
     return lines
 
 
-# What a summary says of what was held out of a fit.
-
-
 def held_out_lines(result: FitResult) -> list[str]:
     """How well what was held out of each run is predicted."""
     return [line for record in result.held_out for line in _lines(record)]
@@ -118,9 +111,6 @@ def _range(values: list[float | None]) -> str:
         return ""
     low, high = f"{known[0]:.3g}", f"{known[-1]:.3g}"
     return low if low == high else f"{low} to {high}"
-
-
-# What a summary says of the verdict and of the noise.
 
 
 def verdict_lines(result: FitResult) -> list[str]:

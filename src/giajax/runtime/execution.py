@@ -22,7 +22,7 @@ from concurrent.futures import (
 )
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypedDict, TypeVar
 
 from .files import check_path
 from .process import CORES_VARIABLE, configure, is_own_process, own_process
@@ -170,8 +170,6 @@ def worker_environment() -> Iterator[None]:
                 os.environ[name] = value
 
 
-# Who does tasks: this process, processes of this machine, or a cluster that is there.
-
 # With a scheduler that does not answer.
 _PATIENCE = "10s"
 
@@ -305,8 +303,6 @@ def _connected(address: str) -> Iterator[Any]:
         yield client
 
 
-# The tasks of a study, from the first to the last: none is lost, and none is there twice.
-
 ATTEMPTS = 3
 """So often is a task begun whose worker ends under it, but for those of a cluster."""
 
@@ -315,6 +311,20 @@ _AHEAD = 256
 
 # Between two looks at whether the scheduler of a cluster is there, s.
 _BETWEEN_S = 2.0
+
+
+class Execution(TypedDict, total=False):
+    """Keywords of all studies: who does their tasks, and what is kept of them; as of `run_tasks`.
+
+    Attributes:
+        executor: who; by default this process, one task after the other.
+        folder: of a file for each task, by which the same call goes on after it was stopped.
+        progress: called after each task.
+    """
+
+    executor: Executor | None
+    folder: str | Path | None
+    progress: Callable[[Outcome, int, int], None] | None
 
 
 def run_tasks(

@@ -103,8 +103,6 @@ def _described(value: Any) -> Any:
     return f"{type(value).__qualname__} {digits}"
 
 
-# What came of a task, and the file that keeps it: one for each that is done, by who did it.
-
 _HEAD = {"giajax_task": 1}
 
 

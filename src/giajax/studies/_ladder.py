@@ -15,8 +15,6 @@ from ._refit import begun_as_fitted, refit
 from ._score import Moved, responses_of, white_noise
 from ._suspects import Suspects, all_axes, name_of, suspects, turned_back
 
-# A ladder of fits: each with more than the one before, and how much better it is.
-
 
 @dataclasses.dataclass(frozen=True)
 class Rung:
@@ -79,8 +77,6 @@ class Ladder:
         """The last fit."""
         return self.rungs[-1].result
 
-
-# Fits of one ladder, measured by one likelihood.
 
 Noise = Sequence[Mapping[str, float]]
 """Standard deviation of white noise (SI) of each run, by channel."""
@@ -172,9 +168,6 @@ def _errors(result: FitResult, runs: Sequence[Run]) -> list[tuple[str, float | N
             rest = predicted - run.observations[name]
             errors.append((name, run.noise(name), rest[~np.isnan(rest)]))
     return errors
-
-
-# One step of a ladder: what the first few suspects are worth once they are fitted.
 
 
 def best_step(

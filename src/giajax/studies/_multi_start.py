@@ -45,8 +45,6 @@ from ._starts import (
     start_values,
 )
 
-# The optima that several starts have found, and what became of the other starts.
-
 # An end whose misfit is this much above the best one, per measured value, is another valley.
 SAME_END = 1e-3
 

@@ -125,8 +125,6 @@ def _autocovariance(draws: Draws) -> Draws:
     return np.fft.irfft(power, axis=1)[:, :count] / count
 
 
-# Draws as ArviZ takes them, whose two generations are filled differently.
-
 _MISSING = 'ArviZ is not installed, which takes the draws: pip install "giajax[posterior]"'
 
 
@@ -161,8 +159,6 @@ def _arviz() -> ModuleType:
     except ImportError:
         raise InputError(_MISSING) from None
 
-
-# What draws say of one parameter, beside what its fit says.
 
 _LEVEL = 0.95
 
@@ -248,8 +244,6 @@ def _linear(optimum: Optimum, index: int) -> tuple[float, float] | None:
     value, lower, upper = optimum.values[index], *(each[index] for each in optimum.bounds)
     return float(max(value - reach, lower)), float(min(value + reach, upper))
 
-
-# What is wrong with draws, in sentences.
 
 # What draws must reach to be taken for what they are meant to be (Vehtari et al. 2021).
 MOST_R_HAT, LEAST_ESS = 1.01, 400
@@ -447,7 +441,6 @@ class Posterior:
         return f"<Posterior: {len(self.labels)} parameters, {known.chains} x {known.draws} draws>"
 
 
-# Where channels are predicted to be: the predictions of some draws.
 
 # Of 200 draws the ends of a 95 % interval are known to a tenth of its width.
 DRAWS = 200

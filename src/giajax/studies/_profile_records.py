@@ -155,8 +155,6 @@ def load_profiles(path: str | Path) -> Profiles:
     return parse_record(Profiles, text, _HEAD, what, "make it anew")
 
 
-# What the points of a profile say: the ends of the interval, and what a reader must know.
-
 # A deviance this far below that of the fit is no rounding.
 LOWER = 0.01
 

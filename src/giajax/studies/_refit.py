@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Self
 
 import numpy as np
@@ -25,8 +25,10 @@ from ..fitting import (
 )
 from ..models import AbstractModel
 from ..recordings import Definition, Run
-from ..runtime.execution import prepared
+from ..runtime.execution import prepared, run_tasks
 from ..runtime.programs import content
+from ..runtime.tasks import Outcome, Task
+from ..runtime.text import InputError
 from ..schema.parameters import Parameter, declared, elements, get, switched_on
 
 # Of the size of a parameter, or of the range that it has: how far from a bound a fit starts.
@@ -207,17 +209,12 @@ def _inside(parameter: Parameter, value: float, bounds: Mapping[str, Sequence[fl
     return between(value, lower, upper, margin=_INSIDE * width)
 
 
-# A fit and what it was fitted to, as an argument of tasks that other processes do.
-
-
 @dataclasses.dataclass(frozen=True)
 class Fitted:
     """A result with its runs, which any process can take up.
 
-        task = Task("giajax.studies._profile:profiled", {"fitted": Fitted.of(result, runs)})
-
-    The function of the task asks it for its `optimum`, which a process evaluates once, however many
-    tasks it does: its programs are loaded or compiled for the first of them.
+    A task asks it for its `optimum`, which a process evaluates once, however many tasks it does:
+    its programs are loaded or compiled for the first of them.
 
     Attributes:
         result: without predictions.
@@ -228,16 +225,21 @@ class Fitted:
     runs: tuple[Run, ...]
 
     @classmethod
-    def of(cls, result: FitResult, runs: Run | Sequence[Run]) -> Self:
+    def of(cls, result: FitResult, runs: Run | Sequence[Run], *, converged: bool = False) -> Self:
         """A result and its runs.
 
         Arguments:
             result: of `fit` or `load_result`.
             runs: what it was fitted to, in their order.
+            converged: whether the result must have.
 
         Raises:
-            InputError: these are not its runs.
+            InputError: these are not its runs, or it has not converged.
         """
+        if converged and result.status != "converged":
+            raise InputError(
+                "the fit did not converge, and there is no optimum: fit it to its end first"
+            )
         several = tuple(matching_runs(result.runs, runs))
         bare = dataclasses.replace(
             result, predictions=(), held_predictions=(), seconds=Seconds(0.0, 0.0)
@@ -252,6 +254,25 @@ class Fitted:
         """
         told = content(list(map(told_of, self.runs)))
         return hashlib.sha256((fit_key(self.result) + told).encode()).hexdigest()
+
+    def study(
+        self, function: Callable[..., Any], each: Iterable[Mapping[str, Any]], **how: Any
+    ) -> list[Outcome]:
+        """What comes of calls of a function with this fit, which any worker can make.
+
+        This is what all studies of a fit are: their settings decide the calls, and what the calls
+        return becomes their record. Seeds follow from functions and arguments.
+
+        Arguments:
+            function: at the top of a module; its first argument is `fitted`.
+            each: the other arguments, of each task.
+            how: as of `Execution`.
+
+        Returns:
+            One for each, in their order; of those that Ctrl-C came before, "stopped".
+        """
+        tasks = [Task(function, {"fitted": self, **arguments}) for arguments in each]
+        return run_tasks(tasks, **how)
 
     def optimum(self) -> Optimum:
         """Where the fit ended, kept in this process for the tasks to come.

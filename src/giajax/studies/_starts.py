@@ -62,8 +62,6 @@ def end_of(start: Mapping[str, float], result: FitResult) -> Start:
     return Start(dict(start), result.status, misfit(result), end_values(result), message)
 
 
-# In what order the starts of a fit are begun: up to the first that converges one by one.
-
 End = tuple[Start, FitResult | None]
 """Where a start ended, and its result; None of one that failed or was fitted before."""
 
@@ -132,9 +130,6 @@ def as_fine(setup: Setup, ended: Sequence[FitResult]) -> Setup:
     return setup
 
 
-# Where the fits of several starts begin.
-
-
 def start_values(setup: Setup, spread: float, seed: int, count: int) -> list[dict[str, float]]:
     """Start values by path: those of the setup, and others that fill the room around them.
 
@@ -196,8 +191,6 @@ def inside_bounds(setup: Setup, values: Mapping[str, float]) -> dict[str, float]
         for parameter in setup.parameters
     }
 
-
-# Starts of a fit as tasks that other processes do.
 
 # What becomes of a start for which there is no time: it is not one that failed.
 _NO_TIME = "the budget of the fit ended this start"
@@ -352,9 +345,6 @@ def _result(setup: Setup, text: str) -> FitResult:
     if bare.integration is not None:
         model = model.with_integration(solver=None, tolerance=bare.integration.tolerance)
     return dataclasses.replace(bare, model=model)
-
-
-# The starts of an earlier result, to which more are added.
 
 
 def has_earlier_starts(

@@ -29,8 +29,6 @@ from ._score import (
     white_noise,
 )
 
-# What the tests found together, in the order in which a reader should doubt.
-
 LEVEL = 0.05
 """A corrected p-value below this is significant."""
 
@@ -102,8 +100,6 @@ class Suspects:
         """As JSON: an object with the attributes."""
         return json_text(self)
 
-
-# Whether a recording has its axes in another order, or turned round: all 48 ways, directly.
 
 _AXES = "xyz"
 
@@ -219,9 +215,6 @@ def turned_back(run: Run, way: Axes) -> Run:
     )
 
 
-# The test of the axes of recorded positions, as a row of the table.
-
-
 def axes_row(
     result: FitResult,
     runs: Sequence[Run],
@@ -272,8 +265,6 @@ def axes_row(
     )
     return [row], len(ways)
 
-
-# Tests of parameters and of choices of a model, as rows of the table.
 
 # A change by so many times its own size that would still not show makes a parameter not testable.
 _NOT_SHOWN = 3.0

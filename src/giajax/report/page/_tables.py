@@ -12,8 +12,6 @@ from ...runtime.text import format_bounds, format_estimate
 from ...studies import lost_starts, together, valleys
 from .._views import Table
 
-# The correlation matrix as coloured cells of a table.
-
 # A correlation's colour is mixed of white and one of these.
 _POSITIVE, _NEGATIVE = (213, 94, 0), (0, 114, 178)
 
