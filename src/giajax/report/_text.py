@@ -15,7 +15,7 @@ from ..fitting import (
     units_note,
 )
 from ..runtime.text import wrapped
-from ..studies import SAME_END, lost_starts, misfit, valleys
+from ..studies import SAME_END, distinct_optima, lost_starts, misfit
 
 MOST_RUNS = 6
 """How many are drawn: a picture takes a second, and nobody looks at twenty of them."""
@@ -230,15 +230,16 @@ def _starts(result: FitResult) -> list[str]:
     ends = [start.misfit for start in result.starts if start.misfit is not None]
     near = sum(end - best < SAME_END * values for end in ends)
     text = f"{near} of {len(result.starts)} ended here"
-    others = sorted((end - best) / values for end in ends if end - best >= SAME_END * values)
-    if others:
-        text += f"; the others are worse by {others[0]:.2g} to {others[-1]:.2g} in log-likelihood "
+    worse = sorted((end - best) / values for end in ends if end - best >= SAME_END * values)
+    if worse:
+        text += f"; the others are worse by {worse[0]:.2g} to {worse[-1]:.2g} in log-likelihood "
         text += "per value"
     lines = [text]
-    for valley in [valley for valley in valleys(result) if not valley.is_result][:_MANY]:
-        where = ", ".join(f"{path} {value:.4g}" for path, value in valley.values.items())
-        who = "1 start" if valley.reached == 1 else f"{valley.reached} starts"
-        lines.append(f"another optimum, by {who}, worse by {valley.worse:.3g}: {where} (SI)")
+    others = [optimum for optimum in distinct_optima(result) if not optimum.is_result]
+    for optimum in others[:_MANY]:
+        where = ", ".join(f"{path} {value:.4g}" for path, value in optimum.values.items())
+        who = "1 start" if optimum.reached == 1 else f"{optimum.reached} starts"
+        lines.append(f"another optimum, by {who}, worse by {optimum.worse:.3g}: {where} (SI)")
     return lines + [
         f"{count} did not converge: {why}" for why, count in lost_starts(result).items()
     ]

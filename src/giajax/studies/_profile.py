@@ -98,7 +98,7 @@ class _Walk:
     def improved(self, points: list[PathPoint]) -> list[PathPoint]:
         """The points, of which those before the last are fitted again from the one after each.
 
-        A profile that jumps has followed a valley that was not the deepest.
+        A profile that jumps has followed an optimum that was not the best.
         """
         better = list(points)
         for index in range(len(points) - 2, -1, -1):

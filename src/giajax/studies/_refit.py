@@ -252,7 +252,7 @@ class Fitted:
 
         Times, places of files, versions, and what was asked of a result afterwards do not count.
         """
-        told = content(list(map(told_of, self.runs)))
+        told = content(list(map(fingerprint, self.runs)))
         return hashlib.sha256((fit_key(self.result) + told).encode()).hexdigest()
 
     def study(
@@ -298,7 +298,7 @@ def fit_key(result: FitResult) -> str:
     return hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()
 
 
-def told_of(run: Run) -> tuple[Any, ...]:
+def fingerprint(run: Run) -> tuple[Any, ...]:
     """What a fit knows of a run, wherever its file lies."""
     arrays = {
         name: list(values) if values.dtype == object else values

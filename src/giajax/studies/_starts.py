@@ -35,7 +35,7 @@ from ..runtime.programs import content
 from ..runtime.tasks import Outcome, Task
 from ..runtime.text import InputError
 from ..schema.parameters import Parameter
-from ._refit import told_of
+from ._refit import fingerprint
 
 
 def interrupted(result: FitResult, when: str) -> FitResult:
@@ -121,7 +121,7 @@ def interrupts(end: End | None) -> bool:
     return end is not None and end[0].status == "interrupted"
 
 
-def as_fine(setup: Setup, ended: Sequence[FitResult]) -> Setup:
+def with_tolerance_of(setup: Setup, ended: Sequence[FitResult]) -> Setup:
     """With the tolerance that a fit of the same data chose: it need not be looked for again."""
     for result in ended:
         # One that did not converge may have made it finer for nothing.
@@ -219,7 +219,7 @@ class Asked:
     def task_key(self) -> str:
         """SHA-256 of what decides where a start ends."""
         words = json.dumps([self.config, self.own, self.suited], sort_keys=True)
-        told = content([self.model, [told_of(run) for run in self.runs]])
+        told = content([self.model, [fingerprint(run) for run in self.runs]])
         return hashlib.sha256((words + told).encode()).hexdigest()
 
     def setup(self) -> Setup:
@@ -296,7 +296,7 @@ def by_executor(
     """
 
     def others(numbers: Sequence[int], earlier: Sequence[FitResult]) -> list[End]:
-        asked = Asked.of(as_fine(setup, earlier))
+        asked = Asked.of(with_tolerance_of(setup, earlier))
         until = None if budget is None else time.time() + budget.left()
         tasks = {
             number: Task(
