@@ -441,7 +441,6 @@ class Posterior:
         return f"<Posterior: {len(self.labels)} parameters, {known.chains} x {known.draws} draws>"
 
 
-
 # Of 200 draws the ends of a 95 % interval are known to a tenth of its width.
 DRAWS = 200
 
