@@ -16,7 +16,7 @@ from ._study import Figures, Study
 
 if TYPE_CHECKING:
     from giajax import FitResult, Run
-    from giajax.studies import Ladder, Rung
+    from giajax.studies import Step, StepwiseSelection
 
 START = {
     "air.drag_coefficient": 0.6,
@@ -67,7 +67,7 @@ def _moving_mass(model: Any) -> float:
     return float(np.mean(giajax.mechanics.arm.bodies(model.arm).mass))
 
 
-def _figures(steps: "Ladder") -> Figures:
+def _figures(steps: "StepwiseSelection") -> Figures:
     import giajax
 
     recording = _recording()
@@ -76,7 +76,7 @@ def _figures(steps: "Ladder") -> Figures:
     last = steps.result
     per = _moving_mass(last.model)
     return {
-        "rungs": [rung_of(rung) for rung in steps.rungs],
+        "rungs": [rung_of(rung) for rung in steps.steps],
         "ending": steps.ending,
         "moving_mass": moving,
         "for_their_mass": {
@@ -89,7 +89,7 @@ def _figures(steps: "Ladder") -> Figures:
     }
 
 
-def rung_of(rung: "Rung") -> dict[str, Any]:
+def rung_of(rung: "Step") -> dict[str, Any]:
     return {
         "change": rung.change,
         "chi_square": rung.chi_square,
@@ -107,9 +107,9 @@ def _estimate(result: "FitResult", path: str, per: float = 1.0) -> dict[str, flo
     return {"value": one.value / per, "error": error}
 
 
-def _imitated(steps: "Ladder") -> list[str]:
+def _imitated(steps: "StepwiseSelection") -> list[str]:
     """Of the last fit that was asked: what its fitted parameters imitate."""
-    asked = [rung.suspects for rung in steps.rungs if rung.suspects is not None]
+    asked = [rung.suspects for rung in steps.steps if rung.suspects is not None]
     return [row.path for row in asked[-1].untestable if "imitates" in row.note] if asked else []
 
 

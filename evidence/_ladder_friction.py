@@ -50,7 +50,7 @@ def _climbed(most: int) -> Figures:
     steps = giajax.ladder(first, recording, most=most)
     found: Any = steps.result
     return {
-        "rungs": [rung_of(rung) for rung in steps.rungs],
+        "rungs": [rung_of(rung) for rung in steps.steps],
         "ending": steps.ending,
         "found": {
             path: {

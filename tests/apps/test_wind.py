@@ -11,17 +11,20 @@ from scipy.linalg import toeplitz
 import giajax
 from giajax import ArmModel, InputError, Run, fit_wind, gusts, write_run
 from giajax.apps.synthetic import gust_spectrum
-from giajax.apps.wind._model import (
+from giajax.apps.wind import (
+    TAPERS,
     Expected,
     Recorded,
     WindModel,
+    bands,
     first_guess,
     gradient_and_information,
+    joint_responses,
     log_likelihood,
+    resting,
     slopes,
+    tapered,
 )
-from giajax.apps.wind._record import TAPERS, bands, resting, tapered
-from giajax.apps.wind._response import joint_responses
 from giajax.cli import main
 from giajax.simulation import constant, logged
 

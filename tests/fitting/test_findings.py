@@ -11,6 +11,7 @@ from test_blocks import OwnHeights, recording
 from giajax import Prior, Run, fit, pendulum, predict
 from giajax.fitting import Finding, Statistics, _estimates as _findings, combinations, inverse_gram
 from giajax.models import ArmModel
+from giajax.runtime.records import from_plain
 from toy_model import Decay, height, run
 
 ROOT = Path(__file__).parents[2]
@@ -40,7 +41,7 @@ def test_a_product_is_named_with_its_error():
     shown = re.search(r"only amplitude \* twin = ([\d.]+) \+- ([\d.]+)$", finding.sentence)
     assert float(shown[1]) == pytest.approx(alone.value, abs=6e-4)
     assert float(shown[2]) == pytest.approx(alone.standard_error, rel=0.05)
-    assert Finding.of_json({**vars(finding), "paths": list(finding.paths)}) == finding
+    assert from_plain(Finding, {**vars(finding), "paths": list(finding.paths)}) == finding
 
 
 def test_the_error_of_a_combination_of_powers_is_that_of_the_fit():

@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 
 from giajax import InputError, Prior, RunFit, fit
 from giajax.fitting import Layout, members, set_up, sharing
+from giajax.runtime.records import from_plain
 from giajax.studies import refit
 from toy_model import TRUTH, Decay, height, run
 
@@ -102,7 +103,7 @@ def test_a_run_is_predicted_with_its_own_values():
     other = dataclasses.replace(RUNS[0], name="another")
     assert_allclose(result.predict(other)["tip_z"], height(other.times, offset=0.367), atol=0.02)
     stored = json.loads(result.to_json())
-    assert tuple(RunFit.of_json(item) for item in stored["runs"]) == result.runs
+    assert tuple(from_plain(RunFit, item) for item in stored["runs"]) == result.runs
     assert stored["config"]["groups"] == {"offset": [["run0"], ["run1"], ["run2"]]}
 
 

@@ -13,6 +13,7 @@ from giajax import Prior, Run
 from giajax.fitting import HeldOut, HoldOut, set_up, solve
 from giajax.noise import Reason, Verdict
 from giajax.recordings import hold_out
+from giajax.runtime.records import from_plain
 from giajax.schema.parameters import parameter
 from toy_model import Decay, height, run
 
@@ -186,7 +187,7 @@ def test_a_model_that_fails_for_what_was_held_out():
     assert failed.verdict.reasons[0].code == "prediction"
     stored = json.loads(failed.to_json())
     assert stored["verdict"]["reasons"][0]["size"] is None
-    assert Reason.of_json(stored["verdict"]["reasons"][0]).size == np.inf
+    assert from_plain(Reason, stored["verdict"]["reasons"][0]).size == np.inf
 
 
 def test_a_fit_that_did_not_converge_is_not_judged():
@@ -205,5 +206,5 @@ def test_it_is_stored_and_read_again():
     assert [record["name"] for record in stored["held_out"]] == ["run0", "run1", "run2"]
     assert "held_predictions" not in stored
     assert len(result.predictions) == 2
-    assert tuple(HeldOut.of_json(record) for record in stored["held_out"]) == result.held_out
-    assert Verdict.of_json(stored["verdict"]) == result.verdict
+    assert tuple(from_plain(HeldOut, record) for record in stored["held_out"]) == result.held_out
+    assert from_plain(Verdict, stored["verdict"]) == result.verdict

@@ -11,6 +11,7 @@ from giajax.fitting import Estimate, Noise, NoiseFit, RunFit, fit
 from giajax.noise import Verdict
 from giajax.recordings import Run
 from giajax.report import summary
+from giajax.runtime.records import from_plain
 from toy_model import TRUTH, Decay, height, run
 
 START = {"amplitude": 1.0, "decay": 1.2, "offset": 0.1}
@@ -159,7 +160,7 @@ def test_a_record_of_few_correlation_times_is_a_finding():
 
 def test_it_is_stored(correlated):
     record = json.loads(correlated.to_json())
-    assert Verdict.of_json(record["verdict"]) == correlated.verdict
+    assert from_plain(Verdict, record["verdict"]) == correlated.verdict
     assert NoiseFit(**record["noise"]) == correlated.noise
-    assert Estimate.of_json(record["parameters"]["decay"]) == correlated.parameters["decay"]
-    assert RunFit.of_json(record["runs"][0]) == correlated.runs[0]
+    assert from_plain(Estimate, record["parameters"]["decay"]) == correlated.parameters["decay"]
+    assert from_plain(RunFit, record["runs"][0]) == correlated.runs[0]

@@ -122,7 +122,7 @@ def test_values_are_as_json_gives_them_back(tmp_path):
     assert run_tasks([task], folder=tmp_path)[0].value == run_tasks([task])[0].value
     assert read_outcome(tmp_path, task.key).value == run_tasks([task])[0].value
     odd = run_tasks([Task("builtins:object")])[0]
-    assert odd.message.endswith("a task returned object, which JSON has no form for")
+    assert odd.message.endswith("object is a type that JSON has no form for")
 
 
 class Elsewhere(InProcess):

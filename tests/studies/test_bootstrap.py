@@ -100,6 +100,8 @@ def test_numbers_do_not_depend_on_parts_and_go_on_in_a_folder(
     def fails(*_, **__):
         raise RuntimeError("nothing is done twice")
 
+    # A task is known by the name of its function.
+    fails.__module__, fails.__qualname__ = _replicates.__name__, "replicates"
     monkeypatch.setattr(_replicates, "replicates", fails)
     assert giajax.bootstrap(result, runs, **options) == few
     with pytest.raises(InputError, match=r"could be done: RuntimeError .*: nothing is done twice"):

@@ -11,7 +11,7 @@ from giajax import Influence, InputError
 from giajax.fitting import CellEquations
 from giajax.noise import whitened
 from giajax.report import influence_table
-from giajax.studies import _influence, optimum_of, parts_of
+from giajax.studies import Fitted, optimum_of, parts_of
 
 DRIFTING = {"position_m": SIGMA, "position_correlated_m": 0.015, "position_correlation_s": 0.4}
 
@@ -87,7 +87,7 @@ def test_what_contradicts_the_others_is_told(runs, monkeypatch):
     off = giajax.Run.from_arrays(runs[1].times, values, definition=runs[1].definition)
     result = giajax.fit(Line(), [runs[0], off], free=FREE, noise_model="white", check=False)
     asked = []
-    monkeypatch.setattr(_influence, "run_tasks", lambda tasks, **_: asked.extend(tasks) or [])
+    monkeypatch.setattr(Fitted, "study", lambda _, __, tasks, **___: asked.extend(tasks) or [])
     found = giajax.influence(result, [runs[0], off], spans=4)
     assert len(asked) == 1  # The runs alone, which are two, are left out by fits.
     worst = max(found.parts, key=lambda part: part.surprise or 0.0)

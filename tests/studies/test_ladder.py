@@ -10,8 +10,8 @@ from test_suspects import FREE, fitted
 from giajax import InputError, fit, ladder, suspects
 from giajax.noise import by_second_differences
 from giajax.recordings import parted
-from giajax.studies import Rung, all_axes, best_step, name_of, refit, turned_back
-from giajax.studies._ladder import _spare
+from giajax.studies import Step, all_axes, best_step, name_of, refit, turned_back
+from giajax.studies._stepwise import _spare
 
 TIGHT = 4
 
@@ -24,16 +24,16 @@ def test_two_omissions_one_after_the_other():
         fitted(recording), recording, held_out=[recorded(late=0.05, rub=0.05, seed=9)],
         progress=seen.append,
     )  # fmt: skip
-    assert {rung.suspect.path for rung in steps.rungs[1:]} == {"late", "rub"}
+    assert {step.suspect.path for step in steps.steps[1:]} == {"late", "rub"}
     assert steps.ending == "no suspect that could be freed is significant"
-    assert [rung.suspect for rung in seen] == [rung.suspect for rung in steps.rungs]
+    assert [step.suspect for step in seen] == [step.suspect for step in steps.steps]
     for path, truth in {"late": 0.05, "rub": 0.05, "amplitude": 2.0, "decay": 0.7}.items():
         one = steps.result.parameters[path]
         assert one.value == pytest.approx(truth, abs=TIGHT * one.standard_error)
     for measure in ("chi_square", "aic", "bic", "held_out"):
-        values = [getattr(rung, measure) for rung in steps.rungs]
+        values = [getattr(step, measure) for step in steps.steps]
         assert values == sorted(values, reverse=True), measure
-    last = steps.rungs[-1]
+    last = steps.steps[-1]
     assert last.parameters == 4
     assert last.chi_square == pytest.approx(last.values, rel=0.2)
     assert last.held_out == pytest.approx(1, rel=0.15)
@@ -47,17 +47,17 @@ def test_what_is_no_longer_needed_is_taken_out_again():
     first = fitted(recording, free=[*FREE, "shift[2]"])
     step = suspects(first, recording).of("late")
     assert step.p_value < 1e-3
-    rungs = [
-        Rung(None, 9e9, 2, 360, None, fitted(recording)),
-        Rung(suspects(fitted(recording), recording).of("shift[2]"), 8e9, 3, 360, None, first),
-        Rung(step, 7e9, 4, 360, None, refit(first, [recording], free=["late", "rub"])),
+    steps = [
+        Step(None, 9e9, 2, 360, None, fitted(recording)),
+        Step(suspects(fitted(recording), recording).of("shift[2]"), 8e9, 3, 360, None, first),
+        Step(step, 7e9, 4, 360, None, refit(first, [recording], free=["late", "rub"])),
     ]
-    assert [suspect.path for suspect in _spare(rungs)] == ["shift[2]"]
-    assert _spare(rungs[:2]) == []
-    removed = dataclasses.replace(rungs[2], suspect=rungs[1].suspect, removed=True)
+    assert [suspect.path for suspect in _spare(steps)] == ["shift[2]"]
+    assert _spare(steps[:2]) == []
+    removed = dataclasses.replace(steps[2], suspect=steps[1].suspect, removed=True)
     assert removed.change == "without shift[2]"
-    assert _spare([*rungs, removed, rungs[2]]) == []
-    held = refit(rungs[2].result, [recording], fix={"shift[2]": 0.0})
+    assert _spare([*steps, removed, steps[2]]) == []
+    held = refit(steps[2].result, [recording], fix={"shift[2]": 0.0})
     assert set(held.free) == {"amplitude", "decay", "late", "rub"}
 
 
@@ -65,7 +65,7 @@ def test_what_is_no_longer_needed_is_taken_out_again():
 def test_a_choice_is_made_the_other_way_and_axes_are_exchanged():
     recording = recorded(wave=0.05)
     steps = ladder(fitted(recording), recording)
-    assert [rung.suspect.path for rung in steps.rungs[1:]] == ["wavy = true"]
+    assert [step.suspect.path for step in steps.steps[1:]] == ["wavy = true"]
     assert steps.result.model.wavy
     values = recording.values
     swapped = {**values, "tip_y": values["tip_z"], "tip_z": values["tip_y"]}
@@ -74,20 +74,20 @@ def test_a_choice_is_made_the_other_way_and_axes_are_exchanged():
     # What was held out has been recorded in the same wrong axes.
     late = parted(wrong, dict.fromkeys(wrong.observations, 90))
     steps = ladder(fitted(late.fitted, start=start), late.fitted, held_out=[late.held])
-    added = [rung.suspect.path for rung in steps.rungs[1:]]
+    added = [step.suspect.path for step in steps.steps[1:]]
     assert added[0] == "axes: y and z swapped"
-    assert steps.rungs[0].held_out > 10
-    assert steps.rungs[-1].held_out == pytest.approx(1, rel=0.25)
+    assert steps.steps[0].held_out > 10
+    assert steps.steps[-1].held_out == pytest.approx(1, rel=0.25)
     assert steps.result.parameters["decay"].value == pytest.approx(0.7, abs=0.02)
 
 
 def test_nothing_is_added_to_a_right_model_nor_beyond_the_steps_allowed():
     recording = recorded(seed=5)
     steps = ladder(fitted(recording), recording)
-    assert len(steps.rungs) == 1
+    assert len(steps.steps) == 1
     both = recorded(late=0.05, rub=0.05, seed=2)
     short = ladder(fitted(both), both, most=1)
-    assert len(short.rungs) == 2
+    assert len(short.steps) == 2
     assert short.ending == "1 steps were allowed"
 
 
@@ -120,7 +120,7 @@ def test_of_several_that_are_tried_the_lowest_bic_is_taken():
     # All weights in proportion are no parameter of a fit, and no try.
     assert taken == {1: "shift[1]", 2: "late"}
     steps = ladder(result, recording, tries=2)
-    assert [rung.suspect.path for rung in steps.rungs[1:]] == ["late"]
+    assert [step.suspect.path for step in steps.steps[1:]] == ["late"]
     with pytest.raises(InputError, match="0 suspects cannot be tried"):
         ladder(result, recording, tries=0)
 
@@ -155,17 +155,17 @@ def test_rungs_among_outliers_are_compared_by_one_likelihood():
     }
     outlying = dataclasses.replace(recording, values=wild)
     steps = ladder(fitted(outlying, loss="huber"), outlying)
-    assert steps.rungs[1].suspect.path == "late"
+    assert steps.steps[1].suspect.path == "late"
 
-    def left_over(rung):
-        predicted = rung.result.predict(outlying)
+    def left_over(step):
+        predicted = step.result.predict(outlying)
         return [predicted[name] - wild[name] for name in predicted]
 
-    sigmas = [by_second_differences(rest) for rest in left_over(steps.rungs[-1])]
-    for rung in steps.rungs:
+    sigmas = [by_second_differences(rest) for rest in left_over(steps.steps[-1])]
+    for step in steps.steps:
         far = np.concatenate(
-            [np.abs(rest) / sigma for rest, sigma in zip(left_over(rung), sigmas, strict=True)]
+            [np.abs(rest) / sigma for rest, sigma in zip(left_over(step), sigmas, strict=True)]
         )
         expected = np.sum(np.where(far < 1, far**2, 2 * far - 1))
-        assert rung.chi_square == pytest.approx(expected, rel=1e-9)
-    assert steps.rungs[0].bic - steps.rungs[-1].bic > 100
+        assert step.chi_square == pytest.approx(expected, rel=1e-9)
+    assert steps.steps[0].bic - steps.steps[-1].bic > 100

@@ -15,12 +15,12 @@ from giajax.runtime.execution import InProcess, open_executor
 from giajax.studies import (
     _multi_start,
     _multi_start as _valleys,
+    distinct_optima,
     lost_starts,
     misfit,
     multi_start,
     solve_from_starts,
     start_values,
-    valleys,
 )
 from toy_model import TRUTH, Decay, height, run
 
@@ -89,7 +89,7 @@ def test_a_start_that_fails_is_passed_over():
     failed = [start for start in result.starts if start.status == "failed"]
     assert failed
     assert result.status == "converged"
-    (best,) = valleys(result)
+    (best,) = distinct_optima(result)
     assert best.reached == 6 - len(failed)
     assert best.values["decay"] == pytest.approx(result.parameters["decay"].value)
     (why,) = lost_starts(result)
@@ -145,7 +145,7 @@ def test_ends_that_are_as_good_and_elsewhere_are_two_optima():
     ends = [(best, values), (worse, values), (best, far), (best, values)]
     starts = [Start({}, "converged", *end) for end in ends]
     starts.append(Start({}, "not_converged", best, values, "it crawls"))
-    found = valleys(dataclasses.replace(finished, starts=tuple(starts)))
+    found = distinct_optima(dataclasses.replace(finished, starts=tuple(starts)))
     assert sorted((v.reached, v.values[path] == values[path], v.worse > 0) for v in found) == [
         (1, False, False), (1, True, True), (2, True, False),
     ]  # fmt: skip

@@ -163,8 +163,8 @@ def test_a_ladder_keeps_ties_priors_and_values_of_single_runs():
         "ties": {"weights[1]": "weights[0]"},
     }
     steps = ladder(fitted(runs, **options), runs, held_out=[dataclasses.replace(runs[1])])
-    assert [rung.suspect.path for rung in steps.rungs[1:]] == ["late"]
-    first, last = steps.rungs
+    assert [step.suspect.path for step in steps.steps[1:]] == ["late"]
+    first, last = steps.steps
     assert (first.parameters, last.parameters) == (5, 6)
     assert last.result.config["groups"] == first.result.config["groups"]
     assert last.held_out == pytest.approx(1, rel=0.15)

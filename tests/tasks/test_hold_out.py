@@ -85,7 +85,7 @@ def test_the_last_cells_are_not_fitted(task):
     steps = ladder(stored, fitted_runs(stored), held_out=held_out_runs(stored), most=0)
     sizes = [record.channels["output"] for record in result.held_out]
     rms = np.sqrt(np.average([c.rmse**2 for c in sizes], weights=[c.n for c in sizes]))
-    assert steps.rungs[0].held_out == pytest.approx(rms / 0.005, rel=0.5)
+    assert steps.steps[0].held_out == pytest.approx(rms / 0.005, rel=0.5)
 
 
 def test_the_same_fit_again_has_the_same_numbers(task):

@@ -81,8 +81,6 @@ def _check(of: Any, word: str, name: str) -> None:
         raise InputError(f"{option} {shown(word)} must be a number, such as 0.5: correct it")
 
 
-# How every command ends: one sentence on standard error, and an exit status.
-
 BAD_INPUT = 2
 BROKEN_PIPE = 141
 

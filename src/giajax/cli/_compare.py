@@ -83,8 +83,6 @@ def _name(path: Path) -> str:
     return path.parent.name if path.name == "result.json" else path.stem
 
 
-# `giajax choose`: which hysteresis model describes a recording.
-
 _ENDS = {"not_converged": "NOT CONVERGED"}
 
 

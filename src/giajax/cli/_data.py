@@ -10,8 +10,6 @@ from ..runtime.text import InputError
 from ._commands import command
 from ._options import Renamed
 
-# `giajax check`: what a recording holds.
-
 
 @command("""\b
 Examples:
@@ -96,9 +94,6 @@ def _row(channel: dict[str, Any]) -> list[Any]:
     return [channel["name"], channel["part"], unit, channel["count"], missing, *measured]
 
 
-# `giajax init`: a sidecar to fill in.
-
-
 @command("""\b
 Example:
   giajax init run.csv       writes run.toml; then edit it, and: giajax check run.csv""")
@@ -118,9 +113,6 @@ def init(
     text = sidecar_template(run, parse_rename(rename or []))
     write_files({sidecar: text.encode()}, force=force)
     typer.echo(f"wrote {sidecar}: fill it in, then see: giajax check {run}")
-
-
-# `giajax import`: a run from points that another program tracked in a film.
 
 
 @command("""\b
@@ -222,8 +214,6 @@ def import_(
         f"{len(values) // 2 * len(points.times)}; next: giajax init {out}"
     )
 
-
-# `giajax examples`: the runs, fit definitions and missions that ship with giajax.
 
 _DATA = ("data/synthetic", "data/independent", "data/recorded")
 _FOLDERS = ("fits", "missions", *_DATA)
@@ -340,9 +330,6 @@ def _copy(root: Path, files: list[Path], target: Path, force: bool) -> None:
     for folder in {path.parent for path in contents}:
         make_folder(folder)
     write_files(contents, force=force)
-
-
-# `giajax cache`: what is kept between processes.
 
 
 @command("""\b

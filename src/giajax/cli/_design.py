@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from ..models import ArmModel
     from ..recordings import Fit
 
-# What `giajax design` begins from: a fit, its definition, or a file with an arm.
 
 # Of a file, beside the arm.
 _KEPT = ("initial", "wind", "noise")

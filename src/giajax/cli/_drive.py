@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from ..models import ArmModel
     from ..recordings import Definition
 
-# The parts of `giajax drive`: what is driven, by what, and what is saved.
 
 # Of gusts, s; then they begin again. And how often their rows are.
 _GUSTY, _GUST_RATE = 1800.0, 10.0

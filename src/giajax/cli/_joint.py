@@ -169,9 +169,6 @@ def _show(pair: Any, target: float) -> None:
             print(note)
 
 
-# `giajax compensate`: commands that take a hysteretic joint to its targets.
-
-
 @command("""\b
 Examples:
   giajax fit --data loop.csv --out loop

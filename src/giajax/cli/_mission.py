@@ -17,8 +17,6 @@ from ._values import settings, with_settings
 if TYPE_CHECKING:
     from ..apps.mission import Cases, Mission, Outcome
 
-# What `giajax mission` tells and writes.
-
 
 def tell(
     mission: "Mission", outcome: "Outcome", out: Path | None, origin: str, *,

@@ -1,12 +1,12 @@
 """What `--model` names, in every command alike: a fit, or a file that states a model."""
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ..runtime.records import finite_or_none
 from ..runtime.text import InputError
 from ._commands import command
 from ._options import Renamed
@@ -53,8 +53,6 @@ def model_of(path: Path | None, runs: Sequence["Run"]) -> "AbstractModel":
 
     return model_for(runs) if path is None or not is_result(path) else load_result(path).model
 
-
-# `giajax parameters`: what can be fitted, set and held.
 
 # An array of more elements is shown by its range.
 _FEW = 3
@@ -148,8 +146,8 @@ def _facts(parameter: "Parameter", unit: str, model: Any) -> dict[str, Any]:
         "unit": unit,
         "value": None if value is None else value.tolist(),
         "default": declaration.default,
-        "lower": _finite(declaration.lower),
-        "upper": _finite(declaration.upper),
+        "lower": finite_or_none(declaration.lower),
+        "upper": finite_or_none(declaration.upper),
         "on": on,
         "free": on and not declaration.frozen,
         "assumed": declaration.assumed,
@@ -158,10 +156,6 @@ def _facts(parameter: "Parameter", unit: str, model: Any) -> dict[str, Any]:
         "source": declaration.source or None,
         "key": None if declaration.key is None else declaration.key.name,
     }
-
-
-def _finite(bound: float) -> float | None:
-    return bound if math.isfinite(bound) else None
 
 
 def _show(facts: list[dict[str, Any]]) -> None:
@@ -205,9 +199,6 @@ def _bounds(lower: float | None, upper: float | None) -> str:
     if upper is None:
         return f"above {lower:g}"
     return f"{lower:g} to {upper:g}"
-
-
-# `giajax predict`: how well a model predicts runs that it was not fitted to.
 
 
 @command("""\b

@@ -18,8 +18,6 @@ from ..runtime.text import InputError, time_in_words
 if TYPE_CHECKING:
     from ..runtime.tasks import Outcome
 
-# Tables on standard output: bold headings on a terminal, plain text elsewhere.
-
 
 def print_table(headings: Sequence[str], rows: Sequence[Sequence[Any]], *, left: int = 1) -> None:
     """Print a table without rules; all but the first `left` columns are aligned to the right.
@@ -65,9 +63,6 @@ Cores = Annotated[
 ]
 
 
-# The command line that made a file, to be written into it and run again.
-
-
 def origin(context: typer.Context) -> str:
     """The command line without what only says where to write."""
     from importlib.metadata import version
@@ -89,8 +84,6 @@ def origin(context: typer.Context) -> str:
             words.append(" ".join([*option, shlex.quote(shown)]))
     return " ".join(words)
 
-
-# What commands with many tasks have in common: who does them, and how far they are.
 
 Workers = Annotated[
     int | None,

@@ -120,9 +120,6 @@ def _made(
     return made
 
 
-# `giajax hysteresis`: the paper's experiment with one link, on a simulated joint.
-
-
 @command("""\b
 Examples:
   giajax hysteresis --out fig12

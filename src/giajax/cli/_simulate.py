@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from ..models import ArmModel
     from ..recordings import Definition, Run
 
-# The option --gusts as a wind. JAX is imported where it is needed only.
 
 _GUSTS = re.compile(rf"(?P<intensity>{NUMBER}(?:,{NUMBER},{NUMBER})?):(?P<length>{NUMBER})")
 
@@ -97,8 +96,6 @@ def gust_numbers(text: str) -> tuple[list[float], float]:
         )
     return [float(part) for part in match["intensity"].split(",")], float(match["length"])
 
-
-# The option --channels of commands that simulate an arm: what is recorded of it.
 
 _DEFAULT_LINKS = (2, 6, 12, 20)
 _MEASURED = ("joint_angle", "joint_rate", "link_position", "tip_position")
@@ -479,9 +476,6 @@ def _as_written(name: str, values: Any, digits: int) -> Any:
     if channel.quantity == "angle":
         channel = replace(channel, unit="deg")
     return channel.to_si([float(f"{value:.{digits}g}") for value in channel.from_si(values)])
-
-
-# `giajax synth`: the recording that a run would be, if a model were true.
 
 
 @command("""\b

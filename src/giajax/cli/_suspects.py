@@ -13,7 +13,7 @@ from ._values import plain_settings
 
 if TYPE_CHECKING:
     from ..fitting import FitResult
-    from ..studies import Ladder, Rung, Suspects
+    from ..studies import Step, StepwiseSelection, Suspects
 
 
 @on_result(
@@ -108,9 +108,9 @@ def suspects(
         typer.echo(json.dumps(_facts(fitted, found, steps), indent=2, allow_nan=False))
 
 
-def _say(rung: "Rung") -> None:
-    added = "the fit" if rung.suspect is None else rung.change
-    typer.echo(f"{added}: chi-square {rung.chi_square:.5g}", err=True)
+def _say(step: "Step") -> None:
+    added = "the fit" if step.suspect is None else step.change
+    typer.echo(f"{added}: chi-square {step.chi_square:.5g}", err=True)
 
 
 def _show(found: "Suspects", most: int) -> None:
@@ -129,17 +129,19 @@ def _show_systematic(result: "FitResult") -> None:
     print_table(*systematic_table(result))
 
 
-def _show_ladder(steps: "Ladder") -> None:
-    from ..report import ladder_table
+def _show_ladder(steps: "StepwiseSelection") -> None:
+    from ..report import stepwise_table
 
     print()
-    print_table(*ladder_table(steps))
+    print_table(*stepwise_table(steps))
     print(f"\n{steps.ending}")
     for condition in steps.result.conditions:
         print(condition)
 
 
-def _facts(result: "FitResult", found: "Suspects", steps: "Ladder | None") -> dict[str, Any]:
+def _facts(
+    result: "FitResult", found: "Suspects", steps: "StepwiseSelection | None"
+) -> dict[str, Any]:
     """What `--json` prints."""
     stored = json.loads(result.to_json())
     facts: dict[str, Any] = {
@@ -154,15 +156,15 @@ def _facts(result: "FitResult", found: "Suspects", steps: "Ladder | None") -> di
             "ending": steps.ending,
             "rungs": [
                 {
-                    "path": None if rung.suspect is None else rung.suspect.path,
-                    "removed": rung.removed,
-                    "chi_square": rung.chi_square,
-                    "aic": rung.aic,
-                    "bic": rung.bic,
-                    "held_out": rung.held_out,
-                    "parameters": json.loads(rung.result.to_json())["parameters"],
+                    "path": None if step.suspect is None else step.suspect.path,
+                    "removed": step.removed,
+                    "chi_square": step.chi_square,
+                    "aic": step.aic,
+                    "bic": step.bic,
+                    "held_out": step.held_out,
+                    "parameters": json.loads(step.result.to_json())["parameters"],
                 }
-                for rung in steps.rungs
+                for step in steps.steps
             ],
         }
     return facts

@@ -6,7 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ..runtime.arrays import Float
-from ._records import GradientCheck, Shift, ToleranceEffect, finite_or_none
+from ..runtime.records import finite_or_none
+from ._records import GradientCheck, Shift, ToleranceEffect
 from ._state import FitState
 from ._statistics import Statistics
 from ._transitions import (

@@ -19,12 +19,13 @@ from ..recordings import Channel, Run, parse_column
 from ..runtime.arrays import Array, on_device
 from ..runtime.parallel import Batch, on_all_cores
 from ..runtime.programs import program
+from ..runtime.records import finite_or_none
 from ..runtime.text import InputError
 from ..schema import QUANTITIES, Declaration
 from ..schema.parameters import declared, find, get, left_out, replace
 from ._free import Tie, tied
 from ._problem import Problem, in_a_share, prepared_with, sharing_a_program, stacked
-from ._records import Estimate, finite_or_none
+from ._records import Estimate
 from ._statistics import Statistics
 from ._uncertainty import COLLINEAR
 

@@ -2,16 +2,17 @@
 
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from scipy.special import stdtrit
 
 from ..models import AbstractModel, parameter_values
+from ..runtime.records import finite_or_none
 from ..runtime.text import one_of
 from ..schema.parameters import Parameter, declared
 from ._checks import Curvature
-from ._records import Estimate, finite_or_none
+from ._records import Estimate
 from ._run_records import OwnEstimate
 from ._state import FitState
 from ._statistics import Statistics, combinations
@@ -63,11 +64,6 @@ class Finding:
     def page(self) -> str:
         """Where the documentation has it."""
         return f"docs/findings.md#{self.code}"
-
-    @classmethod
-    def of_json(cls, record: Mapping[str, Any]) -> Self:
-        """The finding that an object of `result.json` holds."""
-        return cls(**{**record, "paths": tuple(record["paths"])})
 
 
 def findings(

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from ..models import AbstractModel
 from ..noise import ChannelNoise, gains
 from ..recordings import Run
+from ..runtime.records import finite_or_none
 from ..runtime.text import InputError
 from ..schema import Prior
 from ._checks import Checks, checks
@@ -24,7 +25,7 @@ from ._descend import Budget, descend, moving, nearly, stopped_by
 from ._estimates import estimates, findings, own_estimates
 from ._noise import verdict
 from ._problem import Problem, predictions_by_run
-from ._records import Correlation, Iteration, NoiseFit, Seconds, finite_or_none
+from ._records import Correlation, Iteration, NoiseFit, Seconds
 from ._result import FitResult, integration_of
 from ._run_records import ChannelFit, OwnEstimate, RunFit
 from ._state import FitState, Reason

@@ -1,16 +1,15 @@
 """What a result is made of: small frozen records, each of which JSON gives back.
 
-Field by field they are the objects of `result.json`. What is not finite is null there, and None
-here once a file was read. The classmethods `of_json` take such objects, also those of earlier
-versions, which lack what was added since. Those of single runs are in `_run_records`.
+Field by field they are the objects of `result.json`, as `giajax.runtime.records` writes and reads
+them. Those of single runs are in `_run_records`.
 """
 
 import dataclasses
 import html
-import math
 from collections.abc import Mapping
-from typing import Any, Literal, NamedTuple, Self
+from typing import Literal, NamedTuple
 
+from ..runtime.records import Numbers
 from ..runtime.text import format_bounds, format_estimate, wrapped
 
 # What a result says of what its model leaves out and holds: records of `result.json`.
@@ -54,11 +53,6 @@ class Suspect:
     alike: tuple[str, ...] = ()
     note: str = ""
 
-    @classmethod
-    def of_json(cls, record: Mapping[str, Any]) -> Self:
-        """The record that an object of `result.json` holds."""
-        return cls(**{**record, "alike": tuple(record["alike"])})
-
 
 @dataclasses.dataclass(frozen=True)
 class SystematicError:
@@ -82,11 +76,6 @@ class SystematicError:
     stated: bool
     shifts: dict[str, float]
     decides: tuple[str, ...] = ()
-
-    @classmethod
-    def of_json(cls, record: Mapping[str, Any]) -> Self:
-        """The record that an object of `result.json` holds."""
-        return cls(**{**record, "decides": tuple(record["decides"])})
 
 
 Status = Literal["converged", "not_converged", "interrupted"]
@@ -134,7 +123,7 @@ class Estimate:
             first order; None where the parameter would not be determined. Empty for one recording.
     """
 
-    value: Any
+    value: Numbers
     standard_error: float | None
     unit: str
     lower: float | None
@@ -146,12 +135,6 @@ class Estimate:
     sandwich_error: float | None = None
     prior_share: float | None = None
     sources: Mapping[str, float | None] = dataclasses.field(default_factory=dict)
-
-    @classmethod
-    def of_json(cls, record: Mapping[str, Any]) -> Self:
-        """The record that an object of `result.json` holds."""
-        ends = record.get("interval")
-        return cls(**{**record, "interval": None if ends is None else (ends[0], ends[1])})
 
 
 @dataclasses.dataclass(frozen=True)
@@ -165,11 +148,6 @@ class Correlation:
 
     parameters: tuple[str, ...] = ()
     matrix: tuple[tuple[float | None, ...], ...] = ()
-
-    @classmethod
-    def of_json(cls, record: Mapping[str, Any]) -> Self:
-        """The record that an object of `result.json` holds."""
-        return cls(tuple(record["parameters"]), tuple(map(tuple, record["matrix"])))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -189,11 +167,6 @@ class GradientCheck:
     direction: dict[str, float]
     step: float
     left_out: tuple[str, ...] = ()
-
-    @classmethod
-    def of_json(cls, record: Mapping[str, Any]) -> Self:
-        """The record that an object of `result.json` holds."""
-        return cls(**{**record, "left_out": tuple(record.get("left_out", ()))})
 
 
 @dataclasses.dataclass(frozen=True)
@@ -217,12 +190,6 @@ class ToleranceEffect:
     factor: float
     largest_in_standard_errors: float | None
     by_parameter: dict[str, Shift]
-
-    @classmethod
-    def of_json(cls, record: Mapping[str, Any]) -> Self:
-        """The record that an object of `result.json` holds."""
-        shifts = {path: Shift(**item) for path, item in record["by_parameter"].items()}
-        return cls(record["factor"], record["largest_in_standard_errors"], shifts)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -270,11 +237,6 @@ class Start:
     misfit: float | None = None
     parameters: dict[str, float] | None = None
     message: str | None = None
-
-
-def finite_or_none(value: float | None) -> float | None:
-    """A finite number, or None."""
-    return float(value) if value is not None and math.isfinite(value) else None
 
 
 # Estimates as a table: for a terminal, and for a notebook.

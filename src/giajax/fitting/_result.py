@@ -4,6 +4,7 @@ import dataclasses
 import html
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import field
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +12,9 @@ import numpy as np
 
 from ..models import AbstractModel, Channels, build_model
 from ..noise import Verdict
-from ..recordings import Run
-from ..runtime.files import check_path, parse_json, read_bytes
-from ..runtime.limits import RESULT_BYTES
+from ..recordings import SCHEMA_VERSION, Run, stored_result
 from ..runtime.programs import program
+from ..runtime.records import from_plain, json_text
 from ..runtime.text import InputError
 from ._derived import in_column_units
 from ._estimates import Finding
@@ -32,7 +32,6 @@ from ._records import (
     ToleranceEffect,
     estimate_html,
     estimate_table,
-    finite_or_none,
 )
 from ._run_records import (
     ChannelErrors,
@@ -145,9 +144,6 @@ def errors_of(run: Run, predicted: Mapping[str, np.ndarray]) -> PredictionErrors
     return PredictionErrors(run.name, None if run.path is None else str(run.path), errors)
 
 
-SCHEMA_VERSION = 1
-
-
 @dataclasses.dataclass(frozen=True, repr=False)
 class FitResult:
     """What a fit found; `result.model` is the fitted model.
@@ -218,12 +214,12 @@ class FitResult:
     held_out: tuple[HeldOut, ...] = ()
     noise: NoiseFit | None = None
     integration: IntegrationFit | None = None
-    verdict: Verdict = dataclasses.field(default_factory=Verdict.missing)
-    derived: dict[str, Estimate] = dataclasses.field(default_factory=dict)
+    verdict: Verdict = field(default_factory=Verdict.missing)
+    derived: dict[str, Estimate] = field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
     suspects: tuple[Suspect, ...] = ()
     systematic: tuple[SystematicError, ...] = ()
-    task: dict[str, Any] = dataclasses.field(default_factory=dict)
+    task: dict[str, Any] = field(default_factory=dict)
     predictions: tuple[dict[str, np.ndarray], ...] = ()
     held_predictions: tuple[dict[str, np.ndarray], ...] = ()
     reason: Reason = ""
@@ -256,13 +252,8 @@ class FitResult:
 
     def to_json(self) -> str:
         """The result as JSON; what is not finite becomes null."""
-        record = {
-            field.name: getattr(self, field.name)
-            for field in dataclasses.fields(self)
-            if field.name not in ("model", "predictions", "held_predictions")
-        }
-        record = {"schema_version": SCHEMA_VERSION, "model": self.model.kind, **record}
-        return json.dumps(_plain(record), indent=2, allow_nan=False) + "\n"
+        record = {name: getattr(self, name) for name in _STORED.__annotations__}
+        return json_text(record, {"schema_version": SCHEMA_VERSION, "model": self.model.kind})
 
     def __repr__(self) -> str:
         free = f"{len(self.free)} free parameters"
@@ -294,32 +285,38 @@ class FitResult:
         return f"{', '.join(shouted)}: {message}" if shouted else message
 
 
+# What of a result its file holds; the model is built from the configuration and the parameters.
+_STORED = dataclasses.make_dataclass(
+    "_STORED",
+    [
+        (one.name, one.type, field(default=one.default, default_factory=one.default_factory))
+        for one in dataclasses.fields(FitResult)
+        if one.name not in ("model", "predictions", "held_predictions")
+    ],
+)
+
+
 def load_result(path: str | Path) -> FitResult:
     """Read a `result.json`, or the folder that holds one; its model predicts.
 
     Raises:
-        InputError: no such file, or not a result of giajax.
+        InputError: no such file, or not a result of giajax; with the first key that is wrong.
 
     Example:
         >>> result = giajax.load_result("giajax-out/base_step")  # doctest: +SKIP
         >>> result.predict(giajax.read_run("other.csv"))  # doctest: +SKIP
     """
-    path = Path(path)
-    check_path(path)
-    path = path / "result.json" if path.is_dir() else path
+    folder, record = stored_result(path)
+    what = f"{folder / 'result.json' if Path(path).is_dir() else path} is not a result of giajax"
+    kind = record.pop("model")
+    fields = _fields(record, what)
+    values = {path: estimate.value for path, estimate in fields["parameters"].items()}
     try:
-        record = parse_json(read_bytes(path, RESULT_BYTES).decode(), path)
-        if record.pop("schema_version") != SCHEMA_VERSION:
-            raise InputError(f"{path} was written by another version of giajax: run the fit again")
-        kind = record.pop("model")
-        values = {path: item["value"] for path, item in record["parameters"].items()}
-        return _of(record, build_model(kind, record["config"]["definition"], values))
-    except FileNotFoundError:
-        raise InputError(f"{path} does not exist: give the folder of a finished fit") from None
+        return _of(fields, build_model(kind, fields["config"]["definition"], values))
     except InputError:
         raise
-    except (OSError, ValueError, LookupError, ArithmeticError, TypeError, AttributeError):
-        raise InputError(f"{path} is not a result of giajax: give the folder of a fit") from None
+    except (ValueError, LookupError, ArithmeticError, TypeError, AttributeError):
+        raise InputError(f"{what} (its parameters are not those of its model): {_REMEDY}") from None
 
 
 def parse_result(text: str, model: AbstractModel) -> FitResult:
@@ -330,56 +327,20 @@ def parse_result(text: str, model: AbstractModel) -> FitResult:
         model: that was fitted, with the values that are in the text.
     """
     record = json.loads(text)
-    del record["schema_version"], record["model"]
-    return _of(record, model)
+    del record["model"]
+    return _of(_fields(record, "the text is not a result of giajax"), model)
 
 
-def _of(record: Mapping[str, Any], model: AbstractModel) -> FitResult:
-    records = _records(record)
-    if (integration := records["integration"]) is not None:
+_REMEDY = "give the folder of a fit"
+
+
+def _fields(record: dict[str, Any], what: str) -> Mapping[str, Any]:
+    """The fields of a stored result, which earlier versions lack some of; without its model."""
+    del record["schema_version"]
+    return vars(from_plain(_STORED, record, what, _REMEDY))
+
+
+def _of(fields: Mapping[str, Any], model: AbstractModel) -> FitResult:
+    if (integration := fields["integration"]) is not None:
         model = model.with_integration(solver=None, tolerance=integration.tolerance)
-    return FitResult(model=model, **{**record, **records})
-
-
-def _records(record: Mapping[str, Any]) -> dict[str, Any]:
-    """The typed fields of a stored result; earlier versions lack some of them."""
-    check, effect = record["gradient_check"], record["tolerance_effect"]
-    noise, verdict = record.get("noise"), record.get("verdict")
-    integration = record.get("integration")
-    return {
-        "parameters": {path: Estimate.of_json(item) for path, item in record["parameters"].items()},
-        "derived": {
-            name: Estimate.of_json(item) for name, item in record.get("derived", {}).items()
-        },
-        "findings": tuple(Finding.of_json(item) for item in record.get("findings", ())),
-        "correlation": Correlation.of_json(record["correlation"]),
-        "runs": tuple(RunFit.of_json(item) for item in record["runs"]),
-        "gradient_check": None if check is None else GradientCheck.of_json(check),
-        "tolerance_effect": None if effect is None else ToleranceEffect.of_json(effect),
-        "noise": None if noise is None else NoiseFit(**noise),
-        "integration": None if integration is None else IntegrationFit(**integration),
-        "verdict": Verdict.missing() if verdict is None else Verdict.of_json(verdict),
-        "seconds": Seconds(**record["seconds"]),
-        "conditions": tuple(record["conditions"]),
-        "history": tuple(Iteration(**item) for item in record["history"]),
-        "starts": tuple(Start(**item) for item in record.get("starts", ())),
-        "suspects": tuple(Suspect.of_json(item) for item in record.get("suspects", ())),
-        "systematic": tuple(SystematicError.of_json(item) for item in record.get("systematic", ())),
-        "held_out": tuple(HeldOut.of_json(item) for item in record.get("held_out", ())),
-        "validation": tuple(
-            PredictionErrors.of_json(item) for item in record.get("validation", ())
-        ),
-    }
-
-
-def _plain(value: Any) -> Any:
-    """What JSON can hold: records as objects, and null for what is not finite."""
-    if dataclasses.is_dataclass(value):
-        return {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float | np.floating):
-        return finite_or_none(float(value))
-    return value
+    return FitResult(model=model, **fields)

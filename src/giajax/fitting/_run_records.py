@@ -6,7 +6,6 @@ As `_records`, field by field they are the objects of `result.json`.
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Self, TypeVar
 
 import numpy as np
 
@@ -17,8 +16,6 @@ from ..schema.parameters import declared, replace
 from ._coordinates import Layout, members
 from ._free import resolved_ties, tied
 from ._records import Estimate
-
-Channel = TypeVar("Channel")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,19 +74,6 @@ class RunFit:
         """Name of the recording that it is, or is a window of."""
         return self.name if self.path is None else Path(self.path).stem
 
-    @classmethod
-    def of_json(cls, record: Mapping[str, Any]) -> Self:
-        """The record that an object of `result.json` holds."""
-        return cls(
-            name=record["name"],
-            path=record["path"],
-            sha256=record["sha256"],
-            channels=_channels(ChannelFit, record),
-            parameters={
-                path: OwnEstimate(**item) for path, item in record.get("parameters", {}).items()
-            },
-        )
-
 
 @dataclasses.dataclass(frozen=True)
 class ChannelErrors:
@@ -121,11 +105,6 @@ class PredictionErrors:
     name: str
     path: str | None
     channels: dict[str, ChannelErrors]
-
-    @classmethod
-    def of_json(cls, record: Mapping[str, Any]) -> Self:
-        """The record that an object of `result.json` holds."""
-        return cls(record["name"], record["path"], _channels(ChannelErrors, record))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -166,17 +145,6 @@ class HeldOut:
     path: str | None
     sha256: str | None
     channels: dict[str, HeldChannel]
-
-    @classmethod
-    def of_json(cls, record: Mapping[str, Any]) -> Self:
-        """The record that an object of `result.json` holds."""
-        channels = _channels(HeldChannel, record)
-        return cls(record["name"], record["path"], record["sha256"], channels)
-
-
-def _channels(kind: type[Channel], record: Mapping[str, Any]) -> dict[str, Channel]:
-    """The records of the channels that an object of `result.json` holds."""
-    return {name: kind(**item) for name, item in record["channels"].items()}
 
 
 # What a result knows of single runs and groups of them: the values that not all runs share.

@@ -2,14 +2,14 @@
 
 import dataclasses
 import itertools
-import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any, Literal, Self
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Literal, Self
 
 import numpy as np
 from scipy.special import chdtrc, fdtrc
 
 from ..runtime.arrays import Bool, Float
+from ..runtime.records import InfiniteWhereNull
 from ._model import ChannelNoise, whitened
 
 # Of the cells, for the variance of white noise by their second differences: 18 / 35, because these
@@ -118,14 +118,8 @@ class Reason:
     code: str
     sentence: str
     p_value: float
-    size: float
+    size: InfiniteWhereNull
     channels: tuple[str, ...] = ()
-
-    @classmethod
-    def of_json(cls, record: Mapping[str, Any]) -> Self:
-        """The record that an object of `result.json` holds."""
-        size = math.inf if record["size"] is None else record["size"]
-        return cls(**{**record, "size": size, "channels": tuple(record.get("channels", ()))})
 
 
 @dataclasses.dataclass(frozen=True)
@@ -162,11 +156,6 @@ class Verdict:
     def missing(cls) -> Self:
         """That of a result which was written without one."""
         return cls("not evaluated")
-
-    @classmethod
-    def of_json(cls, record: Mapping[str, Any]) -> Self:
-        """The record that an object of `result.json` holds."""
-        return cls(record["status"], tuple(Reason.of_json(item) for item in record["reasons"]))
 
 
 # Tests of residuals against what noise alone would leave; each may give a reason.

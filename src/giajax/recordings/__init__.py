@@ -32,6 +32,12 @@ from ._read import (
     windows as windows,
 )
 from ._run import Run as Run, unique_names as unique_names
+from ._stored import (
+    SCHEMA_VERSION as SCHEMA_VERSION,
+    StoredConfig as StoredConfig,
+    StoredTask as StoredTask,
+    stored_result as stored_result,
+)
 from ._table import read_table as read_table
 from ._tracked import (
     Beside as Beside,

@@ -71,7 +71,7 @@ from ._suspects import (
     contrast_json as contrast_json,
     contrast_tables as contrast_tables,
     first_suspects as first_suspects,
-    ladder_table as ladder_table,
+    stepwise_table as stepwise_table,
     suspect_rows as suspect_rows,
     suspect_summary as suspect_summary,
     systematic_table as systematic_table,

@@ -28,8 +28,6 @@ from ..schema.parameters import find, switched_on
 from ..studies import begun_where_it_ended
 from ._style import PAGE, RESULT, SIGNATURE
 
-# Whether a folder may take the result of a fit.
-
 # What makes two fits the same fit; the iterations allowed and the folder do not.
 _SAME = (
     *("definition", "runs", "free", "start", "fix", "loss", "begin"),
@@ -88,9 +86,6 @@ def check_folder(
 def _as_json(value: Any) -> Any:
     """What becomes of a value that is written as JSON and read again."""
     return json.loads(json.dumps(value))
-
-
-# Whether a result reaches the figures that a fit definition asks for.
 
 
 @dataclasses.dataclass(frozen=True)
@@ -163,9 +158,6 @@ def _compare(estimate: Estimate | None, figure: Figure) -> tuple[bool, str]:
         good &= achieved <= relative
         sentences.append(f"standard error {achieved:.2%} (at most {relative:.2%})")
     return good, f"{shown}: {', '.join(sentences)}"
-
-
-# What a fitted model predicts, as files: tables of its channels, and the sidecar of a run.
 
 
 def prediction_files(

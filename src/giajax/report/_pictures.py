@@ -28,8 +28,6 @@ from ._style import (
 )
 from ._text import MOST_RUNS, worth_drawing
 
-# What the channels of a run are drawn over, and which of them together.
-
 # A step of this many times the usual one, and of this part of the range, is no motion.
 _JUMP, _FAR = 20, 0.3
 
@@ -82,8 +80,6 @@ def channels_together(run: Run, most: int) -> list[list[str]]:
     return list(together.values())
 
 
-# The picture of the correlations between the estimates.
-
 # More matrix cells than this leave no room for a number in each.
 _MOST_NUMBERS = 16
 
@@ -125,8 +121,6 @@ def _correlation(value: float) -> str:
     digits = 3 if abs(value) >= 0.995 else 2
     return "?" if np.isnan(value) else f"{value:.{digits}f}".replace("-", MINUS)
 
-
-# The picture of a run: recorded against fitted.
 
 # More panels than this cannot be read on one screen.
 _MOST_PANELS = 24
@@ -266,9 +260,6 @@ def _legend(figure: Figure, components: bool, *, hollow: bool, alone: bool) -> N
     figure.legend(
         handles=handles, loc="outside upper right", ncols=len(handles), fontsize=8, frameon=False
     )
-
-
-# The picture of the residuals: what the model misses, when and where.
 
 
 def residuals_figure(

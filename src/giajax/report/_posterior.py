@@ -23,8 +23,6 @@ from ._pictures import channel_label, sample_times, time_label
 from ._style import BLUE, GREY, INK, VERMILLION, new_figure, plain, to_csv, to_png, unfinished
 from ._views import Section, Table, View
 
-# Pictures of a posterior: pairs of parameters, and where channels are predicted to be.
-
 # More parameters than this are too small to see: those least like the linear interval stay.
 _MOST_PARAMETERS = 8
 

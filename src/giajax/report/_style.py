@@ -13,8 +13,6 @@ from scipy.spatial import ConvexHull
 from ..fitting import FitResult
 from ..models import Block, Scene
 
-# What the files of a fit are called, and how they are known again.
-
 RESULT = "result.json"
 PAGE = "report.html"
 
@@ -106,9 +104,6 @@ def small(values: np.ndarray) -> np.ndarray:
     return np.asarray(values, dtype=np.float32)
 
 
-# Columns of words and numbers as CSV.
-
-
 def to_csv(columns: Mapping[str, Iterable[Any]]) -> bytes:
     """Columns of equal length as a CSV file, numbers with nine digits.
 
@@ -130,8 +125,6 @@ def _cell(value: Any) -> str:
     # A truth value is a number to numpy, and so to float.
     return str(value).lower() if str(value) in ("True", "False") else f"{float(value) + 0.0:.9g}"
 
-
-# A scene as a picture: what a model looks like at one sample, from one side.
 
 _SLACK = (0, (2, 2))
 _AXIS = (0, (6, 3))

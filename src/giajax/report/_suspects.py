@@ -1,4 +1,4 @@
-"""Suspects, the ladder and systematic errors as tables of text cells."""
+"""Suspects, stepwise selection and systematic errors as tables of text cells."""
 
 import json
 from collections.abc import Sequence
@@ -8,7 +8,7 @@ import numpy as np
 
 from ..fitting import Estimate, FitResult, Suspect, SystematicError
 from ..runtime.text import format_estimate
-from ..studies import LEVEL, Contrast, Ladder, Rung, Suspects, promising, together
+from ..studies import LEVEL, Contrast, Step, StepwiseSelection, Suspects, promising, together
 
 Rows = list[list[str]]
 
@@ -75,21 +75,21 @@ def suspect_summary(found: Suspects) -> list[str]:
     return sentences
 
 
-def ladder_table(steps: Ladder) -> tuple[list[str], Rows]:
+def stepwise_table(found: StepwiseSelection) -> tuple[list[str], Rows]:
     """Headings and a row for each fit: what it has more, how good it is, and its parameters."""
-    first = list(steps.rungs[0].result.free)
-    held_out = any(rung.held_out is not None for rung in steps.rungs)
+    first = list(found.steps[0].result.free)
+    held_out = any(step.held_out is not None for step in found.steps)
     headings = ["added", "chi-square", "AIC", "BIC", *(["held out"] if held_out else []), *first]
-    return headings, [_rung(rung, first, held_out=held_out) for rung in steps.rungs]
+    return headings, [_step_row(step, first, held_out=held_out) for step in found.steps]
 
 
-def _rung(rung: Rung, paths: Sequence[str], *, held_out: bool) -> list[str]:
-    numbers = [rung.chi_square, rung.aic, rung.bic]
-    cells = [rung.change, *(f"{number:.5g}" for number in numbers)]
+def _step_row(step: Step, paths: Sequence[str], *, held_out: bool) -> list[str]:
+    numbers = [step.chi_square, step.aic, step.bic]
+    cells = [step.change, *(f"{number:.5g}" for number in numbers)]
     if held_out:
-        cells.append("-" if rung.held_out is None else f"{rung.held_out:.3g}")
+        cells.append("-" if step.held_out is None else f"{step.held_out:.3g}")
     for path in paths:
-        estimate = rung.result.parameters.get(path)
+        estimate = step.result.parameters.get(path)
         if estimate is None:
             cells.append("-")
             continue
@@ -141,8 +141,6 @@ def _plain(value: Any) -> str:
 def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.3g}"
 
-
-# Results side by side as tables of text cells, and as plain data.
 
 PLUS_MINUS = "\N{PLUS-MINUS SIGN}"
 

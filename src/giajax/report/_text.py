@@ -15,9 +15,7 @@ from ..fitting import (
     units_note,
 )
 from ..runtime.text import wrapped
-from ..studies import SAME_END, lost_starts, misfit, valleys
-
-# Which of many runs are worth a look: those that are described worst.
+from ..studies import SAME_END, distinct_optima, lost_starts, misfit
 
 MOST_RUNS = 6
 """How many are drawn: a picture takes a second, and nobody looks at twenty of them."""
@@ -42,8 +40,6 @@ def times_noise(record: RunFit, names: Iterable[str] | None = None) -> float:
         default=0.0,
     )
 
-
-# Which recording determines which parameter, as text.
 
 # Without one of two equal recordings errors are 1.4 times as large; more than this is worth a word.
 _NOTABLE = 2.0
@@ -82,9 +78,6 @@ def source_lines(result: FitResult) -> list[str]:
     return lines
 
 
-# What a summary says of what was held out of a fit.
-
-
 def held_out_lines(result: FitResult) -> list[str]:
     """How well what was held out of each run is predicted."""
     return [line for record in result.held_out for line in _lines(record)]
@@ -118,9 +111,6 @@ def _range(values: list[float | None]) -> str:
         return ""
     low, high = f"{known[0]:.3g}", f"{known[-1]:.3g}"
     return low if low == high else f"{low} to {high}"
-
-
-# What a summary says of the verdict and of the noise.
 
 
 def verdict_lines(result: FitResult) -> list[str]:
@@ -240,15 +230,16 @@ def _starts(result: FitResult) -> list[str]:
     ends = [start.misfit for start in result.starts if start.misfit is not None]
     near = sum(end - best < SAME_END * values for end in ends)
     text = f"{near} of {len(result.starts)} ended here"
-    others = sorted((end - best) / values for end in ends if end - best >= SAME_END * values)
-    if others:
-        text += f"; the others are worse by {others[0]:.2g} to {others[-1]:.2g} in log-likelihood "
+    worse = sorted((end - best) / values for end in ends if end - best >= SAME_END * values)
+    if worse:
+        text += f"; the others are worse by {worse[0]:.2g} to {worse[-1]:.2g} in log-likelihood "
         text += "per value"
     lines = [text]
-    for valley in [valley for valley in valleys(result) if not valley.is_result][:_MANY]:
-        where = ", ".join(f"{path} {value:.4g}" for path, value in valley.values.items())
-        who = "1 start" if valley.reached == 1 else f"{valley.reached} starts"
-        lines.append(f"another optimum, by {who}, worse by {valley.worse:.3g}: {where} (SI)")
+    others = [optimum for optimum in distinct_optima(result) if not optimum.is_result]
+    for optimum in others[:_MANY]:
+        where = ", ".join(f"{path} {value:.4g}" for path, value in optimum.values.items())
+        who = "1 start" if optimum.reached == 1 else f"{optimum.reached} starts"
+        lines.append(f"another optimum, by {who}, worse by {optimum.worse:.3g}: {where} (SI)")
     return lines + [
         f"{count} did not converge: {why}" for why, count in lost_starts(result).items()
     ]

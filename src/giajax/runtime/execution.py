@@ -22,12 +22,13 @@ from concurrent.futures import (
 )
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypedDict, TypeVar
 
 from .files import check_path
 from .process import CORES_VARIABLE, configure, is_own_process, own_process
+from .records import plain_data
 from .signals import is_stopped
-from .tasks import Outcome, Task, plain, read_outcome, write_outcome
+from .tasks import Outcome, Task, read_outcome, write_outcome
 from .text import InputError, abridged
 
 Kept = TypeVar("Kept")
@@ -87,7 +88,7 @@ def perform(task: Task, folder: Path | None, home: str, own: bool) -> Outcome:
     began = time.perf_counter()
     value, message = None, ""
     try:
-        value = plain(task.call())
+        value = plain_data(task.call())
     except InputError as error:
         message = str(error)
     except Exception as error:
@@ -168,8 +169,6 @@ def worker_environment() -> Iterator[None]:
             else:
                 os.environ[name] = value
 
-
-# Who does tasks: this process, processes of this machine, or a cluster that is there.
 
 # With a scheduler that does not answer.
 _PATIENCE = "10s"
@@ -304,8 +303,6 @@ def _connected(address: str) -> Iterator[Any]:
         yield client
 
 
-# The tasks of a study, from the first to the last: none is lost, and none is there twice.
-
 ATTEMPTS = 3
 """So often is a task begun whose worker ends under it, but for those of a cluster."""
 
@@ -314,6 +311,20 @@ _AHEAD = 256
 
 # Between two looks at whether the scheduler of a cluster is there, s.
 _BETWEEN_S = 2.0
+
+
+class Execution(TypedDict, total=False):
+    """Keywords of all studies: who does their tasks, and what is kept of them; as of `run_tasks`.
+
+    Attributes:
+        executor: who; by default this process, one task after the other.
+        folder: of a file for each task, by which the same call goes on after it was stopped.
+        progress: called after each task.
+    """
+
+    executor: Executor | None
+    folder: str | Path | None
+    progress: Callable[[Outcome, int, int], None] | None
 
 
 def run_tasks(

@@ -160,7 +160,7 @@ def parse_toml(text: str, path: Path) -> dict[str, Any]:
     return data
 
 
-def parse_json(text: str, path: Path) -> Any:
+def parse_json(text: str, path: Path | str) -> Any:
     """The content of a JSON file, whose objects have each key once.
 
     Raises:

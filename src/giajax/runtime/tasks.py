@@ -5,7 +5,6 @@ import functools
 import hashlib
 import importlib
 import json
-import math
 from collections.abc import Callable, Mapping
 from pathlib import Path, PurePath
 from typing import Any, Literal
@@ -13,6 +12,7 @@ from typing import Any, Literal
 from .files import keep, read_bytes
 from .identities import FORMAT, arguments_of, identity
 from .limits import RESULT_BYTES
+from .records import parse_record
 from .text import InputError
 
 
@@ -113,9 +113,7 @@ def _described(value: Any) -> Any:
     return f"{name} {digits}"
 
 
-# What came of a task, and the file that keeps it: one for each that is done, by who did it.
-
-_FORMAT = 1
+_HEAD = {"giajax_task": 1}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -147,8 +145,7 @@ def write_outcome(folder: Path, outcome: Outcome) -> None:
     Raises:
         InputError: it cannot be written.
     """
-    record = {"giajax_task": _FORMAT, **dataclasses.asdict(outcome)}
-    text = json.dumps(record, allow_nan=False)
+    text = json.dumps({**_HEAD, **dataclasses.asdict(outcome)}, allow_nan=False)
     keep(outcome_path(folder, outcome.key), text.encode() + b"\n")
 
 
@@ -162,11 +159,9 @@ def read_outcome(folder: str | Path, key: str) -> Outcome | None:
         key: of the task.
     """
     try:
-        record = json.loads(read_bytes(outcome_path(Path(folder), key), RESULT_BYTES))
-        if record.pop("giajax_task") != _FORMAT:
-            return None
-        outcome = Outcome(**record)
-    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
+        text = read_bytes(outcome_path(Path(folder), key), RESULT_BYTES)
+        outcome = parse_record(Outcome, text, _HEAD, "this is no outcome of a task", "do it again")
+    except (OSError, InputError):
         return None
     return outcome if outcome.key == key and outcome.status == "done" else None
 
@@ -174,27 +169,3 @@ def read_outcome(folder: str | Path, key: str) -> Outcome | None:
 def outcome_path(folder: Path, key: str) -> Path:
     """The file of a task."""
     return folder / f"{key}.json"
-
-
-def plain(value: Any) -> Any:
-    """A value as JSON gives it back.
-
-    Raises:
-        TypeError: there is no form of it in JSON.
-    """
-    if isinstance(value, bool | int | str | None):
-        return value
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    if isinstance(value, PurePath):
-        return str(value)
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        names = [field.name for field in dataclasses.fields(value)]
-        return {name: plain(getattr(value, name)) for name in names}
-    if hasattr(value, "tolist"):  # arrays and scalars of NumPy and JAX
-        return plain(value.tolist())
-    raise TypeError(f"a task returned {type(value).__qualname__}, which JSON has no form for")

@@ -31,22 +31,15 @@ from ._influence import (
     influence as influence,
     parts_of as parts_of,
 )
-from ._ladder import (
-    TRIES as TRIES,
-    Ladder as Ladder,
-    Rung as Rung,
-    best_step as best_step,
-    ladder as ladder,
-)
 from ._multi_start import (
     SAME_END as SAME_END,
     SEED as SEED,
     SPREAD as SPREAD,
-    Valley as Valley,
+    DistinctOptimum as DistinctOptimum,
+    distinct_optima as distinct_optima,
     lost_starts as lost_starts,
     multi_start as multi_start,
     solve_from_starts as solve_from_starts,
-    valleys as valleys,
 )
 from ._posterior import check_posterior as check_posterior, posterior as posterior
 from ._posterior_records import (
@@ -88,6 +81,13 @@ from ._starts import (
     has_earlier_starts as has_earlier_starts,
     misfit as misfit,
     start_values as start_values,
+)
+from ._stepwise import (
+    TRIES as TRIES,
+    Step as Step,
+    StepwiseSelection as StepwiseSelection,
+    best_step as best_step,
+    ladder as ladder,
 )
 from ._suspects import (
     LEVEL as LEVEL,

@@ -1,12 +1,9 @@
 """A fit repeated with data that might have been recorded instead: the bootstrap."""
 
 import dataclasses
-import json
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
-from pathlib import Path
-from typing import Any, Literal, Self, get_args
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, Self, Unpack, get_args
 
 import numpy as np
 from scipy.special import betaincinv
@@ -15,17 +12,15 @@ from ..fitting import FitResult, Optimum, Recorded, Statistics, student_reach
 from ..noise import ChannelNoise, drawn
 from ..recordings import Run
 from ..runtime.arrays import Float
-from ..runtime.execution import run_tasks
-from ..runtime.tasks import Outcome, Task
+from ..runtime.execution import Execution
+from ..runtime.records import json_text, parse_record
 from ..runtime.text import InputError
 from ..schema.parameters import get
 from ._refit import Fitted, optimum_of, refit
 
-# What repetitions of a fit say, as data: `bootstrap.json` gives each record back.
-
 Method = Literal["parametric", "block"]
 
-SCHEMA_VERSION = 1
+_HEAD = {"schema_version": 1}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -115,8 +110,7 @@ class Bootstrap:
 
     def to_json(self) -> str:
         """The text of `bootstrap.json`."""
-        record = {"schema_version": SCHEMA_VERSION, **dataclasses.asdict(self)}
-        return json.dumps(record, indent=1, allow_nan=False) + "\n"
+        return json_text(self, _HEAD, indent=1)
 
     @classmethod
     def of_json(cls, text: str | bytes) -> Self:
@@ -125,26 +119,9 @@ class Bootstrap:
         Raises:
             InputError: it is of none, or of a later version.
         """
-        try:
-            record = json.loads(text)
-            if record.pop("schema_version") != SCHEMA_VERSION:
-                raise ValueError
-            repeated = {path: _repeated(item) for path, item in record["parameters"].items()}
-            tuples = {key: tuple(record[key]) for key in ("failures", "notes")}
-            return cls(**{**record, **tuples, "parameters": repeated})
-        except (ValueError, LookupError, TypeError, AttributeError):
-            raise InputError(
-                "this is no bootstrap.json of this version of giajax: repeat the fit again"
-            ) from None
+        what = "this is no bootstrap.json of this version of giajax"
+        return parse_record(cls, text, _HEAD, what, "repeat the fit again")
 
-
-def _repeated(record: Mapping[str, Any]) -> Repeated:
-    pairs = ("percentile", "basic", "coverage_interval", "values")
-    tuples = {key: None if record[key] is None else tuple(record[key]) for key in pairs}
-    return Repeated(**{**record, **tuples})
-
-
-# From where repetitions of a fit ended to what they say of its standard errors and intervals.
 
 LEVEL = 0.95
 
@@ -334,9 +311,6 @@ def _lag_one(values: Float[np.ndarray, " sample"]) -> float:
     return min(rho, 0.99) if rho > 2 / np.sqrt(both.sum()) else 0.0
 
 
-# The task of a bootstrap: some repetitions of a fit, one after the other, by its own programs.
-
-
 def replicates(
     fitted: Fitted,
     first: int,
@@ -503,9 +477,7 @@ def bootstrap(
     method: Method = "parametric",
     whole: bool = False,
     seed: int = 0,
-    executor: Executor | None = None,
-    folder: str | Path | None = None,
-    progress: Callable[[Outcome, int, int], None] | None = None,
+    **how: Unpack[Execution],
 ) -> Bootstrap:
     """Repeat a fit with data that might have been recorded instead (Efron 1979).
 
@@ -532,9 +504,7 @@ def bootstrap(
         method: "parametric" or "block".
         whole: fit each as the data were, with the noise to be found again.
         seed: of all repetitions; repetition n has random numbers of its own, of the seed and n.
-        executor: as of `giajax.runtime.execution.run_tasks`; by default this process.
-        folder: of the files of tasks of 16 repetitions; what has a file is not done again.
-        progress: called after each task, as of `run_tasks`.
+        how: who does the tasks of 16 repetitions, as of `giajax.runtime.execution.Execution`.
 
     Returns:
         What the repetitions say; after Ctrl-C, those that were done.
@@ -548,32 +518,25 @@ def bootstrap(
         >>> found.parameters["air.drag_coefficient"].ratio  # doctest: +SKIP
         1.02
     """
-    fitted = Fitted.of(result, runs)
+    fitted = Fitted.of(result, runs, converged=True)
     if not 2 <= size <= _LARGEST:
         raise InputError(f"the size of a bootstrap is {size}: give 2 repetitions at least")
     if method not in get_args(Method):
         raise InputError(f"there is no bootstrap '{method}': use one of: parametric, block")
     if seed < 0:
         raise InputError(f"the seed is {seed}: give 0 or a positive number")
-    if result.status != "converged":
-        raise InputError(
-            "the fit did not converge, and there is no optimum to repeat: fit it to its end first"
-        )
     if whole and result.config.get("priors"):
         raise InputError(
             "a fit with priors cannot be repeated whole, because what they know is not drawn anew "
             "there: leave whole (--whole) out"
         )
     optimum = fitted.optimum()
-    common = {"fitted": fitted, "method": method, "whole": whole, "seed": seed}
-    tasks = [
-        Task(
-            "giajax.studies._bootstrap:replicates",
-            {**common, "first": first, "count": min(CHUNK, size - first)},
-        )
+    common = {"method": method, "whole": whole, "seed": seed}
+    chunks = [
+        {**common, "first": first, "count": min(CHUNK, size - first)}
         for first in range(0, size, CHUNK)
     ]
-    outcomes = run_tasks(tasks, executor=executor, folder=folder, progress=progress)
+    outcomes = fitted.study(replicates, chunks, **how)
     rows = [row for outcome in outcomes if outcome.status == "done" for row in outcome.value]
     failures = tuple(dict.fromkeys(each.message for each in outcomes if each.message))
     if len(rows) < 2:

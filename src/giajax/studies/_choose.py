@@ -14,8 +14,6 @@ from ..runtime.text import InputError
 from ..schema import HysteresisSection
 from ..schema.parameters import default_free
 
-# The hysteresis models that may be chosen, by name.
-
 
 @dataclasses.dataclass(frozen=True)
 class CandidateModel:
@@ -57,8 +55,6 @@ CANDIDATES: dict[str, CandidateModel] = {
 """The models that may be chosen, by the names that `giajax choose` gives them."""
 
 
-# A run in two parts: one to fit to, and one to judge by.
-
 # With fewer measured values than this a part of a run is no loop.
 _LEAST = 8
 
@@ -94,9 +90,6 @@ def parted(run: Run, fraction: float) -> tuple[Run, Run]:
         part[kept] = values[kept]
         parts.append(dataclasses.replace(run, values={**run.values, name: part}))
     return parts[0], parts[1]
-
-
-# Two models on the same recordings, from the same first rows.
 
 
 @dataclasses.dataclass(frozen=True)

@@ -82,9 +82,6 @@ def _of(result: FitResult, what: str) -> str:
     return json.dumps(assumed[what], sort_keys=True)
 
 
-# Results side by side: what they say of the same parameters, and which describes the data best.
-
-
 @dataclasses.dataclass(frozen=True)
 class ContrastRow:
     """One parameter in several results, in the units of their columns.

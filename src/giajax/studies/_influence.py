@@ -1,24 +1,19 @@
 """What each run, marker, channel and span of time does to each parameter of a fit."""
 
 import dataclasses
-import json
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
-from pathlib import Path
-from typing import Any, Literal, Self
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, Self, Unpack
 
 import numpy as np
 
 from ..fitting import CellEquations, FitResult, Optimum, Recorded
 from ..recordings import Channel, Run
-from ..runtime.execution import run_tasks
-from ..runtime.tasks import Outcome, Task
+from ..runtime.execution import Execution
+from ..runtime.records import finite_or_none, json_text, parse_record
 from ..runtime.text import InputError
 from ._refit import Fitted
 
-# What each part of the data does to a fit, as data: `influence.json` gives each record back.
-
-SCHEMA_VERSION = 1
+_HEAD = {"schema_version": 1}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,8 +96,7 @@ class Influence:
 
     def to_json(self) -> str:
         """The text of `influence.json`."""
-        record = {"schema_version": SCHEMA_VERSION, **dataclasses.asdict(self)}
-        return json.dumps(record, indent=1, allow_nan=False) + "\n"
+        return json_text(self, _HEAD, indent=1)
 
     @classmethod
     def of_json(cls, text: str | bytes) -> Self:
@@ -111,19 +105,9 @@ class Influence:
         Raises:
             InputError: it is of none, or of a later version.
         """
-        try:
-            record = json.loads(text)
-            if record.pop("schema_version") != SCHEMA_VERSION:
-                raise ValueError
-            parts = tuple(LeftOut(**part) for part in record.pop("parts"))
-            return cls(parts=parts, **{**record, "notes": tuple(record["notes"])})
-        except (ValueError, LookupError, TypeError, AttributeError):
-            raise InputError(
-                "this is no influence.json of this version of giajax: ask for it again"
-            ) from None
+        what = "this is no influence.json of this version of giajax"
+        return parse_record(cls, text, _HEAD, what, "ask for it again")
 
-
-# Parts of the data of a fit that may be left out: runs, channels, markers and spans of time.
 
 Kind = Literal["run", "marker", "channel", "span"]
 
@@ -198,9 +182,6 @@ def _spans(index: int, run: Run, count: int) -> list[Part]:
     ]
 
 
-# The task of an exact influence: fits without some of the data, one after the other.
-
-
 def left_out(fitted: Fitted, parts: Sequence[Part]) -> list[dict[str, Any]]:
     """Fit again without each of some parts.
 
@@ -251,9 +232,7 @@ def influence(
     *,
     exact: bool = False,
     spans: int = 10,
-    executor: Executor | None = None,
-    folder: str | Path | None = None,
-    progress: Callable[[Outcome, int, int], None] | None = None,
+    **how: Unpack[Execution],
 ) -> Influence:
     """What each run, marker, channel and span of time does to each parameter.
 
@@ -276,9 +255,7 @@ def influence(
         runs: the runs that were fitted, in their order.
         exact: fit without each marker, channel and span, too.
         spans: into how many each run is cut, of equal time; 1 for none.
-        executor: as of `giajax.runtime.execution.run_tasks`; by default this process.
-        folder: of the files of tasks of 16 fits; what has a file is not done again.
-        progress: called after each task, as of `run_tasks`.
+        how: who does the tasks of 16 fits, as of `giajax.runtime.execution.Execution`.
 
     Returns:
         The parts, the largest shift first.
@@ -292,25 +269,15 @@ def influence(
         >>> found.of_kind("marker")[0].name  # doctest: +SKIP
         'link20'
     """
-    fitted = Fitted.of(result, runs)
+    fitted = Fitted.of(result, runs, converged=True)
     if not 1 <= spans <= _MOST_SPANS:
         raise InputError(f"there are {spans} spans: give a number from 1 to {_MOST_SPANS}")
-    if result.status != "converged":
-        raise InputError(
-            "the fit did not converge, and there is no optimum: fit it to its end first"
-        )
     optimum = fitted.optimum()
     parts = parts_of(fitted.runs, spans)
     steps = _steps(optimum, parts)
     fits = [part for part in parts if exact or part.kind == "run"]
-    tasks = [
-        Task(
-            "giajax.studies._influence:left_out",
-            {"fitted": fitted, "parts": fits[first : first + _CHUNK]},
-        )
-        for first in range(0, len(fits), _CHUNK)
-    ]
-    outcomes = run_tasks(tasks, executor=executor, folder=folder, progress=progress)
+    chunks = [{"parts": fits[first : first + _CHUNK]} for first in range(0, len(fits), _CHUNK)]
+    outcomes = fitted.study(left_out, chunks, **how)
     rows: dict[Part, Mapping[str, Any]] = {}
     for number, outcome in enumerate(outcomes):
         those = fits[number * _CHUNK : (number + 1) * _CHUNK]
@@ -361,8 +328,8 @@ def _steps(optimum: Optimum, parts: Sequence[Part]) -> list[LeftOut]:
                 continue
             at = equations.positions.index(place)
             # What the fit has left to go is no part's.
-            shifts[label] = _number((step[at] - offset[at]) / error)
-            widening[label] = _number(wider[at] / errors[at])
+            shifts[label] = finite_or_none((step[at] - offset[at]) / error)
+            widening[label] = finite_or_none(wider[at] / errors[at])
         steps.append(LeftOut(part.kind, part.name, cells, shifts, widening))
     return steps
 
@@ -393,10 +360,6 @@ def _own(optimum: Optimum, part: Part) -> set[int]:
         for member, columns in zip(group.members, group.columns().tolist(), strict=True):
             (mine if member in part.runs else others).update(columns)
     return mine - others
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 def _notes(optimum: Optimum, *, exact: bool) -> tuple[str, ...]:

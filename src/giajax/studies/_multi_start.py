@@ -1,4 +1,4 @@
-"""A fit from several starts: long motions have valleys that lead nowhere."""
+"""A fit from several starts: long motions have optima that lead nowhere."""
 
 import dataclasses
 import functools
@@ -32,7 +32,6 @@ from ..runtime.text import InputError
 from ..schema import Prior
 from ._starts import (
     End,
-    as_fine,
     by_executor,
     earlier_starts,
     end_of,
@@ -43,18 +42,17 @@ from ._starts import (
     interrupted,
     misfit,
     start_values,
+    with_tolerance_of,
 )
 
-# The optima that several starts have found, and what became of the other starts.
-
-# An end whose misfit is this much above the best one, per measured value, is another valley.
+# An end whose misfit is this much above the best one, per measured value, is another optimum.
 SAME_END = 1e-3
 
 # And so is one that is this many standard errors away.
 _APART = 1.0
 
 
-class Valley(NamedTuple):
+class DistinctOptimum(NamedTuple):
     """An optimum, and the starts that reached it.
 
     Attributes:
@@ -70,7 +68,7 @@ class Valley(NamedTuple):
     is_result: bool
 
 
-def valleys(result: FitResult) -> list[Valley]:
+def distinct_optima(result: FitResult) -> list[DistinctOptimum]:
     """The optima that the starts of a result converged to, the best first.
 
     Two ends are of one optimum where they describe the data as well as each other and no parameter
@@ -93,12 +91,12 @@ def valleys(result: FitResult) -> list[Valley]:
             found.append((start, 1))
     here = Start({}, result.status, best, end_values(result))
 
-    def valley(start: Start, reached: int) -> Valley:
+    def optimum(start: Start, reached: int) -> DistinctOptimum:
         worse = (start.misfit or 0.0) - best
         is_result = worse < SAME_END * values and _is_same(result, start, here)
-        return Valley(max(worse, 0.0), reached, start.parameters or {}, is_result)
+        return DistinctOptimum(max(worse, 0.0), reached, start.parameters or {}, is_result)
 
-    return [valley(*each) for each in found]
+    return [optimum(*each) for each in found]
 
 
 def lost_starts(result: FitResult) -> dict[str, int]:
@@ -261,7 +259,7 @@ def solve_from_starts(
             if announce is not None:
                 tell(announce, number, start)
             result = solve(
-                as_fine(setup.started_at(start), earlier),
+                with_tolerance_of(setup.started_at(start), earlier),
                 max_iterations=max_iterations,
                 progress=functools.partial(tell, _nothing if progress is None else progress),
                 check=False,
@@ -341,7 +339,7 @@ def _checked(
 ) -> FitResult:
     """The best end fitted again from where it is, with the checks that were left out before."""
     try:
-        inside = as_fine(setup.started_at(inside_bounds(setup, end_values(best))), [best])
+        inside = with_tolerance_of(setup.started_at(inside_bounds(setup, end_values(best))), [best])
         again = solve(
             inside,
             max_iterations=max_iterations,

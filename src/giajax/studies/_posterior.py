@@ -24,8 +24,6 @@ from ..runtime.text import InputError
 from ._posterior_records import Band, Posterior, PosteriorSummary, bands, doubts, marginal
 from ._refit import Fitted
 
-# One chain of a posterior: NumPyro's No-U-Turn sampler over the density of a fit.
-
 # Transitions of a call of the program: between calls Ctrl-C is heard, and progress told.
 _AT_ONCE = 20
 

@@ -2,7 +2,6 @@
 
 import dataclasses
 import importlib
-import json
 import math
 import warnings
 from collections.abc import Mapping, Sequence
@@ -15,6 +14,7 @@ from scipy.special import ndtri, stdtrit
 from ..fitting import FitResult, Optimum
 from ..recordings import Run
 from ..runtime.arrays import Float
+from ..runtime.records import finite_or_none, json_text, parse_record
 from ..runtime.text import InputError
 
 # Whether chains have mixed: R-hat and effective sample sizes.
@@ -125,8 +125,6 @@ def _autocovariance(draws: Draws) -> Draws:
     return np.fft.irfft(power, axis=1)[:, :count] / count
 
 
-# Draws as ArviZ takes them, whose two generations are filled differently.
-
 _MISSING = 'ArviZ is not installed, which takes the draws: pip install "giajax[posterior]"'
 
 
@@ -162,8 +160,6 @@ def _arviz() -> ModuleType:
         raise InputError(_MISSING) from None
 
 
-# What draws say of one parameter, beside what its fit says.
-
 _LEVEL = 0.95
 
 # Degrees of freedom from which Student's t is a normal distribution.
@@ -194,13 +190,6 @@ class Marginal:
     ess_bulk: float | None
     ess_tail: float | None
 
-    @classmethod
-    def of_json(cls, record: Mapping[str, Any]) -> Self:
-        """The record that an object of `posterior.json` holds."""
-        linear = record["linear"]
-        pairs = {"interval": tuple(record["interval"]), "linear": linear and tuple(linear)}
-        return cls(**{**record, **pairs})
-
     def times(self, factor: float, unit: str) -> Self:
         """The same in another unit."""
 
@@ -230,7 +219,7 @@ def marginal(result: FitResult, optimum: Optimum, index: int, draws: np.ndarray)
     """
     low, high = np.percentile(draws, (2.5, 97.5))
     path = optimum.labels[index].partition(" of ")[0]
-    known = [float(each) if np.isfinite(each) else None for each in mixing(draws)]
+    known = list(map(finite_or_none, mixing(draws)))
     return Marginal(
         unit=result.parameters[path].unit if path in result.parameters else "",
         fitted=float(optimum.values[index]),
@@ -255,8 +244,6 @@ def _linear(optimum: Optimum, index: int) -> tuple[float, float] | None:
     value, lower, upper = optimum.values[index], *(each[index] for each in optimum.bounds)
     return float(max(value - reach, lower)), float(min(value + reach, upper))
 
-
-# What is wrong with draws, in sentences.
 
 # What draws must reach to be taken for what they are meant to be (Vehtari et al. 2021).
 MOST_R_HAT, LEAST_ESS = 1.01, 400
@@ -317,7 +304,7 @@ def doubts(
     return sentences
 
 
-FORMAT = 1
+_HEAD = {"giajax_posterior": 1}
 
 # Where a normal variable is by 95 %, in deviations.
 NORMAL = 1.959964
@@ -386,8 +373,7 @@ class PosteriorSummary:
 
     def to_json(self) -> str:
         """As JSON; what is not finite is null."""
-        record = {"giajax_posterior": FORMAT, **dataclasses.asdict(self)}
-        return json.dumps(_plain(record), indent=2, allow_nan=False) + "\n"
+        return json_text(self, _HEAD)
 
     @classmethod
     def of_json(cls, text: str | bytes) -> Self:
@@ -396,19 +382,8 @@ class PosteriorSummary:
         Raises:
             InputError: it is something else.
         """
-        try:
-            record = json.loads(text)
-            if record.pop("giajax_posterior") != FORMAT:
-                raise ValueError
-            marginals = {
-                name: Marginal.of_json(each) for name, each in record["parameters"].items()
-            }
-            words = {key: tuple(record[key]) for key in ("held", "warnings")}
-            return cls(**{**record, **words, "parameters": marginals})
-        except (ValueError, LookupError, TypeError, AttributeError):
-            raise InputError(
-                "this is no posterior.json of this version of giajax: run giajax posterior again"
-            ) from None
+        what = "this is no posterior.json of this version of giajax"
+        return parse_record(cls, text, _HEAD, what, "run giajax posterior again")
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -465,18 +440,6 @@ class Posterior:
         known = self.summary
         return f"<Posterior: {len(self.labels)} parameters, {known.chains} x {known.draws} draws>"
 
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return value
-
-
-# Where channels are predicted to be: the predictions of some draws.
 
 # Of 200 draws the ends of a 95 % interval are known to a tenth of its width.
 DRAWS = 200

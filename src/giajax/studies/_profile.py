@@ -6,17 +6,15 @@ Moolgavkar 1988; Bates and Watts, "Nonlinear Regression Analysis", 1988, section
 """
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
-from pathlib import Path
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 
 from ..fitting import FitResult, Optimum
 from ..recordings import Run
-from ..runtime.execution import run_tasks
-from ..runtime.tasks import Outcome, Task
+from ..runtime.execution import Execution
+from ..runtime.tasks import Outcome
 from ..runtime.text import InputError
 from ._profile_records import (
     Ending,
@@ -28,8 +26,6 @@ from ._profile_records import (
 )
 from ._profiled import Followed, Profiled, profiled_of, quantity_names, tangent
 from ._refit import Fitted, fit_key
-
-# One side of a profile: from the optimum outwards, each fit begun from the one before.
 
 # The root of the deviance is to rise by this in a step, and may rise by so much.
 _STEP, _LARGEST = 0.4, 1.0
@@ -102,7 +98,7 @@ class _Walk:
     def improved(self, points: list[PathPoint]) -> list[PathPoint]:
         """The points, of which those before the last are fitted again from the one after each.
 
-        A profile that jumps has followed a valley that was not the deepest.
+        A profile that jumps has followed an optimum that was not the best.
         """
         better = list(points)
         for index in range(len(points) - 2, -1, -1):
@@ -199,8 +195,6 @@ def _refined(walk: _Walk, points: list[PathPoint], reach: float) -> list[PathPoi
         return points
     return [*points[:-1], between, outer]
 
-
-# What a worker does for a profile, one side of one quantity, and what becomes of two of them.
 
 SIDES = (-1, 1)
 
@@ -313,9 +307,7 @@ def profile(
     *,
     level: float = LEVEL,
     known: Profiles | None = None,
-    executor: Executor | None = None,
-    folder: str | Path | None = None,
-    progress: Callable[[Outcome, int, int], None] | None = None,
+    **how: Unpack[Execution],
 ) -> Profiles:
     """Profile parameters and derived quantities of a fit.
 
@@ -331,10 +323,7 @@ def profile(
         level: of the intervals.
         known: profiles of this fit and level, which are not made again; those asked for are
             returned with the new ones.
-        executor: who does the sides, each a task (`giajax.runtime.execution.run_tasks`); by
-            default this process.
-        folder: of a file for each task, by which the same call goes on after it was stopped.
-        progress: as of `run_tasks`.
+        how: who does the sides, each a task, as of `giajax.runtime.execution.Execution`.
 
     Returns:
         The profiles. After Ctrl-C, those sides that were not done are "stopped".
@@ -349,21 +338,15 @@ def profile(
     """
     if not 0 < level < 1:
         raise InputError(f"the level is {level:g}: give one between 0 and 1, such as 0.95")
-    if result.status != "converged":
-        raise InputError("the fit did not converge, so it has no optimum to profile: fit it first")
-    fitted = Fitted.of(result, runs)
-    if known is not None and (known.fit, known.level) != (fit_key(result), level):
+    fitted = Fitted.of(result, runs, converged=True)
+    if known is not None and not (known.is_of(result) and known.level == level):
         raise InputError("the known profiles are of another fit or level: leave them out")
     optimum = fitted.optimum()
     asked = quantity_names(result, optimum, paths)
     there = {} if known is None else known.profiles
     names = [name for name in asked if name not in there]
-    tasks = [
-        Task(one_side, {"fitted": fitted, "name": name, "side": side, "level": level})
-        for name in names
-        for side in SIDES
-    ]
-    outcomes = run_tasks(tasks, executor=executor, folder=folder, progress=progress)
+    sides = [{"name": name, "side": side, "level": level} for name in names for side in SIDES]
+    outcomes = fitted.study(one_side, sides, **how)
     profiles = {}
     for index, name in enumerate(names):
         profiled = profiled_of(result, optimum, name)

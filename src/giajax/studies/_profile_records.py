@@ -4,21 +4,21 @@ JSON gives each record back; field by field they are the objects of `profiles.js
 """
 
 import dataclasses
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal, Self, TypeAlias
+from typing import Literal, Self, TypeAlias
 
 import numpy as np
 
 from ..fitting import FitResult
 from ..runtime.files import read_bytes
 from ..runtime.limits import RESULT_BYTES
+from ..runtime.records import json_text, parse_record
 from ..runtime.text import InputError
 from ._refit import fit_key
 
 PROFILES = "profiles.json"
-_FORMAT = 1
+_HEAD = {"giajax_profiles": 1}
 
 Ending: TypeAlias = Literal["level", "bound", "flat", "failed", "unfinished", "stopped"]
 """What ended a side of a profile.
@@ -90,27 +90,6 @@ class Profile:
         """Whether nothing stopped it."""
         return "stopped" not in self.ended
 
-    @classmethod
-    def of_json(cls, record: Mapping[str, Any]) -> Self:
-        """The record that an object of `profiles.json` holds."""
-        points = tuple(
-            ProfilePoint(
-                item["value"], item["deviance"], tuple(item["values"]), tuple(item["at_bounds"])
-            )
-            for item in record["points"]
-        )
-        low, high = record["interval"]
-        first, last = record["ended"]
-        linear = record["linear"]
-        known = {
-            "linear": None if linear is None else (linear[0], linear[1]),
-            "interval": (low, high),
-            "ended": (first, last),
-            "points": points,
-            "remarks": tuple(record["remarks"]),
-        }
-        return cls(**{**record, **known})
-
 
 @dataclasses.dataclass(frozen=True)
 class Profiles:
@@ -138,8 +117,7 @@ class Profiles:
 
     def to_json(self) -> str:
         """The profiles as JSON."""
-        record = {"giajax_profiles": _FORMAT, **dataclasses.asdict(self)}
-        return json.dumps(record, indent=1, allow_nan=False) + "\n"
+        return json_text(self, _HEAD, indent=1)
 
     @classmethod
     def of_json(cls, text: str | bytes) -> Self:
@@ -148,16 +126,8 @@ class Profiles:
         Raises:
             InputError: it is of none, or of another version.
         """
-        try:
-            record = json.loads(text)
-            if record.pop("giajax_profiles") != _FORMAT:
-                raise ValueError
-            profiles = {name: Profile.of_json(item) for name, item in record["profiles"].items()}
-            return cls(record["fit"], record["level"], tuple(record["labels"]), profiles)
-        except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
-            raise InputError(
-                "this is no profiles.json of this version of giajax: profile the fit again"
-            ) from None
+        what = "this is no profiles.json of this version of giajax"
+        return parse_record(cls, text, _HEAD, what, "profile the fit again")
 
 
 def load_profiles(path: str | Path) -> Profiles:
@@ -175,21 +145,15 @@ def load_profiles(path: str | Path) -> Profiles:
     """
     path = Path(path)
     path = path / PROFILES if path.is_dir() else path
+    what = f"{path} holds no profiles of this version of giajax"
     try:
-        content = read_bytes(path, RESULT_BYTES)
+        text = read_bytes(path, RESULT_BYTES)
     except FileNotFoundError:
         raise InputError(f"{path} does not exist: make it with giajax profile") from None
     except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror}): make it anew") from None
-    try:
-        return Profiles.of_json(content)
-    except InputError:
-        raise InputError(
-            f"{path} holds no profiles of this version of giajax: make it anew"
-        ) from None
+        raise InputError(f"{what} ({error.strerror}): make it anew") from None
+    return parse_record(Profiles, text, _HEAD, what, "make it anew")
 
-
-# What the points of a profile say: the ends of the interval, and what a reader must know.
 
 # A deviance this far below that of the fit is no rounding.
 LOWER = 0.01

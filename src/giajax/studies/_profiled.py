@@ -9,8 +9,6 @@ import numpy as np
 from ..fitting import BlockJacobian, FitResult, Optimum, Point, student_reach
 from ..runtime.text import InputError, one_of
 
-# Where the other parameters go, to first order, when a quantity is moved.
-
 # Singular values of the normalised Jacobian below this part of the largest are rounding: what they
 # belong to costs nothing, but is not to run away.
 _LEAST = 1e-7

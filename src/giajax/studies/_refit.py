@@ -5,7 +5,7 @@ import functools
 import hashlib
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Self
 
 import numpy as np
@@ -26,9 +26,11 @@ from ..fitting import (
 )
 from ..models import AbstractModel
 from ..recordings import Definition, Run
-from ..runtime.execution import prepared
+from ..runtime.execution import prepared, run_tasks
 from ..runtime.identities import fields_of
 from ..runtime.programs import content
+from ..runtime.tasks import Outcome, Task
+from ..runtime.text import InputError
 from ..schema.parameters import Parameter, declared, elements, get, switched_on
 
 # Of the size of a parameter, or of the range that it has: how far from a bound a fit starts.
@@ -209,17 +211,12 @@ def _inside(parameter: Parameter, value: float, bounds: Mapping[str, Sequence[fl
     return between(value, lower, upper, margin=_INSIDE * width)
 
 
-# A fit and what it was fitted to, as an argument of tasks that other processes do.
-
-
 @dataclasses.dataclass(frozen=True)
 class Fitted:
     """A result with its runs, which any process can take up.
 
-        task = Task("giajax.studies._profile:profiled", {"fitted": Fitted.of(result, runs)})
-
-    The function of the task asks it for its `optimum`, which a process evaluates once, however many
-    tasks it does: its programs are loaded or compiled for the first of them.
+    A task asks it for its `optimum`, which a process evaluates once, however many tasks it does:
+    its programs are loaded or compiled for the first of them.
 
     Attributes:
         result: without predictions.
@@ -230,16 +227,21 @@ class Fitted:
     runs: tuple[Run, ...]
 
     @classmethod
-    def of(cls, result: FitResult, runs: Run | Sequence[Run]) -> Self:
+    def of(cls, result: FitResult, runs: Run | Sequence[Run], *, converged: bool = False) -> Self:
         """A result and its runs.
 
         Arguments:
             result: of `fit` or `load_result`.
             runs: what it was fitted to, in their order.
+            converged: whether the result must have.
 
         Raises:
-            InputError: these are not its runs.
+            InputError: these are not its runs, or it has not converged.
         """
+        if converged and result.status != "converged":
+            raise InputError(
+                "the fit did not converge, and there is no optimum: fit it to its end first"
+            )
         several = tuple(matching_runs(result.runs, runs))
         bare = dataclasses.replace(
             result, predictions=(), held_predictions=(), seconds=Seconds(0.0, 0.0)
@@ -252,8 +254,27 @@ class Fitted:
 
         Times, places of files, versions, and what was asked of a result afterwards do not count.
         """
-        told = content(list(map(told_of, self.runs)))
+        told = content(list(map(fingerprint, self.runs)))
         return hashlib.sha256((fit_key(self.result) + told).encode()).hexdigest()
+
+    def study(
+        self, function: Callable[..., Any], each: Iterable[Mapping[str, Any]], **how: Any
+    ) -> list[Outcome]:
+        """What comes of calls of a function with this fit, which any worker can make.
+
+        This is what all studies of a fit are: their settings decide the calls, and what the calls
+        return becomes their record. Seeds follow from functions and arguments.
+
+        Arguments:
+            function: at the top of a module; its first argument is `fitted`.
+            each: the other arguments, of each task.
+            how: as of `Execution`.
+
+        Returns:
+            One for each, in their order; of those that Ctrl-C came before, "stopped".
+        """
+        tasks = [Task(function, {"fitted": self, **arguments}) for arguments in each]
+        return run_tasks(tasks, **how)
 
     def optimum(self) -> Optimum:
         """Where the fit ended, kept in this process for the tasks to come.
@@ -272,32 +293,32 @@ def fit_key(result: FitResult) -> str:
     It says whether a file beside `result.json` is of this fit.
     """
     kept: dict[str, Any] = {
-        name: _told(getattr(result, name)) for name in ("config", "parameters", "integration")
+        name: _counted(getattr(result, name)) for name in ("config", "parameters", "integration")
     }
     kept["model"] = result.model.kind
-    kept["runs"] = [{**_told(record), "path": None} for record in result.runs]
+    kept["runs"] = [{**_counted(record), "path": None} for record in result.runs]
     return hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()
 
 
-def _told(value: Any) -> Any:
+def _counted(value: Any) -> Any:
     """What of a record counts, as JSON gives it: a field by the name that it has in keys."""
     if dataclasses.is_dataclass(value):
-        fields = ((name, _told(item), default) for name, item, default in fields_of(value))
+        fields = ((name, _counted(item), default) for name, item, default in fields_of(value))
         return {
             name: item
             for name, item, default in fields
-            if default is dataclasses.MISSING or item != _told(default)
+            if default is dataclasses.MISSING or item != _counted(default)
         }
     if isinstance(value, Mapping):
-        return {key: _told(item) for key, item in value.items()}
+        return {key: _counted(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_told(item) for item in value]
+        return [_counted(item) for item in value]
     if isinstance(value, float | np.floating):
         return float(value) if math.isfinite(value) else None
     return value
 
 
-def told_of(run: Run) -> tuple[Any, ...]:
+def fingerprint(run: Run) -> tuple[Any, ...]:
     """What a fit knows of a run, wherever its file lies."""
     arrays = {
         name: list(values) if values.dtype == object else values

@@ -33,8 +33,6 @@ from ..noise import by_second_differences
 from ..recordings import Run
 from ..schema.parameters import declared, get, replace
 
-# A fit where it ended: what it could move, what follows from it, and what was known of it.
-
 Array = np.ndarray
 
 
@@ -338,9 +336,6 @@ def basis_of(columns: np.ndarray) -> np.ndarray:
         return np.zeros((len(columns), 0))
     left, singular, _ = np.linalg.svd(kept, full_matrices=False)
     return np.asarray(left[:, singular > _RANK * singular[0]])
-
-
-# A fit where it ended, as weighted tables: residuals and columns in units of white noise.
 
 
 def fitted_noise(result: FitResult, runs: Sequence[Run]) -> list[dict[str, float]]:

@@ -17,8 +17,6 @@ from ..runtime.text import InputError
 from ..schema.parameters import elements, replace, switched_on
 from ..simulation import SimulationError
 
-# A run that is still to be recorded.
-
 
 def planned(
     times: Any,

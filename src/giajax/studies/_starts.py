@@ -35,7 +35,7 @@ from ..runtime.programs import content
 from ..runtime.tasks import Outcome, Task
 from ..runtime.text import InputError
 from ..schema.parameters import Parameter
-from ._refit import told_of
+from ._refit import fingerprint
 
 
 def interrupted(result: FitResult, when: str) -> FitResult:
@@ -61,8 +61,6 @@ def end_of(start: Mapping[str, float], result: FitResult) -> Start:
     message = None if result.status == "converged" else result.message
     return Start(dict(start), result.status, misfit(result), end_values(result), message)
 
-
-# In what order the starts of a fit are begun: up to the first that converges one by one.
 
 End = tuple[Start, FitResult | None]
 """Where a start ended, and its result; None of one that failed or was fitted before."""
@@ -123,16 +121,13 @@ def interrupts(end: End | None) -> bool:
     return end is not None and end[0].status == "interrupted"
 
 
-def as_fine(setup: Setup, ended: Sequence[FitResult]) -> Setup:
+def with_tolerance_of(setup: Setup, ended: Sequence[FitResult]) -> Setup:
     """With the tolerance that a fit of the same data chose: it need not be looked for again."""
     for result in ended:
         # One that did not converge may have made it finer for nothing.
         if result.status == "converged" and result.integration is not None:
             return dataclasses.replace(setup, suited=result.integration.tolerance)
     return setup
-
-
-# Where the fits of several starts begin.
 
 
 def start_values(setup: Setup, spread: float, seed: int, count: int) -> list[dict[str, float]]:
@@ -197,8 +192,6 @@ def inside_bounds(setup: Setup, values: Mapping[str, float]) -> dict[str, float]
     }
 
 
-# Starts of a fit as tasks that other processes do.
-
 # What becomes of a start for which there is no time: it is not one that failed.
 _NO_TIME = "the budget of the fit ended this start"
 
@@ -226,7 +219,7 @@ class Asked:
     def task_key(self) -> str:
         """SHA-256 of what decides where a start ends."""
         words = json.dumps([self.config, self.own, self.suited], sort_keys=True)
-        told = content([self.model, [told_of(run) for run in self.runs]])
+        told = content([self.model, [fingerprint(run) for run in self.runs]])
         return hashlib.sha256((words + told).encode()).hexdigest()
 
     def setup(self) -> Setup:
@@ -303,7 +296,7 @@ def by_executor(
     """
 
     def others(numbers: Sequence[int], earlier: Sequence[FitResult]) -> list[End]:
-        asked = Asked.of(as_fine(setup, earlier))
+        asked = Asked.of(with_tolerance_of(setup, earlier))
         until = None if budget is None else time.time() + budget.left()
         tasks = {
             number: Task(
@@ -352,9 +345,6 @@ def _result(setup: Setup, text: str) -> FitResult:
     if bare.integration is not None:
         model = model.with_integration(solver=None, tolerance=bare.integration.tolerance)
     return dataclasses.replace(bare, model=model)
-
-
-# The starts of an earlier result, to which more are added.
 
 
 def has_earlier_starts(

@@ -2,7 +2,6 @@
 
 import dataclasses
 import itertools
-import json
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -10,6 +9,7 @@ import numpy as np
 from ..fitting import FitResult, Response, Suspect, matching_runs, predict, resolved_ties, tied
 from ..models import AbstractModel
 from ..recordings import Channel, Run
+from ..runtime.records import json_text
 from ..runtime.text import InputError
 from ..schema.parameters import declared, replace
 from ._candidates import Candidate, Inquiry, inquiry, is_disturbed, not_neutral
@@ -28,8 +28,6 @@ from ._score import (
     score,
     white_noise,
 )
-
-# What the tests found together, in the order in which a reader should doubt.
 
 LEVEL = 0.05
 """A corrected p-value below this is significant."""
@@ -100,10 +98,8 @@ class Suspects:
 
     def to_json(self) -> str:
         """As JSON: an object with the attributes."""
-        return json.dumps(dataclasses.asdict(self), indent=2, allow_nan=False) + "\n"
+        return json_text(self)
 
-
-# Whether a recording has its axes in another order, or turned round: all 48 ways, directly.
 
 _AXES = "xyz"
 
@@ -219,9 +215,6 @@ def turned_back(run: Run, way: Axes) -> Run:
     )
 
 
-# The test of the axes of recorded positions, as a row of the table.
-
-
 def axes_row(
     result: FitResult,
     runs: Sequence[Run],
@@ -272,8 +265,6 @@ def axes_row(
     )
     return [row], len(ways)
 
-
-# Tests of parameters and of choices of a model, as rows of the table.
 
 # A change by so many times its own size that would still not show makes a parameter not testable.
 _NOT_SHOWN = 3.0

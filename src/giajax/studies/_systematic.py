@@ -25,8 +25,6 @@ from ._candidates import Candidate, Inquiry, inquiry
 from ._score import Moved, responses_of
 from ._suspects import suspects
 
-# Held numbers that may be a little wrong: those whose uncertainty is stated, and all others.
-
 FRACTION = 0.01
 """Of a held number, where its uncertainty is not stated."""
 
@@ -304,9 +302,6 @@ def _noise_of(channel: Channel, known: ChannelFit) -> ChannelNoise:
     """The noise that a channel was weighted with, SI."""
     whole, correlated = (float(channel.to_si(one)) for one in (known.noise, known.correlated))
     return ChannelNoise.of_cell(whole, correlated, known.correlation_time_s)
-
-
-# A result with what its residuals ask for, and with what its held numbers decide.
 
 
 def with_suspects(

@@ -1,5 +1,6 @@
 """What `giajax fit` does, from Python: a fit with data, settings and journal; and sweeps."""
 
+from ..recordings import stored_result as stored_result
 from ._fit_task import FitTask as FitTask, begun as begun
 from ._journal import (
     JOURNAL as JOURNAL,
@@ -14,6 +15,5 @@ from ._stored import (
     fitted_runs as fitted_runs,
     held_out_runs as held_out_runs,
     repeatable as repeatable,
-    stored_result as stored_result,
 )
 from ._sweep import FITS as FITS, TABLE as TABLE, sweep as sweep

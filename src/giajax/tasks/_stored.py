@@ -7,9 +7,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..recordings import Definition, Parted, Run, observing, parted, read_run, rows_of, run_keys
-from ..runtime.files import check_path, parse_json, read_bytes
-from ..runtime.limits import RESULT_BYTES
+from ..recordings import (
+    Definition,
+    Parted,
+    Run,
+    observing,
+    parted,
+    read_run,
+    rows_of,
+    run_keys,
+    stored_result,
+)
 from ..runtime.text import InputError
 
 if TYPE_CHECKING:
@@ -17,30 +25,6 @@ if TYPE_CHECKING:
 
 # What makes two fits the same; what ended one early is none of it.
 _WORDS = {"definition": "the model's constants", "runs": "what the sidecars state"}
-
-
-def stored_result(path: str | Path) -> tuple[Path, dict[str, Any]]:
-    """A `result.json` as plain data, and the folder it is in.
-
-    Arguments:
-        path: of the file, or of its folder.
-
-    Raises:
-        InputError: there is no such file, or it is no result.
-    """
-    path = Path(path)
-    check_path(path)
-    path = path / "result.json" if path.is_dir() else path
-    try:
-        record = parse_json(read_bytes(path, RESULT_BYTES).decode(), path)
-        record["config"].items(), record["parameters"].items(), record["status"], record["runs"]
-    except FileNotFoundError:
-        raise InputError(f"{path} does not exist: give the folder of a finished fit") from None
-    except InputError:
-        raise
-    except (OSError, ValueError, LookupError, TypeError, AttributeError):
-        raise InputError(f"{path} is not a result of giajax: give the folder of a fit") from None
-    return path.parent, record
 
 
 def repeatable(path: str | Path) -> tuple[Path, dict[str, Any]]:

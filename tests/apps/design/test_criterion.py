@@ -7,9 +7,15 @@ import numpy as np
 import pytest
 
 from giajax import InputError, Limits
-from giajax.apps.design import Criterion, covariance_of
-from giajax.apps.design._experiment import chosen_markers
-from giajax.apps.design._search import CommandSeries, Search, base_step, starts_of
+from giajax.apps.design import (
+    CommandSeries,
+    Criterion,
+    Search,
+    base_step,
+    chosen_markers,
+    covariance_of,
+    starts_of,
+)
 from giajax.studies import expected_errors
 
 pytestmark = pytest.mark.quick

@@ -9,10 +9,19 @@ import pytest
 
 import giajax
 from giajax import ArmModel, InputError, Limits, design_experiment, read_run
-from giajax.apps.design import Criterion, Design, Expected, design_json
-from giajax.apps.design._experiment import RobustError
-from giajax.apps.design._question import draws, question_of
-from giajax.apps.design._search import CommandSeries, Informed, base_step, informed
+from giajax.apps.design import (
+    CommandSeries,
+    Criterion,
+    Design,
+    Expected,
+    Informed,
+    RobustError,
+    base_step,
+    design_json,
+    draws,
+    informed,
+    question_of,
+)
 from giajax.cli import main
 from giajax.cli._design import source_of
 from giajax.schema.parameters import get

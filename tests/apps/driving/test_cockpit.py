@@ -17,8 +17,7 @@ from websockets.sync.client import connect
 
 from browsing import opened
 from giajax import InputError
-from giajax.apps.driving import Cockpit, PadMapping, Session, TipCamera
-from giajax.apps.driving._cockpit import TAKEN_OVER
+from giajax.apps.driving import TAKEN_OVER, Cockpit, PadMapping, Session, TipCamera
 from giajax.mechanics.arm import Contact, chain
 from giajax.mechanics.obstacles import WallWithOpening
 from giajax.models import ArmModel

@@ -5,8 +5,17 @@ import pytest
 from numpy.testing import assert_allclose
 
 from giajax import InputError
-from giajax.apps.driving import Operator, PadMapping, read_pad
-from giajax.apps.driving._operator import LET_GO, NO_PAD, NOT_YET, SILENT, STOPPED, shaped
+from giajax.apps.driving import (
+    LET_GO,
+    NO_PAD,
+    NOT_YET,
+    SILENT,
+    STOPPED,
+    Operator,
+    PadMapping,
+    read_pad,
+    shaped,
+)
 
 pytestmark = pytest.mark.quick
 

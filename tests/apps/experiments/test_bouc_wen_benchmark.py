@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from giajax import fit, model_for, predict
-from giajax.apps.experiments import bouc_wen_benchmark, decibels
-from giajax.apps.experiments._files import NOISE, multisine
+from giajax.apps.experiments import NOISE, bouc_wen_benchmark, decibels, multisine
 
 # 30 % off, upwards and downwards.
 START = {

@@ -10,7 +10,7 @@ from scipy.linalg import expm
 
 import giajax
 from giajax import Filling, InputError, chain, fill, filling_curve, replace
-from giajax.apps.filling._fill import State, rates
+from giajax.apps.filling import State, rates
 from giajax.mechanics.inflation import Ports, Supply
 from giajax.schema import FillingSection
 

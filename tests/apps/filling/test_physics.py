@@ -11,7 +11,7 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from giajax import chain, replace
-from giajax.apps.filling._fill import State, rates
+from giajax.apps.filling import State, rates
 from giajax.mechanics.inflation import (
     Filling,
     Gas,

@@ -8,8 +8,7 @@ from numpy.testing import assert_allclose
 
 import giajax
 from giajax import InputError
-from giajax.apps.mission import Operator, Tracking, opening_of
-from giajax.apps.mission._operator import posed
+from giajax.apps.mission import Operator, Tracking, opening_of, posed
 from giajax.mechanics.arm import Contact
 from giajax.mechanics.obstacles import Box, WallWithOpening
 from giajax.models import Pinhole, View

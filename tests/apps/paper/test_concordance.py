@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from giajax import InputError
-from giajax.apps.paper import concordance, relative_error
-from giajax.apps.paper._contenders import compared
+from giajax.apps.paper import compared, concordance, relative_error
 
 pytestmark = pytest.mark.quick
 

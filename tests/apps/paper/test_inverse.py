@@ -6,9 +6,21 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from giajax.apps.paper import _inverse, _inverse as _inverse_search, concordance, reproduced_files
-from giajax.apps.paper._arm_figures import READINGS, UNKNOWNS, Compared, evaluated
-from giajax.apps.paper._inverse import CELLS, SearchEnd, directions, search, shown
+from giajax.apps.paper import (
+    CELLS,
+    READINGS,
+    UNKNOWNS,
+    Compared,
+    SearchEnd,
+    _inverse,
+    _inverse as _inverse_search,
+    concordance,
+    directions,
+    evaluated,
+    reproduced_files,
+    search,
+    shown,
+)
 from giajax.mechanics.arm import takeichi_20m
 from giajax.simulation import ramps, simulate
 

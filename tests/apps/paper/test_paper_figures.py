@@ -10,19 +10,17 @@ import pytest
 
 from giajax.apps.paper import (
     FIGURES,
-    Reproduced,
-    Sources,
-    reproduced_files,
-    reproduced_record,
-    reproduction_page,
-    stored_record,
-)
-from giajax.apps.paper._arm_figures import (
     SHOWN_LINKS as LINKS,
     STEP_AT,
     STEP_DEG,
     TOLERANCE,
+    Reproduced,
+    Sources,
     heights,
+    reproduced_files,
+    reproduced_record,
+    reproduction_page,
+    stored_record,
 )
 from giajax.cli._paper import INVERSE, NAMES
 from giajax.mechanics.arm import takeichi_20m

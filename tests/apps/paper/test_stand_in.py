@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from giajax import read_run, takeichi_20m
-from giajax.apps.paper import concordance
-from giajax.apps.paper._contenders import compared
+from giajax.apps.paper import compared, concordance
 from giajax.mechanics.arm import acceleration
 from giajax.schema.parameters import replace
 from giajax.simulation import ramps, simulate

@@ -8,9 +8,17 @@ import numpy as np
 import pytest
 
 from giajax import InputError, Run
-from giajax.apps.paper import _contenders, reproduced_files
-from giajax.apps.paper._arm_figures import PRINTED, fig19, table3
-from giajax.apps.paper._contenders import CONTENDERS, HEIGHTS, Fits, stand_in
+from giajax.apps.paper import (
+    CONTENDERS,
+    HEIGHTS,
+    PRINTED,
+    Fits,
+    _contenders,
+    fig19,
+    reproduced_files,
+    stand_in,
+    table3,
+)
 
 pytestmark = pytest.mark.quick
 

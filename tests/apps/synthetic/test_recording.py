@@ -5,8 +5,7 @@ import pytest
 
 import giajax
 from giajax import ArmModel, InputError, Run, model_for
-from giajax.apps.synthetic import RecordingErrors, recorded_again, with_errors
-from giajax.apps.synthetic._recording import drifting
+from giajax.apps.synthetic import RecordingErrors, drifting, recorded_again, with_errors
 
 TIMES = np.linspace(0.0, 400.0, 4001)
 CHANNELS = ("link01_x", "link01_z", "link02_x", "link02_z", "joint01_angle")

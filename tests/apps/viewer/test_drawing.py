@@ -7,19 +7,23 @@ import pytest
 from numpy.testing import assert_allclose
 
 from giajax import InputError
-from giajax.apps.viewer import Player, Show
-from giajax.apps.viewer._page import SPEEDS, factor
-from giajax.apps.viewer._show import frames, span, words
-from giajax.apps.viewer._stage import (
+from giajax.apps.viewer import (
+    SPEEDS,
+    Player,
+    Show,
     ball,
     brick,
     cut,
     ends,
+    factor,
+    frames,
     scale_of,
     segments,
+    span,
     thread_colours,
     tube,
     turns_to,
+    words,
 )
 from giajax.models import Arrows, Block, Line, Scene
 

@@ -12,8 +12,7 @@ from websockets.sync.client import connect
 from websockets.sync.server import serve
 
 from giajax import InputError
-from giajax.apps.viewer import Gate
-from giajax.apps.viewer._gate import bound
+from giajax.apps.viewer import Gate, bound
 
 pytestmark = pytest.mark.quick
 

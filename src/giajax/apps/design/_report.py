@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from ...recordings import Channel
 from ...report import BLUE, DEGREE, GREY, VERMILLION, new_figure, plain
+from ...runtime.records import plain_data
 from ...studies import body_of
 from ._experiment import Design, Expected
 
@@ -74,7 +75,7 @@ def design_json(found: Design) -> str:
         "evaluations": len(found.evaluations),
         "seconds": found.seconds,
     }
-    return json.dumps(facts, indent=2, allow_nan=False)
+    return json.dumps(plain_data(facts), indent=2)
 
 
 def _expected_json(expected: Expected) -> dict[str, Any]:
@@ -82,7 +83,7 @@ def _expected_json(expected: Expected) -> dict[str, Any]:
     return {
         "markers": list(expected.markers),
         "criterion": expected.criterion,
-        "errors": {p: e if e < math.inf else None for p, e in expected.errors.items()},
+        "errors": expected.errors,
         "corners": {"time_s": expected.drive.times.tolist(), "angle_deg": corners},
     }
 

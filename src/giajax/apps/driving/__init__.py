@@ -1,7 +1,21 @@
 """An arm that a person drives: pad, sliders, a fixed step in time with a clock, and a record."""
 
-from ._cockpit import LATENCY as LATENCY, Cockpit as Cockpit, TipCamera as TipCamera
-from ._operator import Operator as Operator, PadMapping as PadMapping
+from ._cockpit import (
+    LATENCY as LATENCY,
+    TAKEN_OVER as TAKEN_OVER,
+    Cockpit as Cockpit,
+    TipCamera as TipCamera,
+)
+from ._operator import (
+    LET_GO as LET_GO,
+    NO_PAD as NO_PAD,
+    NOT_YET as NOT_YET,
+    SILENT as SILENT,
+    STOPPED as STOPPED,
+    Operator as Operator,
+    PadMapping as PadMapping,
+    shaped as shaped,
+)
 from ._session import (
     RATE as RATE,
     Compensation as Compensation,

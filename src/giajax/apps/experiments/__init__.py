@@ -1,11 +1,13 @@
 """Simulated experiments: what no public recording exists for."""
 
 from ._files import (
+    NOISE as NOISE,
     ONE_LINK_FILES as ONE_LINK_FILES,
     BoucWenBenchmark as BoucWenBenchmark,
     bouc_wen_benchmark as bouc_wen_benchmark,
     decibels as decibels,
     figure_12 as figure_12,
+    multisine as multisine,
     one_link_table as one_link_table,
     write_one_link as write_one_link,
 )

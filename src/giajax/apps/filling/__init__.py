@@ -6,8 +6,10 @@ from ._fill import (
     PAPER_DURATION as PAPER_DURATION,
     Filled as Filled,
     FillingCurve as FillingCurve,
+    State as State,
     fill as fill,
     filling_curve as filling_curve,
+    rates as rates,
 )
 from ._report import (
     CURVE_FILES as CURVE_FILES,

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ...report import BLUE, GREY, INK, VERMILLION, new_figure, plain, to_csv, to_png
+from ...runtime.records import plain_data
 from ._fill import Filled, FillingCurve
 
 FILLING_FILES = ("filling.json", "filling.csv", "filling.png")
@@ -62,20 +63,20 @@ def filling_json(filled: Filled, curve: FillingCurve | None = None) -> str:
     made = filled.filling
     facts: dict[str, Any] = {
         "finished": filled.finished,
-        "duration_s": _plain(filled.duration),
-        "arm_lift_off_s": _plain(filled.arm_lift_off),
-        "volume_m3": float(np.sum(np.asarray(made.volume))),
-        "supplied_kg": float(filled.supplied[-1]),
+        "duration_s": filled.duration,
+        "arm_lift_off_s": filled.arm_lift_off,
+        "volume_m3": np.sum(np.asarray(made.volume)),
+        "supplied_kg": filled.supplied[-1],
         "imbalance": filled.imbalance,
         "links": {
             f"link{i:02d}": {
-                "full_s": _plain(filled.full[i - 1]),
-                "lift_off_s": _plain(filled.lift_off[i - 1]),
-                "largest_pressure_Pa": float(filled.pressure[:, i - 1].max()),
-                "fullness": float(filled.fullness[-1, i - 1]),
-                "net_lift_kg": float(filled.net_lift[-1, i - 1]),
-                "folding_moment_N_m": float(filled.folding_moment[-1, i - 1]),
-                "stiffness_N_m2": float(filled.stiffness[-1, i - 1]),
+                "full_s": filled.full[i - 1],
+                "lift_off_s": filled.lift_off[i - 1],
+                "largest_pressure_Pa": filled.pressure[:, i - 1].max(),
+                "fullness": filled.fullness[-1, i - 1],
+                "net_lift_kg": filled.net_lift[-1, i - 1],
+                "folding_moment_N_m": filled.folding_moment[-1, i - 1],
+                "stiffness_N_m2": filled.stiffness[-1, i - 1],
             }
             for i in range(1, made.arm.count + 1)
         },
@@ -87,21 +88,17 @@ def filling_json(filled: Filled, curve: FillingCurve | None = None) -> str:
             "supply": curve.path,
             "pairs": [
                 {
-                    "port_diameter_m": float(diameter),
-                    "supply": _plain(strength),
-                    "supply_flow_m3_per_s": _plain(flow),
-                    "largest_pressure_Pa": _plain(pressure),
+                    "port_diameter_m": diameter,
+                    "supply": strength,
+                    "supply_flow_m3_per_s": flow,
+                    "largest_pressure_Pa": pressure,
                 }
                 for diameter, strength, flow, pressure in zip(
                     curve.diameters, curve.strengths, curve.flows, curve.pressures, strict=True
                 )
             ],
         }
-    return json.dumps(facts, indent=2, allow_nan=False)
-
-
-def _plain(value: Any) -> float | None:
-    return None if np.isnan(value) else float(value)
+    return json.dumps(plain_data(facts), indent=2)
 
 
 def filling_figure(filled: Filled) -> Figure:

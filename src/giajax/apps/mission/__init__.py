@@ -14,6 +14,7 @@ from ._operator import (
     Sight as Sight,
     Tracking as Tracking,
     opening_of as opening_of,
+    posed as posed,
 )
 from ._report import (
     CASES_FILES as CASES_FILES,

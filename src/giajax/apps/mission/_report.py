@@ -24,6 +24,7 @@ from ...report import (
     to_csv,
     to_png,
 )
+from ...runtime.records import plain_data
 from ...simulation import at_rest
 from ._cases import Cases
 from ._mission import Mission, Outcome
@@ -53,7 +54,7 @@ def mission_json(mission: Mission, outcome: Outcome) -> str:
         "reached_s": _rounded(outcome.reached),
         "reason": outcome.reason or None,
         "ended_s": _rounded(float(outcome.times[-1])),
-        "nearest_m": outcome.nearest if np.isfinite(outcome.nearest) else None,
+        "nearest_m": outcome.nearest,
         "touched": [
             {
                 "obstacle": each.obstacle,
@@ -67,7 +68,7 @@ def mission_json(mission: Mission, outcome: Outcome) -> str:
         ],
         "mission": mission.section.contents(),
     }
-    return json.dumps(facts, indent=2, allow_nan=False)
+    return json.dumps(plain_data(facts), indent=2)
 
 
 def _rounded(seconds: float | None) -> float | None:

@@ -1,10 +1,29 @@
 """The figures and tables that the paper derives from its models, made again."""
 
+from ._arm_figures import (
+    PRINTED as PRINTED,
+    READINGS as READINGS,
+    SHOWN_LINKS as SHOWN_LINKS,
+    STEP_AT as STEP_AT,
+    STEP_DEG as STEP_DEG,
+    TOLERANCE as TOLERANCE,
+    UNKNOWNS as UNKNOWNS,
+    Compared as Compared,
+    evaluated as evaluated,
+    fig19 as fig19,
+    heights as heights,
+    table3 as table3,
+)
 from ._contenders import (
+    CONTENDERS as CONTENDERS,
+    HEIGHTS as HEIGHTS,
+    Fits as Fits,
     Reproduced as Reproduced,
     Sources as Sources,
+    compared as compared,
     concordance as concordance,
     relative_error as relative_error,
+    stand_in as stand_in,
 )
 from ._files import (
     FIGURES as FIGURES,
@@ -15,4 +34,11 @@ from ._files import (
     reproduced_record as reproduced_record,
     reproduction_page as reproduction_page,
     stored_record as stored_record,
+)
+from ._inverse import (
+    CELLS as CELLS,
+    SearchEnd as SearchEnd,
+    directions as directions,
+    search as search,
+    shown as shown,
 )

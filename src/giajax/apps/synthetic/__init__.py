@@ -12,6 +12,7 @@ from ._gusts import (
 )
 from ._recording import (
     RecordingErrors as RecordingErrors,
+    drifting as drifting,
     recorded_again as recorded_again,
     synthesise as synthesise,
     with_errors as with_errors,

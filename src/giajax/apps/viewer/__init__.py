@@ -1,11 +1,31 @@
 """An arm in three dimensions, in a browser: a live page, and a file that plays without a server."""
 
-from ._gate import LOOPBACK as LOOPBACK, Gate as Gate
+from ._gate import LOOPBACK as LOOPBACK, Gate as Gate, bound as bound
 from ._page import (
+    SPEEDS as SPEEDS,
     LiveStage as LiveStage,
     Player as Player,
     Viewer as Viewer,
+    factor as factor,
     recording as recording,
 )
-from ._show import Posable as Posable, Show as Show, shown as shown
-from ._stage import check_viser as check_viser
+from ._show import (
+    Posable as Posable,
+    Show as Show,
+    frames as frames,
+    shown as shown,
+    span as span,
+    words as words,
+)
+from ._stage import (
+    ball as ball,
+    brick as brick,
+    check_viser as check_viser,
+    cut as cut,
+    ends as ends,
+    scale_of as scale_of,
+    segments as segments,
+    thread_colours as thread_colours,
+    tube as tube,
+    turns_to as turns_to,
+)

@@ -20,8 +20,6 @@ from .._pictures import abscissa, channel_label, channels_together, sweep_starts
 from .._style import new_plot, small
 from .._text import times_noise
 
-# The autocorrelation of residuals, with gaps.
-
 _MOST_LAGS = 60
 
 
@@ -48,9 +46,6 @@ def autocorrelation(
         pairs = int(np.sum(known[lag:] & known[:-lag]))
         found.append(np.sum(values[lag:] * values[:-lag]) / (max(pairs, 1) * power))
     return np.array(found), 1.96 / np.sqrt(count)
-
-
-# Fewer points than were recorded, without losing the ones that stick out.
 
 
 def thinned(columns: Sequence[Float[np.ndarray, " sample"]], most: int) -> Int[np.ndarray, " kept"]:
@@ -80,8 +75,6 @@ def thinned(columns: Sequence[Float[np.ndarray, " sample"]], most: int) -> Int[n
             kept.add(start + int(np.argmax(high[start:end])))
     return np.array(sorted(kept))
 
-
-# How the plots of a page look, and those that are a single curve.
 
 # As three coordinates of one point, or as one channel.
 _COLOURS = (BLUE, VERMILLION, GREEN)
@@ -127,8 +120,6 @@ def colour_of(place: int, channel: Channel, several: bool) -> str:
         return BLUE
     return _COLOURS[(place if channel.component is None else channel.component) % len(_COLOURS)]
 
-
-# How far the uncertainty of the parameters moves a prediction, without another fit.
 
 # Each parameter costs a prediction; the program for it is compiled already.
 _MOST_PARAMETERS = 12

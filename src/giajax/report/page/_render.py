@@ -17,8 +17,6 @@ from ...models import recorded_markers
 from ...recordings import Run
 from ...simulation import SimulationError
 
-# A scene as compact data for a small script that draws it.
-
 # As many as an eye follows; more make the page larger and no clearer.
 _MOST_FRAMES = 240
 

@@ -9,10 +9,8 @@ import numpy as np
 
 from ...fitting import Estimate, FitResult, column_factors, in_column_units
 from ...runtime.text import format_bounds, format_estimate
-from ...studies import lost_starts, together, valleys
+from ...studies import distinct_optima, lost_starts, together
 from .._views import Table
-
-# The correlation matrix as coloured cells of a table.
 
 # A correlation's colour is mixed of white and one of these.
 _POSITIVE, _NEGATIVE = (213, 94, 0), (0, 114, 178)
@@ -173,9 +171,9 @@ def optima_table(result: FitResult) -> Table:
     factors = column_factors(result.model)
     paths = {path: factors.get(path.partition("[")[0], 1.0) for path in result.free}
     rows = [
-        [f"optimum {place}", str(valley.reached), f"{valley.worse:.3g}"]
-        + [_number(valley.values[path] * factor) for path, factor in paths.items()]
-        for place, valley in enumerate(valleys(result), 1)
+        [f"optimum {place}", str(optimum.reached), f"{optimum.worse:.3g}"]
+        + [_number(optimum.values[path] * factor) for path, factor in paths.items()]
+        for place, optimum in enumerate(distinct_optima(result), 1)
     ]
     nothing = ["-"] * (1 + len(paths))
     rows += [[why, str(count), *nothing] for why, count in lost_starts(result).items()]

@@ -1,4 +1,4 @@
-"""The ladder: what the residuals ask for is fitted in turn, from where the last fit ended."""
+"""Stepwise selection: what the residuals ask for is fitted in turn, from where the last ended."""
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
@@ -15,18 +15,16 @@ from ._refit import begun_as_fitted, refit
 from ._score import Moved, responses_of, white_noise
 from ._suspects import Suspects, all_axes, name_of, suspects, turned_back
 
-# A ladder of fits: each with more than the one before, and how much better it is.
-
 
 @dataclasses.dataclass(frozen=True)
-class Rung:
-    """One fit of a ladder.
+class Step:
+    """One fit of a stepwise selection.
 
     Attributes:
         suspect: what was added to the fit before; None for the first.
         removed: whether it was taken out again: with what came later, nothing asks for it.
         chi_square: sum of what the loss makes of residuals in units of white noise, the same for
-            all rungs, and of the squares of the priors.
+            all steps, and of the squares of the priors.
         parameters: number of fitted parameters.
         values: number of measured values.
         held_out: root mean square error of the runs that were held out, in units of their noise
@@ -63,24 +61,22 @@ class Rung:
 
 
 @dataclasses.dataclass(frozen=True)
-class Ladder:
+class StepwiseSelection:
     """The fits, from the first to the last that was better, and why there is no other.
 
     Attributes:
-        rungs: the first is the fit that was asked about.
+        steps: the first is the fit that was asked about.
         ending: one sentence.
     """
 
-    rungs: tuple[Rung, ...]
+    steps: tuple[Step, ...]
     ending: str
 
     @property
     def result(self) -> FitResult:
         """The last fit."""
-        return self.rungs[-1].result
+        return self.steps[-1].result
 
-
-# Fits of one ladder, measured by one likelihood.
 
 Noise = Sequence[Mapping[str, float]]
 """Standard deviation of white noise (SI) of each run, by channel."""
@@ -95,7 +91,7 @@ class Measured:
     each fit would take for noise, or for an outlier, is larger where it describes less.
 
     Attributes:
-        suspect, removed: as of a `Rung`.
+        suspect, removed: as of a `Step`.
         result: the fit.
         at: what it predicts for each run.
         noise: white noise, as stated or as this fit's residuals show it.
@@ -127,7 +123,7 @@ class Measured:
         moved = Moved.of(result)
         return cls(suspect, removed, result, at, noise, moved, _errors(result, apart))
 
-    def rung(self, noise: Noise) -> Rung:
+    def step(self, noise: Noise) -> Step:
         """The fit under a noise that may be another one's."""
         chi_square, values, loss = self.moved.squares, 0, self.result.config.get("loss", "linear")
         for response, deviations in zip(self.at, noise, strict=True):
@@ -140,7 +136,7 @@ class Measured:
             (rest / (stated or _deviation(_nearest(noise, name), name))) ** 2
             for name, stated, rest in self.apart
         ]
-        return Rung(
+        return Step(
             suspect=self.suspect,
             chi_square=chi_square,
             parameters=self.moved.size,
@@ -174,9 +170,6 @@ def _errors(result: FitResult, runs: Sequence[Run]) -> list[tuple[str, float | N
     return errors
 
 
-# One step of a ladder: what the first few suspects are worth once they are fitted.
-
-
 def best_step(
     result: FitResult,
     runs: Sequence[Run],
@@ -202,7 +195,7 @@ def best_step(
     if not fits:
         return None
     noise = max((fit for fit, _, _ in fits), key=lambda fit: fit.moved.size).noise
-    return min(fits, key=lambda one: one[0].rung(noise).bic)
+    return min(fits, key=lambda one: one[0].step(noise).bic)
 
 
 def _is_one(model: AbstractModel, suspect: Suspect) -> bool:
@@ -246,7 +239,7 @@ def _neutrally(model: AbstractModel, path: str) -> AbstractModel:
 
 
 MOST = 6
-"""Steps of a ladder."""
+"""Steps of a selection."""
 
 TRIES = 3
 """Suspects that are fitted at each of them."""
@@ -262,8 +255,8 @@ def ladder(
     held_out: Sequence[Run] = (),
     most: int = MOST,
     tries: int = TRIES,
-    progress: Callable[[Rung], None] | None = None,
-) -> Ladder:
+    progress: Callable[[Step], None] | None = None,
+) -> StepwiseSelection:
     """Fit the most promising suspect, ask again, and so on.
 
     A parameter is freed, a choice of the model is made the other way, and recorded axes are
@@ -287,13 +280,13 @@ def ladder(
     Arguments:
         result: of `giajax.fit` or `giajax.load_result`.
         runs: the runs that were fitted, in their order.
-        held_out: further runs, or what was held out of the fitted ones; no rung is fitted to it.
+        held_out: further runs, or what was held out of the fitted ones; no step is fitted to it.
         most: how many steps.
         tries: how many suspects are fitted at each step.
-        progress: called with each rung as soon as it is there.
+        progress: called with each step as soon as it is there.
 
     Returns:
-        The rungs, side by side.
+        The steps, side by side.
 
     Raises:
         InputError: as `giajax.suspects`, or `tries` is below 1.
@@ -308,19 +301,19 @@ def ladder(
         fits.append(fit)
         asked.append(None)
         if progress is not None:
-            progress(fit.rung(fit.noise))
+            progress(fit.step(fit.noise))
 
     climb(Measured.of(_by_white_noise(result, several), several, apart))
     ending = f"{most} steps were allowed"
     for _ in range(most):
         asked[-1] = found = suspects(fits[-1].result, several)
-        step = best_step(fits[-1].result, several, apart, found.significant, tries)
-        if step is None:
+        best = best_step(fits[-1].result, several, apart, found.significant, tries)
+        if best is None:
             ending = "no suspect that could be freed is significant"
             break
-        tried, fitted_to, held = step
+        tried, fitted_to, held = best
         if not _is_better(tried, fits[-1], tried.noise):
-            ending = f"{tried.rung(tried.noise).change} was tried, and makes BIC larger"
+            ending = f"{tried.step(tried.noise).change} was tried, and makes BIC larger"
             break
         several, apart = fitted_to, held
         climb(tried)
@@ -336,12 +329,12 @@ def ladder(
             if _is_better(fewer, fits[-1], fits[-1].noise):
                 climb(fewer)
     noise = fits[-1].noise
-    rungs = [
-        dataclasses.replace(fit.rung(noise), suspects=found)
+    steps = [
+        dataclasses.replace(fit.step(noise), suspects=found)
         for fit, found in zip(fits, asked, strict=True)
     ]
-    rungs[-1] = dataclasses.replace(rungs[-1], result=_as_asked(result, rungs, several))
-    return Ladder(tuple(rungs), ending)
+    steps[-1] = dataclasses.replace(steps[-1], result=_as_asked(result, steps, several))
+    return StepwiseSelection(tuple(steps), ending)
 
 
 def _by_white_noise(result: FitResult, runs: Sequence[Run]) -> FitResult:
@@ -351,12 +344,12 @@ def _by_white_noise(result: FitResult, runs: Sequence[Run]) -> FitResult:
     return refit(result, runs, noise_model="white")
 
 
-def _as_asked(result: FitResult, rungs: Sequence[Rung], runs: Sequence[Run]) -> FitResult:
-    """The last fit of a ladder, with the noise that the first one was asked for with."""
-    if len(rungs) == 1:
+def _as_asked(result: FitResult, steps: Sequence[Step], runs: Sequence[Run]) -> FitResult:
+    """The last fit, with the noise that the first one was asked for with."""
+    if len(steps) == 1:
         return result
     model = result.config.get("noise_model", "correlated")
-    last = rungs[-1].result
+    last = steps[-1].result
     if model == "white":
         return last
     try:
@@ -368,16 +361,16 @@ def _as_asked(result: FitResult, rungs: Sequence[Rung], runs: Sequence[Run]) -> 
 
 def _is_better(one: Measured, other: Measured, noise: Noise) -> bool:
     """Whether BIC prefers one of two fits, with the noise that the one with more in it shows."""
-    return one.rung(noise).bic < other.rung(noise).bic
+    return one.step(noise).bic < other.step(noise).bic
 
 
-def _spare(rungs: Sequence[Rung | Measured]) -> list[Suspect]:
-    """What was freed before the last rung, and is near the value that it was held at again."""
-    last = rungs[-1].result.free
-    taken = {rung.suspect.path for rung in rungs if rung.removed and rung.suspect is not None}
+def _spare(steps: Sequence[Step | Measured]) -> list[Suspect]:
+    """What was freed before the last step, and is near the value that it was held at again."""
+    last = steps[-1].result.free
+    taken = {step.suspect.path for step in steps if step.removed and step.suspect is not None}
     spare = []
-    for rung in rungs[1:-1]:
-        suspect = rung.suspect
+    for step in steps[1:-1]:
+        suspect = step.suspect
         if suspect is None or suspect.path in taken or suspect.kind not in ("parameter", "group"):
             continue
         paths = [p for p in last if suspect.path in (p, p.partition("[")[0])]
