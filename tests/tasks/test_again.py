@@ -144,7 +144,7 @@ def test_what_cannot_be_fitted_again_says_so(path):
     with pytest.raises(InputError, match=r"differently \(in loss\)"):
         FitTask.again("changed").prepare()
     # What is put on top is another fit, which nothing is expected of.
-    assert FitTask.again("changed").on_top(loss="huber").prepare().setup.loss == "huber"
+    assert FitTask.again("changed").on_top(loss="huber").prepare().setup.settings.loss == "huber"
 
 
 def test_a_result_without_what_is_new_is_read(path):
