@@ -6,6 +6,7 @@ of `make test`, and those marked `long` of `make test-all`, too; both say so at 
 
 import gc
 import os
+import shutil
 from importlib.metadata import version
 from pathlib import Path
 
@@ -128,3 +129,19 @@ def browser():
     if found is None:
         pytest.skip(f"no browser, one of {', '.join(browse.BROWSERS)}: make browser")
     return found
+
+
+@pytest.fixture(scope="session")
+def muscle_fit(tmp_path_factory):
+    """The folder of a muscle's fit with its page, by the command; its recording lies beside it.
+
+    Copy it before anything is written into it.
+    """
+    from giajax.cli import main
+
+    folder = tmp_path_factory.mktemp("muscle")
+    for name in ("muscle.csv", "muscle.toml"):
+        shutil.copy(ROOT / "data" / "synthetic" / name, folder / name)
+    run = ["fit", "--data", str(folder / "muscle.csv"), "--out", str(folder / "fit"), "--report"]
+    assert main([*run, "--no-figures", "--quiet"]) == 0
+    return folder / "fit"

@@ -126,6 +126,7 @@ from .models import (
 from .noise import Reason as Reason, Verdict as Verdict
 from .recordings import (
     Definition as Definition,
+    FitSettings as FitSettings,
     Run as Run,
     describe as describe,
     read_run as read_run,

@@ -100,6 +100,11 @@ CASES = {
 }  # fmt: skip
 
 
+# A command writes what the reader says, in one line: five of them are enough to see it.
+BY_COMMAND = {"missing file", "semicolons", "text in a number", "sidecar with a wrong value",
+              "model unclear"}  # fmt: skip
+
+
 @pytest.mark.parametrize("case", CASES)
 def test_bad_recordings(tmp_path, capsys, case):
     content, sidecar, parts = CASES[case]
@@ -112,17 +117,16 @@ def test_bad_recordings(tmp_path, capsys, case):
 
     with pytest.raises(InputError) as caught:
         read_run(path)
-    assert main(["check", str(path)]) == 2
-    out, err = capsys.readouterr()
-
-    assert out == ""
-    assert err == f"giajax: {caught.value}\n"
-    assert err.count("\n") == 1
-    assert "run." in err
+    line = f"giajax: {caught.value}\n"
+    if case in BY_COMMAND:
+        assert main(["check", str(path)]) == 2
+        assert capsys.readouterr() == ("", line)
+    assert line.count("\n") == 1
+    assert "run." in line
     for part in parts:
-        assert part in err
+        assert part in line
     # Long enough to say what, what it must be and what to do; short enough to be read.
-    assert len(err.replace(str(tmp_path), "")) < 360
+    assert len(line.replace(str(tmp_path), "")) < 360
     assert {item.name: item.read_bytes() for item in tmp_path.iterdir()} == before
 
 

@@ -4,7 +4,6 @@ import contextlib
 import io
 import json
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -377,26 +376,12 @@ CSV += "0.3,30,0.4\n0.4,30,0.5\n0.5,30,0.6\n"  # more values than there are para
 
 LOOP = "input,output\n0,0\n1,1\n0,0.2\n1,1\n0,0.2\n1,1\n"
 
+# What only a fit finds out; what is wrong with a file, the tests of its reader say.
 # run.csv (None: no file), run.toml, further arguments, and what the sentence must say
 BAD = {
     "missing file": (None, "", [], ["does not exist"]),
-    "empty file": ("", "", [], ["is empty"]),
-    "only a time column": ("time_s\n0\n1\n", "", [], ["only a time column"]),
-    "binary file": (b"\x89PNG\r\n\x1a\n\x00", "", [], ["not text"]),
-    "unknown column": (CSV.replace("link04_z_m", "height"), "", [], ["'height'", "--rename"]),
-    "unknown suffix": (CSV.replace("z_m", "z_ft"), "", [], ["'ft'", "m, cm or mm"]),
-    "time repeats": (CSV.replace("0.2,30", "0.1,30"), "", [], ["row 4", "increase"]),
-    "text in a number": (CSV.replace("0.3\n", "lost\n"), "", [], ["'lost'", "row 4"]),
-    "a channel without a value": (
-        re.sub(r",0\.\d\n", ",\n", CSV), "", [],
-        ["'link04_z_m'", "no value at all"]),
-    "link beyond the arm": (CSV, "[arm]\nlinks = 3", [], ["link 4", "3 links"]),
-    "no command column": ("time_s,tip_x_m\n0,0\n1,1\n", "", [], ["no command"]),
     "nothing measured": ("time_s,joint01_command_deg\n0,0\n1,1\n", "", [], ["no measured"]),
     "sidecar against the columns": (CSV, 'model = "muscle"', [], ["'muscle'"]),
-    "sidecar against the checksum": (CSV, f'sha256 = "{"0" * 64}"', [], ["SHA-256"]),
-    "sidecar with an unknown key": (CSV, "[arm]\nmass = 1", [], ["unknown key arm.mass"]),
-    "sidecar that is no TOML": (CSV, "[arm", [], ["not valid TOML"]),
     "another model": ("side,force_N\ninner,1\nouter,1\n", "", [], ["a joint run must have"]),
     "no such parameter": (CSV, "", ["--free", "air.drag_coeficient"],
                           ["did you mean 'air.drag_coefficient'?"]),

@@ -3,7 +3,6 @@
 import dataclasses
 import json
 import shutil
-from pathlib import Path
 
 import pytest
 
@@ -14,19 +13,14 @@ from giajax.report import sections
 from giajax.studies import PosteriorSummary
 from page_reader import Page
 
-DATA = Path(__file__).resolve().parents[2] / "data" / "synthetic"
 FEW = ["--draws", "60", "--warmup", "60", "--quiet"]
 
 
 @pytest.fixture(scope="module")
-def fit(tmp_path_factory):
-    """The folder of a fit of a muscle, with two short chains."""
-    folder = tmp_path_factory.mktemp("posterior")
-    for name in ("muscle.csv", "muscle.toml"):
-        shutil.copy(DATA / name, folder / name)
-    out = folder / "fit"
-    run = ["fit", "--data", str(folder / "muscle.csv"), "--out", str(out)]
-    assert main([*run, "--no-figures", "--quiet"]) == 0
+def fit(muscle_fit, tmp_path_factory):
+    """A copy of the fit of a muscle, without its page, with two short chains."""
+    out = tmp_path_factory.mktemp("posterior") / "fit"
+    shutil.copytree(muscle_fit, out, ignore=shutil.ignore_patterns("report.html"))
     assert main(["posterior", str(out), "--chains", "2", *FEW]) == 0
     return out
 

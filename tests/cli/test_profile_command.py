@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from pathlib import Path
 
 import pytest
 
@@ -10,18 +9,12 @@ from giajax.cli import main
 from giajax.studies import load_profiles
 from page_reader import Page, loaded_from_elsewhere
 
-DATA = Path(__file__).resolve().parents[2] / "data" / "synthetic"
-
 
 @pytest.fixture(scope="module")
-def fit(tmp_path_factory):
-    """The folder of a fit of a muscle."""
-    folder = tmp_path_factory.mktemp("profile")
-    for name in ("muscle.csv", "muscle.toml"):
-        shutil.copy(DATA / name, folder / name)
-    run = ["fit", "--data", str(folder / "muscle.csv"), "--out", str(folder / "fit")]
-    assert main([*run, "--no-figures", "--quiet"]) == 0
-    return folder / "fit"
+def fit(muscle_fit, tmp_path_factory):
+    """A copy of the fit of a muscle, without its page."""
+    folder = tmp_path_factory.mktemp("profile") / "fit"
+    return shutil.copytree(muscle_fit, folder, ignore=shutil.ignore_patterns("report.html"))
 
 
 def test_profiles_are_written_added_to_and_shown(fit, capsys):

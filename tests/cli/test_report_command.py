@@ -13,15 +13,9 @@ from page_reader import Page, loaded_from_elsewhere
 DATA = Path(__file__).resolve().parents[2] / "data" / "synthetic"
 
 
-@pytest.fixture(scope="module")
-def fit(tmp_path_factory):
-    """The folder of a fit of a muscle, with its page."""
-    folder = tmp_path_factory.mktemp("report")
-    for name in ("muscle.csv", "muscle.toml"):
-        shutil.copy(DATA / name, folder / name)
-    run = ["fit", "--data", str(folder / "muscle.csv"), "--out", str(folder / "fit"), "--report"]
-    assert main([*run, "--no-figures", "--quiet"]) == 0
-    return folder / "fit"
+@pytest.fixture
+def fit(muscle_fit):
+    return muscle_fit
 
 
 def test_a_fit_writes_its_page_and_the_next_one_removes_it(fit, tmp_path):

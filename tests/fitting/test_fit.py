@@ -314,7 +314,9 @@ def test_what_is_fixed_does_not_move():
         ({"start": {"decay": 1.0}, "fix": {"decay": 1.0}}, "a start and a fixed value"),
         ({"free": ["decay"], "fix": {"decay": 1.0}}, "both free and fixed"),
         ({"free": []}, "no parameter is free"),
-        ({"loss": "l2"}, "there is no loss"),
+        ({"loss": "l2"}, "fit.loss = 'l2' must be .*soft_l1"),
+        ({"noise_model": "pink"}, 'must be "correlated" or "white"'),
+        ({"lose": "huber"}, "did you mean fit.loss?"),
     ],
 )
 def test_wrong_questions_are_one_sentence(arguments, sentence):

@@ -205,7 +205,6 @@ def test_rows_of_priors_are_rows_of_the_whole_jacobian():
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ({"deviation": 0.0}, "the deviation 0: give"),
         ({"factor": 0.9}, "the factor 0.9: give a number above 1"),
         ({}, "must have a deviation, or a factor"),
         ({"deviation": 1.0, "factor": 2.0}, "must have a deviation, or a factor"),
@@ -214,8 +213,10 @@ def test_rows_of_priors_are_rows_of_the_whole_jacobian():
 def test_what_is_no_prior_is_refused(options, sentence):
     with pytest.raises(InputError, match=sentence):
         Prior(1.0, **options)
-    with pytest.raises(InputError, match=f"the prior of 'decay' is not right.*{sentence}"):
+    with pytest.raises(InputError, match=rf"\[fit.priors.decay\] .*{sentence}"):
         fit(Decay(), run(), priors={"decay": {"value": 1.0, **options}})
+    with pytest.raises(InputError, match="the deviation 0: give a positive number"):
+        Prior(1.0, deviation=0.0)
 
 
 @pytest.mark.parametrize(
@@ -225,7 +226,7 @@ def test_what_is_no_prior_is_refused(options, sentence):
         ({"decay": Prior(10.0, deviation=1.0)}, "'decay' has the value 10, which is outside"),
         ({"offset": Prior(1.0, factor=2.0)}, "'offset' may be negative"),
         ({"decoy": Prior(1.0, factor=2.0)}, "no parameter 'decoy': did you mean 'decay'?"),
-        ({"decay": 3.0}, "the prior of 'decay' is no prior"),
+        ({"decay": 3.0}, "priors.decay. must be a table of keys"),
     ],
 )
 def test_a_prior_that_cannot_be_is_refused(priors, sentence):

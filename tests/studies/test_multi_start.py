@@ -1,14 +1,13 @@
 """Several starts find the valley that one start misses, and say how many did."""
 
 import dataclasses
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from giajax import InputError, Prior, Run, fit, load_result
-from giajax.fitting import Budget, Start, set_up
+from giajax.fitting import Start, set_up
 from giajax.report import summary
 from giajax.report.page import optima_table
 from giajax.runtime.execution import InProcess, open_executor
@@ -118,8 +117,12 @@ def test_starts_fill_priors_and_bounds_and_more_have_the_same_first_ones():
         priors={"offset": Prior(0.5, deviation=0.1), "amplitude": Prior(2.0, factor=1.5)},
         bounds={"decay": (1.0, 3.0)},
         start={"decay": 2.0},
+        seed=4,
     )
-    few, many = (start_values(setup, 0.3, 4, count) for count in (6, 65))
+    few, many = (
+        start_values(dataclasses.replace(setup, settings=each))
+        for each in (setup.settings.model_copy(update={"starts": count}) for count in (6, 65))
+    )
     assert many[:6] == few
     assert few[0]["decay"] == 2.0
     decays, offsets, amplitudes = (
@@ -226,9 +229,8 @@ def test_a_start_without_time_is_no_failure(tmp_path):
     """A budget that is over before the others begin: none of them is kept as if it had ended."""
     options = {"start": {"amplitude": 0.5, "decay": 3.0}}
     first = multi_start(Decay(), run(), starts=1, check=False, **options)
-    budget = Budget(60.0, began=time.monotonic() - 60.0)
     result = solve_from_starts(
-        set_up(Decay(), run(), **options), starts=4, budget=budget, before=first,
+        set_up(Decay(), run(), starts=4, budget="0s", **options), before=first,
         executor=InProcess(), folder=tmp_path,
     )  # fmt: skip
     assert len(result.starts) == 1

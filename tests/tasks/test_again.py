@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -91,6 +92,17 @@ def test_it_is_found_beside_its_result(path, tmp_path, monkeypatch):
         here.rename(tmp_path)
 
 
+@pytest.fixture(scope="module")
+def unfinished(tmp_path_factory):
+    """A folder with what was fitted, and in `out` a fit that ended early, with its journal."""
+    folder = tmp_path_factory.mktemp("unfinished")
+    with pytest.MonkeyPatch.context() as patched:
+        patched.chdir(folder)
+        task = FitTask.load(write_task(folder).name).on_top(out="out", max_iterations=1)
+        assert written(task, check=False, journal="out").status == "not_converged"
+    return folder
+
+
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
@@ -101,14 +113,12 @@ def test_it_is_found_beside_its_result(path, tmp_path, monkeypatch):
         (lambda: append("loops.toml", "[noise]\noutput = 0.01\n"), "loops.toml is new"),
     ],
 )
-@pytest.mark.parametrize("door", ["again", "resumed"])
-def test_a_file_that_has_changed_is_named(path, change, sentence, door):
-    task = FitTask.load(path).on_top(out="out", max_iterations=1)
-    result = written(task, check=False, journal="out")
-    assert result.status == "not_converged"
+def test_a_file_that_has_changed_is_named(unfinished, tmp_path, monkeypatch, change, sentence):
+    monkeypatch.chdir(shutil.copytree(unfinished, tmp_path / "here"))
     change()
-    with pytest.raises(InputError, match=sentence):
-        getattr(FitTask, door)("out")
+    for door in (FitTask.again, FitTask.resumed):
+        with pytest.raises(InputError, match=sentence):
+            door("out")
 
 
 def append(name, text):
@@ -134,7 +144,7 @@ def test_what_cannot_be_fitted_again_says_so(path):
     with pytest.raises(InputError, match=r"differently \(in loss\)"):
         FitTask.again("changed").prepare()
     # What is put on top is another fit, which nothing is expected of.
-    assert FitTask.again("changed").on_top(loss="huber").prepare().setup.loss == "huber"
+    assert FitTask.again("changed").on_top(loss="huber").prepare().setup.settings.loss == "huber"
 
 
 def test_a_result_without_what_is_new_is_read(path):

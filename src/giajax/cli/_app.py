@@ -129,8 +129,8 @@ def _app_for(words: Sequence[str]) -> typer.Typer:
     )
     app.callback(invoke_without_command=True)(_giajax)
     for name in command_names():
-        function, examples = COMMANDS[name]
-        full = function if name in words else _without_options(function)
+        function, examples, complete = COMMANDS[name]
+        full = complete(function) if name in words else _without_options(function)
         app.command(name, epilog=examples, cls=command_of(full))(full)
     return app
 

@@ -17,16 +17,25 @@ from ..runtime.signals import stopped_status
 from ..runtime.text import InputError, abridged, shown
 from ._values import number
 
-COMMANDS: dict[str, tuple[Callable[..., None], str]] = {}
-"""Functions and their examples, by the name of the command."""
+Function = Callable[..., None]
+
+COMMANDS: dict[str, tuple[Function, str, Callable[[Function], Function]]] = {}
+"""Functions, their examples and what adds further options, by the name of the command."""
 
 
-def command(examples: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Make a function a command of `giajax`, whose help ends with examples."""
+def command(
+    examples: str, complete: Callable[[Function], Function] = lambda function: function
+) -> Callable[[Function], Function]:
+    """Make a function a command of `giajax`, whose help ends with examples.
 
-    def register(function: Callable[..., None]) -> Callable[..., None]:
+    Arguments:
+        examples: how it is called.
+        complete: adds options that are declared elsewhere, once this command is asked for.
+    """
+
+    def register(function: Function) -> Function:
         # `import` is a word of Python: its function is called import_.
-        COMMANDS[function.__name__.rstrip("_")] = (function, examples)
+        COMMANDS[function.__name__.rstrip("_")] = (function, examples, complete)
         return function
 
     return register

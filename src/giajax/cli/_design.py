@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ..apps.design import Design, Evaluation
     from ..fitting import FitResult
     from ..models import ArmModel
-    from ..recordings import Fit
+    from ..recordings import FitSettings
 
 
 # Of a file, beside the arm.
@@ -67,7 +67,7 @@ def source_of(
     if source is not None and fit.data:
         # What a fit definition does not say of the arm, the sidecar of its first run does.
         definition = read_sidecar(source.parent / fit.data[0]).merged_with(definition)
-    values, ties = {**(fit.start or {}), **(fit.fix or {})}, fit.ties or {}
+    values, ties = {**fit.start, **fit.fix}, fit.ties
     started = [f"{path}={_typed(value)}" for path, value in values.items()]
     changed = {path.partition("=")[0] for path in pairs}
     kept = [pair for pair in started if pair.partition("=")[0] not in changed]
@@ -75,7 +75,7 @@ def source_of(
     stated = definition.contents()
     return model, {
         "free": _free(model, fit),
-        "priors": {path: entry.prior() for path, entry in fit.priors.items()},
+        "priors": fit.known,
         "ties": {path: text for path, text in ties.items() if path not in {*changed, *free}},
         "definition": _kept(stated),
     }
@@ -89,16 +89,16 @@ def _kept(stated: Mapping[str, Any]) -> dict[str, Any]:
     return {key: section for key, section in kept.items() if section}
 
 
-def _free(model: "ArmModel", fit: "Fit") -> list[str] | None:
+def _free(model: "ArmModel", fit: "FitSettings") -> list[str] | None:
     """What the fit of a definition has free, by elements; None where there is none."""
     from ..schema.parameters import default_free, elements, switched_on
 
     if not fit.contents():
         return None
-    apart = (*(fit.per_run or ()), *(fit.groups or ()))
-    held = (*(fit.fix or ()), *(fit.ties or ()))
-    model = switched_on(model, (*(fit.start or ()), *(fit.free or ()), *apart, *held))
-    named = default_free(model, fit.start or ()) if fit.free is None else fit.free
+    apart = (*fit.per_run, *fit.groups)
+    held = (*fit.fix, *fit.ties)
+    model = switched_on(model, (*fit.start, *(fit.free or ()), *apart, *held))
+    named = default_free(model, fit.start) if fit.free is None else fit.free
     without = {element.path for path in held for element in elements(model, path)}
     free = [element.path for path in (*named, *apart) for element in elements(model, path)]
     return [path for path in free if path not in without]

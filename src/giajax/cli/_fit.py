@@ -1,8 +1,11 @@
 """`giajax fit`: parameters of a model from recordings of it."""
 
+import functools
+import inspect
 import os
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, cast, get_args, get_origin
 
 import typer
 
@@ -10,10 +13,110 @@ from ..runtime.process import CORES_VARIABLE
 from ._commands import command
 from ._fit_run import finished, run_fit
 from ._options import Cores, Renamed, Scheduler, Workers
-from ._values import bounds as limits, groups, plain_settings, priors, ties
+from ._values import bounds, groups, plain_settings, priors, ties
 
 if TYPE_CHECKING:
+    from ..recordings import TaskKeywords
     from ..tasks import FitTask
+
+# The options of settings: one for each that is declared to have one.
+
+_READ: dict[str, Callable[[list[str]], Any]] = {
+    "PATH=VALUE+-DEVIATION": priors,
+    "PATH=LOW,HIGH": bounds,
+    "PATH=EXPRESSION": ties,
+    "PATH=RUN,RUN": groups,
+}
+"""What reads the values of an option, by what its help calls them."""
+
+
+class _Option(NamedTuple):
+    """The option of a setting: of which, its words, its kind of value, and its help."""
+
+    setting: str
+    words: str
+    metavar: str
+    kind: Any
+    least: int | None
+    help: str
+
+
+def _kind(annotation: Any) -> Any:
+    """What typer reads for a field: the type of a number or a switch, else words."""
+    if annotation in (bool, int, float):
+        return annotation
+    if get_origin(annotation) in (list, dict):
+        return list[str]
+    parts = [] if get_origin(annotation) is Literal else get_args(annotation)
+    return _kind(parts[0]) if parts else str
+
+
+def _options() -> dict[str, _Option]:
+    """The options by the name of the argument that they are of a command's function."""
+    from ..recordings import FitSettings
+
+    options = {}
+    for name, field in FitSettings.model_fields.items():
+        about: Any = field.json_schema_extra
+        words = about["option"] or f"--{name.replace('_', '-')}"
+        if words == "-":
+            continue
+        default, kind = field.default, _kind(field.annotation)
+        options[words.partition("/")[0][2:].replace("-", "_")] = _Option(
+            setting=name,
+            words=words,
+            metavar=about["metavar"],
+            kind=kind,
+            least=next((item.ge for item in field.metadata if hasattr(item, "ge")), None),
+            help=str(field.description)
+            if kind is bool or default in (None, [], {})
+            else f"{str(field.description)[:-1]} ({default}).",
+        )
+    return options
+
+
+def with_settings(function: Callable[..., None]) -> Callable[..., None]:
+    """A command whose other arguments are settings of a fit, with an option for each of these."""
+
+    @functools.wraps(function)
+    def whole(**given: Any) -> None:
+        function(**given)
+
+    named = [
+        parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+        for parameter in inspect.signature(function).parameters.values()
+        if parameter.kind is not inspect.Parameter.VAR_KEYWORD
+    ]
+    # Behind what is fitted, before what is done with the result.
+    after = next(i for i, parameter in enumerate(named) if parameter.name == "rename")
+    for argument, option in reversed(_options().items()):
+        about = typer.Option(
+            option.words,
+            metavar=option.metavar or None,
+            min=option.least,
+            help=option.help,
+            show_default=False,
+        )
+        kind: Any = Annotated[option.kind | None, about]
+        place = inspect.Parameter(argument, named[0].kind, default=None, annotation=kind)
+        named.insert(after, place)
+    whole.__signature__ = inspect.Signature(named)  # type: ignore[attr-defined]
+    whole.__annotations__ = {parameter.name: parameter.annotation for parameter in named}
+    return whole
+
+
+def typed(given: Mapping[str, Any]) -> "TaskKeywords":
+    """The settings that were typed, as keywords of `FitTask.on_top`."""
+    said: Any = {}
+    for argument, option in _options().items():
+        value = given[argument]
+        if value in (None, []):
+            continue
+        if option.metavar == "PATH=VALUE":
+            value = plain_settings(value, option.words)
+        said[option.setting] = _READ.get(option.metavar, lambda value: value)(value)
+    return cast("TaskKeywords", said)
+
 
 # Which task the arguments of `giajax fit` name, before its options are put on top.
 
@@ -54,7 +157,8 @@ def named_task(
     return FitTask(Definition())
 
 
-@command("""\b
+@command(
+    """\b
 Examples:
   giajax fit --data run.csv
   giajax fit --data run.csv --start air.drag_coefficient=0.8 --loss huber
@@ -86,7 +190,9 @@ far is written). A second Ctrl-C ends at once.
 While it runs, DIR/journal.jsonl has every step. After a crash, Ctrl-C or the
 end of a budget, --resume DIR goes on from there to the same numbers.
 With --workers or --scheduler other processes fit the starts after the first
-that converges.""")
+that converges.""",
+    complete=with_settings,
+)
 def fit(
     definition: Annotated[
         Path | None,
@@ -100,119 +206,7 @@ def fit(
         Path | None,
         typer.Option(metavar="FILE.toml", help="The fit definition, if it is no argument."),
     ] = None,
-    free: Annotated[
-        list[str] | None,
-        typer.Option(metavar="PATH", help="Fit it, and not the default list. Repeatable."),
-    ] = None,
-    fix: Annotated[
-        list[str] | None,
-        typer.Option(metavar="PATH=VALUE", help="Hold a parameter at a value. Repeatable."),
-    ] = None,
-    start: Annotated[
-        list[str] | None,
-        typer.Option(metavar="PATH=VALUE", help="Start a parameter at a value. Repeatable."),
-    ] = None,
-    prior: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="PATH=VALUE+-DEVIATION",
-            help="What is known of it before; PATH=VALUEx/FACTOR is log-normal. Repeatable.",
-        ),
-    ] = None,
-    bounds: Annotated[
-        list[str] | None,
-        typer.Option(metavar="PATH=LOW,HIGH", help="Bounds of a parameter. Repeatable."),
-    ] = None,
-    tie: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="PATH=EXPRESSION",
-            help="Let a parameter follow from others, as in links.mass=links.mass[0]. Repeatable.",
-        ),
-    ] = None,
-    per_run: Annotated[
-        list[str] | None,
-        typer.Option(metavar="PATH", help="Fit a value of it for each run. Repeatable."),
-    ] = None,
-    group: Annotated[
-        list[str] | None,
-        typer.Option(metavar="PATH=RUN,RUN", help="Fit a value that these share. Repeatable."),
-    ] = None,
-    uncertainty: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="PATH=VALUE", help="Standard deviation of a held parameter. Repeatable."
-        ),
-    ] = None,
-    channels: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME", help="Fit this channel only, without its unit: link20_z. Repeatable."
-        ),
-    ] = None,
-    hold_out: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help="Judge by this and do not fit it: a run, a channel, or last (fifth). Repeatable.",
-        ),
-    ] = None,
-    window: Annotated[
-        float | None,
-        typer.Option(metavar="S", help="Cut runs into windows, each with its own start."),
-    ] = None,
-    windows_first: Annotated[
-        float | None,
-        typer.Option(metavar="S", help="Fit such windows first, and whole runs from there."),
-    ] = None,
-    starts: Annotated[
-        int | None,
-        typer.Option(metavar="N", min=1, help="Fit from so many starts and keep the best end."),
-    ] = None,
-    spread: Annotated[
-        float | None,
-        typer.Option(metavar="X", help="How far the other starts are away; 0.3 is 30 percent."),
-    ] = None,
-    seed: Annotated[
-        int | None, typer.Option(metavar="N", min=0, help="Of the other starts.")
-    ] = None,
-    loss: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="linear (default), or huber or soft_l1 for outliers."),
-    ] = None,
-    noise_model: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME", help="correlated (default: looks for a memory of the noise), or white."
-        ),
-    ] = None,
-    noise_per_run: Annotated[
-        bool | None,
-        typer.Option(
-            "--noise-per-run/--noise-pooled",
-            show_default=False,
-            help="Estimate the noise in each run by itself, or (default) in all together.",
-        ),
-    ] = None,
     rename: Renamed = None,
-    solver: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Integration method (springs5), such as tsit5."),
-    ] = None,
-    tolerance: Annotated[
-        float | None,
-        typer.Option(metavar="TOL", help="Tolerance of the integration (chosen by what it moves)."),
-    ] = None,
-    max_iterations: Annotated[
-        int | None,
-        typer.Option(metavar="N", min=1, help="Trial steps before the fit gives up (50)."),
-    ] = None,
-    budget: Annotated[
-        str | None,
-        typer.Option(
-            metavar="TIME", help="End with the best so far when it is over: 90s, 10m, 2h."
-        ),
-    ] = None,
     begin: Annotated[
         Path | None,
         typer.Option("--from", metavar="RESULT", help="Start where another fit ended."),
@@ -265,6 +259,7 @@ def fit(
     report: Annotated[
         bool, typer.Option("--report", help="Write report.html, a page for a browser, too.")
     ] = False,
+    **settings: Any,
 ) -> None:
     """Fit parameters to runs.
 
@@ -278,30 +273,8 @@ def fit(
     if resume is not None and (status := finished(resume, as_json, quiet)) is not None:
         raise typer.Exit(status)
     task = named_task(definition, config, again, resume, bool(data)).on_top(
+        **typed(settings),
         data=data or None,
-        free=free or None,
-        start=plain_settings(start, "--start"),
-        fix=plain_settings(fix, "--fix"),
-        priors=priors(prior),
-        bounds=limits(bounds),
-        ties=ties(tie),
-        per_run=per_run or None,
-        groups=groups(group),
-        uncertainty=plain_settings(uncertainty, "--uncertainty"),
-        channels=channels or None,
-        hold_out=hold_out or None,
-        window_s=window,
-        windows_first_s=windows_first,
-        starts=starts,
-        spread=spread,
-        seed=seed,
-        loss=loss,
-        noise_model=noise_model,
-        noise_per_run=noise_per_run,
-        solver=solver,
-        tolerance=tolerance,
-        max_iterations=max_iterations,
-        budget=budget,
         begin=begin,
         out=out,
         rename=parse_rename(rename or []),

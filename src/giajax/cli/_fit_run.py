@@ -337,7 +337,7 @@ def run_fit(
     if report:
         check_page(task.out / PAGE, force=force)
     before = None if again is None or task.resolved is None else stored_result(again)[1]
-    starts = task.definition.fit.starts or 1
+    starts = task.definition.fit.starts
     with (
         ready.kept_in(task.out, resume=resume, force=force, complain=_complain) as journal,
         workers_of_starts(workers, scheduler, starts, task.out) as others,
@@ -422,12 +422,5 @@ def _complain(sentence: str) -> None:
 
 def _left(task: "FitTask") -> TimeLeft:
     """What says how long it may still take."""
-    from ..fitting import MAX_ITERATIONS
-    from ..recordings import seconds_of
-
     settings = task.definition.fit
-    return TimeLeft(
-        settings.max_iterations or MAX_ITERATIONS,
-        settings.starts or 1,
-        None if settings.budget is None else seconds_of(settings.budget),
-    )
+    return TimeLeft(settings.max_iterations, settings.starts, settings.budget_s)

@@ -25,8 +25,8 @@ from ._derived import (
 from ._descend import Budget as Budget, descend as descend, stopped_by as stopped_by
 from ._estimates import Finding as Finding, student_reach as student_reach
 from ._fit import (
-    MAX_ITERATIONS as MAX_ITERATIONS,
     Refit as Refit,
+    check_effect as check_effect,
     fit as fit,
     solve as solve,
     versions as versions,
@@ -121,11 +121,8 @@ from ._uncertainty import (
 )
 from ._weights import (
     LOSSES as LOSSES,
-    NOISE_MODELS as NOISE_MODELS,
     Noise as Noise,
-    NoiseModel as NoiseModel,
     Whitening as Whitening,
-    check_loss as check_loss,
     checked_priors as checked_priors,
     curvature_ratio as curvature_ratio,
     prior_of as prior_of,

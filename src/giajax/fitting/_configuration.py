@@ -2,20 +2,19 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any, Self
+from typing import Any, Self, Unpack
 
 import jax.numpy as jnp
 import numpy as np
-import numpy.typing as npt
 
 from ..models import AbstractModel
-from ..recordings import Run, run_keys
+from ..recordings import FitSettings, Run, StartsKeywords, fit_settings, run_keys
 from ..runtime.text import InputError
 from ..schema import Prior
 from ..schema.parameters import Parameter, get, replace
 from ._coordinates import Layout, sharing
 from ._free import Beginning, Free, Tie, between, resolve, tied
-from ._weights import NOISE_MODELS, NoiseModel, check_loss, checked_priors, prior_of
+from ._weights import prior_of
 
 
 @dataclasses.dataclass(frozen=True)
@@ -25,12 +24,10 @@ class Setup:
     Attributes:
         model: with the start values and what is fixed.
         runs: what is fitted to.
+        settings: as they were given.
         parameters: the scalar parameters to fit, apart from those of single runs; each declares
             the bounds of this fit.
         unstarted: paths of those that have no start of the caller's.
-        loss: how a large residual counts.
-        noise_model: "correlated" or "white".
-        noise_per_run: whether each run has noise of its own.
         own: where the parameters of single runs start, by the run's name and their path, where
             that is not as the run is prepared.
         config: the same as plain data, `config` of the result: two fits of the same data with
@@ -46,11 +43,9 @@ class Setup:
 
     model: AbstractModel
     runs: tuple[Run, ...]
+    settings: FitSettings
     parameters: tuple[Parameter, ...]
     unstarted: tuple[str, ...]
-    loss: str
-    noise_model: NoiseModel
-    noise_per_run: bool
     config: dict[str, Any]
     own: Mapping[str, Mapping[str, float]] = dataclasses.field(default_factory=dict)
     priors: Mapping[str, Prior] = dataclasses.field(default_factory=dict)
@@ -99,29 +94,18 @@ class Setup:
 def set_up(
     model: AbstractModel,
     runs: Run | Sequence[Run],
+    settings: FitSettings | None = None,
     *,
-    free: Sequence[str] | None = None,
-    start: Mapping[str, npt.ArrayLike] | None = None,
-    fix: Mapping[str, npt.ArrayLike] | None = None,
-    loss: str = "linear",
-    noise_model: NoiseModel = "correlated",
-    noise_per_run: bool = False,
-    solver: str | None = None,
-    tolerance: float | None = None,
-    priors: Mapping[str, Prior] | None = None,
-    bounds: Mapping[str, Sequence[float]] | None = None,
-    ties: Mapping[str, str] | None = None,
-    per_run: Sequence[str] = (),
-    groups: Mapping[str, Sequence[Sequence[str]]] | None = None,
     begin: Beginning | None = None,
+    **keywords: Unpack[StartsKeywords],
 ) -> Setup:
-    """Check and resolve the arguments of a fit, without evaluating the model.
+    """Check and resolve what a fit is asked, without evaluating the model.
 
     Arguments:
-        model, runs, free, start, fix, loss, noise_model, noise_per_run, solver, tolerance: as of
-            `fit`.
-        priors, bounds, ties, per_run, groups: as of `fit`.
+        model, runs: as of `fit`.
+        settings: of the fit; what is for a task (`hold_out`, say) does nothing here.
         begin: where another fit ended, which goes before `start`; `fix` goes before both.
+        **keywords: as of `fit` and `multi_start`, in place of `settings`.
 
     Returns:
         What `solve` fits.
@@ -129,64 +113,27 @@ def set_up(
     Raises:
         InputError: as `fit`, apart from a start that cannot be evaluated.
     """
+    settings = fit_settings(keywords) if settings is None else settings
     runs = (runs,) if isinstance(runs, Run) else tuple(runs)
-    start, fix = _plain(start or {}), _plain(fix or {})
-    check_loss(loss)
-    if noise_model not in NOISE_MODELS:
-        raise InputError(
-            f"there is no noise model '{noise_model}': use one of: {', '.join(NOISE_MODELS)}"
-        )
     if not runs:
         raise InputError("there is no run: give at least one")
     for run in runs:
         run.require_observations()
     _check_doubles(runs)
-    if solver is not None or tolerance is not None:
-        model = model.with_integration(solver=solver, tolerance=tolerance)
-    known = checked_priors(priors or {})
-    shared = sharing(runs, per_run, groups or {})
-    asked = resolve(
-        model,
-        runs,
-        free,
-        start,
-        fix,
-        reached={} if begin is None else begin.values_for(model),
-        priors=known,
-        bounds=bounds or {},
-        ties=ties or {},
-        groups=shared,
-    )
+    if settings.solver is not None or settings.tolerance is not None:
+        model = model.with_integration(solver=settings.solver, tolerance=settings.tolerance)
+    groups = sharing(runs, settings.per_run, settings.groups)
+    reached = {} if begin is None else begin.values_for(model)
+    asked = resolve(model, runs, settings, groups, reached)
     _check_determined(asked, runs)
     _check_together(asked, runs)
-    limits = {
-        "priors": {path: prior.contents() for path, prior in known.items()},
-        "bounds": {path: [float(bound) for bound in pair] for path, pair in (bounds or {}).items()},
-        "ties": dict(ties or {}),
-        "groups": shared,
-    }
     return Setup(
         model=asked.model,
         runs=runs,
+        settings=settings,
         parameters=asked.parameters,
         unstarted=tuple(p.path for p in asked.parameters if p.path not in asked.begun),
-        loss=loss,
-        noise_model=noise_model,
-        noise_per_run=noise_per_run,
-        config={
-            "definition": asked.model.definition(),
-            "runs": [_about(run, asked.model) for run in runs],
-            "free": [parameter.path for parameter in asked.parameters],
-            "start": start,
-            "fix": fix,
-            "loss": loss,
-            "noise_model": noise_model,
-            "noise_per_run": noise_per_run,
-            **_integration(asked.model),
-            # What a fit does not have, its configuration does not mention.
-            **{name: value for name, value in limits.items() if value},
-            **({} if begin is None else {"begin": dataclasses.asdict(begin)}),
-        },
+        config=_config(settings, asked, runs, groups, begin),
         own={} if begin is None else begin.own,
         priors=asked.priors,
         ties=asked.ties,
@@ -194,18 +141,45 @@ def set_up(
     )
 
 
-def _plain(values: Mapping[str, npt.ArrayLike]) -> dict[str, Any]:
+def _config(
+    settings: FitSettings,
+    asked: Free,
+    runs: Sequence[Run],
+    groups: Mapping[str, Sequence[Sequence[str]]],
+    begin: Beginning | None,
+) -> dict[str, Any]:
+    """The settings as they were resolved, as plain data: `config` of the result."""
+    integration = asked.model.integration()
+    limits = {
+        "priors": {path: prior.contents() for path, prior in settings.known.items()},
+        "bounds": settings.bounds,
+        "ties": settings.ties,
+        "groups": groups,
+        "begin": None if begin is None else dataclasses.asdict(begin),
+    }
+    return {
+        "definition": asked.model.definition(),
+        "runs": [_about(run, asked.model) for run in runs],
+        "free": [parameter.path for parameter in asked.parameters],
+        "start": _plain(settings.start),
+        "fix": _plain(settings.fix),
+        "loss": settings.loss,
+        "noise_model": settings.noise_model,
+        "noise_per_run": settings.noise_per_run,
+        # None for a model without an integrator.
+        "solver": None if integration is None else integration.solver,
+        "tolerance": None if integration is None else integration.tolerance,
+        # What a fit does not have, its configuration does not mention.
+        **{name: value for name, value in limits.items() if value},
+    }
+
+
+def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
     """Values by path as a result states them: numbers, and lists of several."""
-    arrays = {path: np.asarray(value, dtype=float) for path, value in values.items()}
-    return {path: a.item() if a.size == 1 else a.tolist() for path, a in arrays.items()}
-
-
-def _integration(model: AbstractModel) -> dict[str, Any]:
-    """What computes the predictions: solver and tolerance, None for a model without one."""
-    integration = model.integration()
-    if integration is None:
-        return {"solver": None, "tolerance": None}
-    return {"solver": integration.solver, "tolerance": integration.tolerance}
+    return {
+        path: value[0] if isinstance(value, list) and len(value) == 1 else value
+        for path, value in values.items()
+    }
 
 
 def _about(run: Run, model: AbstractModel) -> dict[str, Any]:

@@ -7,17 +7,16 @@ import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
+from typing import Unpack
 
 import jax
 import numpy as np
-import numpy.typing as npt
 
 from ..models import AbstractModel
 from ..noise import ChannelNoise, gains
-from ..recordings import Run
+from ..recordings import FitKeywords, FitSettings, Run, fit_settings
 from ..runtime.records import finite_or_none
 from ..runtime.text import InputError
-from ..schema import Prior
 from ._checks import Checks, checks
 from ._configuration import Setup, set_up
 from ._derived import derived_estimates, with_tied
@@ -32,7 +31,6 @@ from ._state import FitState, Reason
 from ._statistics import Statistics, statistics
 from ._transitions import FitJournal, begin, keeper, restored, step, trial
 from ._uncertainty import responds
-from ._weights import NoiseModel
 
 # From the last state of a fit to its result.
 
@@ -189,7 +187,7 @@ def _noise(state: FitState, known: Statistics) -> NoiseFit:
         for path, places in zip(state.problem.paths, state.problem.positions, strict=True)
         if places[0] in known.widening
     }
-    return NoiseFit(state.setup.noise_model, state.noise.estimated, widening)
+    return NoiseFit(state.setup.settings.noise_model, state.noise.estimated, widening)
 
 
 def versions() -> dict[str, str]:
@@ -204,30 +202,14 @@ def _versions() -> dict[str, str]:
     return {"python": platform.python_version(), **{name: version(name) for name in names}}
 
 
-MAX_ITERATIONS = 50
-
-
 def fit(
     model: AbstractModel,
     runs: Run | Sequence[Run],
+    settings: FitSettings | None = None,
     *,
-    free: Sequence[str] | None = None,
-    start: Mapping[str, npt.ArrayLike] | None = None,
-    fix: Mapping[str, npt.ArrayLike] | None = None,
-    loss: str = "linear",
-    noise_model: NoiseModel = "correlated",
-    noise_per_run: bool = False,
-    solver: str | None = None,
-    tolerance: float | None = None,
-    priors: Mapping[str, Prior] | None = None,
-    bounds: Mapping[str, Sequence[float]] | None = None,
-    ties: Mapping[str, str] | None = None,
-    per_run: Sequence[str] = (),
-    groups: Mapping[str, Sequence[Sequence[str]]] | None = None,
-    max_iterations: int = MAX_ITERATIONS,
-    budget: float | None = None,
     progress: Callable[[Iteration], None] | None = None,
     check: bool = True,
+    **keywords: Unpack[FitKeywords],
 ) -> FitResult:
     """Fit parameters of a model to recorded runs by weighted least squares.
 
@@ -239,6 +221,7 @@ def fit(
     Arguments:
         model: the model with its constants; its values are where the fit starts.
         runs: one run or several, fitted together.
+        settings: all of what follows, apart from `progress` and `check`; or give it as keywords.
         free: paths of the parameters to fit (`links.mass[2]` for one element of an array); by
             default those that the model declares free.
         start: start values by path, in SI units: one, or one for each element.
@@ -262,7 +245,7 @@ def fit(
         per_run: paths of free parameters that have a value of their own in each recording.
         groups: names of the runs that share a value, group by group, by path.
         max_iterations: trial steps before the fit gives up.
-        budget: wall time that the fit may take, s; it then ends with the best so far.
+        budget: wall time that the fit may take, s or "10m"; it then ends with the best so far.
         progress: called after each step with an `Iteration`.
         check: compute the gradient check and the effect of the solver tolerance at the end.
 
@@ -281,36 +264,31 @@ def fit(
         >>> result = giajax.fit(giajax.model_for([run]), run)  # doctest: +SKIP
         >>> result.parameters["air.drag_coefficient"].value  # doctest: +SKIP
     """
-    setup = set_up(
-        model,
-        runs,
-        free=free,
-        start=start,
-        fix=fix,
-        loss=loss,
-        noise_model=noise_model,
-        noise_per_run=noise_per_run,
-        solver=solver,
-        tolerance=tolerance,
-        priors=priors,
-        bounds=bounds,
-        ties=ties,
-        per_run=per_run,
-        groups=groups,
-    )
-    return solve(
-        setup,
-        max_iterations=max_iterations,
-        progress=progress,
-        check=check,
-        budget=None if budget is None else Budget(budget),
-    )
+    settings = fit_settings(keywords) if settings is None else settings
+    check_effect(settings, FitKeywords, "giajax.fit")
+    return solve(set_up(model, runs, settings), progress=progress, check=check)
+
+
+def check_effect(settings: FitSettings, keywords: type, function: str) -> None:
+    """Refuse settings that a function would pass over.
+
+    Arguments:
+        settings: that it was given.
+        keywords: those that it knows.
+        function: its name.
+    """
+    for name in settings.contents():
+        if name not in keywords.__annotations__:
+            raise InputError(
+                f"{function} fits the runs that it is given, and knows no {name}: leave it out, or "
+                "use giajax.FitTask"
+            )
 
 
 def solve(
     setup: Setup,
     *,
-    max_iterations: int = MAX_ITERATIONS,
+    max_iterations: int | None = None,
     progress: Callable[[Iteration], None] | None = None,
     check: bool = True,
     budget: Budget | None = None,
@@ -320,8 +298,10 @@ def solve(
 
     Arguments:
         setup: what to fit to what.
-        max_iterations, progress, check: as of `fit`.
-        budget: wall time that the fit may take.
+        max_iterations: trial steps before the fit gives up; by default what the settings say.
+        progress, check: as of `fit`.
+        budget: wall time that this and other fits may take together; by default that of the
+            settings, for this one alone.
         journal: what the fit keeps while it runs, and goes on from where it holds something.
 
     Returns:
@@ -332,6 +312,10 @@ def solve(
     """
     _warn_once_in_32_bit()
     began = time.perf_counter()
+    settings = setup.settings
+    max_iterations = settings.max_iterations if max_iterations is None else max_iterations
+    if budget is None and settings.budget_s is not None:
+        budget = Budget(settings.budget_s)
     state, keep = begin(setup), None
     if journal is not None:
         state, before = _gone_on(state, journal)

@@ -8,10 +8,9 @@ from typing import Any, NamedTuple, Self, TypeVar
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-import numpy.typing as npt
 
 from ..models import AbstractModel
-from ..recordings import Run
+from ..recordings import FitSettings, Run
 from ..runtime.arrays import Array, Bool
 from ..runtime.text import InputError
 from ..schema import Expression, Prior
@@ -236,9 +235,6 @@ def between(value: float, lower: float, upper: float, *, margin: float = 0.0) ->
     return min(value, upper - margin, float(np.nextafter(upper, -np.inf)))
 
 
-Start = Mapping[str, npt.ArrayLike]
-
-
 class Free(NamedTuple):
     """What a fit may move.
 
@@ -262,22 +258,22 @@ class Free(NamedTuple):
 def resolve(
     model: AbstractModel,
     runs: Sequence[Run],
-    free: Sequence[str] | None,
-    start: Start,
-    fix: Start,
-    *,
-    reached: Mapping[str, Any],
-    priors: Mapping[str, Prior],
-    bounds: Mapping[str, Sequence[float]],
-    ties: Mapping[str, str],
+    settings: FitSettings,
     groups: Mapping[str, Sequence[Sequence[str]]],
+    reached: Mapping[str, Any],
 ) -> Free:
-    """What is free, from the arguments of `fit`; nothing is evaluated.
+    """What is free in a fit; nothing is evaluated.
+
+    Arguments:
+        model, runs, settings: of the fit.
+        groups: by path, names of the runs that share a value of it.
+        reached: values by path where another fit ended.
 
     Raises:
         InputError: an unknown path, two of them that contradict each other, or a value outside
             its bounds.
     """
+    free, start, fix, ties = settings.free, settings.start, settings.fix, settings.ties
     asked = [*(free or ()), *groups]
     model = switched_on(model, (*reached, *start, *fix, *asked, *ties))
     for path, value in (*start.items(), *fix.items()):
@@ -302,8 +298,8 @@ def resolve(
                     raise InputError(f"'{element.path}' is both free and fixed: give one of them")
             elif element.path not in following:
                 parameters[element.path] = element
-    parameters |= _bounded(model, parameters, bounds)
-    known = _element_priors(model, runs, parameters, priors)
+    parameters |= _bounded(model, parameters, settings.bounds)
+    known = _element_priors(model, runs, parameters, settings.known)
     begun = {element.path for path in (*reached, *start) for element in elements(model, path)}
     # What is known of a parameter is the best place to begin.
     expected = {path: p.value for path, p in known.items() if path in parameters}

@@ -22,7 +22,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from ..models import AbstractModel, model_for
+from ..models import model_for
 from ..noise import (
     DIFFERENCES,
     OUTLIER,
@@ -37,7 +37,7 @@ from ..noise import (
     satterthwaite,
     tail,
 )
-from ..recordings import Fit, Parted, Run, hold_out
+from ..recordings import FitSettings, Parted, Run, hold_out
 from ..runtime.arrays import Bool, Float
 from ..runtime.text import InputError
 from ._configuration import Setup, set_up
@@ -50,7 +50,7 @@ from ._state import FitState
 from ._transitions import at_tolerance, begin, move, reweight, step
 from ._weights import Noise
 
-Groups = Mapping[str, Sequence[Sequence[str]]]
+Groups = dict[str, list[list[str]]]
 
 Sizes = dict[tuple[int, str], float | None]
 """By the position of a run and the name of a channel."""
@@ -123,7 +123,7 @@ class HoldOut:
 
 
 def set_up_with_hold_out(
-    settings: Fit, runs: Sequence[Run], begin: Beginning | None
+    settings: FitSettings, runs: Sequence[Run], begin: Beginning | None
 ) -> tuple[Setup, HoldOut | None]:
     """What a fit is asked, and what of its runs is held out.
 
@@ -138,31 +138,9 @@ def set_up_with_hold_out(
     Raises:
         InputError: as `giajax.fit`, or a `hold_out` that names nothing, or everything.
     """
-    names, groups = settings.hold_out or (), settings.groups or {}
-
-    def set_up_for(model: AbstractModel, runs: Sequence[Run], groups: Groups) -> Setup:
-        return set_up(
-            model,
-            runs,
-            free=settings.free,
-            start=settings.start,
-            fix=settings.fix,
-            loss=settings.loss or "linear",
-            noise_model=settings.noise_model or "correlated",
-            noise_per_run=bool(settings.noise_per_run),
-            solver=settings.solver,
-            tolerance=settings.tolerance,
-            priors={path: entry.prior() for path, entry in settings.priors.items()},
-            bounds=settings.bounds,
-            ties=settings.ties,
-            per_run=settings.per_run or (),
-            groups=groups,
-            begin=begin,
-        )
-
-    if not names:
-        return set_up_for(model_for(runs), runs, groups), None
-    parts = hold_out(runs, names)
+    if not settings.hold_out:
+        return set_up(model_for(runs), runs, settings, begin=begin), None
+    parts = hold_out(runs, settings.hold_out)
     fitted = [part.fitted for part in parts if part.fitted is not None]
     for model in dict.fromkeys(run.model for run in runs):
         if fitted and not any(run.model == model for run in fitted):
@@ -172,8 +150,9 @@ def set_up_with_hold_out(
             )
     if len(fitted) < len(parts):
         model_for(runs)  # refuses runs whose sidecars contradict each other
-    setup = set_up_for(model_for(fitted), fitted, _among(groups, fitted, runs))
-    whole = set_up_for(setup.model, runs, groups)
+    of_fitted = settings.model_copy(update={"groups": _among(settings.groups, fitted, runs)})
+    setup = set_up(model_for(fitted), fitted, of_fitted, begin=begin)
+    whole = set_up(setup.model, runs, settings, begin=begin)
     config: dict[str, list[dict[str, Any]]] = {"runs": [], "hold_out": []}
     records = iter(setup.config["runs"])
     for part, record in zip(parts, whole.config["runs"], strict=True):
@@ -352,7 +331,7 @@ def _judged(state: FitState, parts: Sequence[Parted]) -> tuple[Sizes, Reason | N
             continue
         series = series_of(state, number, name, cells.residual, cells.times, lost=0.0)
         channels.append(PredictedChannel(series, cells, held_cells(parts[number], name)))
-    test = PredictionTest(channels, prior_gram(state), robust=state.setup.loss != "linear")
+    test = PredictionTest(channels, prior_gram(state), robust=state.setup.settings.loss != "linear")
     for each in channels:
         if np.any(each.held):
             at = each.cells.run, each.series.channel

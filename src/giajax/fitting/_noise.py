@@ -145,7 +145,7 @@ def reestimate(state: FitState) -> Noise:
     if noise.complete and not noise.memory:
         return noise
     cells = residual_cells(state)
-    if state.setup.loss != "linear":
+    if state.setup.settings.loss != "linear":
         return _among_outliers(noise, cells, state.setup.runs)
     # Without the priors: one that is wrong would pass for noise with a long memory.
     before = Restricted.of(list(cells.values()), noise.by_key())
@@ -243,7 +243,7 @@ def verdict(state: FitState, status: Status, prior_freedom: float) -> Verdict:
     series = residual_series(state, prior_freedom)
     if not series:
         return Verdict("adequate")
-    found = judge(series, robust=state.setup.loss != "linear")
+    found = judge(series, robust=state.setup.settings.loss != "linear")
     return early if ended and found.status != "inadequate" else found
 
 

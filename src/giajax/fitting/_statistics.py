@@ -124,7 +124,7 @@ def statistics(state: FitState) -> Statistics:
         covariance=by_noise.covariance,
         reduced_chi_square=reduced_chi_square(
             (residuals * _against_stated(state))[:cells],
-            loss=state.setup.loss,
+            loss=state.setup.settings.loss,
             measured=measured[:cells],
             parameters=len(alive) - known,
         ),

@@ -43,7 +43,7 @@ def begin(setup: Setup) -> FitState:
     """The state before anything is evaluated."""
     setup = setup.at_start()
     model, parameters, layout = setup.model, setup.parameters, setup.layout
-    noise = Noise.of(setup.runs, setup.noise_model, per_run=setup.noise_per_run)
+    noise = Noise.of(setup.runs, setup.settings.noise_model, per_run=setup.settings.noise_per_run)
     groups = build_groups(model, setup.runs, noise, layout)
     if setup.chooses_tolerance:
         coarsest = _COARSEST_OF_MANY if _have_many_rows(groups) else _COARSEST
@@ -69,7 +69,7 @@ def begin(setup: Setup) -> FitState:
         groups=groups,
         bijector=bijector,
         paths=tuple(p.path for p in parameters),
-        loss=setup.loss,
+        loss=setup.settings.loss,
         places=layout.places,
         ties=setup.ties,
     )
@@ -133,7 +133,7 @@ def reweight(state: FitState, noise: Noise) -> FitState:
     """Go on from the same point with another noise; not evaluated yet."""
     groups = build_groups(state.problem.model, state.setup.runs, noise, state.setup.layout)
     # Weights of cells take the place of a robust loss: whitened residuals are no single cells.
-    loss = state.setup.loss if noise.weights is None else "linear"
+    loss = state.setup.settings.loss if noise.weights is None else "linear"
     problem = dataclasses.replace(state.problem, groups=groups, loss=loss)
     moved = move(dataclasses.replace(state, problem=problem, noise=noise), state.coordinate)
     # The valley is nearly the same one: a fit that knew it keeps its long steps.

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, Self
+from typing import Any, Self, get_args
 
 import equinox as eqx
 import jax
@@ -11,16 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..noise import ChannelNoise, Stated, from_differences, gains
-from ..recordings import Run
+from ..recordings import Loss, NoiseModel, Run
 from ..runtime.arrays import Array, Float, on_device
 from ..runtime.text import InputError
 from ..schema import Prior
 from ._coordinates import Bijector
-
-NoiseModel = Literal["correlated", "white"]
-
-# Names of the models, for a message.
-NOISE_MODELS: tuple[NoiseModel, ...] = ("correlated", "white")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -158,17 +153,7 @@ def _key(name: str, number: int, stated: Stated, per_run: bool) -> str:
 # The cost is half the sum of rho(r). With t(r) = sign(r) sqrt(rho(r)) it is half the sum of t^2,
 # and a least-squares solver needs to know nothing else.
 
-LOSSES = ("linear", "huber", "soft_l1")
-
-
-def check_loss(loss: str) -> None:
-    """Refuse an unknown loss.
-
-    Raises:
-        InputError: naming the known ones.
-    """
-    if loss not in LOSSES:
-        raise InputError(f"there is no loss '{loss}': use one of: {', '.join(LOSSES)}")
+LOSSES = get_args(Loss)
 
 
 def mean_square_of_influence(loss: str) -> float:

@@ -8,6 +8,7 @@ from ._channels import (
 from ._definition import (
     Definition as Definition,
     complaint as complaint,
+    fit_settings as fit_settings,
     run_keys as run_keys,
     sidecar_template as sidecar_template,
     to_toml as to_toml,
@@ -16,7 +17,12 @@ from ._definition import (
 from ._describe import describe as describe
 from ._fit_sections import (
     Figure as Figure,
-    Fit as Fit,
+    FitKeywords as FitKeywords,
+    FitSettings as FitSettings,
+    Loss as Loss,
+    NoiseModel as NoiseModel,
+    StartsKeywords as StartsKeywords,
+    TaskKeywords as TaskKeywords,
     deviation_of as deviation_of,
     seconds_of as seconds_of,
 )

@@ -15,9 +15,9 @@ from pydantic.fields import FieldInfo
 from ..runtime.files import check_size, parse_toml, read_bytes
 from ..runtime.limits import TEXT_BYTES
 from ..runtime.text import InputError, one_of, shown
-from ..schema import KINDS, FillingSection, Kind, MissionSection, Name, Section, key
+from ..schema import KINDS, FillingSection, Kind, MissionSection, Name, Prior, Section, key
 from ._channels import NOISE_KEYS, infer_model
-from ._fit_sections import Figure, Fit, Noise
+from ._fit_sections import Figure, FitSettings, Noise
 from ._table import Table, read_table
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
@@ -291,7 +291,7 @@ class Definition(_Sections):
     truth: dict[str, Any] = key(
         "a table", "what the maker of the data knows; never read by a fit", default={}
     )
-    fit: Fit = Field(default_factory=Fit)
+    fit: FitSettings = Field(default_factory=FitSettings)
     filling: FillingSection = Field(default_factory=FillingSection)
     mission: MissionSection | None = key("a table of keys", "what an operator is to reach")
     figures: dict[Name, Figure] = key(
@@ -362,6 +362,33 @@ class Definition(_Sections):
     def to_toml(self) -> str:
         """TOML text of the contents, the version first; `load` reads it back."""
         return to_toml({"schema_version": self.schema_version, **self.contents()})
+
+
+def fit_settings(keywords: Mapping[str, Any], source: str = "the arguments") -> FitSettings:
+    """The settings of a fit that keywords state.
+
+    Arguments:
+        keywords: as of `FitKeywords`; None for what is not said.
+        source: what errors call them.
+
+    Raises:
+        InputError: as `Definition.parse`.
+    """
+    said = {name: _as_in_file(value) for name, value in keywords.items() if value is not None}
+    if isinstance(budget := said.get("budget"), float | int):
+        said["budget"] = f"{budget:.9f}s"
+    return Definition.parse({"fit": said}, source).fit
+
+
+def _as_in_file(value: Any) -> Any:
+    """Arrays and priors in what a person gives as numbers and tables."""
+    if isinstance(value, Prior):
+        return value.contents()
+    if isinstance(value, Mapping):
+        return {name: _as_in_file(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_as_in_file(item) for item in value]
+    return np.asarray(value).tolist() if hasattr(value, "__array__") else value
 
 
 def upgraded(data: dict[str, Any]) -> dict[str, Any]:

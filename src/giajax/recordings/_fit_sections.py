@@ -1,8 +1,9 @@
 """The sections of measuring and fitting: noise, a fit, and the figures that it must reach."""
 
-from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal, Self
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, ClassVar, Literal, Self, TypedDict
 
+import numpy.typing as npt
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from ..runtime.limits import STARTS
@@ -145,87 +146,192 @@ class PriorEntry(Section):
         return Prior(self.value, self.deviation, self.factor)
 
 
-class Fit(Section):
-    """`[fit]`: what to fit to what. Only in a fit definition."""
+NoiseModel = Literal["correlated", "white"]
+Loss = Literal["linear", "huber", "soft_l1"]
 
-    data: list[Name] | None = key("a list of file names", "runs, relative to this file")
-    free: list[Name] | None = key("a list of parameter paths", "parameters to fit")
-    start: dict[Name, Finite | list[Finite]] | None = key(
-        "a table of parameter paths and numbers", "start values"
+Values = dict[Name, Finite | list[Finite]]
+"""Numbers by path, SI: one for a whole parameter, or one for each of its elements."""
+
+
+def setting(
+    must: str,
+    meaning: str,
+    metavar: str = "",
+    *,
+    default: Any = None,
+    entry: str = "",
+    option: str = "",
+) -> Any:
+    """Declare a setting of a fit, once for files, for Python and for the command.
+
+    Arguments:
+        must, default, entry: as of `key`.
+        meaning: what it means, as the help of the command has it.
+        metavar: what the command calls its value; "" for a switch, and without an option.
+        option: its option, where that is not as its name; "-" for none.
+    """
+    field = key(must, meaning, default=default, entry=entry)
+    field.json_schema_extra |= {"metavar": metavar, "option": option}
+    return field
+
+
+class FitSettings(Section):
+    """All settings of a fit: `[fit]` of a definition, keywords of Python, options of the command.
+
+    Each is declared here, with its default; what was not said is not in `contents`. It is passed on
+    whole. `fit_settings` makes one of keywords.
+    """
+
+    data: list[Name] = setting(
+        "a list of file names", "Runs, relative to this file.", default=[], option="-"
     )
-    fix: dict[Name, Finite | list[Finite]] | None = key(
-        "a table of parameter paths and numbers", "parameters held at a value"
+    free: list[Name] | None = setting(
+        "a list of parameter paths", "Fit it, and not the default list. Repeatable.", "PATH"
     )
-    priors: dict[Name, PriorEntry] = key(
+    start: Values = setting(
+        "a table of parameter paths and numbers",
+        "Start a parameter at a value. Repeatable.",
+        "PATH=VALUE",
+        default={},
+    )
+    fix: Values = setting(
+        "a table of parameter paths and numbers",
+        "Hold a parameter at a value. Repeatable.",
+        "PATH=VALUE",
+        default={},
+    )
+    priors: dict[Name, PriorEntry] = setting(
         "a table of parameter paths, each with a value and a deviation or factor",
-        "what is known of free parameters before the fit",
+        "What is known of it before; PATH=VALUEx/FACTOR is log-normal. Repeatable.",
+        "PATH=VALUE+-DEVIATION",
         default={},
         entry="a table such as { value = 1.1, deviation = 0.2 }",
+        option="--prior",
     )
-    bounds: dict[Name, Annotated[list[Finite], Field(min_length=2, max_length=2)]] | None = key(
+    bounds: dict[Name, Annotated[list[Finite], Field(min_length=2, max_length=2)]] = setting(
         "a table of parameter paths and lists of two numbers, [low, high]",
-        "bounds of free parameters, within those that they have",
+        "Bounds of a parameter, within those that it has. Repeatable.",
+        "PATH=LOW,HIGH",
+        default={},
         entry="a list of two numbers, [low, high]",
     )
-    ties: dict[Name, Name] | None = key(
+    ties: dict[Name, Name] = setting(
         "a table of parameter paths and expressions in quotes",
-        "parameters that follow from others",
+        "Let a parameter follow from others, as in links.mass=links.mass[0]. Repeatable.",
+        "PATH=EXPRESSION",
+        default={},
         entry='an expression in quotes, such as "1.5 * joints.pitch_stiffness"',
+        option="--tie",
     )
-    per_run: list[Name] | None = key(
-        "a list of parameter paths", "free parameters with a value of their own in each run"
-    )
-    groups: dict[Name, list[list[Name]]] | None = key(
+    per_run: list[Name] = setting(
+        "a list of parameter paths", "Fit a value of it for each run. Repeatable.", "PATH",
+        default=[],
+    )  # fmt: skip
+    groups: dict[Name, list[list[Name]]] = setting(
         "a table of parameter paths and lists of lists of run names",
-        "free parameters with a value of their own in each group of runs",
+        "Fit a value that these share. Repeatable.",
+        "PATH=RUN,RUN",
+        default={},
         entry='a list of lists of run names, such as [["a", "b"], ["c"]]',
+        option="--group",
     )
-    uncertainty: dict[Name, Finite | list[Finite]] | None = key(
+    uncertainty: Values = setting(
         "a table of parameter paths and positive numbers",
-        "standard deviations of held parameters, for the systematic errors",
+        "Standard deviation of a held parameter. Repeatable.",
+        "PATH=VALUE",
+        default={},
     )
-    channels: list[Name] | None = key(
-        "a list of channel names, without unit", "channels to fit; all that were measured"
+    channels: list[Name] | None = setting(
+        "a list of channel names, without unit",
+        "Fit this channel only, without its unit: link20_z. Repeatable.",
+        "NAME",
     )
-    hold_out: list[Name] | None = key(
-        "a list of runs, channels, or last", "what is not fitted, and must be predicted"
+    hold_out: list[Name] = setting(
+        "a list of runs, channels, or last",
+        "Judge by this and do not fit it: a run, a channel, or last (fifth). Repeatable.",
+        "NAME",
+        default=[],
     )
-    window_s: Positive | None = key(
-        "a positive number", "cut each run into windows of this length, each with its own start"
+    window_s: Positive | None = setting(
+        "a positive number", "Cut runs into windows, each with its own start.", "S",
+        option="--window",
+    )  # fmt: skip
+    windows_first_s: Positive | None = setting(
+        "a positive number", "Fit such windows first, and whole runs from there.", "S",
+        option="--windows-first",
+    )  # fmt: skip
+    starts: Annotated[int, Field(ge=1, le=STARTS)] = setting(
+        f"a whole number from 1 to {STARTS}",
+        "Fit from so many starts and keep the best end.",
+        "N",
+        default=1,
     )
-    windows_first_s: Positive | None = key(
-        "a positive number", "fit windows of this length first, and whole runs from where they end"
+    spread: Positive = setting(
+        "a positive number", "How far the other starts are away; 0.3 is 30 percent.", "X",
+        default=0.3,
+    )  # fmt: skip
+    seed: Annotated[int, Field(ge=0)] = setting(
+        "zero or a positive whole number", "Of the other starts.", "N", default=0
     )
-    starts: Annotated[int, Field(ge=1, le=STARTS)] | None = key(
-        f"a whole number from 1 to {STARTS}", "how many starts; the best end is the result"
+    validation: list[Name] = setting(
+        "a list of file names",
+        "Runs that the result must predict and is not fitted to.",
+        default=[],
+        option="-",
     )
-    spread: Positive | None = key(
-        "a positive number", "how far the other starts are from the first: 0.3 is 30 %"
+    loss: Loss = setting(
+        '"linear", "huber" or "soft_l1"',
+        "How a large residual counts: linear, or huber or soft_l1 for outliers.",
+        "NAME",
+        default="linear",
     )
-    seed: Annotated[int, Field(ge=0)] | None = key(
-        "zero or a positive whole number", "of the other starts"
+    noise_model: NoiseModel = setting(
+        '"correlated" or "white"',
+        "correlated, which looks for a memory of the noise, or white.",
+        "NAME",
+        default="correlated",
     )
-    validation: list[Name] | None = key(
-        "a list of file names", "runs that the result must predict and is not fitted to"
+    noise_per_run: bool = setting(
+        "true or false",
+        "Estimate the noise in each run by itself, or (default) in all together.",
+        default=False,
+        option="--noise-per-run/--noise-pooled",
     )
-    loss: Literal["linear", "huber", "soft_l1"] | None = key(
-        '"linear", "huber" or "soft_l1"', "how a large residual counts"
+    solver: Name | None = setting(
+        "the name of a solver", "Integration method (springs5), such as tsit5.", "NAME"
     )
-    noise_model: Literal["correlated", "white"] | None = key(
-        '"correlated" or "white"', "whether noise may have a memory"
+    tolerance: Positive | None = setting(
+        "a positive number", "Tolerance of the integration (chosen by what it moves).", "TOL"
     )
-    noise_per_run: bool | None = key("true or false", "estimate noise in each run by itself")
-    solver: Name | None = key("the name of a solver", "of the simulation")
-    tolerance: Positive | None = key(
-        "a positive number", "relative and absolute tolerance of the simulation (default: chosen)"
+    max_iterations: Annotated[int, Field(ge=1)] = setting(
+        "a whole number of at least 1", "Trial steps before the fit gives up.", "N", default=50
     )
-    max_iterations: Annotated[int, Field(ge=1)] | None = key(
-        "a whole number of at least 1", "trial steps before the fit gives up"
+    budget: Annotated[str, Field(pattern=DURATION)] | None = setting(
+        'a time such as "90s", "10m" or "2h"',
+        "End with the best so far when it is over: 90s, 10m, 2h.",
+        "TIME",
     )
-    budget: Annotated[str, Field(pattern=DURATION)] | None = key(
-        'a time such as "90s", "10m" or "2h"', "wall time that the fit may take"
-    )
-    out: Name | None = key("the name of a folder", "where the result goes")
+    out: Name | None = setting("the name of a folder", "Where the result goes.", option="-")
+
+    @property
+    def known(self) -> dict[str, Prior]:
+        """The priors by path."""
+        return {path: entry.prior() for path, entry in self.priors.items()}
+
+    @property
+    def budget_s(self) -> float | None:
+        """Wall time that the fit may take, s."""
+        return None if self.budget is None else seconds_of(self.budget)
+
+    @classmethod
+    def shared_with(cls, config: Mapping[str, Any]) -> Self:
+        """What a later fit of the same runs has in common with a fit.
+
+        Arguments:
+            config: of the result of that fit.
+        """
+        names = ("priors", "bounds", "ties", "groups", "loss", "noise_model", "noise_per_run")
+        return cls.model_validate({name: config[name] for name in names if name in config})
 
     @field_validator(
         *("start", "fix", "uncertainty", "priors", "bounds", "ties", "groups"), mode="before"
@@ -246,13 +352,54 @@ class Fit(Section):
 
     @field_validator("ties")
     @classmethod
-    def _ties_are_expressions(cls, ties: dict[str, str] | None) -> dict[str, str] | None:
-        for path, text in (ties or {}).items():
+    def _ties_are_expressions(cls, ties: dict[str, str]) -> dict[str, str]:
+        for path, text in ties.items():
             try:
                 Expression.parse(text)
             except InputError as error:
                 raise ValueError(f"is not right for {path}, because {error}") from None
         return ties
+
+
+class FitKeywords(TypedDict, total=False):
+    """Settings of a fit of given runs as keywords: arrays and `Prior` where a file has numbers.
+
+    None for what is not said. A budget may be a number of seconds.
+    """
+
+    free: Sequence[str] | None
+    start: Mapping[str, npt.ArrayLike] | None
+    fix: Mapping[str, npt.ArrayLike] | None
+    priors: Mapping[str, Prior] | None
+    bounds: Mapping[str, Sequence[float]] | None
+    ties: Mapping[str, str] | None
+    per_run: Sequence[str] | None
+    groups: Mapping[str, Sequence[Sequence[str]]] | None
+    loss: str | None
+    noise_model: str | None
+    noise_per_run: bool | None
+    solver: str | None
+    tolerance: float | None
+    max_iterations: int | None
+    budget: float | str | None
+
+
+class StartsKeywords(FitKeywords, total=False):
+    """And those of a fit from several starts."""
+
+    starts: int | None
+    spread: float | None
+    seed: int | None
+
+
+class TaskKeywords(StartsKeywords, total=False):
+    """And those that say which part of the files is fitted, and what is held out."""
+
+    uncertainty: Mapping[str, npt.ArrayLike] | None
+    channels: Sequence[str] | None
+    hold_out: Sequence[str] | None
+    window_s: float | None
+    windows_first_s: float | None
 
 
 class Figure(Section):

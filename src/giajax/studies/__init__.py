@@ -33,8 +33,6 @@ from ._influence import (
 )
 from ._multi_start import (
     SAME_END as SAME_END,
-    SEED as SEED,
-    SPREAD as SPREAD,
     DistinctOptimum as DistinctOptimum,
     distinct_optima as distinct_optima,
     lost_starts as lost_starts,

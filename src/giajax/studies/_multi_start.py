@@ -7,29 +7,25 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
-from typing import NamedTuple
-
-import numpy.typing as npt
+from typing import NamedTuple, Unpack
 
 from ..fitting import (
-    MAX_ITERATIONS,
     Budget,
     FitJournal,
     FitResult,
     Iteration,
-    NoiseModel,
     Seconds,
     Setup,
     Start,
+    check_effect,
     set_up,
     solve,
 )
 from ..models import AbstractModel
-from ..recordings import Run
+from ..recordings import FitSettings, Run, StartsKeywords, fit_settings
 from ..runtime.parallel import Tell
 from ..runtime.process import cores
 from ..runtime.text import InputError
-from ..schema import Prior
 from ._starts import (
     End,
     by_executor,
@@ -114,37 +110,22 @@ def _is_same(result: FitResult, one: Start, other: Start) -> bool:
     )
 
 
-STARTS, SPREAD, SEED = 8, 0.3, 0
+STARTS = 8
+"""Starts of `multi_start`, where nobody says how many."""
 
 
 def multi_start(
     model: AbstractModel,
     runs: Run | Sequence[Run],
+    settings: FitSettings | None = None,
     *,
-    starts: int = STARTS,
-    spread: float = SPREAD,
-    seed: int = SEED,
-    free: Sequence[str] | None = None,
-    start: Mapping[str, npt.ArrayLike] | None = None,
-    fix: Mapping[str, npt.ArrayLike] | None = None,
-    loss: str = "linear",
-    noise_model: NoiseModel = "correlated",
-    noise_per_run: bool = False,
-    solver: str | None = None,
-    tolerance: float | None = None,
-    priors: Mapping[str, Prior] | None = None,
-    bounds: Mapping[str, Sequence[float]] | None = None,
-    ties: Mapping[str, str] | None = None,
-    per_run: Sequence[str] = (),
-    groups: Mapping[str, Sequence[Sequence[str]]] | None = None,
-    max_iterations: int = MAX_ITERATIONS,
-    budget: float | None = None,
     progress: Callable[[Iteration], None] | None = None,
     announce: Callable[[int, Mapping[str, float]], None] | None = None,
     check: bool = True,
     before: FitResult | None = None,
     executor: Executor | None = None,
     folder: str | Path | None = None,
+    **keywords: Unpack[StartsKeywords],
 ) -> FitResult:
     """Fit from several starts, and return the best end.
 
@@ -156,14 +137,11 @@ def multi_start(
     estimates its own noise.
 
     Arguments:
-        model, runs, free, start, fix, loss, noise_model, noise_per_run, solver, tolerance: as of
-            `giajax.fit`.
-        priors, bounds, ties, per_run, groups: as of `giajax.fit`.
-        starts: how many; 1 is `giajax.fit`.
-        spread: relative distance of the other starts.
-        seed: of the other starts.
-        max_iterations, progress, check: as of `giajax.fit`.
-        budget: wall time that all of them together may take, s.
+        model, runs, settings, progress, check: as of `giajax.fit`; a budget is that of all starts.
+        starts: how many (8); 1 is `giajax.fit`.
+        spread: relative distance of the other starts (0.3).
+        seed: of the other starts (0).
+        **keywords: these three, and those of `giajax.fit`, in place of `settings`.
         announce: called before each fit with its number, from 1, and its start. Of fits side by
             side the later ones are told of, with their steps, when the earlier ones have ended.
         before: a result of the same fit from fewer starts, which are not fitted again.
@@ -179,33 +157,14 @@ def multi_start(
     Raises:
         InputError: as `giajax.fit`; of the starts, the first one must be evaluable.
     """
-    setup = set_up(
-        model,
-        runs,
-        free=free,
-        start=start,
-        fix=fix,
-        loss=loss,
-        noise_model=noise_model,
-        noise_per_run=noise_per_run,
-        solver=solver,
-        tolerance=tolerance,
-        priors=priors,
-        bounds=bounds,
-        ties=ties,
-        per_run=per_run,
-        groups=groups,
-    )
+    if settings is None:
+        settings = fit_settings({"starts": STARTS, **keywords})
+    check_effect(settings, StartsKeywords, "giajax.multi_start")
     return solve_from_starts(
-        setup,
-        starts=starts,
-        spread=spread,
-        seed=seed,
-        max_iterations=max_iterations,
+        set_up(model, runs, settings),
         progress=progress,
         announce=announce,
         check=check,
-        budget=None if budget is None else Budget(budget),
         before=before,
         executor=executor,
         folder=folder,
@@ -215,14 +174,9 @@ def multi_start(
 def solve_from_starts(
     setup: Setup,
     *,
-    starts: int = STARTS,
-    spread: float = SPREAD,
-    seed: int = SEED,
-    max_iterations: int = MAX_ITERATIONS,
     progress: Callable[[Iteration], None] | None = None,
     announce: Callable[[int, Mapping[str, float]], None] | None = None,
     check: bool = True,
-    budget: Budget | None = None,
     journal: Callable[[int], FitJournal] | None = None,
     before: FitResult | None = None,
     executor: Executor | None = None,
@@ -231,10 +185,8 @@ def solve_from_starts(
     """Fit what `giajax.fitting.set_up` resolved from several starts.
 
     Arguments:
-        setup: what to fit to what.
-        starts, spread, seed, max_iterations, progress, announce, check, before, executor, folder:
-            as of `multi_start`.
-        budget: wall time that all of them together may take.
+        setup: what to fit to what; its settings say from how many starts.
+        progress, announce, check, before, executor, folder: as of `multi_start`.
         journal: the journal of each fit, by its number: the starts from 1, then the one that
             checks the result. A start that has ended there is evaluated where it ended.
 
@@ -244,8 +196,9 @@ def solve_from_starts(
     Raises:
         InputError: the first start cannot be evaluated, or `before` is of another fit.
     """
-    setup = setup.at_start()
-    values = start_values(setup, spread, seed, starts)
+    setup, settings = setup.at_start(), setup.settings
+    starts, values = settings.starts, start_values(setup)
+    budget = None if settings.budget_s is None else Budget(settings.budget_s)
     # A wrong number of cores is told before the first start, not after it.
     count = cores()
     spent = threading.Event()
@@ -260,7 +213,6 @@ def solve_from_starts(
                 tell(announce, number, start)
             result = solve(
                 with_tolerance_of(setup.started_at(start), earlier),
-                max_iterations=max_iterations,
                 progress=functools.partial(tell, _nothing if progress is None else progress),
                 check=False,
                 budget=budget,
@@ -289,7 +241,6 @@ def solve_from_starts(
             values,
             executor=executor,
             folder=folder,
-            most=max_iterations,
             budget=budget,
             announce=announce,
             progress=progress,
@@ -318,10 +269,11 @@ def solve_from_starts(
     bare = best is before or (executor is not None and not best.predictions)
     if (check or bare) and best.status == "converged":
         last = None if journal is None else journal(starts + 1)
-        best = _checked(setup, best, max_iterations, progress, budget, last)
+        best = _checked(setup, best, progress, budget, last)
     if executor is not None and not best.predictions:
         best = dataclasses.replace(best, predictions=tuple(map(best.predict, setup.runs)))
-    config = {**best.config, "starts": starts, "spread": spread, "seed": seed}
+    drawn = {"starts": starts, "spread": settings.spread, "seed": settings.seed}
+    config = {**best.config, **drawn}
     return dataclasses.replace(best, starts=tuple(ends), config=config, seconds=seconds)
 
 
@@ -332,7 +284,6 @@ def _nothing(_: Iteration) -> None:
 def _checked(
     setup: Setup,
     best: FitResult,
-    max_iterations: int,
     progress: Callable[[Iteration], None] | None,
     budget: Budget | None,
     journal: FitJournal | None,
@@ -340,13 +291,7 @@ def _checked(
     """The best end fitted again from where it is, with the checks that were left out before."""
     try:
         inside = with_tolerance_of(setup.started_at(inside_bounds(setup, end_values(best))), [best])
-        again = solve(
-            inside,
-            max_iterations=max_iterations,
-            progress=progress,
-            budget=budget,
-            journal=journal,
-        )
+        again = solve(inside, progress=progress, budget=budget, journal=journal)
     except KeyboardInterrupt:
         return interrupted(best, "before its result was checked")
     if again.status == "interrupted":

@@ -11,9 +11,7 @@ from typing import Any, Self
 import numpy as np
 
 from ..fitting import (
-    MAX_ITERATIONS,
     FitResult,
-    NoiseModel,
     Optimum,
     RunFit,
     Seconds,
@@ -25,7 +23,7 @@ from ..fitting import (
     solve,
 )
 from ..models import AbstractModel
-from ..recordings import Definition, Run
+from ..recordings import Definition, FitSettings, NoiseModel, Run
 from ..runtime.execution import prepared, run_tasks
 from ..runtime.identities import fields_of
 from ..runtime.programs import content
@@ -87,22 +85,15 @@ def optimum_of(result: FitResult, runs: Sequence[Run]) -> Optimum:
     Raises:
         InputError: the model cannot be evaluated there.
     """
-    config, model = result.config, result.model
+    settings, model = FitSettings.shared_with(result.config), result.model
     values = {path: estimate.value for path, estimate in result.free.items()}
-    setup = set_up(
-        model,
-        runs,
-        free=list(values),
-        start={
-            part.path: _inside(part, float(values[part.path]), config.get("bounds", {}))
-            for path in values
-            for part in elements(model, path)
-        },
-        loss=config.get("loss", "linear"),
-        noise_model=config.get("noise_model", "correlated"),
-        noise_per_run=config.get("noise_per_run", False),
-        **{key: config.get(key, {}) for key in ("priors", "bounds", "ties", "groups")},
-    )
+    start = {
+        part.path: _inside(part, float(values[part.path]), settings.bounds)
+        for path in values
+        for part in elements(model, path)
+    }
+    asked = settings.model_copy(update={"free": list(values), "start": start})
+    setup = set_up(model, runs, asked)
     own = {
         record.name: {path: each.value for path, each in record.parameters.items()}
         for record in result.runs
@@ -121,7 +112,7 @@ def refit(
     start: Mapping[str, float | Sequence[float]] | None = None,
     fix: Mapping[str, float | Sequence[float]] | None = None,
     noise_model: NoiseModel | None = None,
-    max_iterations: int = MAX_ITERATIONS,
+    max_iterations: int | None = None,
     check: bool = False,
 ) -> FitResult:
     """Fit the same runs again from where a fit ended, with more parameters or another model.
@@ -148,9 +139,10 @@ def refit(
     def is_held(path: str) -> bool:
         return bool({path, path.partition("[")[0]} & set(fix or {}))
 
-    limits: dict[str, Any] = {
-        key: {path: item for path, item in result.config.get(key, {}).items() if not is_held(path)}
-        for key in ("priors", "bounds", "ties", "groups")
+    settings = FitSettings.shared_with(result.config)
+    changed: dict[str, Any] = {
+        name: {path: item for path, item in getattr(settings, name).items() if not is_held(path)}
+        for name in ("priors", "bounds", "ties", "groups")
     }
     paths = [path for path in (*result.free, *free) if not is_held(path)]
     begin: dict[str, Any] = dict(start or {})
@@ -161,18 +153,12 @@ def refit(
             np.asarray(begin.get(path, get(model, path)), dtype=float), (len(parts),)
         )
         for part, value in zip(parts, wanted, strict=True):
-            values[part.path] = _inside(part, float(value), limits["bounds"])
-    setup = set_up(
-        model,
-        begun_where_it_ended(result, runs),
-        free=paths,
-        start=values,
-        fix=fix,
-        loss=result.config.get("loss", "linear"),
-        noise_model=noise_model or result.config.get("noise_model", "correlated"),
-        noise_per_run=result.config.get("noise_per_run", False),
-        **limits,
-    )
+            values[part.path] = _inside(part, float(value), changed["bounds"])
+    changed |= {"free": paths, "start": values, "fix": dict(fix or {})}
+    if noise_model is not None:
+        changed["noise_model"] = noise_model
+    asked = settings.model_copy(update=changed)
+    setup = set_up(model, begun_where_it_ended(result, runs), asked)
     begun = {path.partition("[")[0] for path in begin}
     setup = dataclasses.replace(setup, own={
         name: {path: value for path, value in values.items() if path.partition("[")[0] not in begun}

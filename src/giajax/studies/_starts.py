@@ -27,7 +27,7 @@ from ..fitting import (
     solve,
 )
 from ..models import AbstractModel
-from ..recordings import Run
+from ..recordings import FitSettings, Run
 from ..runtime.arrays import sobol_points
 from ..runtime.execution import prepared, run_tasks
 from ..runtime.parallel import Tell, directly, side_by_side
@@ -130,7 +130,7 @@ def with_tolerance_of(setup: Setup, ended: Sequence[FitResult]) -> Setup:
     return setup
 
 
-def start_values(setup: Setup, spread: float, seed: int, count: int) -> list[dict[str, float]]:
+def start_values(setup: Setup) -> list[dict[str, float]]:
     """Start values by path: those of the setup, and others that fill the room around them.
 
     The others are a scrambled Sobol sequence, of which more starts have the same first ones. Of a
@@ -138,18 +138,17 @@ def start_values(setup: Setup, spread: float, seed: int, count: int) -> list[dic
     spread (their logarithms, if both are positive), and otherwise they are near those of the setup.
 
     Arguments:
-        setup: what to fit to what.
-        spread: relative distance from the values of the setup, where nothing else is stated.
-        seed: of the sequence.
-        count: how many starts.
+        setup: what to fit to what; its settings say how many starts there are, their relative
+            distance where nothing else is stated, and the seed of the sequence.
 
     Returns:
         For each start a value for each free parameter, between its bounds.
     """
     first = {each.path: float(each.value(setup.model)) for each in setup.parameters}
+    count, spread = setup.settings.starts, setup.settings.spread
     if count < 2 or not first:
         return [dict(first) for _ in range(count)]
-    shares = sobol_points(count - 1, len(first), seed)
+    shares = sobol_points(count - 1, len(first), setup.settings.seed)
     others = [
         {
             each.path: _value(setup, each, spread, float(share))
@@ -227,22 +226,15 @@ class Asked:
         return prepared(("setup", self.task_key), self._made)
 
     def _made(self) -> Setup:
-        config = self.config
-        again = set_up(
-            self.model,
-            self.runs,
-            free=config["free"],
-            loss=config["loss"],
-            noise_model=config["noise_model"],
-            noise_per_run=config["noise_per_run"],
-            **{key: config.get(key, {}) for key in ("priors", "bounds", "ties", "groups")},
-        )
+        settings = FitSettings.shared_with(self.config)
+        free = settings.model_copy(update={"free": self.config["free"]})
+        again = set_up(self.model, self.runs, free)
         return dataclasses.replace(
             again,
             model=self.model,
             unstarted=(),
             own=self.own,
-            config=dict(config),
+            config=dict(self.config),
             suited=self.suited,
         )
 
@@ -277,7 +269,6 @@ def by_executor(
     *,
     executor: Executor,
     folder: str | Path | None,
-    most: int,
     budget: Budget | None,
     announce: Callable[[int, Mapping[str, float]], None] | None,
     progress: Callable[[Iteration], None] | None,
@@ -289,14 +280,13 @@ def by_executor(
         setup: what to fit to what.
         values: of all starts.
         executor, folder: as of `run_tasks`.
-        most: trial steps of each.
         budget: of all of them together.
         announce, progress: told of a start, and of its steps, once it has ended.
         spent: called where there was no time for a start.
     """
 
     def others(numbers: Sequence[int], earlier: Sequence[FitResult]) -> list[End]:
-        asked = Asked.of(with_tolerance_of(setup, earlier))
+        asked, most = Asked.of(with_tolerance_of(setup, earlier)), setup.settings.max_iterations
         until = None if budget is None else time.time() + budget.left()
         tasks = {
             number: Task(
@@ -347,20 +337,20 @@ def _result(setup: Setup, text: str) -> FitResult:
     return dataclasses.replace(bare, model=model)
 
 
-def has_earlier_starts(
-    before: FitResult | None, setup: Setup, starts: int, spread: float, seed: int
-) -> bool:
+# The starts of an earlier result, to which more are added.
+
+
+def has_earlier_starts(before: FitResult | None, setup: Setup) -> bool:
     """Whether starts can be added to a result; an earlier version chose others, for example.
 
     Arguments:
         before, setup: as of `earlier_starts`; of None there are none.
-        starts, spread, seed: as of `multi_start`.
     """
     if before is None:
         return False
     begun = setup.at_start()
     try:
-        earlier_starts(before, begun, start_values(begun, spread, seed, starts))
+        earlier_starts(before, begun, start_values(begun))
     except InputError:
         return False
     return True

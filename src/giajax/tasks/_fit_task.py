@@ -4,13 +4,10 @@ import dataclasses
 import json
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Self, Unpack
 
-import numpy.typing as npt
-
-from ..recordings import Definition, read_runs
+from ..recordings import Definition, FitSettings, TaskKeywords, fit_settings, read_runs
 from ..runtime.text import InputError
-from ..schema import Prior
 from ._journal import read_journal
 from ._record import checksums_of, differences, unchanged
 from ._stored import check_config, reached_by, repeatable, without
@@ -22,7 +19,6 @@ if TYPE_CHECKING:
 # Settings of a task that are changed: the last word on a parameter counts. Imports no JAX.
 
 Paths = str | Path | Sequence[str | Path]
-Item = TypeVar("Item")
 
 
 def paths_of(files: Paths) -> tuple[Path, ...]:
@@ -30,66 +26,53 @@ def paths_of(files: Paths) -> tuple[Path, ...]:
     return (Path(files),) if isinstance(files, str | Path) else tuple(map(Path, files))
 
 
-def contents_with(
-    definition: Definition, above: Mapping[str, Any], values: Mapping[str, Any]
-) -> dict[str, Any]:
-    """The contents of a definition with other settings of `[fit]`.
+def merged(below: FitSettings, above: FitSettings, origin: str) -> FitSettings:
+    """Settings put on top of others: what is said of parameters path by path.
 
     Arguments:
-        definition: what was said before.
-        above: as of `overridden`.
-        values: of the other keys; None for what is not said, and "" for a budget without end.
+        below: what was said before.
+        above: what is said now; the last word on a parameter counts.
+        origin: what an error calls them.
+
+    Raises:
+        InputError: the two together contradict themselves.
     """
-    said = {key: value for key, value in values.items() if value is not None}
-    contents = definition.contents()
-    contents["fit"] = {**contents.get("fit", {}), **overridden(definition, above), **said}
-    if contents["fit"].get("budget") == "":
-        del contents["fit"]["budget"]
-    return contents
-
-
-def overridden(definition: Definition, above: Mapping[str, Any]) -> dict[str, Any]:
-    """The keys of `[fit]` about parameters, path by path; the last word on one counts.
-
-    Arguments:
-        definition: what was said before.
-        above: `free`, `start`, `fix`, `priors`, `bounds`, `ties`, `per_run` and `groups` of
-            `FitTask.on_top`; None for what is not said.
-
-    Returns:
-        Values by key, of those keys that say anything now or before.
-    """
-    free, per_run = above["free"], above["per_run"]
-    start, fix, bounds = above["start"] or {}, above["fix"] or {}, above["bounds"] or {}
-    priors, ties, groups = above["priors"] or {}, above["ties"] or {}, above["groups"] or {}
-    below = definition.fit
-    held, following = set(fix), set(ties)
-    apart = {*(per_run or ()), *groups}
-    freed = {*(free or ()), *apart}
+    said = above.model_fields_set
+    held, following = set(above.fix), set(above.ties)
+    freed = {*(above.free or ()), *above.per_run, *above.groups}
     no_more = held | following
 
-    def kept(table: Mapping[str, Item] | None, without: Collection[str]) -> dict[str, Item]:
-        return {path: item for path, item in (table or {}).items() if path not in without}
+    def kept(name: str, without: Collection[str]) -> dict[str, Any]:
+        contents = below.contents().get(name, {})
+        return {path: item for path, item in contents.items() if path not in without}
 
-    frees = below.free if free is None else list(free)
-    if not free and frees is not None:
-        frees = [path for path in frees if path not in no_more]
-    alone = below.per_run if per_run is None else list(per_run)
-    if per_run is None and alone is not None:
-        alone = [path for path in alone if path not in no_more | set(groups)]
-    known = {path: entry.contents() for path, entry in below.priors.items()}
-    settings: dict[str, Any] = {
-        "free": frees,
-        "start": {**kept(below.start, no_more), **start},
-        "fix": {**kept(below.fix, freed | set(start) | following), **fix},
-        "priors": kept(known, no_more) | {path: prior.contents() for path, prior in priors.items()},
-        "bounds": {**kept(below.bounds, no_more), **bounds},
-        "ties": {**kept(below.ties, freed | held), **ties},
-        "per_run": alone,
-        "groups": {**kept(below.groups, no_more | set(per_run or ())), **groups},
+    free = above.free if "free" in said else below.free
+    if not above.free and free is not None:
+        free = [path for path in free if path not in no_more]
+    per_run = above.per_run
+    if "per_run" not in said:
+        per_run = [p for p in below.per_run if p not in no_more | set(above.groups)]
+    new = above.contents()
+    by_path = {
+        "free": free,
+        "start": kept("start", no_more),
+        "fix": kept("fix", freed | set(above.start) | following),
+        "priors": kept("priors", no_more),
+        "bounds": kept("bounds", no_more),
+        "ties": kept("ties", freed | held),
+        "per_run": per_run,
+        "groups": kept("groups", no_more | set(above.per_run)),
     }
+    for name, item in by_path.items():
+        if isinstance(item, dict):
+            item |= new.get(name, {})
     mentioned = {"free", "start", "fix", *below.contents()}
-    return {key: item for key, item in settings.items() if item or key in mentioned}
+    others = {name: item for name, item in new.items() if name not in by_path and item != {}}
+    by_path = {name: item for name, item in by_path.items() if item or name in mentioned}
+    together = {**below.contents(), **by_path, **others}
+    if together.get("budget", "") is None:
+        del together["budget"]
+    return Definition.parse({"fit": together}, origin).fit
 
 
 # A task as plain data.
@@ -156,7 +139,7 @@ def begun(
     if settings.windows_first_s is None or task.begin is not None:
         return task
     inside = settings.model_copy(
-        update={"windows_first_s": None, "window_s": settings.windows_first_s, "starts": None}
+        update={"windows_first_s": None, "window_s": settings.windows_first_s, "starts": 1}
     )
     definition = task.definition.model_copy(update={"fit": inside})
     ready = dataclasses.replace(task, definition=definition, validation=()).prepare()
@@ -227,8 +210,8 @@ class FitTask:
         definition = Definition.load(path)
         return cls(
             definition=definition,
-            data=tuple(path.parent / name for name in definition.fit.data or ()),
-            validation=tuple(path.parent / name for name in definition.fit.validation or ()),
+            data=tuple(path.parent / name for name in definition.fit.data),
+            validation=tuple(path.parent / name for name in definition.fit.validation),
             source=path,
         )
 
@@ -285,36 +268,15 @@ class FitTask:
 
     def on_top(
         self,
+        settings: FitSettings | None = None,
         *,
         data: Paths | None = None,
         validation: Paths | None = None,
-        free: Sequence[str] | None = None,
-        start: Mapping[str, npt.ArrayLike] | None = None,
-        fix: Mapping[str, npt.ArrayLike] | None = None,
-        priors: Mapping[str, Prior] | None = None,
-        bounds: Mapping[str, Sequence[float]] | None = None,
-        ties: Mapping[str, str] | None = None,
-        per_run: Sequence[str] | None = None,
-        groups: Mapping[str, Sequence[Sequence[str]]] | None = None,
-        uncertainty: Mapping[str, npt.ArrayLike] | None = None,
-        channels: Sequence[str] | None = None,
-        hold_out: Sequence[str] | None = None,
-        window_s: float | None = None,
-        windows_first_s: float | None = None,
-        starts: int | None = None,
-        spread: float | None = None,
-        seed: int | None = None,
-        loss: str | None = None,
-        noise_model: str | None = None,
-        noise_per_run: bool | None = None,
-        solver: str | None = None,
-        tolerance: float | None = None,
-        max_iterations: int | None = None,
-        budget: str | None = None,
         begin: "str | Path | FitResult | None" = None,
         out: str | Path | None = None,
         rename: Mapping[str, str] | None = None,
         origin: str = "the arguments",
+        **keywords: Unpack[TaskKeywords],
     ) -> Self:
         """The task with some settings changed; what is left out stays.
 
@@ -324,9 +286,9 @@ class FitTask:
 
         Arguments:
             data, validation: file or files, in place of those before.
-            free: paths of the parameters to fit, in place of those before.
-            start, fix: values by path, SI: where the fit starts, and what is held.
-            priors, bounds, ties, groups, per_run: as of `giajax.fit`; the last in place of before.
+            settings: to put on top; or give them as keywords.
+            free, per_run: paths, as of `giajax.fit`, in place of those before.
+            start, fix, priors, bounds, ties, groups: by path, as of `giajax.fit`.
             uncertainty: standard deviations of what is held, SI, by path.
             channels: names without unit of the channels to fit; all that were measured by default.
             hold_out: what is not fitted, and must be predicted: names of runs or of channels, or
@@ -335,11 +297,8 @@ class FitTask:
             windows_first_s: do so first, and fit whole runs from where that ends.
             starts: how many starts (1 by default); the best end is the result.
             spread, seed: of the other starts: relative distance from the first (0.3), and 0.
-            loss: "linear" (the default), "huber" or "soft_l1".
-            noise_model, noise_per_run: "correlated" (default) or "white"; for each run by itself.
-            solver, tolerance: of the simulation: one of `giajax.SOLVERS`, and that of a step.
-            max_iterations: trial steps before the fit gives up; 50 by default.
             budget: wall time that the fit may take: "90s", "10m", "2h"; "" for no end.
+            loss, noise_model, noise_per_run, solver, tolerance, max_iterations: as of `giajax.fit`.
             begin: a result, or its file or folder: the fit starts where that one ended, with
                 the initial states of runs of the same name. Parameters that were free or fixed
                 there and are held here are held at their values there. What `start` or `fix`
@@ -351,35 +310,21 @@ class FitTask:
         Returns:
             A new task; a value that its key may not have is an InputError.
         """
-        values = {
-            "uncertainty": dict(uncertainty) if uncertainty else None,
-            "channels": None if channels is None else list(channels),
-            "hold_out": None if hold_out is None else list(hold_out),
-            "window_s": window_s,
-            "windows_first_s": windows_first_s,
-            "starts": starts,
-            "spread": spread,
-            "seed": seed,
-            "loss": loss,
-            "noise_model": noise_model,
-            "noise_per_run": noise_per_run,
-            "solver": solver,
-            "tolerance": tolerance,
-            "max_iterations": max_iterations,
-            "budget": budget,
-            "out": None if out is None else str(out),
-        }
-        above = {"free": free, "start": start, "fix": fix, "priors": priors, "bounds": bounds}
-        above |= {"ties": ties, "per_run": per_run, "groups": groups}
-        contents = contents_with(self.definition, above, values)
+        below = self.definition.fit
+        if keywords.get("budget") == "":
+            del keywords["budget"]
+            below = below.model_copy(update={"budget": None})
+        if settings is None:
+            settings = fit_settings({**keywords, "out": None if out is None else str(out)}, origin)
+        together = merged(below, settings, origin)
         reached = self.begin if begin is None else reached_by(begin)
         task = dataclasses.replace(
             self,
-            definition=Definition.parse(contents, origin),
+            definition=self.definition.model_copy(update={"fit": together}),
             data=self.data if data is None else paths_of(data),
             validation=self.validation if validation is None else paths_of(validation),
             rename=self.rename if rename is None else dict(rename),
-            begin=reached and without(reached, (*(start or ()), *(fix or ()))),
+            begin=reached and without(reached, (*settings.start, *settings.fix)),
         )
         changed = differences(plain_of(self), plain_of(task))
         same = None if changed else self.resolved

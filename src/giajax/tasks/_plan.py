@@ -10,8 +10,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from ..recordings import Definition, Fit
-from ..runtime.arrays import sobol_points
+from ..recordings import Definition, FitSettings, fit_settings
 from ..runtime.files import check_size, parse_toml, read_bytes
 from ..runtime.limits import TEXT_BYTES
 from ..runtime.tasks import Task
@@ -58,7 +57,7 @@ def columns_of(section: Mapping[str, Any], where: str) -> dict[str, Any]:
     Raises:
         InputError: a key that `[fit]` does not have, or that does nothing here.
     """
-    known = [name for name in Fit.model_fields if name not in _NOT_HERE]
+    known = [name for name in FitSettings.model_fields if name not in _NOT_HERE]
     columns = {}
     for name, value in section.items():
         if name not in known:
@@ -160,6 +159,8 @@ def sample_cases(section: Mapping[str, Any], where: str) -> list[Case]:
 def _points(method: str, dimensions: int, count: int, seed: int) -> np.ndarray:
     """Points of the unit cube, shape (count, dimensions), none of them on its faces."""
     if method == "sobol":
+        from ..runtime.arrays import sobol_points
+
         return sobol_points(count, dimensions, seed)
     points = np.random.default_rng(seed).random((count, dimensions))
     return np.maximum(points, np.finfo(float).eps)
@@ -362,13 +363,11 @@ class Plan:
                 settings.setdefault(table, {})[path] = value
             else:
                 settings[name] = value
-        told = Definition.parse({"fit": settings}, origin).fit
-        words = {name: getattr(told, name) for name in told.model_fields_set}
-        if "priors" in words:
-            words["priors"] = {path: entry.prior() for path, entry in words["priors"].items()}
-        for name in {"data", "validation"} & set(words):
-            words[name] = [folder / file for file in words[name]]
-        return self.base.on_top(**words, origin=origin)
+        files: dict[str, Any] = {}
+        for name in {"data", "validation"} & set(settings):
+            said = fit_settings({name: settings.pop(name)}, origin)
+            files[name] = [folder / file for file in getattr(said, name)]
+        return self.base.on_top(fit_settings(settings, origin), **files, origin=origin)
 
     def tasks(self) -> list[Task]:
         """The fits as tasks, one for each case: two with the same key are the same fit.

@@ -10,9 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ..fitting import (
-    MAX_ITERATIONS,
     Beginning,
-    Budget,
     FitJournal,
     FitResult,
     HoldOut,
@@ -25,11 +23,9 @@ from ..fitting import (
     solve,
     versions,
 )
-from ..recordings import Definition, Run, seconds_of
+from ..recordings import Definition, Run
 from ..runtime.text import InputError
 from ..studies import (
-    SEED,
-    SPREAD,
     check_uncertainty,
     has_earlier_starts,
     solve_from_starts,
@@ -175,26 +171,17 @@ class Preparation:
         Raises:
             InputError: the model cannot be evaluated at the start.
         """
-        settings = self.definition.fit
-        most = settings.max_iterations or MAX_ITERATIONS
-        starts = settings.starts or 1
-        budget = None if settings.budget is None else Budget(seconds_of(settings.budget))
-        common: dict[str, Any] = {"max_iterations": most, "progress": progress}
-        common |= {"check": check, "budget": budget}
-        if starts == 1:
-            result = solve(self.setup, **common, journal=None if journal is None else journal(1))
+        if self.setup.settings.starts == 1:
+            first = None if journal is None else journal(1)
+            result = solve(self.setup, progress=progress, check=check, journal=first)
         else:
-            spread = SPREAD if settings.spread is None else settings.spread
-            seed = settings.seed or SEED
-            # Where an earlier version chose others, all of them are fitted.
-            known = has_earlier_starts(self.earlier, self.setup, starts, spread, seed)
+            # Where an earlier version chose other starts, all of them are fitted.
+            known = has_earlier_starts(self.earlier, self.setup)
             result = solve_from_starts(
                 self.setup,
-                starts=starts,
-                spread=spread,
-                seed=seed,
-                **common,
+                progress=progress,
                 announce=announce,
+                check=check,
                 journal=journal,
                 before=self.earlier if known else None,
                 executor=executor,
@@ -263,7 +250,6 @@ def prepare(
     begin = None if record["begin"] is None else Beginning(**record["begin"])
     setup, held_out = set_up_with_hold_out(definition.fit, runs, begin)
     free = [parameter.path for parameter in setup.parameters]
-    uncertainty = definition.fit.uncertainty or {}
-    check_uncertainty(setup.model, free, uncertainty, setup.config.get("ties"))
+    check_uncertainty(setup.model, free, definition.fit.uncertainty, setup.config.get("ties"))
     before = None if earlier is None else load_result(earlier)
     return Preparation(definition, setup, tuple(validation), record, held_out, before)
