@@ -1,47 +1,26 @@
 """Two models in closed form for the study of profiles."""
 
-from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Self
 
 import jax.numpy as jnp
 
-from giajax.models import AbstractDirectModel, Channels, Derived
+from giajax.models import AbstractModel, Channels
 from giajax.recordings import Run
 from giajax.runtime.arrays import Array, Scalar
 from giajax.schema.parameters import parameter
 
 
-class _Curve(AbstractDirectModel):
+class _Curve(AbstractModel):
     """tip_z as a function of time, without anything else that a model may say of itself."""
-
-    @classmethod
-    def for_runs(cls, runs: Sequence[Run]) -> Self:
-        return cls()
-
-    @classmethod
-    def from_definition(cls, definition: Mapping[str, Any]) -> Self:
-        return cls()
 
     def definition(self) -> dict[str, Any]:
         return {}
 
-    def scene(self, run: Run) -> None:
-        return None
-
     def refined(self, factor: float) -> Self:
         return self
 
-    def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
-        return self
-
-    def derived(self) -> dict[str, Derived]:
-        return {}
-
     def failure(self, inputs: Array) -> str:
         return "it is not finite: choose other values"
-
-    def conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
-        return []
 
     def prepare(self, run: Run) -> Array:
         return jnp.asarray(run.times)

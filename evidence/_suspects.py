@@ -103,7 +103,9 @@ def _models(name: str) -> tuple[Any, Any]:
     import giajax
 
     recording = _recording()
-    model: Any = giajax.model_for([recording]).with_integration(solver="springs5", tolerance=1e-6)
+    model: Any = giajax.models.capabilities.with_integration(
+        giajax.model_for([recording]), solver="springs5", tolerance=1e-6
+    )
     whole = giajax.replace(model, recording.definition.truth)
 
     def with_arm(change: Callable[[Any], Any]) -> Any:

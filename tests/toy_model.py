@@ -1,12 +1,12 @@
 """A model that is no arm: what a fit needs is the protocol, nothing else."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, ClassVar, Self
 
 import jax.numpy as jnp
 import numpy as np
 
-from giajax.models import AbstractDirectModel, Channels, Derived
+from giajax.models import AbstractModel, Channels
 from giajax.recordings import Run
 from giajax.runtime.arrays import Array, Scalar
 from giajax.schema.parameters import parameter
@@ -14,31 +14,14 @@ from giajax.schema.parameters import parameter
 TRUTH = {"amplitude": 2.0, "decay": 0.7, "offset": 0.3}
 
 
-class Plain(AbstractDirectModel):
-    """What the protocol asks of a model that has nothing to say about it."""
-
-    @classmethod
-    def for_runs(cls, runs: Sequence[Run]) -> Self:
-        return cls()
-
-    @classmethod
-    def from_definition(cls, definition: Mapping[str, Any]) -> Self:
-        return cls()
+class Plain(AbstractModel):
+    """In closed form, and made from its parameters alone."""
 
     def definition(self) -> dict[str, Any]:
         return {}
 
-    def scene(self, run: Run) -> None:
-        return None
-
     def refined(self, factor: float) -> Self:
         return self
-
-    def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
-        return self
-
-    def derived(self) -> dict[str, Derived]:
-        return {}
 
 
 class Decay(Plain):

@@ -107,7 +107,6 @@ from .mechanics.joint import (
     pair_command as pair_command,
 )
 from .models import (
-    AbstractDirectModel as AbstractDirectModel,
     AbstractModel as AbstractModel,
     ArmModel as ArmModel,
     HysteresisModel as HysteresisModel,

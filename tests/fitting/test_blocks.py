@@ -46,24 +46,8 @@ class OwnHeights(AbstractModel):
 
     decay: Any = parameter(1.0, unit="1/s", lower=0, upper=9, doc="rate", frozen=False)
 
-    for_runs = Decay.for_runs
-    from_definition = Decay.from_definition
-    failure = Decay.failure
     refined = Decay.refined
-    for_derivatives = Decay.for_derivatives
-    initial_section = Decay.initial_section
-    integration = Decay.integration
-    with_integration = Decay.with_integration
-    at_start = Decay.at_start
-    unseen = Decay.unseen
-    derived = Decay.derived
-    scene = Decay.scene
-    variants = Decay.variants
-    conditions = Decay.conditions
-    variants = Decay.variants
     definition = Decay.definition
-    initial_section = Decay.initial_section
-    scene = Decay.scene
 
     def free_inputs(self, run: Run) -> tuple[str, ...]:
         return ("height", "drift") if run.definition.section(InitialSection).free else ()

@@ -54,11 +54,9 @@ class OwnHeights(AbstractModel):
     kind: ClassVar[str] = "own"
     curve: Curve = inline()
 
-    for_runs = from_definition = classmethod(lambda cls, _: cls(curve()))
-    scene = failure = integration = lambda self, *_: None
-    refined = with_integration = at_start = for_derivatives = lambda self, *_, **__: self
-    derived = definition = variants = initial_section = unseen = lambda self, *_: {}
-    conditions = lambda self, *_: []  # noqa: E731
+    from_definition = classmethod(lambda cls, _: cls(curve()))
+    refined = lambda self, _: self  # noqa: E731
+    definition = lambda self: {}  # noqa: E731
     free_inputs = lambda self, run: ("height",)  # noqa: E731
 
     def prepare(self, run: Run) -> Begun:

@@ -47,11 +47,12 @@ def source_of(
     """
     if source is not None and is_result(source):
         from ..fitting import load_result
+        from ..models import capabilities
 
         if links is not None or pairs:
             raise InputError("a fit brings its own arm: leave out --links and --set")
         fitted = load_result(source)
-        model = fitted.model.with_integration(solver=solver, tolerance=tolerance)
+        model = capabilities.with_integration(fitted.model, solver=solver, tolerance=tolerance)
         # As the definition of the fit would have it, but for noise, which the fit tells.
         first = {**fitted.config["runs"][0], "noise": None}
         return dataclasses.replace(fitted, model=model), {

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..models import capabilities
 from ..runtime.arrays import Float
 from ..runtime.records import finite_or_none
 from ._records import GradientCheck, Shift, ToleranceEffect
@@ -217,10 +218,15 @@ def finer_factor(state: FitState) -> float:
 
 
 def residual_change(state: FitState) -> Float[np.ndarray, " residual"]:
-    """What a finer tolerance changes of the residuals; NaN where the finer simulation fails."""
+    """What a finer tolerance changes of the residuals.
+
+    NaN where the finer simulation fails, or the model cannot be refined.
+    """
     if state.finer is not None:
         return state.finer
-    model = state.problem.model.refined(finer_factor(state))
+    model = capabilities.refined(state.problem.model, finer_factor(state))
+    if model is None:
+        return np.full(len(np.asarray(state.inner.residual)), np.nan)
     problem = dataclasses.replace(state.problem, model=model)
     return residuals_at(state, state.coordinate, problem) - np.asarray(state.inner.residual)
 
@@ -348,7 +354,8 @@ def gradient_check(state: FitState, statistics: Statistics) -> GradientCheck | N
         jacobian = state.jacobian()
     else:
         finer = _FINER if tolerance is None else min(_FINER, _FINE / tolerance)
-        problem = dataclasses.replace(problem, model=problem.model.refined(finer))
+        refined = capabilities.refined(problem.model, finer)
+        problem = dataclasses.replace(problem, model=problem.model if refined is None else refined)
         jacobian = state.jacobian(evaluate(state, centre, problem, sample=True))
     norms = jacobian.norms()
     takes_part = np.zeros(problem.size, bool)
@@ -401,7 +408,8 @@ def tolerance_effect(state: FitState, statistics: Statistics) -> ToleranceEffect
         statistics: of the fit.
 
     Returns:
-        None where no parameter is determined, or the finer simulation fails.
+        None where no parameter is determined, the model cannot be refined, or the finer simulation
+        fails.
     """
     determined = list(statistics.determined)
     if not determined:

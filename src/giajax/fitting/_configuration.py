@@ -7,7 +7,7 @@ from typing import Any, Self, Unpack
 import jax.numpy as jnp
 import numpy as np
 
-from ..models import AbstractModel
+from ..models import AbstractModel, capabilities
 from ..recordings import FitSettings, Run, StartsKeywords, fit_settings, run_keys
 from ..runtime.text import InputError
 from ..schema import Prior
@@ -74,7 +74,7 @@ class Setup:
     @property
     def chooses_tolerance(self) -> bool:
         """Whether the fit chooses the tolerance of an integrator, where nobody states it."""
-        integration = self.model.integration()
+        integration = capabilities.integration(self.model)
         # 32-bit rounding hides what a finer tolerance changes.
         if integration is None or jnp.result_type(float) == jnp.float32:
             return False
@@ -82,7 +82,7 @@ class Setup:
 
     def at_start(self) -> Self:
         """With the model where the fit may start (`AbstractModel.at_start`)."""
-        model = tied(self.model.at_start(self.runs, self.unstarted), self.ties)
+        model = tied(capabilities.at_start(self.model, self.runs, self.unstarted), self.ties)
         return dataclasses.replace(self, model=model, unstarted=())
 
     def started_at(self, values: Mapping[str, float]) -> Self:
@@ -121,7 +121,9 @@ def set_up(
         run.require_observations()
     _check_doubles(runs)
     if settings.solver is not None or settings.tolerance is not None:
-        model = model.with_integration(solver=settings.solver, tolerance=settings.tolerance)
+        model = capabilities.with_integration(
+            model, solver=settings.solver, tolerance=settings.tolerance
+        )
     groups = sharing(runs, settings.per_run, settings.groups)
     reached = {} if begin is None else begin.values_for(model)
     asked = resolve(model, runs, settings, groups, reached)
@@ -149,7 +151,7 @@ def _config(
     begin: Beginning | None,
 ) -> dict[str, Any]:
     """The settings as they were resolved, as plain data: `config` of the result."""
-    integration = asked.model.integration()
+    integration = capabilities.integration(asked.model)
     limits = {
         "priors": {path: prior.contents() for path, prior in settings.known.items()},
         "bounds": settings.bounds,
@@ -200,7 +202,7 @@ def _check_determined(asked: Free, runs: Sequence[Run]) -> None:
     paths = [p.path for p in asked.parameters for _ in asked.groups.get(p.path, [runs])]
     for run in runs:
         inputs = asked.model.prepare(run)
-        for path in asked.model.free_inputs(run):
+        for path in capabilities.free_inputs(asked.model, run):
             size = get(inputs, path).size
             paths += [f"{path}[{index}]" for index in range(size)] if size > 1 else [path]
     if not paths:

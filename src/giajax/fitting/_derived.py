@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..models import AbstractModel
+from ..models import AbstractModel, capabilities
 from ..recordings import Channel, Run, parse_column
 from ..runtime.arrays import Array, on_device
 from ..runtime.parallel import Batch, on_all_cores
@@ -171,7 +171,7 @@ def derived_estimates(problem: Problem, statistics: Statistics) -> dict[str, Est
     """
     count = problem.shared
     model = problem.with_values(problem.means(statistics.values[:count]))
-    units = {name: quantity.unit for name, quantity in model.derived().items()}
+    units = {name: quantity.unit for name, quantity in capabilities.derived(model).items()}
     followers = _followers(model, problem.ties)
     if not units and not followers:
         return {}
@@ -225,7 +225,7 @@ def derived_quantities(problem: Problem, values: np.ndarray) -> Callable[[Array]
     def quantities(values: Array) -> dict[str, Array]:
         model = problem.with_values(problem.means(values))
         tied = {path: get(model, part) for path, (part, _) in followers.items()}
-        return {**tied, **{name: d.value for name, d in model.derived().items()}}
+        return {**tied, **{name: d.value for name, d in capabilities.derived(model).items()}}
 
     return quantities
 
@@ -377,7 +377,7 @@ def responses(
     for members in sharing_a_program(model, runs):
         like = runs[members[0]]
         channels = tuple(like.observations)
-        free = model.free_inputs(like)
+        free = capabilities.free_inputs(model, like)
         inputs = stacked([prepared_with(model, runs[i], own[i] if own else {}) for i in members])
         sizes = tuple((path, get(inputs, path)[0].size) for path in free)
         varied, rows = _varied(values, members)
@@ -389,7 +389,8 @@ def responses(
         if not np.all(successful):
             first = jax.tree.map(lambda leaf: leaf[0], inputs)
             # Derivatives may take other steps than the motion, which is right by itself then.
-            why = model.for_derivatives((*paths, *free)).failure(first)
+            ready = capabilities.for_derivatives(model, (*paths, *free))
+            why = capabilities.failure(ready, first)
             why = why or "a derivative of it is not finite"
             raise InputError(f"the fitted model cannot be evaluated: {why}")
         for member, table, block in zip(members, tables, blocks, strict=True):
@@ -433,7 +434,7 @@ def _respond(
     inputs, rows = prepared_runs
     count = len(paths) + sum(size for _, size in own) if paths else 0
     differentiated = (*dict.fromkeys(paths), *(path for path, _ in own))
-    ready = model.for_derivatives(differentiated) if count else model
+    ready = capabilities.for_derivatives(model, differentiated) if count else model
 
     def one(prepared: Any, row: Array) -> tuple[Array, Array, Array]:
         there = replace(ready, {path: row[index] for index, path in enumerate(varied)})

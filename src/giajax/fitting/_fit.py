@@ -12,7 +12,7 @@ from typing import Unpack
 import jax
 import numpy as np
 
-from ..models import AbstractModel
+from ..models import AbstractModel, capabilities
 from ..noise import ChannelNoise, gains
 from ..recordings import FitKeywords, FitSettings, Run, fit_settings
 from ..runtime.records import finite_or_none
@@ -100,7 +100,7 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
         iterations=state.history[-1].number,
         gradient_check=done.gradient,
         tolerance_effect=done.tolerance,
-        conditions=tuple(model.conditions(moved, setup.runs)),
+        conditions=tuple(capabilities.conditions(model, moved, setup.runs)),
         seconds=Seconds(compile=compiling, run=elapsed - compiling),
         versions=versions(),
         config={**setup.config, "max_iterations": max_iterations},

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from ..models import AbstractModel
+from ..models import AbstractModel, capabilities
 from ..recordings import FitSettings, Run
 from ..runtime.arrays import Array, Bool
 from ..runtime.text import InputError
@@ -399,7 +399,7 @@ def _own_paths(model: AbstractModel, runs: Sequence[Run]) -> set[str]:
     """Paths of what is free in single runs, with and without an index."""
     paths: set[str] = set()
     for run in runs:
-        for path in model.free_inputs(run):
+        for path in capabilities.free_inputs(model, run):
             size = get(model.prepare(run), path).size
             paths |= {path, *(f"{path}[{index}]" for index in range(size))}
     return paths

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..models import AbstractModel
+from ..models import AbstractModel, capabilities
 from ..recordings import Run
 from ..runtime.arrays import Array, Float, on_device
 from ..schema.parameters import get, replace
@@ -49,7 +49,7 @@ def sharing_a_program(model: AbstractModel, runs: Sequence[Run]) -> list[list[in
     groups: dict[Any, list[int]] = {}
     for index, run in enumerate(runs):
         structure = jax.tree.structure(model.prepare(run))
-        key = tuple(run.observations), structure, model.free_inputs(run)
+        key = tuple(run.observations), structure, capabilities.free_inputs(model, run)
         groups.setdefault(key, []).append(index)
     return list(groups.values())
 
@@ -78,7 +78,7 @@ def prepared_with(model: AbstractModel, run: Run, own: Mapping[str, float]) -> A
         own: values by label (`initial.angle[0]`); the others are as the run was prepared.
     """
     inputs = model.prepare(run)
-    for path in model.free_inputs(run):
+    for path in capabilities.free_inputs(model, run):
         values = np.array(get(inputs, path), dtype=float)
         for index in range(values.size):
             label = f"{path}[{index}]" if values.size > 1 else path
@@ -239,7 +239,7 @@ def build_groups(
     members: dict[Any, list[int]] = {}
     prepared = [model.prepare(run) for run in runs]
     owns = [
-        tuple((path, get(inputs, path).size) for path in model.free_inputs(run))
+        tuple((path, get(inputs, path).size) for path in capabilities.free_inputs(model, run))
         for run, inputs in zip(runs, prepared, strict=True)
     ]
     for index, run in enumerate(runs):
@@ -427,7 +427,7 @@ def run_residual(
     """Residual of one run, not whitened; beside it its prediction and whether that succeeded."""
     count = len(problem.paths)
     inputs = _with_own(inputs, group, shared_and_own[count:])
-    model = problem.at(shared_and_own).for_derivatives(problem.free_paths(group))
+    model = capabilities.for_derivatives(problem.at(shared_and_own), problem.free_paths(group))
     predicted, successful = model.predict(inputs, group.channels)
     table = jnp.stack([predicted[name] for name in group.channels], axis=-1)
     if problem.ties:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..models import AbstractModel, Channels, build_model
+from ..models import AbstractModel, Channels, build_model, capabilities
 from ..noise import Verdict
 from ..recordings import SCHEMA_VERSION, Run, stored_result
 from ..runtime.programs import program
@@ -63,7 +63,7 @@ class IntegrationFit:
 
 def integration_of(state: FitState) -> IntegrationFit | None:
     """Solver and tolerance in use; None of a model without them."""
-    integration = state.problem.model.integration()
+    integration = capabilities.integration(state.problem.model)
     if integration is None or integration.tolerance is None:
         return None
     chosen = state.setup.chooses_tolerance
@@ -342,5 +342,5 @@ def _fields(record: dict[str, Any], what: str) -> Mapping[str, Any]:
 
 def _of(fields: Mapping[str, Any], model: AbstractModel) -> FitResult:
     if (integration := fields["integration"]) is not None:
-        model = model.with_integration(solver=None, tolerance=integration.tolerance)
+        model = capabilities.with_integration(model, solver=None, tolerance=integration.tolerance)
     return FitResult(model=model, **fields)

@@ -13,6 +13,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from ..models import capabilities
 from ..runtime.arrays import Float, on_device
 from ._configuration import Setup
 from ._coordinates import Bijector
@@ -47,7 +48,9 @@ def begin(setup: Setup) -> FitState:
     groups = build_groups(model, setup.runs, noise, layout)
     if setup.chooses_tolerance:
         coarsest = _COARSEST_OF_MANY if _have_many_rows(groups) else _COARSEST
-        model = model.with_integration(solver=None, tolerance=setup.suited or coarsest)
+        model = capabilities.with_integration(
+            model, solver=None, tolerance=setup.suited or coarsest
+        )
     own = own_begun(groups, setup.runs, setup.own)
     # Each value of a parameter, of which there is one for all runs or one for each group of them.
     each = [p for p, places in zip(parameters, layout.places, strict=True) for _ in places]
@@ -153,7 +156,7 @@ def at_tolerance(state: FitState, tolerance: float | None) -> FitState:
     """
     if tolerance == tolerance_of(state):
         return state
-    model = state.problem.model.with_integration(solver=None, tolerance=tolerance)
+    model = capabilities.with_integration(state.problem.model, solver=None, tolerance=tolerance)
     problem = dataclasses.replace(state.problem, model=model)
     # Costs before it say nothing of those to come.
     state = dataclasses.replace(state, problem=problem, round_began=len(state.history))
@@ -162,7 +165,7 @@ def at_tolerance(state: FitState, tolerance: float | None) -> FitState:
 
 def tolerance_of(state: FitState) -> float | None:
     """The tolerance in use; None of a model without an integrator."""
-    integration = state.problem.model.integration()
+    integration = capabilities.integration(state.problem.model)
     return None if integration is None else integration.tolerance
 
 

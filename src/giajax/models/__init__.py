@@ -1,5 +1,6 @@
 """What predicts channels for a run."""
 
+from . import capabilities as capabilities
 from ._arm import ArmInputs as ArmInputs, ArmModel as ArmModel
 from ._arm_conditions import SCALE as SCALE, arm_variants as arm_variants
 from ._arm_definition import (
@@ -33,13 +34,10 @@ from ._joint import (
 from ._muscle import MuscleInputs as MuscleInputs, MuscleModel as MuscleModel
 from ._oscillator import OscillatorInputs as OscillatorInputs, OscillatorModel as OscillatorModel
 from ._protocol import (
-    AbstractDirectModel as AbstractDirectModel,
     AbstractModel as AbstractModel,
     Arrows as Arrows,
     Block as Block,
     Channels as Channels,
-    Derived as Derived,
-    Integration as Integration,
     Line as Line,
     Scene as Scene,
     build_model as build_model,
@@ -52,3 +50,4 @@ from ._scenes import (
     recorded_markers as recorded_markers,
 )
 from ._several import SeveralModels as SeveralModels
+from .capabilities import Derived as Derived, Integration as Integration

@@ -54,8 +54,9 @@ from ._arm_sensors import (
     seen_by_cameras,
     unseen,
 )
-from ._protocol import AbstractModel, Channels, Derived, Integration, Scene
+from ._protocol import AbstractModel, Channels, Scene
 from ._scenes import arm_scene
+from .capabilities import Integration
 
 # The state of an arm at the first sample of a run.
 
@@ -426,14 +427,6 @@ class ArmModel(AbstractModel):
 
     def _tolerance(self) -> Scalar:
         return _array(_TOLERANCE) if self.tolerance is None else self.tolerance
-
-    def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
-        """The same: derivatives lead away from every start."""
-        return self
-
-    def derived(self) -> dict[str, Derived]:
-        """Nothing beyond the parameters themselves."""
-        return {}
 
     def conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
         """The scale that motion alone cannot determine, and what C_D and sensors refer to."""

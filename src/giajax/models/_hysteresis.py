@@ -22,7 +22,8 @@ from ..runtime.text import InputError
 from ..schema import KINDS, LOOP, HysteresisSection
 from ..schema.parameters import inline, parameter
 from ._arm_definition import agreed_section
-from ._protocol import AbstractDirectModel, Channels, Derived
+from ._protocol import AbstractModel, Channels
+from .capabilities import Derived
 
 # What models with one input and one output share: their columns, and Bouc-Wen products.
 
@@ -399,7 +400,7 @@ class HysteresisInputs(eqx.Module):
     values: Float[Array, " sample"]
 
 
-class HysteresisModel(AbstractDirectModel):
+class HysteresisModel(AbstractModel):
     """Predicts `output` from `input`, or the `angle` of a joint from its `command`.
 
     Units of parameters in terms of "input" and "output" are the SI units of those channels.
@@ -454,9 +455,6 @@ class HysteresisModel(AbstractDirectModel):
         values = np.zeros(extremes) if isinstance(extremes, int) else np.asarray(extremes)
         operator = operator_from_settings(settings, scale)
         return cls(settings, operator, previous_extremes=jnp.asarray(values), columns=columns)
-
-    def scene(self, run: Run) -> None:
-        """Nothing: an operator has no shape."""
 
     def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
         """With turning points before the run, where they are free: at 0 they leave no trace.

@@ -14,7 +14,7 @@ from ..runtime.text import InputError
 from ..schema import JointSection
 from ..schema.parameters import get, inline, replace
 from ._arm_definition import check_agreement
-from ._protocol import AbstractDirectModel, Channels, Derived, Scene, parameter_values
+from ._protocol import AbstractModel, Channels, Scene, parameter_values
 from ._scenes import joint_scene
 
 
@@ -32,7 +32,7 @@ class JointInputs(eqx.Module):
     torque: Float[Array, " sample"] | None
 
 
-class JointModel(AbstractDirectModel):
+class JointModel(AbstractModel):
     """Predicts `contraction` and `force` of one muscle of a joint.
 
     Arguments:
@@ -119,14 +119,6 @@ class JointModel(AbstractDirectModel):
     def refined(self, factor: float) -> Self:
         """The same: it is in closed form."""
         return self
-
-    def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
-        """The same: derivatives lead away from every start."""
-        return self
-
-    def derived(self) -> dict[str, Derived]:
-        """Nothing beyond the parameters themselves."""
-        return {}
 
     def conditions(self, free: Sequence[str], runs: Sequence[Run] = ()) -> list[str]:
         """That alpha and beta are what the geometry and the torque leave over."""

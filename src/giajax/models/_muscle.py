@@ -13,7 +13,7 @@ from ..runtime.text import InputError
 from ..schema import AT_REST, MuscleSection, si_factor
 from ..schema.parameters import declared, get, parameter, replace
 from ._arm_definition import check_agreement
-from ._protocol import AbstractDirectModel, Channels, Derived, parameter_values
+from ._protocol import AbstractModel, Channels, parameter_values
 
 # What a muscle needs of a run: pressure, displacement and direction.
 
@@ -72,7 +72,7 @@ def muscle_inputs(run: Run, *, mean: bool, directed: bool) -> MuscleInputs:
 _PASCAL = si_factor("pressure", "kPa")
 
 
-class MuscleModel(AbstractDirectModel):
+class MuscleModel(AbstractModel):
     """Predicts the `force` of a muscle or a cylinder.
 
     Arguments:
@@ -155,9 +155,6 @@ class MuscleModel(AbstractDirectModel):
         """Pressure, displacement and direction of a muscle run."""
         return muscle_inputs(run, mean=self.mean_pressure, directed=self.friction is not None)
 
-    def scene(self, run: Run) -> None:
-        """Nothing: its law knows a length and no place."""
-
     def predict(
         self, inputs: MuscleInputs, channels: tuple[str, ...]
     ) -> tuple[Channels, Bool[Array, ""]]:
@@ -192,14 +189,6 @@ class MuscleModel(AbstractDirectModel):
     def refined(self, factor: float) -> Self:
         """The same: it is in closed form."""
         return self
-
-    def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
-        """The same: derivatives lead away from every start."""
-        return self
-
-    def derived(self) -> dict[str, Derived]:
-        """Nothing beyond the parameters themselves."""
-        return {}
 
     def conditions(self, free: Sequence[str], runs: Sequence[Run] = ()) -> list[str]:
         """What is referred to values that were held."""

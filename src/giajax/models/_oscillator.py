@@ -15,7 +15,8 @@ from ..schema import LOOP, OscillatorSection
 from ..schema.parameters import inline, parameter
 from ._arm_definition import agreed_section
 from ._hysteresis import Columns, check_outputs, input_values, products, products_condition
-from ._protocol import AbstractDirectModel, Channels, Derived
+from ._protocol import AbstractModel, Channels
+from .capabilities import Derived
 
 # Neighbouring intervals that differ by more than this part are not rounding of a file.
 _UNEVEN = 1e-5
@@ -33,7 +34,7 @@ class OscillatorInputs(eqx.Module):
     intervals: Float[Array, " sample"]
 
 
-class OscillatorModel(AbstractDirectModel):
+class OscillatorModel(AbstractModel):
     """Predicts `output`, the displacement of a mass, from `input`, the force on it.
 
     Arguments:
@@ -88,9 +89,6 @@ class OscillatorModel(AbstractDirectModel):
             jnp.asarray(np.diff(run.times, prepend=run.times[0]), dtype),
         )
 
-    def scene(self, run: Run) -> None:
-        """Nothing: of its mass only the displacement is known."""
-
     def predict(
         self, inputs: OscillatorInputs, channels: tuple[str, ...]
     ) -> tuple[Channels, Bool[Array, ""]]:
@@ -109,10 +107,6 @@ class OscillatorModel(AbstractDirectModel):
     def refined(self, factor: float) -> Self:
         """The same model with more steps from sample to sample."""
         return eqx.tree_at(lambda model: model.oscillator, self, self.oscillator.refined(factor))
-
-    def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
-        """The same: derivatives lead away from every start."""
-        return self
 
     def conditions(self, free: Sequence[str], runs: Sequence[Run] = ()) -> list[str]:
         """That beta, gamma and delta count only as products."""

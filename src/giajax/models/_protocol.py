@@ -4,14 +4,13 @@ import abc
 import dataclasses
 from collections.abc import Mapping, Sequence
 from importlib import import_module
-from typing import Any, NamedTuple, Self
+from typing import Any
 
 import equinox as eqx
 import numpy as np
-import numpy.typing as npt
 
 from ..recordings import Run, upgraded
-from ..runtime.arrays import Array, Bool, Float, Scalar
+from ..runtime.arrays import Array, Bool, Float
 from ..runtime.text import InputError
 from ..schema import KINDS
 from ..schema.parameters import declared, replace
@@ -136,53 +135,26 @@ class Scene:
 Channels = dict[str, Float[Array, " sample"]]
 
 
-class Derived(NamedTuple):
-    """A quantity that follows from the parameters: its value and its unit."""
-
-    value: Scalar
-    unit: str
-
-
-class Integration(NamedTuple):
-    """How a model is integrated: its solver by name, and the tolerance of a step.
-
-    The tolerance is None where nobody stated one: a fit then chooses it.
-    """
-
-    solver: str
-    tolerance: float | None
-
-
 class AbstractModel(eqx.Module):
     """A model whose declared parameters can be fitted to runs.
 
-    Everything a fit does goes through these methods; it never asks which model it has. A model
-    without a solver to choose, whose runs have no state of their own, derives from
-    `AbstractDirectModel`, which has the last six of them.
+    A fit needs what it predicts, how a run is prepared for it, and what it is made from; it never
+    asks which model it has. Everything else is optional: `giajax.models.capabilities` has one
+    function for each method that a model may have, and says what holds for a model without it.
+
+    A model that a kind of `giajax.schema.KINDS` names has two class methods besides:
+    `for_runs(runs)`, the model of some runs with the constants that their sidecars state, and
+    `from_definition(definition)`, the model that `definition()` described.
     """
 
     @property
     @abc.abstractmethod
     def kind(self) -> str:
-        """Its name in `giajax.schema.KINDS`: a constant of its class."""
-
-    @classmethod
-    @abc.abstractmethod
-    def for_runs(cls, runs: Sequence[Run]) -> Self:
-        """The model of some runs, with the constants that their sidecars state.
-
-        Raises:
-            InputError: the sidecars contradict each other.
-        """
-
-    @classmethod
-    @abc.abstractmethod
-    def from_definition(cls, definition: Mapping[str, Any]) -> Self:
-        """The model that `definition()` described, its parameters apart."""
+        """Its name, in `giajax.schema.KINDS` where it is registered: a constant of its class."""
 
     @abc.abstractmethod
     def definition(self) -> dict[str, Any]:
-        """Plain data from which `build_model` makes this model again, its parameters apart."""
+        """What it is made from, its parameters apart, as plain data."""
 
     @abc.abstractmethod
     def prepare(self, run: Run) -> Any:
@@ -203,160 +175,15 @@ class AbstractModel(eqx.Module):
         Must be differentiable in forward mode with respect to the declared parameters.
         """
 
-    @abc.abstractmethod
-    def failure(self, inputs: Any) -> str:
-        """Why the prediction of a prepared run did not succeed, and what to do: one sentence."""
-
-    @abc.abstractmethod
-    def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
-        """The model from which a fit of some parameters to some runs may start.
-
-        Another one where a parameter has, by default, a value at which nothing responds to it;
-        most models have no such parameter.
-
-        Arguments:
-            runs: what is fitted to.
-            free: paths of the elements to fit that have no start.
-        """
-
-    @abc.abstractmethod
-    def derived(self) -> dict[str, Derived]:
-        """Quantities that follow from the parameters and may be determined where those are not.
-
-        Such as the products of parameters that show only together. Differentiable; a fit gives
-        each a standard error. By name, which is no path of a parameter.
-        """
-
-    @abc.abstractmethod
-    def conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
-        """Sentences: on what the parameters, fitted to these runs, are conditional.
-
-        Of the runs some may be of another kind, and tell the same parameters something else.
-        """
-
-    @abc.abstractmethod
-    def refined(self, factor: float) -> Self:
-        """The same model with its numerical tolerances multiplied by a factor."""
-
-    @abc.abstractmethod
-    def scene(self, run: Run) -> Scene | None:
-        """What is seen of the model as it follows a run; None where nothing is.
-
-        Raises:
-            InputError: the run is not one of this model.
-            SimulationError: the model cannot be evaluated.
-        """
-
-    # `AbstractDirectModel` says what follows for its models.
-
-    @abc.abstractmethod
-    def unseen(self, inputs: Any, channels: tuple[str, ...]) -> dict[str, npt.NDArray[np.bool_]]:
-        """Samples of a prepared run at which an experiment could not record a channel.
-
-        By channel, each of shape (sample,), such as where a point is out of a camera's picture;
-        what it does not name is always recorded.
-        """
-
-    @abc.abstractmethod
-    def variants(self) -> dict[str, Self]:
-        """The same model with one of its choices made another way, by what that is called.
-
-        Choices are what no parameter blends, such as where drag acts. Whoever asks what a fit
-        leaves out (`giajax.suspects`) tries each of them; most models have none.
-        """
-
-    @abc.abstractmethod
-    def free_inputs(self, run: Run) -> tuple[str, ...]:
-        """Declared parameters of the prepared inputs that are free in this run, by path.
-
-        They belong to the run alone, such as its initial state; most models have none.
-        """
-
-    @abc.abstractmethod
-    def initial_section(self, inputs: Any) -> dict[str, Any]:
-        """Keys of `[initial]` that state how a prepared run begins; none where no state does.
-
-        A run that says `first_row = true` can then be recorded again with another first row.
-        """
-
-    @abc.abstractmethod
-    def integration(self) -> Integration | None:
-        """How the model is integrated; None where it is in closed form or has steps of its own."""
-
-    @abc.abstractmethod
-    def with_integration(self, *, solver: str | None, tolerance: float | None) -> Self:
-        """The same model with another solver or tolerance; None leaves the one it has.
-
-        Raises:
-            InputError: the model has none, the solver does not exist, or the tolerance is not a
-                positive number.
-        """
-
-    @abc.abstractmethod
-    def for_derivatives(self, paths: Sequence[str]) -> Self:
-        """The same model, as exact in derivatives by some parameters as in its predictions.
-
-        A model that integrates may need shorter steps for them. Its predictions do not depend on
-        whether they are differentiated, so that a fit and a sensitivity study ask for this.
-
-        Arguments:
-            paths: of parameters of the model, or of the prepared inputs (`free_inputs`).
-        """
-
-
-# Models without a solver to choose, whose runs have no state of their own.
-
-
-class AbstractDirectModel(AbstractModel):
-    """A model without a solver to choose, whose runs have no state of their own.
-
-    Says for all such models what they would say alike; the arm is the one that has both.
-    """
-
-    def unseen(self, inputs: Any, channels: tuple[str, ...]) -> dict[str, npt.NDArray[np.bool_]]:
-        """None: whatever it has can be recorded at any time."""
-        return {}
-
-    def variants(self) -> dict[str, Self]:
-        """None: it has no choice that parameters do not make."""
-        return {}
-
-    def free_inputs(self, run: Run) -> tuple[str, ...]:
-        """None: a run has no state of its own."""
-        return ()
-
-    def initial_section(self, inputs: Any) -> dict[str, Any]:
-        """Nothing: a run has no state of its own."""
-        return {}
-
-    def integration(self) -> Integration | None:
-        """None: there is no solver to choose."""
-        return None
-
-    def with_integration(self, *, solver: str | None, tolerance: float | None) -> Self:
-        """Refused: there is no solver to choose.
-
-        Raises:
-            InputError: always.
-        """
-        raise InputError(
-            f"the {self.kind} model has neither a solver nor a tolerance: leave both out"
-        )
-
-    def for_derivatives(self, paths: Sequence[str]) -> Self:
-        """The same: no step of it depends on what is differentiated."""
-        return self
-
 
 # Which model a set of runs, or a stored result, needs.
 
 
-def model_class(kind: str) -> type[AbstractModel]:
+def model_class(kind: str) -> Any:
     """The class of a kind, or of several as `arm+joint`; imported when a model of it is built."""
     where = "_several:SeveralModels" if "+" in kind else KINDS[kind].model
     module, _, name = where.partition(":")
-    model: type[AbstractModel] = getattr(import_module(f".{module}", __package__), name)
-    return model
+    return getattr(import_module(f".{module}", __package__), name)
 
 
 def model_for(runs: Sequence[Run]) -> AbstractModel:
@@ -367,7 +194,10 @@ def model_for(runs: Sequence[Run]) -> AbstractModel:
     Raises:
         InputError: the sidecars of runs contradict each other.
     """
-    return model_class("+".join(dict.fromkeys(run.model for run in runs))).for_runs(runs)
+    model: AbstractModel = model_class("+".join(dict.fromkeys(run.model for run in runs))).for_runs(
+        runs
+    )
+    return model
 
 
 def build_model(

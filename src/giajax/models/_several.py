@@ -17,7 +17,9 @@ from ..runtime.arrays import Array, Bool
 from ..runtime.text import InputError
 from ..schema import KINDS
 from ..schema.parameters import declared, inline, left_out, replace
-from ._protocol import AbstractModel, Channels, Derived, Integration, Scene, model_class
+from . import capabilities
+from ._protocol import AbstractModel, Channels, Scene, model_class
+from .capabilities import Derived, Integration
 
 
 class SeveralInputs(eqx.Module):
@@ -112,73 +114,76 @@ class SeveralModels(AbstractModel):
 
     def failure(self, inputs: SeveralInputs) -> str:
         """What the model of the run's kind says."""
-        return self.part(inputs.kind).failure(inputs.inputs)
+        return capabilities.failure(self.part(inputs.kind), inputs.inputs)
 
     def scene(self, run: Run) -> Scene | None:
         """That of the model of the run's kind."""
-        return self.part(run.model).scene(run)
+        return capabilities.scene(self.part(run.model), run)
 
     def unseen(
         self, inputs: SeveralInputs, channels: tuple[str, ...]
     ) -> dict[str, npt.NDArray[np.bool_]]:
         """What the model of the run says."""
-        return self.part(inputs.kind).unseen(inputs.inputs, channels)
+        return capabilities.unseen(self.part(inputs.kind), inputs.inputs, channels)
 
     def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
         """Each of them where it may start."""
-        return self._each(lambda part: part.at_start(_of_kind(runs, part), _paths_of(part, free)))
+        return self._each(
+            lambda part: capabilities.at_start(part, _of_kind(runs, part), _paths_of(part, free))
+        )
 
     def derived(self) -> dict[str, Derived]:
         """What each of them derives."""
-        return {name: value for part in self.parts for name, value in part.derived().items()}
+        return {
+            name: value for part in self.parts for name, value in capabilities.derived(part).items()
+        }
 
     def conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
         """Those of each of them."""
         return [
             sentence
             for part in self.parts
-            for sentence in part.conditions(_paths_of(part, free), runs)
+            for sentence in capabilities.conditions(part, _paths_of(part, free), runs)
         ]
 
-    def refined(self, factor: float) -> Self:
-        """Each of them with finer or coarser tolerances."""
-        return self._each(lambda part: part.refined(factor))
+    def refined(self, factor: float) -> Self | None:
+        """Each of them with finer or coarser tolerances; None where one of them has no such."""
+        parts = [capabilities.refined(part, factor) for part in self.parts]
+        known = tuple(part for part in parts if part is not None)
+        return dataclasses.replace(self, parts=known) if len(known) == len(parts) else None
 
     def variants(self) -> dict[str, Self]:
         """With a choice of one of them made another way."""
         return {
             name: self._each(lambda part, of=old, by=other: by if part is of else part)  # type: ignore[misc]
             for old in self.parts
-            for name, other in old.variants().items()
+            for name, other in capabilities.variants(old).items()
         }
 
     def free_inputs(self, run: Run) -> tuple[str, ...]:
         """Those of the model of the run's kind."""
-        return self.part(run.model).free_inputs(run)
+        return capabilities.free_inputs(self.part(run.model), run)
 
     def initial_section(self, inputs: SeveralInputs) -> dict[str, Any]:
         """That of the model of the run's kind."""
-        return self.part(inputs.kind).initial_section(inputs.inputs)
+        return capabilities.initial_section(self.part(inputs.kind), inputs.inputs)
 
     def integration(self) -> Integration | None:
         """That of the first of them which has one."""
-        known = (part.integration() for part in self.parts)
+        known = map(capabilities.integration, self.parts)
         return next((each for each in known if each is not None), None)
 
     def with_integration(self, *, solver: str | None, tolerance: float | None) -> Self:
         """Those of them that are integrated, with another solver or tolerance.
 
         Raises:
-            InputError: none of them is, or as of that model.
+            InputError: as of that model.
         """
-        if self.integration() is None:
-            # Any of them says so.
-            self.parts[0].with_integration(solver=solver, tolerance=tolerance)
         return self._each(
             lambda part: (
                 part
-                if part.integration() is None
-                else part.with_integration(solver=solver, tolerance=tolerance)
+                if capabilities.integration(part) is None
+                else capabilities.with_integration(part, solver=solver, tolerance=tolerance)
             )
         )
 
@@ -187,7 +192,9 @@ class SeveralModels(AbstractModel):
         # Of paths that no model has, those of prepared inputs, any may be asked.
         ours = _paths_of(self, paths)
         inputs = [path for path in paths if path not in ours]
-        return self._each(lambda part: part.for_derivatives([*_paths_of(part, ours), *inputs]))
+        return self._each(
+            lambda part: capabilities.for_derivatives(part, [*_paths_of(part, ours), *inputs])
+        )
 
     def _agreed(self) -> Self:
         """With what one states of a shared parameter and the others leave at its default."""

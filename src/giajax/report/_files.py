@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..fitting import Estimate, FitResult, matching_runs
-from ..models import AbstractModel
+from ..models import AbstractModel, capabilities
 from ..recordings import (
     Definition,
     Figure,
@@ -109,7 +109,7 @@ def check_figures(model: AbstractModel, definition: Definition) -> None:
     """
     asked = definition.fit
     model = switched_on(model, (*(asked.free or ()), *(asked.start or ()), *(asked.fix or ())))
-    derived = model.derived()
+    derived = capabilities.derived(model)
     for path in definition.figures:
         if path not in derived:
             find(model, path)

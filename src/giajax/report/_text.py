@@ -14,6 +14,7 @@ from ..fitting import (
     in_column_units,
     units_note,
 )
+from ..models import capabilities
 from ..runtime.text import wrapped
 from ..studies import SAME_END, distinct_optima, lost_starts, misfit
 
@@ -342,6 +343,8 @@ def _tolerance(result: FitResult) -> str:
     if integration is not None:
         chosen = ", chosen by what it moves" if integration.chosen else ""
         which = f"{integration.tolerance:.0e} of {integration.solver}{chosen}; "
+    if capabilities.refined(result.model, 1.0) is None:
+        return f"{which}not checked: the {result.model.kind} model cannot be refined"
     if effect is None or effect.largest_in_standard_errors is None:
         return f"{which}effect not known"
     finer = {0.5: "half", 0.1: "a tenth"}.get(effect.factor, "a hundredth")

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import betaincinv
 
 from ..fitting import FitResult, Optimum, Recorded, Statistics, student_reach
+from ..models import capabilities
 from ..noise import ChannelNoise, drawn
 from ..recordings import Run
 from ..runtime.arrays import Float
@@ -454,7 +455,7 @@ def _found(result: FitResult, optimum: Optimum, statistics: Statistics) -> dict[
         for place in range(len(values))
     ]
     model = optimum.model(values)
-    follows = model.derived() if result.derived else {}
+    follows = capabilities.derived(model) if result.derived else {}
     derived = {
         name: float(np.mean(follows[name].value if name in follows else get(model, name)))
         for name in result.derived

@@ -22,7 +22,7 @@ from ..fitting import (
     set_up,
     solve,
 )
-from ..models import AbstractModel
+from ..models import AbstractModel, capabilities
 from ..recordings import Definition, FitSettings, NoiseModel, Run
 from ..runtime.execution import prepared, run_tasks
 from ..runtime.identities import fields_of
@@ -67,11 +67,11 @@ def _begun_as(result: FitResult, run: Run, record: RunFit) -> Run:
 
 
 def _begun(model: AbstractModel, run: Run, own: Mapping[str, float]) -> Run:
-    if not model.free_inputs(run):
+    if not capabilities.free_inputs(model, run):
         return run
     inputs = prepared_with(model, run, own)
     contents = run.definition.contents()
-    contents["initial"] = {**model.initial_section(inputs), "free": True}
+    contents["initial"] = {**capabilities.initial_section(model, inputs), "free": True}
     return dataclasses.replace(run, definition=Definition.parse(contents, run.name))
 
 

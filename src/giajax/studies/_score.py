@@ -28,7 +28,7 @@ from ..fitting import (
     scores,
     tied,
 )
-from ..models import AbstractModel
+from ..models import AbstractModel, capabilities
 from ..noise import by_second_differences
 from ..recordings import Run
 from ..schema.parameters import declared, get, replace
@@ -80,7 +80,7 @@ def responses_of(
     """
     values = varied_values(result)
     if variant is not None and any(values):
-        others = [of_run.variants()[variant] for of_run in models_of_runs(result)]
+        others = [capabilities.variants(of_run)[variant] for of_run in models_of_runs(result)]
         values = [
             {path: float(get(other, path)) for path in of_run}
             for other, of_run in zip(others, values, strict=True)

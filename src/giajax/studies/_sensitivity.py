@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 
-from ..models import AbstractModel
+from ..models import AbstractModel, capabilities
 from ..recordings import Channel, Run
 from ..runtime.arrays import Array, Float
 from ..runtime.programs import program
@@ -182,13 +182,13 @@ def sensitivity(
         raise InputError(f"'{run.name}' has no measured channel: give the channels of interest")
     if not parameters:
         raise InputError("there is no parameter: give at least one path")
-    model = switched_on(model, parameters).for_derivatives(parameters)
+    model = capabilities.for_derivatives(switched_on(model, parameters), parameters)
     parts = {part.path: part for path in parameters for part in elements(model, path)}
     values = jnp.stack([jnp.asarray(part.value(model)) for part in parts.values()])
     inputs = model.prepare(run)
     predicted, derivatives, successful = _push(model, inputs, values, tuple(parts), names)
     if not successful:
-        raise SimulationError(model.failure(inputs))
+        raise SimulationError(capabilities.failure(model, inputs))
     return Sensitivity(
         times=run.times,
         channels=names,

@@ -26,7 +26,7 @@ from ..fitting import (
     set_up,
     solve,
 )
-from ..models import AbstractModel
+from ..models import AbstractModel, capabilities
 from ..recordings import FitSettings, Run
 from ..runtime.arrays import sobol_points
 from ..runtime.execution import prepared, run_tasks
@@ -333,7 +333,9 @@ def _result(setup: Setup, text: str) -> FitResult:
     bare = parse_result(text, setup.model)
     model = setup.started_at(end_values(bare)).model
     if bare.integration is not None:
-        model = model.with_integration(solver=None, tolerance=bare.integration.tolerance)
+        model = capabilities.with_integration(
+            model, solver=None, tolerance=bare.integration.tolerance
+        )
     return dataclasses.replace(bare, model=model)
 
 

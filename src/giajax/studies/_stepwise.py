@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 
 from ..fitting import FitResult, Response, Suspect, matching_runs, rho
-from ..models import AbstractModel
+from ..models import AbstractModel, capabilities
 from ..recordings import Run
 from ..runtime.text import InputError
 from ..schema.parameters import declared, elements, left_out, switched_on
@@ -212,7 +212,7 @@ def _with(
     """A fit with what a suspect asks for, and the runs and those held out as it sees them."""
     same = list(runs), list(apart)
     if suspect.kind == "switch":
-        other = result.model.variants()[suspect.path]
+        other = capabilities.variants(result.model)[suspect.path]
         # What a number switches on, as its strength does memory, has that number free.
         by = suspect.path.partition(" = ")[0]
         free = [by] if by in declared(other) else []

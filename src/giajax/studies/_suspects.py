@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ..fitting import FitResult, Response, Suspect, matching_runs, predict, resolved_ties, tied
-from ..models import AbstractModel
+from ..models import AbstractModel, capabilities
 from ..recordings import Channel, Run
 from ..runtime.records import json_text
 from ..runtime.text import InputError
@@ -472,7 +472,7 @@ def _switches(
     paths = [direction.path for direction in asked.free]
     changes: dict[str, list[np.ndarray]] = {}
     base: list[Response] | None = None
-    for name, variant in result.model.variants().items():
+    for name, variant in capabilities.variants(result.model).items():
         if not set(paths) <= set(declared(variant)):
             continue
         if base is None:
@@ -487,7 +487,7 @@ def _switches(
 
 def _stepped(model: AbstractModel, asked: Inquiry) -> AbstractModel:
     """With the steps of the integrator that the columns have."""
-    return model.for_derivatives([one.direction.path for one in asked.candidates])
+    return capabilities.for_derivatives(model, [one.direction.path for one in asked.candidates])
 
 
 def _corrected(rows: Sequence[Suspect], further: int) -> tuple[list[Suspect], int]:

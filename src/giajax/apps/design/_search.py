@@ -17,7 +17,7 @@ import numpy as np
 from scipy.optimize import LinearConstraint
 
 from ...fitting import Tie, tied
-from ...models import AbstractModel
+from ...models import ArmModel
 from ...runtime.arrays import Array, Float
 from ...runtime.parallel import Batch, on_all_cores
 from ...runtime.programs import program
@@ -273,7 +273,7 @@ class Experiment:
         bodies: which body each channel is of, shape (channel,).
     """
 
-    model: AbstractModel
+    model: ArmModel
     inputs: Any
     joints: int
     paths: tuple[str, ...]
@@ -340,7 +340,7 @@ def informed(
 def _informed(
     draws: Float[Array, "1 parameter"],
     arrays: tuple[Any, ...],
-    model: AbstractModel,
+    model: ArmModel,
     moving: tuple[tuple[int, ...], int],
     names: tuple[Any, ...],
 ) -> tuple[Array, Array, Array, Array]:

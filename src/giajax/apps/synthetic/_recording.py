@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ...models import AbstractModel, Channels
+from ...models import AbstractModel, Channels, capabilities
 from ...recordings import Definition, Run
 from ...runtime.arrays import Array, Bool, Float
 from ...runtime.programs import program
@@ -246,8 +246,8 @@ def synthesise(
     prepared = model.prepare(plan)
     predicted, successful = predict_prepared(model, prepared, tuple(channels))
     if not successful:
-        raise SimulationError(model.failure(prepared))
-    hidden = model.unseen(prepared, tuple(channels))
+        raise SimulationError(capabilities.failure(model, prepared))
+    hidden = capabilities.unseen(model, prepared, tuple(channels))
     recorded = {
         channel: _record(
             blanked(predicted[channel], hidden.get(channel)),
@@ -335,8 +335,8 @@ def recorded_again(
     prepared = model.prepare(run)
     predicted, successful = predict_prepared(model, prepared, names)
     if not successful:
-        raise SimulationError(model.failure(prepared))
-    hidden = model.unseen(prepared, names)
+        raise SimulationError(capabilities.failure(model, prepared))
+    hidden = capabilities.unseen(model, prepared, names)
     known = [path for path in default_free(model) if path not in truth]
     sidecar = run.definition.contents()
     sections = {key: sidecar[key] for key in sidecar if key not in _OF_THE_FILE}
@@ -346,7 +346,7 @@ def recorded_again(
     if run.definition.section(InitialSection).first_row:
         # The first row of the new run has noise, or is not recorded.
         kept = {key: value for key, value in sections["initial"].items() if key != "first_row"}
-        sections["initial"] = {**kept, **model.initial_section(prepared)}
+        sections["initial"] = {**kept, **capabilities.initial_section(model, prepared)}
     exact = Run.from_arrays(
         run.times,
         {**run.commands, **run.winds, **{n: blanked(predicted[n], hidden.get(n)) for n in names}},

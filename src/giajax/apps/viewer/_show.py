@@ -15,6 +15,7 @@ from ...models import (
     Scene,
     arm_from_definition,
     arm_scene,
+    capabilities,
     model_for,
     recorded_markers,
     sensors_from_definition,
@@ -182,7 +183,7 @@ def _posable(path: Path, name: str) -> Posable:
 def _followed(model: AbstractModel, run: Run, name: str) -> Show:
     """A model along a run, and what was recorded of it."""
     try:
-        scene = model.scene(run)
+        scene = capabilities.scene(model, run)
     except SimulationError as error:
         raise InputError(f"the motion of '{run.name}' cannot be simulated: {error}") from None
     if scene is None:

@@ -13,7 +13,7 @@ from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
 from ...fitting import FitResult
-from ...models import recorded_markers
+from ...models import capabilities, recorded_markers
 from ...recordings import Run
 from ...simulation import SimulationError
 
@@ -51,7 +51,7 @@ def animation(result: FitResult, run: Run, predicted: Mapping[str, np.ndarray]) 
         which nothing is seen, or that cannot be simulated there.
     """
     try:
-        scene = result.model_of(run).scene(run)
+        scene = capabilities.scene(result.model_of(run), run)
     except SimulationError:
         return None
     if scene is None:

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...fitting import Estimate, FitResult, in_column_units, matching_runs
+from ...models import capabilities
 from ...recordings import Run
 from ...runtime.text import InputError, format_estimate
 from ...studies import LEVEL, begun_where_it_ended, promising
@@ -200,6 +201,8 @@ def _computation(result: FitResult) -> list[str]:
         said.append("the size of the noise was taken from the residuals, at least in part")
     effect = result.tolerance_effect
     largest = None if effect is None else effect.largest_in_standard_errors
+    if capabilities.refined(result.model, 1.0) is None:
+        said.append("what a finer tolerance of the model would move is not checked")
     if largest is not None and largest > _NOTABLE:
         said.append(f"a finer tolerance of the solver would move a value by {largest:.2g} errors")
     if _has_wrong_derivatives(result):
