@@ -364,3 +364,16 @@ def test_a_first_row_read_by_a_sensor_that_is_fitted_is_said():
     assert told(first_row=True)
     assert not told(first_row=True, free=True)
     assert not told(angle_deg=0.0)
+
+
+def test_no_channel_is_parsed_inside_a_trace(monkeypatch):
+    """Names are parsed once, where a run is prepared, and looked up while its program is traced."""
+    some, inputs = model(), model().prepare(run_of())
+
+    def parsed(name):
+        raise AssertionError(f"{name} is parsed again")
+
+    monkeypatch.setattr("giajax.recordings._channels.match_name", parsed)
+    jax.eval_shape(lambda it: some.predict(it, ("link01_z",)), inputs)
+    with pytest.raises(AssertionError, match="link77_x is parsed"):
+        some.predict(inputs, ("link77_x",))

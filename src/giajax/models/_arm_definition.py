@@ -1,4 +1,4 @@
-"""Obstacles from the TOML vocabulary, and back."""
+"""An arm, its sensors and what stands around it, from the sections of a file, and back."""
 
 from collections.abc import Mapping, Sequence
 from inspect import signature

@@ -1,4 +1,4 @@
-"""Distortion of a lens: OpenCV's model of five coefficients (Brown-Conrady), and its inverse."""
+"""Cameras: from points in space to the image, by projection or through a lens."""
 
 from typing import NamedTuple
 

@@ -1,8 +1,8 @@
 """What a model may have beyond its protocol: one function for each optional method.
 
-Each function calls the method of its own name, with the same arguments, where the model has one; its
-docstring says what the method returns, and what holds for a model without it. Generic code calls
-these functions, so that no class has to answer "nothing".
+Each function calls the method of its own name, with the same arguments, where the model has one;
+its docstring says what the method returns, and what holds for a model without it. Generic code
+calls these functions, so that no class has to answer "nothing".
 """
 
 from collections.abc import Callable, Sequence

@@ -5,6 +5,7 @@ import re
 import shlex
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -221,6 +222,7 @@ class Channel:
     camera: str | None = None
 
     @classmethod
+    @cache  # A model looks its channels up while it is traced: each name is parsed once.
     def named(cls, name: str, unit: str | None = None) -> "Channel":
         """The channel of a name.
 
