@@ -22,7 +22,7 @@ from giajax import (
 )
 from giajax.mechanics.arm import Contact, drag_force
 from giajax.mechanics.obstacles import Plane
-from giajax.models import Line, Marker, Scene, arm_scene, joint_scene, model_for
+from giajax.models import Line, Marker, Scene, arm_scene, capabilities, joint_scene, model_for
 from small_arm import small_run
 
 ANGLES = np.deg2rad([-60.0, -30.0, -2.0, 2.0, 10.0, 45.0])
@@ -110,12 +110,12 @@ def test_the_scene_of_a_joint_is_that_of_its_run():
 def test_what_has_no_shape_has_no_scene():
     values = {"contraction": np.linspace(0, 0.1, 3), "pressure": np.ones(3), "force": np.ones(3)}
     muscle = Run.from_arrays(None, values, definition={"model": "muscle"})
-    assert MuscleModel().scene(muscle) is None
+    assert capabilities.scene(MuscleModel(), muscle) is None
     turn = np.asarray([0.0, 1.0, -1.0, 0.0])
     loop = Run.from_arrays(
         None, {"input": turn, "output": turn}, definition={"model": "hysteresis"}
     )
-    assert model_for([loop]).scene(loop) is None
+    assert capabilities.scene(model_for([loop]), loop) is None
 
 
 def test_parts_that_do_not_fit_together_are_refused():

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from giajax import Definition, FitTask, InputError, Run, fit, predict, replace
 from giajax.fitting import set_up
-from giajax.models import SeveralModels, model_for
+from giajax.models import SeveralModels, capabilities, model_for
 from giajax.recordings import read_runs, write_run
 from giajax.report import summary
 from giajax.runtime.arrays import Scalar
@@ -215,7 +215,7 @@ def test_what_both_models_would_say_is_asked_of_each(files):
         model.part("joint")
     joint = dataclasses.replace(model, parts=model.parts[1:])
     with pytest.raises(InputError, match="neither a solver nor a tolerance"):
-        joint.with_integration(solver="tsit5", tolerance=None)
+        capabilities.with_integration(joint, solver="tsit5", tolerance=None)
 
 
 def test_a_definition_asks_each_run_for_its_own_channels(files):

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from giajax import InputError
 from giajax.mechanics.arm import acceleration, chain
 from giajax.schema.parameters import replace
-from giajax.simulation import Signal, catching_up, logged, simulate, solver as solver_named
+from giajax.simulation import Signal, logged, simulate, solver as solver_named, with_return_mapping
 
 LINKS = 2
 END = 2.0
@@ -53,7 +53,7 @@ def by_fixed_steps(arm, command, count):
         third = slope(time + step / 2, state + step / 2 * second)
         fourth = slope(time + step, state + step * third)
         state = state + step / 6 * (first + 2 * second + 2 * third + fourth)
-        memory = arm.joints.hysteresis.caught_up(state[0], state[2:])
+        memory = arm.joints.hysteresis.return_mapped(state[0], state[2:])
         return jnp.concatenate([state[:2], memory]), state[0]
 
     rest = jnp.zeros(arm.count)
@@ -152,7 +152,7 @@ def test_a_batch_is_its_items():
 
 
 def test_a_method_that_iterates_has_the_tolerances_of_its_steps():
-    inner = catching_up(solver_named("kvaerno3"), 1e-7, 1e-8, "forward").solver
+    inner = with_return_mapping(solver_named("kvaerno3"), 1e-7, 1e-8, "forward").solver
     assert (inner.root_finder.rtol, inner.root_finder.atol) == (1e-7, 1e-8)
 
 

@@ -1,6 +1,8 @@
-"""Motion over time: inputs, integration by diffrax, and its result."""
+"""Motion over time: inputs, integration by diffrax or `springs5`, and its result.
 
-from ._catch_up import angle_after as angle_after, catching_up as catching_up, turns as turns
+`springs5` is a linearly implicit additive Runge-Kutta method of order 5 (docs/solvers.md).
+"""
+
 from ._controller import step_size_controller as step_size_controller
 from ._integrate import (
     STEPS_FOR as STEPS_FOR,
@@ -23,6 +25,11 @@ from ._motion import (
     springs as springs,
 )
 from ._pressures import Pressures as Pressures, check_muscles as check_muscles
+from ._return_mapping import (
+    angle_after as angle_after,
+    turns as turns,
+    with_return_mapping as with_return_mapping,
+)
 from ._signal import (
     Signal as Signal,
     constant as constant,

@@ -12,9 +12,9 @@ import jax
 import jax.numpy as jnp
 
 from ..runtime.arrays import Array, Float, Scalar
-from ._catch_up import turns
 from ._linearly_implicit import LinearlyImplicit
 from ._motion import Rates
+from ._return_mapping import turns
 from ._signal import last_before
 
 # Length of a step, times the rate of the motion, that a method is stable with: where its stability

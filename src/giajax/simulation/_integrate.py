@@ -232,9 +232,9 @@ def integrate(
     # Slow to import, and needed only here, where the program is traced.
     import diffrax
 
-    from ._catch_up import catching_up
     from ._controller import step_size_controller
     from ._linearly_implicit import LinearlyImplicit
+    from ._return_mapping import with_return_mapping
 
     begin, end = (times[0], times[-1]) if span is None else span
     supplied = None if pressure is None else pressure.signal
@@ -259,7 +259,7 @@ def integrate(
     slides = hysteresis.stops.rows > 0 or (arm.contact is not None and arm.contact.rows > 0)
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(motion),
-        catching_up(method, rtol, atol, derivatives) if slides else method,
+        with_return_mapping(method, rtol, atol, derivatives) if slides else method,
         t0=begin,
         t1=end,
         dt0=None,
@@ -286,7 +286,7 @@ def integrate(
         angles=angles,
         rates=rates,
         # Within a step sliding elements have not caught up yet.
-        memory=jax.vmap(hysteresis.caught_up)(angles, memory) if hysteresis.rows else None,
+        memory=jax.vmap(hysteresis.return_mapped)(angles, memory) if hysteresis.rows else None,
         pressures=None if arm.pneumatics is None else jax.vmap(moved.inside)(times, muscles),
         skin=skin if skin.size else None,
         arm=arm,

@@ -1,7 +1,8 @@
-"""A linearly implicit method for stiff joints: one more factorisation a step, no iteration.
+"""`springs5`, a linearly implicit additive Runge-Kutta method of order 5 for stiff joints.
 
-Between two accurate steps of an explicit method stiff springs force many that are merely stable.
-Here the springs and dampers of the joints and what pulls at them are implicit, and nothing else is.
+One more factorisation a step, and no iteration: between two accurate steps of an explicit method
+stiff springs force many that are merely stable. Here the springs and dampers of the joints and what
+pulls at them are implicit, and nothing else is.
 """
 
 from collections.abc import Callable
@@ -299,7 +300,6 @@ def _of_diffrax(name: str) -> "AbstractAdaptiveSolver":
 
 
 def _springs5(reverse: bool = True) -> "AbstractAdaptiveSolver":
-
     return LinearlyImplicit(springs, pull, reverse)
 
 

@@ -161,7 +161,7 @@ def _advance(stepper: Stepper, moment: Moment, command: Array, wind: Array | Non
     # Slow to import, and needed only here, where the program is traced.
     import diffrax
 
-    from ._catch_up import catching_up
+    from ._return_mapping import with_return_mapping
 
     arm, interval = stepper.arm, stepper.interval
     inputs = Inputs(
@@ -176,7 +176,7 @@ def _advance(stepper: Stepper, moment: Moment, command: Array, wind: Array | Non
         arm.contact is not None and arm.contact.rows > 0
     )
     if slides:
-        method = catching_up(method, _TOLERANCE, _TOLERANCE, "forward")
+        method = with_return_mapping(method, _TOLERANCE, _TOLERANCE, "forward")
     terms = diffrax.ODETerm(motion)
     if stepper.tolerance is not None:
         solution = diffrax.diffeqsolve(

@@ -32,7 +32,7 @@ def along(element, angles):
     states = element.unstrained(jnp.asarray(angles[:1]))
 
     def move(states, angle):
-        states = element.caught_up(angle[None], states)
+        states = element.return_mapped(angle[None], states)
         return states, (states, element.torque(angle[None], states)[0])
 
     return jax.lax.scan(move, states, jnp.asarray(angles))[1]

@@ -34,6 +34,7 @@ from ._dynamics import (
     muscle_power as muscle_power,
     potential_energy as potential_energy,
 )
+from ._hysteresis import JointHysteresis as JointHysteresis, Memory as Memory, Stops as Stops
 from ._inverse_dynamics import (
     carried_inertia as carried_inertia,
     eliminate_and_solve as eliminate_and_solve,
@@ -50,7 +51,6 @@ from ._kinematics import (
     sum_from_tip as sum_from_tip,
     tip_position as tip_position,
 )
-from ._memory import JointHysteresis as JointHysteresis, Memory as Memory, Stops as Stops
 from ._parts import (
     ADDED_MASSES as ADDED_MASSES,
     DRAG_CURVES as DRAG_CURVES,

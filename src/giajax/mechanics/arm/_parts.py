@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -11,7 +12,7 @@ from ...runtime.text import InputError
 from ...schema import AIR, BUOYANCY, CONTACT, JOINTS, LINKS, POINT_MASSES
 from ...schema.parameters import inline, is_concrete, parameter
 from ..obstacles import AbstractObstacle
-from ._memory import JointHysteresis
+from ._hysteresis import JointHysteresis
 
 Axis = tuple[float, float, float]
 
@@ -204,11 +205,10 @@ class Joints(eqx.Module):
 
     @property
     def stiffest_damping(self) -> Float[Array, " joint"]:
-        """Steepest slope of `resistance` of each joint, N m s/rad."""
-        slope = self.damping
-        if self.friction is not None:
-            slope = slope + self.friction / self.friction_rate
-        return jnp.broadcast_to(slope, (len(self.axes),))
+        """Slope of `resistance` of each joint at rest, where its laws are steepest, N m s/rad."""
+        still = jnp.zeros(len(self.axes), self.damping.dtype)
+        _, slope = jax.vjp(self.resistance, still)
+        return slope(jnp.ones_like(still))[0]
 
 
 # What hangs on the links and what lifts them: helium, trim weights and point masses.

@@ -99,7 +99,7 @@ class Stops(eqx.Module):
         heat = self._strengths * jnp.abs(rates)[None]
         return jnp.sum(jnp.where(self._slides(angles, rates, slipped), heat, 0), axis=0)
 
-    def caught_up(
+    def return_mapped(
         self, angles: Float[Array, " joint"], slipped: Float[Array, "row joint"]
     ) -> Float[Array, "row joint"]:
         """The states (rad) after a motion to these angles (rad) in one direction."""
@@ -251,7 +251,7 @@ class JointHysteresis(eqx.Module):
     def rate(
         self, rates: Float[Array, " joint"], states: Float[Array, "row joint"]
     ) -> Float[Array, "row joint"]:
-        """How fast the states change, 1/s; those of stops change by `caught_up`."""
+        """How fast the states change, 1/s; those of stops change by `return_mapped`."""
         z, slipped = self._split(states)
         return jnp.concatenate([self.memory.rate(rates, z), jnp.zeros_like(slipped)])
 
@@ -272,12 +272,12 @@ class JointHysteresis(eqx.Module):
         z, slipped = self._split(states)
         return jnp.concatenate([self.memory.pull(z), jnp.zeros_like(slipped)])
 
-    def caught_up(
+    def return_mapped(
         self, angles: Float[Array, " joint"], states: Float[Array, "row joint"]
     ) -> Float[Array, "row joint"]:
         """The states after a motion to these angles (rad) in which no joint turned round."""
         z, slipped = self._split(states)
-        return jnp.concatenate([z, self.stops.caught_up(angles, slipped)])
+        return jnp.concatenate([z, self.stops.return_mapped(angles, slipped)])
 
     def energy(
         self, angles: Float[Array, " joint"], states: Float[Array, "row joint"]

@@ -1,4 +1,4 @@
-"""What happens where something slides, at the end of each step of any integration method."""
+"""The return mapping of what slides, at the end of each step of any integration method."""
 
 import dataclasses
 from typing import Any
@@ -55,9 +55,9 @@ def slopes(step: Any, y0: Any, y1: Any) -> tuple[Array, Array, Array, Array]:
 Carried = tuple[Any, Bool[Array, ""]]
 
 
-def catching_up(
+def with_return_mapping(
     solver: diffrax.AbstractAdaptiveSolver, rtol: Any, atol: Any, derivatives: str
-) -> "CatchingUp":
+) -> "ReturnMapping":
     """A method whose steps end with the return mapping of what slides.
 
     Arguments:
@@ -70,10 +70,10 @@ def catching_up(
         solver = dataclasses.replace(solver, scan_kind="lax")
     if isinstance(solver, diffrax.AbstractImplicitSolver):
         solver = eqx.tree_at(lambda s: s.root_finder, solver, diffrax.VeryChord(rtol, atol))
-    return CatchingUp(solver)
+    return ReturnMapping(solver)
 
 
-class CatchingUp(diffrax.AbstractAdaptiveSolver):
+class ReturnMapping(diffrax.AbstractAdaptiveSolver):
     """A method whose steps end with the return mapping of the joints' sliding elements.
 
     Within a step the angles at which elements are without strain are held, and their torques
@@ -138,16 +138,16 @@ class CatchingUp(diffrax.AbstractAdaptiveSolver):
     ) -> tuple[State, State, Any, Carried, Any]:
         """One step."""
         inner, turned = solver_state
-        # The slope that the method carries over is one before catching up.
+        # The slope that the method carries over is that before the return mapping.
         y1, y_error, dense, inner, result = self.solver.step(
             terms, t0, t1, y0, args, inner, made_jump | turned
         )
         hysteresis = args.arm.joints.hysteresis
         last = 2 + hysteresis.rows
         held = y1[2:last]
-        direct = hysteresis.caught_up(y1[0], held)
+        direct = hysteresis.return_mapped(y1[0], held)
         extreme = _extreme(t1 - t0, y0, y1)
-        memory = hysteresis.caught_up(y1[0], hysteresis.caught_up(extreme, held))
+        memory = hysteresis.return_mapped(y1[0], hysteresis.return_mapped(extreme, held))
         unknown = jax.lax.stop_gradient(memory - direct)
         y1 = jnp.concatenate([y1[:2], memory, y1[last:]])
         y1 = _slid(args, y1)
