@@ -10,6 +10,8 @@ from bokeh.resources import Resources
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
+from ..._policy import with_policy
+
 _FOLDER = files(__package__) / "templates"
 
 # More names than this are no title.
@@ -38,7 +40,7 @@ def rendered(template: str, *, plots: bool, **facts: Any) -> bytes:
         data=_data,
         **facts,
     )
-    return page.encode()
+    return with_policy(page.encode())
 
 
 def some_of(names: Iterable[str]) -> list[str]:
