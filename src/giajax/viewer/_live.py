@@ -1,8 +1,10 @@
 """One scene of a single sample that is drawn anew all the time."""
 
+from pathlib import Path
+
 from ..models import Scene
 from ._arrangement import stages
-from ._backend import start, stop
+from ._backend import Backend
 from ._show import Show
 
 
@@ -17,15 +19,16 @@ class LiveStage:
     """
 
     def __init__(self, scene: Scene) -> None:
-        self._server = start()
+        self._backend = Backend()
+        self._server = self._backend.server
         (self._stage,) = stages(self._server, [Show("arm", scene)])
         self._server.gui.configure_theme(show_logo=False, show_share_button=False)
         self._server.gui.main_panel.minimize()
 
     @property
-    def port(self) -> int:
-        """Where it listens on the loopback."""
-        return self._server.get_port()
+    def socket(self) -> Path:
+        """Where it listens."""
+        return self._backend.socket
 
     @property
     def watched(self) -> bool:
@@ -40,4 +43,4 @@ class LiveStage:
 
     def close(self) -> None:
         """End the page."""
-        stop(self._server)
+        self._backend.close()

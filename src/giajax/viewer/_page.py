@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ._arrangement import offsets, stages
-from ._backend import start, stop
+from ._backend import Backend
 from ._gate import LOOPBACK, Gate
 from ._player import SPEEDS, Player, factor
 from ._show import Show, span
@@ -65,11 +65,12 @@ class Viewer:
             for each in shown
         ]
         self.player = Player(*span(self.shows))
-        self._server = start()
+        self._backend = Backend()
+        self._server = self._backend.server
         try:
-            self._gate = Gate({"": self._server.get_port()}, host=host, port=port)
+            self._gate = Gate({"": self._backend.socket}, host=host, port=port)
         except BaseException:
-            stop(self._server)
+            self._backend.close()
             raise
         self._overlay = overlay
         self.stages: list[Stage] = stages(self._server, self.shows, overlay=overlay)
@@ -98,7 +99,7 @@ class Viewer:
         self._ended.set()
         self._thread.join(timeout=5)
         self._gate.close()
-        stop(self._server)
+        self._backend.close()
 
     def draw(self) -> None:
         """Show the time of the player."""

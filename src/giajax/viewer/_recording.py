@@ -2,8 +2,9 @@
 
 from collections.abc import Sequence
 
+from .._policy import VISER, with_policy
 from ._arrangement import stages
-from ._backend import start, stop
+from ._backend import Backend
 from ._show import Show, frames
 
 RATE = 30.0
@@ -24,7 +25,8 @@ def recording(shows: Sequence[Show], *, overlay: bool = False, dark: bool = Fals
     Returns:
         HTML that needs nothing else, in UTF-8.
     """
-    server = start()
+    backend = Backend()
+    server = backend.server
     try:
         drawn = stages(server, shows, overlay=overlay)
         recorder = server.get_scene_serializer()
@@ -34,6 +36,6 @@ def recording(shows: Sequence[Show], *, overlay: bool = False, dark: bool = Fals
                 stage.draw(stage.show.sample_at(float(time)))
             if index + 1 < len(times):
                 recorder.insert_sleep(float(times[index + 1] - time))
-        return recorder.as_html(dark).encode()
+        return with_policy(recorder.as_html(dark).encode(), VISER)
     finally:
-        stop(server)
+        backend.close()
