@@ -34,6 +34,7 @@ from ._read import (
 )
 from ._run import Run as Run
 from ._select import observing as observing, rows_of as rows_of, windows as windows
+from ._table import read_numbers as read_numbers
 from ._template import sidecar_template as sidecar_template
 from ._tracked import (
     TrackedPoints as TrackedPoints,
