@@ -4,6 +4,7 @@ import dataclasses
 import math
 
 from .._errors import InputError
+from .._limits import ANGLE_DEG
 
 _MOST_ROWS = 100_000
 
@@ -20,8 +21,8 @@ class Limits:
         sampling: rows that are recorded, per second.
 
     Raises:
-        InputError: a number that is not positive, no joint, or a duration of no whole number of
-            rows.
+        InputError: a number that is not positive or too large, no joint, or a duration of no whole
+            number of rows.
     """
 
     joints: tuple[int, ...] = (1,)
@@ -39,6 +40,11 @@ class Limits:
         ):
             if not 0 < value < math.inf:
                 raise InputError(f"{what} is {value:g}: give a positive number")
+        if self.angle > math.radians(ANGLE_DEG):
+            raise InputError(
+                f"the largest angle is {math.degrees(self.angle):g} deg: give at most "
+                f"{ANGLE_DEG:g} deg"
+            )
         if not self.joints:
             raise InputError("no joint moves: give the number of at least one")
         if len(set(self.joints)) < len(self.joints):

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._errors import InputError
+from .._limits import STEPS
 from .._typing import Float
 from ..models import ArmModel
 from ..parameters import replace
@@ -46,7 +47,7 @@ class Session:
         memory: whether joints remember; the arm without its hysteresis where not.
 
     Raises:
-        InputError: a rate that is not positive, gusts from link to link, or no memory to leave out.
+        InputError: a rate or steps out of bounds, gusts from link to link, or no memory to leave.
     """
 
     def __init__(
@@ -62,6 +63,8 @@ class Session:
     ) -> None:
         if not 1 <= rate <= 1000:
             raise InputError(f"the rate is {rate:g} poses a second: give one from 1 to 1000")
+        if not 1 <= steps <= STEPS:
+            raise InputError(f"there are {steps:,} steps in a pose: give from 1 to {STEPS:,}")
         if gusts is not None and set(gusts.values) != set(_WIND):
             raise InputError("gusts of a drive are one wind for the whole arm: give x, y and z")
         arm = model.arm

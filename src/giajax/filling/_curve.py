@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .._errors import InputError
+from .._limits import FILLING_S
 from ..parameters import get, replace
 from ..quantities import PORTS
 from ._fill import check_filling, fill, tried
@@ -71,8 +72,8 @@ def filling_curve(
     made = Filling() if filling is None else filling
     if made.bags < 2:
         raise InputError("all links share one bag, which has no ports: leave the curve out")
-    if not 0 < duration < np.inf:
-        raise InputError(f"the duration is {duration:g} s: give a positive number of seconds")
+    if not 0 < duration <= FILLING_S:
+        raise InputError(f"the duration is {duration:g} s: give from 0 to {FILLING_S:g} s")
     if not len(diameters):
         raise InputError("there are no diameters: give at least one")
     path = STRENGTHS[made.supply.kind]
