@@ -61,6 +61,7 @@ ROOMS = [
         "_small_loops",
         "_files",
         "_limits",
+        "_policy",
         "_signals",
         "_sobol",
         "_syntax",

@@ -27,6 +27,7 @@ from ._read import (
     windows as windows,
 )
 from ._run import Run as Run, unique_names as unique_names
+from ._table import read_numbers as read_numbers
 from ._tracked import (
     Beside as Beside,
     TrackedPoints as TrackedPoints,

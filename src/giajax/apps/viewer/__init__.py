@@ -1,6 +1,6 @@
 """An arm in three dimensions, in a browser: a live page, and a file that plays without a server."""
 
-from ._gate import LOOPBACK as LOOPBACK, Gate as Gate
+from ._gate import LOOPBACK as LOOPBACK, Gate as Gate, PrivateSocket as PrivateSocket
 from ._page import (
     LiveStage as LiveStage,
     Player as Player,
