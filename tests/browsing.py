@@ -92,13 +92,13 @@ class Page:
 
 
 @contextmanager
-def opened(browser, folder, *, size=(1400, 900)):
-    """A browser with an empty page."""
+def opened(browser, folder, *, size=(1400, 900), more=()):
+    """A browser with an empty page, started with more options."""
     options = ["--headless=new", "--no-sandbox", "--use-angle=swiftshader"]
     options += ["--enable-unsafe-swiftshader", "--hide-scrollbars", "--remote-debugging-port=0"]
     options += [f"--user-data-dir={folder}", f"--window-size={size[0]},{size[1]}"]
     process = subprocess.Popen(
-        [browser, *options, "about:blank"], stderr=subprocess.PIPE, text=True
+        [browser, *options, *more, "about:blank"], stderr=subprocess.PIPE, text=True
     )
     try:
         port = None

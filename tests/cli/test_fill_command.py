@@ -108,6 +108,7 @@ def test_a_bad_definition_is_one_sentence(case, tmp_path, capsys):
 def test_bad_options_are_one_sentence(tmp_path, capsys):
     refused(capsys, [tmp_path / "none.toml"], "does not exist: give the path of a TOML file")
     refused(capsys, ["--minutes", "0"], "--minutes is 0: give a positive number")
+    refused(capsys, ["--minutes", "1e300"], "--minutes is 1e+300: give a positive number of at mo")
     refused(capsys, ["--set", "ports.diametre=1"], "there is no parameter 'ports.diametre'")
     refused(capsys, ["--set", "supply.flow=-1"], "supply.flow = -1 m^3/s is outside its bounds")
     refused(capsys, ["--set", "supply.flow=0"], "supply.flow = 0 m^3/s is outside its bounds")

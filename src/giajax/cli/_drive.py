@@ -269,7 +269,9 @@ def drive(
     from ..runtime.process import configure
 
     configure()
-    from ..apps.driving import Session, TipCamera, read_pad
+    import numpy as np
+
+    from ..apps.driving import Session, TipCamera, check_length, read_pad
 
     table = None if replay is None else read_pad(replay)
     definition, model = driven_arm(what, links, wind)
@@ -285,6 +287,8 @@ def drive(
         compensation=compensation_of(compensate, count),
         memory=not no_memory,
     )
+    if table is not None:
+        check_length(float(np.ptp(table["time_s"])), session.interval)
     try:
         if table is not None:
             replay_table(session, table)

@@ -1,12 +1,12 @@
 """`giajax fill`: an arm of balloons that is filled with helium."""
 
-import math
 import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..runtime.limits import FILLING_S
 from ..runtime.text import InputError
 from ._commands import command
 from ._values import settings, with_settings
@@ -64,8 +64,10 @@ def fill(
     """
     from ..recordings import Definition, check_output_folder, make_folder, write_files
 
-    if not 0 < minutes < math.inf:
-        raise InputError(f"--minutes is {minutes:g}: give a positive number")
+    if not 0 < minutes <= FILLING_S / 60:
+        raise InputError(
+            f"--minutes is {minutes:g}: give a positive number of at most {FILLING_S / 60:.0f}"
+        )
     sections = Definition() if definition is None else Definition.load(definition)
     values = settings(pairs)
 

@@ -19,6 +19,7 @@ from ..runtime.limits import CELL_BYTES, COLUMNS, RUN_BYTES
 from ..runtime.text import InputError, shown
 from ..schema import QUANTITIES
 from ._channels import Channel, nearest, parse_column, parse_columns
+from ._parquet import split_parquet
 
 # How far down a header is looked for: title, date, instrument, units.
 _LINES = 30
@@ -246,22 +247,12 @@ def read_table(path: Path, rename: Mapping[str, str] | None = None) -> Table:
     Raises:
         InputError: the file is not such a table.
     """
-    data = _bytes(path)
-    if path.suffix.lower() == ".csv":
-        header, columns, first_row = split_csv(data, path)
-    else:
-        header, columns, first_row = _split_parquet(data, path)
-    if len(header) > COLUMNS:
-        raise InputError(
-            f"{path} has {len(header):,} columns, but may have {COLUMNS:,} at most: remove some"
-        )
+    data, header, columns, first_row = _split(path)
     names = _renamed(header, rename or {}, path)
     try:
         named = parse_columns(names)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    if not columns or len(columns[0]) == 0:
-        raise InputError(f"{path} has a header but no rows: it must have samples, so add them")
     times = None
     values: dict[str, npt.NDArray[Any]] = {}
     for (column, channel), series in zip(named.items(), columns, strict=True):
@@ -276,6 +267,38 @@ def read_table(path: Path, rename: Mapping[str, str] | None = None) -> Table:
             values[channel.name] = numbers
     channels = {c.name: c for c in named.values() if c.kind != "time"}
     return Table(times, values, channels, hashlib.sha256(data).hexdigest(), first_row)
+
+
+def read_numbers(path: Path) -> dict[str, npt.NDArray[np.float64]]:
+    """The columns of a `.csv` or `.parquet` file by the names that they have there.
+
+    Arguments:
+        path: of the file, of which every cell is a number or empty (NaN).
+
+    Raises:
+        InputError: the file is not such a table.
+    """
+    _, header, columns, first_row = _split(path)
+    found: dict[str, npt.NDArray[np.float64]] = {}
+    for name, series in zip(header, columns, strict=True):
+        if name in found:
+            raise InputError(f"{path} has the column {shown(name, 40)} twice: remove one")
+        found[name] = _numbers(series, f"{path}: column {shown(name, 40)}", first_row)
+    return found
+
+
+def _split(path: Path) -> tuple[bytes, list[str], list[pl.Series], int]:
+    """Content, header and columns of a file, and what errors call its first row."""
+    data = _bytes(path)
+    split = split_csv if path.suffix.lower() == ".csv" else split_parquet
+    header, columns, first_row = split(data, path)
+    if len(header) > COLUMNS:
+        raise InputError(
+            f"{path} has {len(header):,} columns, but may have {COLUMNS:,} at most: remove some"
+        )
+    if not columns or len(columns[0]) == 0:
+        raise InputError(f"{path} has a header but no rows: it must have samples, so add them")
+    return data, header, columns, first_row
 
 
 def _bytes(path: Path) -> bytes:
@@ -294,21 +317,6 @@ def _bytes(path: Path) -> bytes:
     if not data.strip():
         raise InputError(f"{path} is empty: it must have a header line and samples")
     return data
-
-
-def _split_parquet(data: bytes, path: Path) -> tuple[list[str], list[pl.Series], int]:
-    try:
-        frame = pl.read_parquet(io.BytesIO(data))
-    except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError):
-        raise InputError(
-            f"{path} is not a Parquet file: it must be one, so export it again"
-        ) from None
-    for name, dtype in frame.schema.items():
-        if not (dtype.is_numeric() or dtype in (pl.String, pl.Null, pl.Categorical)):
-            raise InputError(
-                f"{path}: column {name!r} is of type {dtype}, but must hold numbers: convert it"
-            )
-    return frame.columns, frame.get_columns(), 1
 
 
 def _renamed(header: Sequence[str], rename: Mapping[str, str], path: Path) -> list[str]:

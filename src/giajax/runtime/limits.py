@@ -7,6 +7,12 @@ program busy for minutes or fill the memory: what is beyond is refused in one se
 RUN_BYTES = 1 << 30
 """Size of a `.csv` or `.parquet` file."""
 
+PARQUET_BYTES = 1 << 28
+"""Size of a `.parquet` file when it is unpacked: 8 bytes a number, 64 a text, and its pages."""
+
+PARQUET_FOOTER_BYTES = 1 << 22
+"""Size of what a `.parquet` file says of itself."""
+
 TEXT_BYTES = 1 << 20
 """Size of a TOML file."""
 
@@ -51,6 +57,18 @@ LINKS = 1_000
 
 ELEMENTS = 1_000
 """Elements of a hysteresis operator, rows of its mesh, turning points before a run."""
+
+POSES = 500_000
+"""Poses of an arm that a table drives."""
+
+STEPS = 1_000
+"""Steps of the integrator for each pose of a drive."""
+
+FILLING_S = 1_000_000
+"""Length of the filling of an arm."""
+
+ANGLE_DEG = 180.0
+"""Size of a commanded angle of a designed experiment."""
 
 STARTS = 10_000
 """Starts of a fit."""

@@ -221,6 +221,7 @@ def test_a_search_that_is_stopped_has_the_best_so_far():
     ("change", "words"),
     [
         ({"angle": 0.0}, "the largest angle is 0: give"),
+        ({"angle": 1e300}, "deg: give at most 180 deg"),
         ({"rate": math.inf}, "the largest rate is inf: give"),
         ({"joints": ()}, "no joint moves"),
         ({"joints": (1, 1)}, "named twice"),

@@ -4,15 +4,18 @@ import dataclasses
 import json
 import signal
 import socket
+import stat
 import subprocess
 import sys
 import threading
 import time
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from urllib.error import HTTPError
 from urllib.request import urlopen
 
 import numpy as np
 import pytest
+from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from browsing import opened
@@ -22,6 +25,7 @@ from giajax.mechanics.arm import Contact, chain
 from giajax.mechanics.obstacles import WallWithOpening
 from giajax.models import ArmModel
 from giajax.recordings import read_run
+from open_ports import open_ports
 
 PAD = """
 window.pad = {id: "test pad", index: 0, connected: true, axes: [0, 0, 0, 0],
@@ -145,7 +149,7 @@ def test_a_page_that_hangs_does_not_keep_the_next_one_waiting(cockpit):
     token = cockpit.address.split("/")[3]
     with socket.create_connection((host, int(port))) as hangs:
         hangs.sendall(
-            f"GET /{token}/pad HTTP/1.1\r\nHost: {host}\r\nUpgrade: websocket\r\n"
+            f"GET /{token}/pad HTTP/1.1\r\nHost: {host}:{port}\r\nUpgrade: websocket\r\n"
             "Connection: Upgrade\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
             "Sec-WebSocket-Version: 13\r\n\r\n".encode()
         )
@@ -212,7 +216,79 @@ def test_nobody_drives_without_the_token(cockpit):
     missing.value.close()
     with urlopen(cockpit.address) as page:
         assert page.headers["Referrer-Policy"] == "no-referrer"
+        assert "default-src 'none'" in page.headers["Content-Security-Policy"]
         assert b"giajax drive" in page.read()
+
+
+def test_no_other_page_drives(cockpit):
+    """By its origin, or by a name that leads here; even with the whole address."""
+    address = cockpit.address.replace("http://", "ws://") + "pad"
+    port = address.split(":")[2].split("/")[0]
+    for origin, headers in (
+        ("http://evil.example", {}),
+        ("http://127.0.0.1:1", {}),
+        ("null", {}),
+        (None, {"Host": f"evil.example:{port}"}),
+        (f"http://evil.example:{port}", {"Host": f"evil.example:{port}"}),
+    ):
+        with pytest.raises(InvalidStatus) as refused:
+            connect(address, origin=origin, additional_headers=headers)
+        assert refused.value.response.status_code == 403
+    with connect(address, origin=f"http://127.0.0.1:{port}") as page:
+        told(page, "facts")
+
+
+def test_no_other_page_drives_from_a_browser(cockpit, browser, tmp_path):
+    """One that knows the address and asks for the pad, and one whose name leads to the gate."""
+    token = cockpit.address.split("/")[3]
+    port = cockpit.address.split(":")[2].split("/")[0]
+    everywhere = ["--host-resolver-rules=MAP evil.example 127.0.0.1"]
+    server = ThreadingHTTPServer(("127.0.0.1", 0), _Evil)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    attack = (
+        "new Promise((done) => { const socket = new WebSocket('ws://%s');"
+        " socket.onmessage = () => done('driven'); socket.onclose = () => done('refused'); })"
+    )
+    try:
+        with opened(browser, tmp_path / "profile", more=everywhere) as page:
+            page.open(f"http://evil.example:{server.server_port}/")
+            page.wait("document.title == 'evil'")
+            for host in ("127.0.0.1", "evil.example"):
+                assert page.evaluate(attack % f"{host}:{port}/{token}/pad") == "refused"
+            page.open(f"http://evil.example:{port}/{token}/")
+            page.wait("document.body.innerText.includes('from another page')")
+    finally:
+        server.shutdown()
+        server.server_close()
+    assert cockpit.session.operator.stopped is not None
+
+
+class _Evil(BaseHTTPRequestHandler):
+    """Somebody else's page."""
+
+    def do_GET(self):
+        self.send_response(200)
+        self.send_header("Content-Type", "text/html")
+        self.end_headers()
+        self.wfile.write(b"<!doctype html><title>evil</title>")
+
+    def log_message(self, *arguments):
+        pass
+
+
+def test_the_gate_is_the_only_door():
+    """What serves the pad and the scene has no port that a script could try."""
+    before = open_ports()
+    model = ArmModel(chain(3))
+    cockpit = Cockpit(Session(model), TipCamera(model))
+    try:
+        assert open_ports() - before == {int(cockpit.address.split(":")[2].split("/")[0])}
+        for path in (cockpit._place.path, cockpit._stage.socket):
+            assert path.is_socket()
+            assert stat.S_IMODE(path.parent.stat().st_mode) == 0o700
+    finally:
+        cockpit.close()
+    assert not path.parent.exists()
 
 
 def test_a_port_in_use_is_one_sentence(cockpit):

@@ -1,5 +1,8 @@
 """What an operator does, and what joints are commanded."""
 
+import gzip
+import os
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -241,8 +244,12 @@ def test_a_pad_that_turns_nothing(tmp_path):
     [
         ("time_s,button0\n0,0\n1,1\n", "is of a pad without axes"),
         ("time_s,axis0,stick\n0,0,0\n1,1,0\n", "has a column 'stick'"),
-        ("time_s,axis0\n0,0\n1,\n", "has an empty cell in axis0: fill it"),
+        ("time_s,axis0\n0,0\n1,\n", "has a cell in axis0 that is empty or infinite"),
         ("time_s,axis0\n0,0\n0,1\n", "do not increase: sort its rows"),
+        ("time_s,axis0\n0,0\n1,inf\n", "has a cell in axis0 that is empty or infinite"),
+        ("time_s,axis0\n0,0\n1,1_0\n", "has '1_0' in row 3, but must have a number"),
+        ("time_s,axis0,axis0\n0,0,0\n1,1,0\n", "has the column 'axis0' twice"),
+        ("time_s,axis0\n", "has a header but no rows"),
     ],
 )
 def test_tables_of_a_pad_that_are_none(tmp_path, text, said):
@@ -252,3 +259,19 @@ def test_tables_of_a_pad_that_are_none(tmp_path, text, said):
         read_pad(path)
     with pytest.raises(InputError, match="does not exist"):
         read_pad(tmp_path / "none.csv")
+
+
+def test_what_is_no_file_of_a_pad_is_not_opened(tmp_path):
+    """A pipe made it wait, a device filled the memory, and a .gz was unpacked."""
+    path = tmp_path / "pad.csv"
+    path.symlink_to("/dev/zero")
+    with pytest.raises(InputError, match="is a device, but must be a file"):
+        read_pad(path)
+    path.unlink()
+    os.mkfifo(path)
+    with pytest.raises(InputError, match="is a pipe, but must be a file"):
+        read_pad(path)
+    packed = tmp_path / "pad.csv.gz"
+    packed.write_bytes(gzip.compress(b"time_s,axis0\n0,0\n1,1\n"))
+    with pytest.raises(InputError, match=r"must be a run, a file whose name ends in \.csv"):
+        read_pad(packed)

@@ -150,7 +150,11 @@ def test_the_camera_at_the_tip_is_late(model):
 def test_drives_that_are_none(model):
     with pytest.raises(InputError, match="the rate is 0 poses a second"):
         Session(model, rate=0.0)
+    with pytest.raises(InputError, match="1,000,000,000 steps in a pose: give from 1 to 1,000"):
+        Session(model, steps=10**9)
     session = Session(model)
+    with pytest.raises(InputError, match=r"is 1e\+09 s long, but may be 16666\.7 s long at 30 pos"):
+        replay(session, {"time_s": np.array([0.0, 1e9]), "axis0": np.zeros(2)})
     with pytest.raises(InputError, match="nothing was driven"):
         session.record.run(["tip_z"])
     session.tick(0.0)
@@ -180,6 +184,11 @@ def test_a_drive_is_saved_as_a_run(tmp_path, monkeypatch, capsys):
     (tmp_path / "pad.csv").write_text("time_s,button0\n0,1\n")
     assert main(words) == 2
     assert "is of a pad without axes" in capsys.readouterr().err
+    (tmp_path / "pad.csv").write_text("time_s,axis0\n0,0\n1e9,1\n")
+    assert main(words) == 2
+    error = capsys.readouterr().err
+    assert "is 1e+09 s long, but may be 16666.7 s" in error
+    assert error.count("\n") == 1
 
 
 @pytest.mark.slow

@@ -1,18 +1,24 @@
 """The gate: nothing without the token, everything with it."""
 
 import socket
+import subprocess
+import sys
 import threading
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+import time
+from contextlib import ExitStack, suppress
+from http.server import BaseHTTPRequestHandler
+from pathlib import Path
+from socketserver import ThreadingUnixStreamServer
 from urllib.error import HTTPError
 from urllib.request import urlopen
 
 import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
-from websockets.sync.server import serve
+from websockets.sync.server import unix_serve
 
 from giajax import InputError
-from giajax.apps.viewer import Gate, bound
+from giajax.apps.viewer import Gate, PrivateSocket, _gate, bound
 
 pytestmark = pytest.mark.quick
 
@@ -23,7 +29,10 @@ class _Echo(BaseHTTPRequestHandler):
     def do_GET(self):
         self.send_response(200)
         self.end_headers()
-        self.wfile.write(self.path.encode())
+        with suppress(OSError):
+            while self.path == "/endless":
+                self.wfile.write(bytes(1 << 16))
+            self.wfile.write(self.path.encode())
 
     def log_message(self, *arguments):
         pass
@@ -32,18 +41,21 @@ class _Echo(BaseHTTPRequestHandler):
 @pytest.fixture(scope="module")
 def page():
     """A server of pages, and one that repeats what it is told."""
-    pages = ThreadingHTTPServer(("127.0.0.1", 0), _Echo)
-    repeats = serve(
-        lambda socket: [socket.send(f"again {word}") for word in socket], "127.0.0.1", 0
+    places = [PrivateSocket(), PrivateSocket()]
+    pages = ThreadingUnixStreamServer(str(places[0].path), _Echo)
+    repeats = unix_serve(
+        lambda socket: [socket.send(f"again {word}") for word in socket], str(places[1].path)
     )
     for server in (pages, repeats):
         threading.Thread(target=server.serve_forever, daemon=True).start()
-    gate = Gate({"": pages.server_port, "words": repeats.socket.getsockname()[1]})
+    gate = Gate({"": places[0].path, "words": places[1].path})
     yield gate
     gate.close()
     pages.shutdown()
     pages.server_close()
     repeats.shutdown()
+    for place in places:
+        place.close()
 
 
 def read(address):
@@ -80,11 +92,154 @@ def test_what_is_no_request_ends(page):
 def test_a_connection_carries_one_request(page):
     """The second one would pass without being read."""
     with socket.create_connection((page.host, page.port), timeout=10) as connection:
-        connection.sendall(f"GET /{page.token}/first HTTP/1.1\r\nHost: a\r\n\r\n".encode())
+        connection.sendall(
+            f"GET /{page.token}/first HTTP/1.1\r\nHost: 127.0.0.1:{page.port}\r\n\r\n".encode()
+        )
         answer = b""
         while part := connection.recv(1000):
             answer += part
         assert answer.endswith(b"/first")
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        [],
+        ["Host: evil.example:{port}"],
+        ["Host: 127.0.0.1"],
+        ["Host: 127.0.0.1:1{port}"],
+        ["Host: 10.0.0.1:{port}"],
+        ["Host: 127.0.0.1:{port}", "Host: 127.0.0.1:{port}"],
+        ["Host: 127.0.0.1:{port}", "Origin: http://evil.example"],
+        ["Host: 127.0.0.1:{port}", "Origin: http://localhost:{port}"],
+        ["Host: 127.0.0.1:{port}", "Origin: https://127.0.0.1:{port}"],
+        ["Host: 127.0.0.1:{port}", "Origin: null"],
+        ["Host: evil.example:{port}", "Origin: http://evil.example:{port}"],
+    ],
+)
+def test_what_another_page_asks_for_is_refused(page, fields):
+    """Even with the token: by its origin, or by a name of its own that leads here."""
+    assert asked(page, fields)[:12] == b"HTTP/1.1 403"
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1:{port}", "LOCALHOST:{port}", "127.0.0.2:{port}"])
+def test_names_of_this_machine_are_let_in(page, host):
+    assert asked(page, [f"Host: {host}"])[:12] == b"HTTP/1.0 200"
+    assert asked(page, [f"Host: {host}", f"Origin: http://{host}"])[:12] == b"HTTP/1.0 200"
+
+
+def asked(page, fields):
+    """The answer to a request with these fields, and the token."""
+    lines = [each.format(port=page.port) for each in [f"GET /{page.token}/ HTTP/1.1", *fields]]
+    with socket.create_connection((page.host, page.port), timeout=10) as connection:
+        connection.sendall("\r\n".join([*lines, "", ""]).encode())
+        answer = b""
+        while part := connection.recv(1000):
+            answer += part
+    return answer
+
+
+def test_a_page_that_listens_everywhere_has_the_name_of_the_machine():
+    gate = Gate({"": Path("nothing")}, host="0.0.0.0")
+    try:
+        name = socket.gethostname().lower()
+        for host in (f"{name}:{gate.port}", f"192.0.2.1:{gate.port}", f"[2001:db8::1]:{gate.port}"):
+            assert gate._host([f"Host: {host}".encode()]) == host
+        with pytest.raises(Exception, match="from another page"):
+            gate._host([f"Host: evil.example:{gate.port}".encode()])
+    finally:
+        gate.close()
+
+
+def test_a_page_is_told_what_it_may_do(page):
+    with urlopen(page.address, timeout=10) as answer:
+        said = answer.headers["Content-Security-Policy"]
+        assert f"connect-src 'self' ws://127.0.0.1:{page.port} " in said
+        assert said.startswith("default-src 'none'; ")
+        assert answer.headers["X-Content-Type-Options"] == "nosniff"
+
+
+def test_who_is_silent_is_let_go(page, monkeypatch):
+    monkeypatch.setattr(_gate, "_HEAD_TIME", 0.2)
+    for words in (b"", b"GET /", f"GET /{page.token}/ HTTP/1.1\r\n".encode()):
+        with socket.create_connection((page.host, page.port), timeout=10) as connection:
+            connection.sendall(words)
+            with suppress(ConnectionResetError):
+                assert connection.recv(100) == b""
+
+
+def test_an_answer_that_nobody_takes_ends(page, monkeypatch):
+    monkeypatch.setattr(_gate, "_IDLE_TIME", 0.3)
+    with socket.create_connection((page.host, page.port), timeout=10) as connection:
+        host = f"127.0.0.1:{page.port}"
+        connection.sendall(f"GET /{page.token}/endless HTTP/1.1\r\nHost: {host}\r\n\r\n".encode())
+        end = time.monotonic() + 10
+        while not page._admitted:
+            assert time.monotonic() < end
+            time.sleep(0.01)
+        while page._admitted:
+            assert time.monotonic() < end
+            time.sleep(0.01)
+
+
+def test_one_peer_has_so_many_sockets(page):
+    address = page.address.replace("http://", "ws://") + "words"
+    with ExitStack() as stack:
+        for _ in range(_gate._MOST_OF_PEER):
+            stack.enter_context(connect(address))
+        with pytest.raises(InvalidStatus) as refused:
+            connect(address)
+        assert refused.value.response.status_code == 503
+    end = time.monotonic() + 10
+    while page._admitted:
+        assert time.monotonic() < end
+        time.sleep(0.01)
+    with connect(address) as words:
+        words.send("hello")
+        assert words.recv(timeout=10) == "again hello"
+
+
+# A page, and a gate that may have few files open.
+FLOODED = """
+import resource, sys, threading, time
+from http.server import BaseHTTPRequestHandler
+from socketserver import ThreadingUnixStreamServer
+from giajax.apps.viewer import Gate, PrivateSocket
+class Page(BaseHTTPRequestHandler):
+    def do_GET(self):
+        self.send_response(200)
+        self.end_headers()
+        self.wfile.write(b"here")
+    def log_message(self, *arguments):
+        pass
+place = PrivateSocket()
+server = ThreadingUnixStreamServer(str(place.path), Page)
+threading.Thread(target=server.serve_forever, daemon=True).start()
+gate = Gate({"": place.path})
+resource.setrlimit(resource.RLIMIT_NOFILE, (256, 256))
+print(gate.address, flush=True)
+sys.stdin.read()
+gate.close()
+"""
+
+
+def test_silent_connections_keep_nobody_out():
+    """284 of them took all files of the process, and each attempt wrote a traceback."""
+    running = subprocess.Popen(
+        [sys.executable, "-c", FLOODED],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    with ExitStack() as stack:
+        stack.callback(running.kill)
+        address = running.stdout.readline().strip()
+        host, port = address.split("/")[2].split(":")
+        for _ in range(284):
+            stack.enter_context(socket.create_connection((host, int(port)), timeout=10))
+        began = time.monotonic()
+        assert read(address) == "here"
+        assert time.monotonic() - began < 5.0  # the silent ones have 10 s
+        assert running.communicate("", timeout=30) == ("", "")
+    assert running.returncode == 0
 
 
 def test_sockets_are_passed_on(page):
@@ -97,8 +252,12 @@ def test_sockets_are_passed_on(page):
 
 def test_a_port_in_use_is_one_sentence(page):
     with pytest.raises(InputError, match=f"port {page.port} .*in use.*: give another port"):
-        Gate({"": 1}, port=page.port)
+        Gate({"": Path("nothing")}, port=page.port)
     with pytest.raises(InputError, match="the port is 70000"):
         bound("127.0.0.1", 70000)
     with pytest.raises(InputError, match=r"cannot listen at 203\.0\.113\.7"):
         bound("203.0.113.7", 0)
+    with pytest.raises(InputError, match="the host is '', which is no address: give one, such as"):
+        bound("", 0)
+    with pytest.raises(InputError, match="cannot listen at aaaa"):
+        bound("a" * 300, 0)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import time
+from contextlib import nullcontext
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,9 +13,10 @@ from scipy.spatial.transform import Rotation
 import giajax
 from browsing import opened
 from giajax import InputError
-from giajax.apps.viewer import Posable, Show, Viewer, recording, shown
+from giajax.apps.viewer import Posable, Show, Viewer, _stage as _backend, recording, shown
 from giajax.cli import main
 from giajax.models import ArmModel, Pinhole, arm_scene
+from open_ports import open_ports
 from small_arm import small_run
 
 
@@ -63,6 +65,10 @@ def test_an_arm_is_posed_by_hand(tmp_path):
 def test_a_file_plays_without_a_server(show, page, tmp_path):
     out = tmp_path / "swing.html"
     out.write_bytes(recording([show, dataclasses.replace(show, name="again")]))
+    assert (
+        b'<meta http-equiv="Content-Security-Policy" content="default-src \'none\''
+        in (out.read_bytes()[:1000])
+    )
     page.open(out.as_uri())
     # Its clock runs.
     page.wait("document.querySelector('[role=slider]') !== null")
@@ -94,6 +100,24 @@ def test_the_page_plays_and_hides(show, page):
         assert not page.complaints
     finally:
         viewer.close()
+
+
+def test_the_gate_is_the_only_door(show):
+    before = open_ports()
+    viewer = Viewer([show])
+    try:
+        assert open_ports() - before == {int(viewer.address.split(":")[2].split("/")[0])}
+    finally:
+        viewer.close()
+
+
+def test_a_viser_that_listens_elsewhere_is_not_used(show, monkeypatch):
+    """One that does not ask `websockets` for its socket in the way that is known."""
+    before = open_ports()
+    monkeypatch.setattr(_backend, "_listening_at", lambda _: nullcontext())
+    with pytest.raises(InputError, match=r"opens a port that other accounts can reach: pip inst"):
+        Viewer([show])
+    assert open_ports() == before
 
 
 def test_sliders_move_the_arm(page):
@@ -162,6 +186,7 @@ def test_markers_are_where_a_camera_sees_them(show, page):
         (["arm.toml", "arm.toml"], "an arm without a motion is shown by itself"),
         (["arm.toml", "--out", "page.html"], "page.html exists"),
         (["arm.toml", "--port", "70000", "--no-browser"], "the port is 70000"),
+        (["arm.toml", "--host", "", "--no-browser"], "the host is '', which is no address: give"),
     ],
 )
 def test_errors_are_one_sentence(words, said, tmp_path, monkeypatch, capsys):

@@ -19,6 +19,7 @@ from scipy.optimize import LinearConstraint
 from ...fitting import Tie, tied
 from ...models import ArmModel
 from ...runtime.arrays import Array, Float
+from ...runtime.limits import ANGLE_DEG
 from ...runtime.parallel import Batch, on_all_cores
 from ...runtime.programs import program
 from ...runtime.text import InputError
@@ -43,8 +44,8 @@ class Limits:
         sampling: rows that are recorded, per second.
 
     Raises:
-        InputError: a number that is not positive, no joint, or a duration of no whole number of
-            rows.
+        InputError: a number that is not positive or too large, no joint, or a duration of no whole
+            number of rows.
     """
 
     joints: tuple[int, ...] = (1,)
@@ -62,6 +63,11 @@ class Limits:
         ):
             if not 0 < value < math.inf:
                 raise InputError(f"{what} is {value:g}: give a positive number")
+        if self.angle > math.radians(ANGLE_DEG):
+            raise InputError(
+                f"the largest angle is {math.degrees(self.angle):g} deg: give at most "
+                f"{ANGLE_DEG:g} deg"
+            )
         if not self.joints:
             raise InputError("no joint moves: give the number of at least one")
         if len(set(self.joints)) < len(self.joints):

@@ -15,10 +15,11 @@ import numpy as np
 from ...mechanics.arm import Arm
 from ...models import ArmModel, Pinhole, Scene, View, arm_scene
 from ...runtime.arrays import Array, Float
+from ...runtime.page_policy import with_policy
 from ...runtime.programs import program
 from ...runtime.text import InputError
 from ...simulation import at_rest
-from ..viewer import LOOPBACK, Gate, LiveStage
+from ..viewer import LOOPBACK, Gate, LiveStage, PrivateSocket
 from ._session import Pose, Session
 
 if TYPE_CHECKING:
@@ -86,6 +87,8 @@ def _view(camera: Pinhole, arm: Arm, angles: Array) -> View:
     return camera.view(arm, angles)
 
 
+_PAGE = files(__package__).joinpath("page.html")
+
 # The page is told so many poses a second at most, and the scene is drawn so often.
 _TOLD, _DRAWN = 60.0, 12.0
 
@@ -116,7 +119,7 @@ class Cockpit:
     def __init__(
         self, session: Session, camera: TipCamera, *, host: str = LOOPBACK, port: int = 0
     ) -> None:
-        from websockets.sync.server import serve
+        from websockets.sync.server import unix_serve
 
         self.session = session
         self.camera = camera
@@ -131,19 +134,20 @@ class Cockpit:
         self._view: View = camera.see(session.time, self._pose.angles)
         self._operator: ServerConnection | None = None
         self._stage = LiveStage(self._scene(self._pose))
-        self._server = serve(
+        self._place = PrivateSocket()
+        self._server = unix_serve(
             self._talk,
-            LOOPBACK,
-            0,
+            str(self._place.path),
             process_request=self._page,
             compression=None,
             max_size=_LONGEST_MESSAGE,
         )
         try:
-            ports = {"": self._server.socket.getsockname()[1], "view": self._stage.port}
-            self._gate = Gate(ports, host=host, port=port)
+            sockets = {"": self._place.path, "view": self._stage.socket}
+            self._gate = Gate(sockets, host=host, port=port)
         except BaseException:
             self._server.shutdown()
+            self._place.close()
             self._stage.close()
             raise
         self._threads = [
@@ -179,6 +183,7 @@ class Cockpit:
             self._fresh.notify_all()
         self._gate.close()
         self._server.shutdown()
+        self._place.close()
         for thread in self._threads:
             thread.join(timeout=5)
         self._stage.close()
@@ -240,17 +245,12 @@ class Cockpit:
         if request.path.rstrip("/") == "/pad":
             return None
         known = request.path.partition("?")[0] == "/"
-        body = files(__package__).joinpath("page.html").read_bytes() if known else b"not here\n"
+        # To which host the page may connect, the gate says.
+        body = with_policy(_PAGE.read_bytes(), connect="'self' ws:") if known else b"not here\n"
         status = HTTPStatus.OK if known else HTTPStatus.NOT_FOUND
-        fields = Headers(
-            {
-                "Content-Type": "text/html; charset=utf-8" if known else "text/plain",
-                "Content-Length": str(len(body)),
-                "Cache-Control": "no-store",
-                "Referrer-Policy": "no-referrer",
-                "Connection": "close",
-            }
-        )
+        kind = "text/html; charset=utf-8" if known else "text/plain"
+        fields = Headers({"Content-Type": kind, "Content-Length": str(len(body))})
+        fields.update({"Cache-Control": "no-store", "Connection": "close"})
         return Response(status.value, status.phrase, fields, body)
 
     def _talk(self, connection: "ServerConnection") -> None:

@@ -11,8 +11,9 @@ import numpy as np
 
 from ...mechanics.hysteresis import AbstractOperator
 from ...models import ArmModel, Channels, recorded_channels
-from ...recordings import Definition, Run
+from ...recordings import Definition, Run, read_numbers
 from ...runtime.arrays import Array, Float
+from ...runtime.limits import POSES, STEPS
 from ...runtime.programs import program
 from ...runtime.text import InputError
 from ...schema.parameters import replace
@@ -258,7 +259,7 @@ class Session:
         memory: whether joints remember; the arm without its hysteresis where not.
 
     Raises:
-        InputError: a rate that is not positive, gusts from link to link, or no memory to leave out.
+        InputError: a rate or steps out of bounds, gusts from link to link, or no memory to leave.
     """
 
     def __init__(
@@ -274,6 +275,8 @@ class Session:
     ) -> None:
         if not 1 <= rate <= 1000:
             raise InputError(f"the rate is {rate:g} poses a second: give one from 1 to 1000")
+        if not 1 <= steps <= STEPS:
+            raise InputError(f"there are {steps:,} steps in a pose: give from 1 to {STEPS:,}")
         if gusts is not None and set(gusts.values) != set(_WIND):
             raise InputError("gusts of a drive are one wind for the whole arm: give x, y and z")
         arm = model.arm
@@ -418,19 +421,13 @@ _ALIVE = 0.2
 def read_pad(path: str | Path) -> Mapping[str, Float[np.ndarray, " row"]]:
     """A table of what a pad did: `time_s`, `axis0`, `axis1`, ..., `button0`, ...
 
+    It is read as a run is, by the same limits.
+
     Raises:
         InputError: there is no such file, or it is not such a table.
     """
     path = Path(path)
-    try:
-        table = np.genfromtxt(path, delimiter=",", names=True, dtype=float, encoding="utf-8")
-    except FileNotFoundError:
-        raise InputError(f"{path} does not exist: give a CSV file with time_s and axis0") from None
-    except (OSError, ValueError) as error:
-        raise InputError(
-            f"{path} is not a table of numbers ({error}): give a CSV file with time_s and axis0"
-        ) from None
-    columns = {name: np.atleast_1d(table[name]) for name in table.dtype.names or ()}
+    columns = read_numbers(path)
     known = {name for name in columns if name.startswith(("axis", "button"))}
     if "time_s" not in columns or not any(name.startswith("axis") for name in known):
         raise InputError(f"{path} is of a pad without axes: give the columns time_s and axis0")
@@ -439,10 +436,29 @@ def read_pad(path: str | Path) -> Mapping[str, Float[np.ndarray, " row"]]:
         raise InputError(f"{path} has a column '{odd[0]}': name columns axis0 or button0")
     for name, column in columns.items():
         if not np.all(np.isfinite(column)):
-            raise InputError(f"{path} has an empty cell in {name}: fill it")
+            raise InputError(
+                f"{path} has a cell in {name} that is empty or infinite: give it a number"
+            )
     if np.any(np.diff(columns["time_s"]) <= 0):
         raise InputError(f"the times of {path} do not increase: sort its rows")
     return columns
+
+
+def check_length(seconds: float, interval: float) -> None:
+    """Refuse a drive that would fill the memory.
+
+    Arguments:
+        seconds: of the drive.
+        interval: between two poses, s.
+
+    Raises:
+        InputError: naming the longest.
+    """
+    if not seconds <= POSES * interval:
+        raise InputError(
+            f"the drive is {seconds:g} s long, but may be {POSES * interval:g} s long at "
+            f"{1 / interval:g} poses a second: shorten it, or take fewer poses"
+        )
 
 
 def replay(
@@ -459,9 +475,13 @@ def replay(
         pad: as of `read_pad`; a row holds until the next one.
         until: end of the drive, s; the last row by default.
         on_progress: is called now and then with the time that was driven, and the whole, s.
+
+    Raises:
+        InputError: a drive that is too long.
     """
     times = pad["time_s"] - pad["time_s"][0]
     end = float(times[-1]) if until is None else until
+    check_length(end, session.interval)
     rows, heard = 0, -np.inf
     while session.time + 0.5 * session.interval < end:
         now = session.time

@@ -25,6 +25,7 @@ from ...mechanics.inflation import (
     stiff_share,
 )
 from ...runtime.arrays import Array, Bool, Float, Int, Scalar
+from ...runtime.limits import FILLING_S
 from ...runtime.programs import program
 from ...runtime.text import InputError
 from ...schema import GAS, PORTS, SKIN, SUPPLY
@@ -406,8 +407,8 @@ def filling_curve(
     made = Filling() if filling is None else filling
     if made.bags < 2:
         raise InputError("all links share one bag, which has no ports: leave the curve out")
-    if not 0 < duration < np.inf:
-        raise InputError(f"the duration is {duration:g} s: give a positive number of seconds")
+    if not 0 < duration <= FILLING_S:
+        raise InputError(f"the duration is {duration:g} s: give from 0 to {FILLING_S:g} s")
     if not len(diameters):
         raise InputError("there are no diameters: give at least one")
     path = STRENGTHS[made.supply.kind]

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ...report import to_csv, to_png
+from ...runtime.page_policy import with_policy
 from ...runtime.text import InputError, __version__
 from ._arm_figures import fig05, fig19, table3
 from ._contenders import Fits, Reproduced, stand_in
@@ -165,14 +166,15 @@ def reproduction_page(records: Iterable[Mapping[str, Any]]) -> bytes:
             f'<div class="wide">{_table(shown["table"])}</div>\n<dl>{sources}</dl>\n'
             f'<p>Numbers: <a href="{table}">{table}</a>, <a href="{record}">{record}</a></p>\n'
         )
-    return (
+    page = (
         f"{_HEAD}<style>\n{_STYLE}</style></head>\n<body>\n"
         "<h1>The paper's figures by giajax</h1>\n<p>Figures and tables that Takeichi, Suzumori, "
         "Endo and Nabae (<i>Development of a 20-m-long Giacometti arm with balloon body based on "
         "kinematic model with air resistance</i>) derive from their models, made again by "
         f"giajax {__version__}. Below each stands what is printed in the paper, what is assumed, "
         "and what was reconstructed.</p>\n" + "".join(parts) + "</body></html>\n"
-    ).encode()
+    )
+    return with_policy(page.encode())
 
 
 def is_reproduction_page(path: Path) -> bool:

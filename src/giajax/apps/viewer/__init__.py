@@ -1,6 +1,11 @@
 """An arm in three dimensions, in a browser: a live page, and a file that plays without a server."""
 
-from ._gate import LOOPBACK as LOOPBACK, Gate as Gate, bound as bound
+from ._gate import (
+    LOOPBACK as LOOPBACK,
+    Gate as Gate,
+    PrivateSocket as PrivateSocket,
+    bound as bound,
+)
 from ._page import (
     SPEEDS as SPEEDS,
     LiveStage as LiveStage,

@@ -1,37 +1,95 @@
 """The way in to a page: an address with a secret in it, and nothing without.
 
-What serves a page here listens on the loopback alone and knows no users. The gate listens where it
-is told to, reads the first line of each request, and passes on only what begins with the token,
-without it. A connection carries one request or one WebSocket.
+What serves a page here listens where this account alone can reach it, and knows no users. The gate
+listens where it is told to, reads the head of each request, and passes on only what begins with
+the token, without it, and what comes from the page itself. A connection carries one request or one
+WebSocket.
 """
 
 import asyncio
+import ipaddress
+import logging
+import os
+import re
 import secrets
 import socket
+import tempfile
 import threading
 from collections.abc import Mapping
 from contextlib import suppress
+from pathlib import Path
 
+from ...runtime.page_policy import VISER, policy
 from ...runtime.text import InputError
+
+# Where the servers of a page listen: behind the gate, out of reach of other accounts and pages.
+
+# Of the path of a Unix socket; macOS has the least, 104.
+_LONGEST = 100
+
+
+class PrivateSocket:
+    """A place for a Unix socket, in a folder that only this account may enter.
+
+    Attributes:
+        path: of the socket, which the server makes.
+
+    Raises:
+        InputError: this system has no such sockets, or no temporary folder that suits one.
+    """
+
+    def __init__(self) -> None:
+        if not hasattr(socket, "AF_UNIX"):
+            raise InputError("this system has no Unix sockets, but a page needs them: use another")
+        try:
+            self._folder = tempfile.TemporaryDirectory(prefix="giajax-", ignore_cleanup_errors=True)
+        except OSError as error:
+            raise InputError(
+                f"the temporary folder cannot be used ({error.strerror}): set TMPDIR to another"
+            ) from None
+        self.path = Path(self._folder.name, "page")
+        if len(os.fsencode(self.path)) > _LONGEST:
+            self.close()
+            raise InputError(
+                f"the temporary folder {tempfile.gettempdir()} has too long a path for a socket: "
+                "set TMPDIR to a shorter one, such as /tmp"
+            )
+
+    def close(self) -> None:
+        """Remove it."""
+        self._folder.cleanup()
+
 
 LOOPBACK = "127.0.0.1"
 
 # Of a request: more than a browser sends for a page.
 _LONGEST_HEAD = 64 * 1024
 
-_REFUSAL = b"This page has an address with a token in it: open it by the whole address.\n"
-_REFUSED = (
-    b"HTTP/1.1 403 Forbidden\r\nContent-Type: text/plain; charset=utf-8\r\nConnection: close\r\n"
-    b"Content-Length: %d\r\n\r\n%s" % (len(_REFUSAL), _REFUSAL)
-)
+# Seconds in which a head must have come, and in which something of an answer must move.
+_HEAD_TIME, _IDLE_TIME = 10.0, 60.0
+
+# Connections without a head, and as many with the token; of one peer half of them.
+_MOST, _MOST_OF_PEER = 64, 32
+
+_TOKEN = "This page has an address with a token in it: open it by the whole address."
+_ORIGIN = "This request came from another page or by another name: open the address as it was said."
+_FULL = "This page has as many connections as it may have: close other tabs of it."
+
+_HOST = re.compile(r"([a-z0-9._-]+|\[[0-9a-f:.]+\])(?::([0-9]{1,5}))?")
+
+_log = logging.getLogger(__name__)
+
+
+class _RefusedError(Exception):
+    """A request that is not passed on: its status, and why."""
 
 
 class Gate:
     """Lets requests through whose path begins with a token.
 
     Arguments:
-        ports: of the servers behind it, on the loopback, by the first part of the path after the
-            token; "" is that of everything else.
+        sockets: of the servers behind it, by the first part of the path after the token; "" is
+            that of everything else.
         host: where to listen.
         port: where to listen; 0 for a free one.
 
@@ -39,15 +97,22 @@ class Gate:
         InputError: the port is in use, or the host is none of this machine.
     """
 
-    def __init__(self, ports: Mapping[str, int], *, host: str = LOOPBACK, port: int = 0) -> None:
+    def __init__(self, sockets: Mapping[str, Path], *, host: str = LOOPBACK, port: int = 0) -> None:
         self.token = secrets.token_urlsafe(16)
-        self._ports = dict(ports)
+        self._sockets = dict(sockets)
         self._socket = bound(host, port)
         self.host, self.port = host, self._socket.getsockname()[1]
-        self._writers: set[asyncio.StreamWriter] = set()
+        self._names = {host.lower(), "localhost"}
+        if self.is_open:
+            self._names.add(socket.gethostname().lower())
+        # Who has not said what it wants, the first one first, and who was let in: with its peer.
+        self._waiting: dict[asyncio.StreamWriter, str] = {}
+        self._admitted: dict[asyncio.StreamWriter, str] = {}
+        self._listens = threading.Event()
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
+        self._listens.wait()
 
     @property
     def address(self) -> str:
@@ -69,81 +134,182 @@ class Gate:
 
     def _run(self) -> None:
         asyncio.set_event_loop(self._loop)
+        # Of what peers do, and of files that ran out, nobody needs a traceback.
+        self._loop.set_exception_handler(lambda _, about: _log.debug("%s", about["message"]))
         server = self._loop.run_until_complete(
             asyncio.start_server(self._admit, sock=self._socket, limit=_LONGEST_HEAD)
         )
+        self._loop.call_soon(self._listens.set)
         try:
             self._loop.run_forever()
         finally:
             server.close()
-            # Both ends of each connection, so that what passes things on comes to its own end.
-            for writer in list(self._writers):
+            for writer in [*self._waiting, *self._admitted]:
                 writer.transport.abort()
             if tasks := asyncio.all_tasks(self._loop):
+                for task in tasks:
+                    task.cancel()
                 self._loop.run_until_complete(asyncio.wait(tasks, timeout=5))
             self._loop.close()
 
     async def _admit(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """One connection."""
-        self._writers.add(writer)
-        with suppress(OSError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
-            head = await reader.readuntil(b"\r\n\r\n")
-            passed = self._passed(head)
-            if passed is None:
-                writer.write(_REFUSED)
-                await writer.drain()
-            else:
-                port, inside = passed
-                answers, asked = await asyncio.open_connection(LOOPBACK, port)
-                self._writers.add(asked)
-                asked.write(inside)
-                await asyncio.gather(_pipe(reader, asked), _pipe(answers, writer))
-                await self._closed(asked)
-        await self._closed(writer)
+        peer = (writer.get_extra_info("peername") or ("",))[0]
+        self._make_room(peer)
+        self._waiting[writer] = peer
+        try:
+            async with asyncio.timeout(_HEAD_TIME):
+                head = await reader.readuntil(b"\r\n\r\n")
+            self._waiting.pop(writer, None)
+            path, inside, host = self._passed(head)
+            if len(self._admitted) >= _MOST or self._of(peer, self._admitted) >= _MOST_OF_PEER:
+                raise _RefusedError("503 Service Unavailable", _FULL)
+            self._admitted[writer] = peer
+            await _exchange(path, inside, host, reader, writer)
+        except _RefusedError as refused:
+            writer.write(_refusal(*refused.args))
+        except (OSError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
+            writer.transport.abort()
+        finally:
+            await _closed(writer)
+            self._waiting.pop(writer, None)
+            self._admitted.pop(writer, None)
 
-    async def _closed(self, writer: asyncio.StreamWriter) -> None:
-        """End one side of a connection."""
-        writer.close()
-        with suppress(OSError):
-            await writer.wait_closed()
-        self._writers.discard(writer)
+    def _of(self, peer: str, connections: Mapping[asyncio.StreamWriter, str]) -> int:
+        return sum(each == peer for each in connections.values())
 
-    def _passed(self, head: bytes) -> tuple[int, bytes] | None:
-        """To which server a request goes, and as what; None where it is refused."""
-        line, _, rest = head.partition(b"\r\n")
+    def _make_room(self, peer: str) -> None:
+        """End what has been silent for longest, so that whoever says something is heard."""
+        silent = list(self._waiting)
+        if self._of(peer, self._waiting) >= _MOST_OF_PEER:
+            silent = [each for each in silent if self._waiting[each] == peer]
+        elif len(silent) < _MOST:
+            return
+        del self._waiting[silent[0]]
+        silent[0].transport.abort()
+
+    def _passed(self, head: bytes) -> tuple[Path, bytes, str]:
+        """To which server a request goes, as what, and by which host it was asked for.
+
+        Raises:
+            _RefusedError: it is not passed on.
+        """
+        line, *fields = head.rstrip(b"\r\n").split(b"\r\n")
         parts = line.decode("latin-1").split(" ")
-        if len(parts) != 3:
-            return None
-        method, path, version = parts
+        if len(parts) != 3 or parts[0] != "GET":
+            raise _RefusedError("403 Forbidden", _TOKEN)
         # A client of WebSockets leaves the slash at the end out.
-        token, _, inside = path.removeprefix("/").partition("/")
+        token, _, inside = parts[1].removeprefix("/").partition("/")
         if not secrets.compare_digest(token.encode(), self.token.encode()):
-            return None
+            raise _RefusedError("403 Forbidden", _TOKEN)
+        host = self._host(fields)
         place = inside.split("/", 1)[0].split("?", 1)[0]
-        port = self._ports.get(place) if place else None
-        if port is None:
-            port = self._ports[""]
+        path = self._sockets.get(place) if place else None
+        if path is None:
+            path = self._sockets[""]
         else:
             inside = inside.removeprefix(place).removeprefix("/")
         # A second request on the same connection would come with its token.
-        fields = [
+        kept = [
             each
-            for each in rest.split(b"\r\n")
+            for each in fields
             if not each.lower().startswith(b"connection:") or b"upgrade" in each.lower()
         ]
-        if not any(each.lower().startswith(b"connection:") for each in fields):
-            fields.insert(0, b"Connection: close")
-        return port, f"{method} /{inside} {version}\r\n".encode("latin-1") + b"\r\n".join(fields)
+        if not any(each.lower().startswith(b"connection:") for each in kept):
+            kept.insert(0, b"Connection: close")
+        first = f"GET /{inside} {parts[2]}".encode("latin-1")
+        return path, b"\r\n".join([first, *kept, b"", b""]), host
+
+    def _host(self, fields: list[bytes]) -> str:
+        """The host and port of a request, which are those of this page.
+
+        Another page can have its own name lead here, which its requests then have as their host;
+        or it asks from where it is, which browsers say as the origin. An address is no such name.
+        """
+        host, origin = (_values(fields, name) for name in ("host", "origin"))
+        if len(host) == 1 and (not origin or origin == [f"http://{host[0]}"]):
+            parts = _HOST.fullmatch(host[0])
+            if parts and int(parts[2] or 80) == self.port and self._is_here(parts[1].strip("[]")):
+                return host[0]
+        raise _RefusedError("403 Forbidden", _ORIGIN)
+
+    def _is_here(self, name: str) -> bool:
+        if name in self._names:
+            return True
+        with suppress(ValueError):
+            address = ipaddress.ip_address(name)
+            return self.is_open or address.is_loopback
+        return False
 
 
-async def _pipe(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-    """Everything that comes, until nothing does."""
-    with suppress(OSError):
-        while data := await reader.read(1 << 16):
-            writer.write(data)
-            await writer.drain()
+def _values(fields: list[bytes], name: str) -> list[str]:
+    """What a request says under a name."""
+    pairs = (each.decode("latin-1").partition(":") for each in fields)
+    return [value.strip().lower() for key, _, value in pairs if key.strip().lower() == name]
+
+
+def _refusal(status: str, why: str) -> bytes:
+    return (
+        f"HTTP/1.1 {status}\r\nContent-Type: text/plain; charset=utf-8\r\nConnection: close\r\n"
+        f"Content-Length: {len(why) + 1}\r\n\r\n{why}\n"
+    ).encode()
+
+
+async def _exchange(
+    path: Path,
+    inside: bytes,
+    host: str,
+    reader: asyncio.StreamReader,
+    writer: asyncio.StreamWriter,
+) -> None:
+    """A request and its answer, which says what a page may do; or a WebSocket."""
+    answers, asked = await asyncio.open_unix_connection(path, limit=_LONGEST_HEAD)
+    try:
+        asked.write(inside)
+        async with asyncio.timeout(_IDLE_TIME):
+            head = await answers.readuntil(b"\r\n\r\n")
+        line, _, rest = head.partition(b"\r\n")
+        allowed = policy(VISER, connect=f"'self' ws://{host} data: blob:")
+        writer.write(
+            line
+            + f"\r\nContent-Security-Policy: {allowed}; frame-ancestors 'self'\r\n"
+            "Referrer-Policy: no-referrer\r\nX-Content-Type-Options: nosniff\r\n".encode()
+            + rest
+        )
+        if b" 101 " in line:
+            # Silence is usual here; whether somebody is there the servers ask by themselves.
+            await asyncio.gather(_pipe(reader, asked), _pipe(answers, writer))
+        else:
+            await _pipe(answers, writer, _IDLE_TIME)
+    finally:
+        await _closed(asked)
+
+
+async def _pipe(
+    reader: asyncio.StreamReader, writer: asyncio.StreamWriter, idle: float | None = None
+) -> None:
+    """Everything that comes, until nothing does, or nothing has moved for a time (s)."""
+    try:
+        while True:
+            async with asyncio.timeout(idle):
+                if not (data := await reader.read(1 << 16)):
+                    break
+                writer.write(data)
+                await writer.drain()
+    except TimeoutError:
+        writer.transport.abort()
+    except OSError:
+        pass
+    writer.close()
+
+
+async def _closed(writer: asyncio.StreamWriter) -> None:
+    """End one side of a connection; what is not taken in time is lost."""
     with suppress(OSError):
         writer.close()
+        async with asyncio.timeout(_HEAD_TIME):
+            await writer.wait_closed()
+    writer.transport.abort()
 
 
 def bound(host: str, port: int) -> socket.socket:
@@ -152,6 +318,8 @@ def bound(host: str, port: int) -> socket.socket:
     Raises:
         InputError: the port is in use, or the host is none of this machine.
     """
+    if not host:
+        raise InputError("the host is '', which is no address: give one, such as 127.0.0.1")
     if not 0 <= port <= 65535:
         raise InputError(f"the port is {port}: give one from 1024 to 65535, or 0 for a free one")
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
@@ -161,9 +329,9 @@ def bound(host: str, port: int) -> socket.socket:
         found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         found.bind((host, port))
         found.listen()
-    except OSError as error:
+    except (OSError, ValueError) as error:
         found.close()
-        why = (error.strerror or str(error)).lower()
+        why = (getattr(error, "strerror", None) or str(error)).lower()
         raise InputError(
             f"cannot listen at {host}, port {port} ({why}): give another port, or 0 for a free one"
         ) from None

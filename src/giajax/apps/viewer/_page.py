@@ -4,14 +4,16 @@ import dataclasses
 import threading
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ...models import Scene
+from ...runtime.page_policy import VISER, with_policy
 from ._gate import LOOPBACK, Gate
 from ._show import Posable, Show, frames, span
-from ._stage import offsets, stages, start, stop
+from ._stage import Backend, offsets, stages
 
 if TYPE_CHECKING:
     from ._stage import Stage
@@ -128,11 +130,12 @@ class Viewer:
             for each in shown
         ]
         self.player = Player(*span(self.shows))
-        self._server = start()
+        self._backend = Backend()
+        self._server = self._backend.server
         try:
-            self._gate = Gate({"": self._server.get_port()}, host=host, port=port)
+            self._gate = Gate({"": self._backend.socket}, host=host, port=port)
         except BaseException:
-            stop(self._server)
+            self._backend.close()
             raise
         self._overlay = overlay
         self.stages: list[Stage] = stages(self._server, self.shows, overlay=overlay)
@@ -161,7 +164,7 @@ class Viewer:
         self._ended.set()
         self._thread.join(timeout=5)
         self._gate.close()
-        stop(self._server)
+        self._backend.close()
 
     def draw(self) -> None:
         """Show the time of the player."""
@@ -307,15 +310,16 @@ class LiveStage:
     """
 
     def __init__(self, scene: Scene) -> None:
-        self._server = start()
+        self._backend = Backend()
+        self._server = self._backend.server
         (self._stage,) = stages(self._server, [Show("arm", scene)])
         self._server.gui.configure_theme(show_logo=False, show_share_button=False)
         self._server.gui.main_panel.minimize()
 
     @property
-    def port(self) -> int:
-        """Where it listens on the loopback."""
-        return self._server.get_port()
+    def socket(self) -> Path:
+        """Where it listens."""
+        return self._backend.socket
 
     @property
     def watched(self) -> bool:
@@ -330,7 +334,7 @@ class LiveStage:
 
     def close(self) -> None:
         """End the page."""
-        stop(self._server)
+        self._backend.close()
 
 
 # A page that plays without a server: one file.
@@ -353,7 +357,8 @@ def recording(shows: Sequence[Show], *, overlay: bool = False, dark: bool = Fals
     Returns:
         HTML that needs nothing else, in UTF-8.
     """
-    server = start()
+    backend = Backend()
+    server = backend.server
     try:
         drawn = stages(server, shows, overlay=overlay)
         recorder = server.get_scene_serializer()
@@ -363,6 +368,6 @@ def recording(shows: Sequence[Show], *, overlay: bool = False, dark: bool = Fals
                 stage.draw(stage.show.sample_at(float(time)))
             if index + 1 < len(times):
                 recorder.insert_sleep(float(times[index + 1] - time))
-        return recorder.as_html(dark).encode()
+        return with_policy(recorder.as_html(dark).encode(), VISER)
     finally:
-        stop(server)
+        backend.close()

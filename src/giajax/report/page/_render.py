@@ -15,6 +15,7 @@ from markupsafe import Markup
 from ...fitting import FitResult
 from ...models import capabilities, recorded_markers
 from ...recordings import Run
+from ...runtime.page_policy import with_policy
 from ...simulation import SimulationError
 
 # As many as an eye follows; more make the page larger and no clearer.
@@ -119,7 +120,7 @@ def rendered(template: str, *, plots: bool, **facts: Any) -> bytes:
         data=_data,
         **facts,
     )
-    return page.encode()
+    return with_policy(page.encode())
 
 
 def some_of(names: Iterable[str]) -> list[str]:

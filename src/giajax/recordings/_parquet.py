@@ -1,0 +1,166 @@
+"""A Parquet file as a header and columns, once its metadata say that it fits the memory.
+
+The files and their metadata: https://github.com/apache/parquet-format; the metadata are in
+Thrift's compact protocol. Sizes that a footer states can be untrue, those before each page are
+what a reader goes by.
+"""
+
+import io
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, cast
+
+import polars as pl
+
+from ..runtime.limits import CELL_BYTES, DEPTH, PARQUET_BYTES, PARQUET_FOOTER_BYTES
+from ..runtime.text import InputError
+
+# Pages, and bytes before each: more than any program makes of a file within the limits.
+_PAGES, _PAGE_HEAD = 100_000, 1 << 16
+
+# Fields of a page: it has values, is a dictionary, or has values of the second version.
+_KINDS = (5, 7, 8)
+
+# Of a cell in memory: a number, and what Python needs for a text.
+_NUMBER_BYTES, _TEXT_BYTES = 8, 64
+
+
+def split_parquet(data: bytes, path: Path) -> tuple[list[str], list[pl.Series], int]:
+    """Header, columns, and the number of the first sample.
+
+    Raises:
+        InputError: the data are not a Parquet file of numbers and texts within the limits.
+    """
+    footer = int.from_bytes(data[-8:-4], "little")
+    if data[-4:] == b"PAR1" and PARQUET_FOOTER_BYTES < footer < len(data):
+        raise InputError(
+            f"{path} has {footer:,} bytes of metadata, but may have {PARQUET_FOOTER_BYTES:,} at "
+            "most: export it with fewer columns or row groups"
+        )
+    try:
+        rows, unpacked = _rows(data)
+        schema = pl.read_parquet_schema(io.BytesIO(data))
+        _check_parquet(schema, rows, unpacked, path)
+        frame = pl.read_parquet(io.BytesIO(data))
+    except InputError:
+        raise
+    except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError, ValueError):
+        raise InputError(
+            f"{path} is not a Parquet file: it must be one, so export it again"
+        ) from None
+    for series in frame:
+        if series.dtype in (pl.String, pl.Categorical):
+            longest = cast("int | None", series.cast(pl.String).str.len_bytes().max()) or 0
+            if longest > CELL_BYTES:
+                raise InputError(
+                    f"{path}: a cell of column {series.name!r} has {longest:,} bytes, but may "
+                    f"have {CELL_BYTES:,} at most: correct it"
+                )
+    return frame.columns, frame.get_columns(), 1
+
+
+def _check_parquet(schema: Mapping[str, pl.DataType], rows: int, unpacked: int, path: Path) -> None:
+    """Refuse what would fill the memory, before it is unpacked."""
+    for name, dtype in schema.items():
+        if not (dtype.is_numeric() or dtype in (pl.String, pl.Null, pl.Categorical)):
+            raise InputError(
+                f"{path}: column {name!r} is of type {dtype}, but must hold numbers: convert it"
+            )
+    row = sum(_NUMBER_BYTES if dtype.is_numeric() else _TEXT_BYTES for dtype in schema.values())
+    size = max(rows * row, unpacked)
+    if size > PARQUET_BYTES:
+        raise InputError(
+            f"{path} has {size:,} bytes when it is unpacked, but may have {PARQUET_BYTES:,} at "
+            "most: shorten it"
+        )
+
+
+def _rows(data: bytes) -> tuple[int, int]:
+    """Rows of a Parquet file, and the bytes that its pages have unpacked.
+
+    Raises:
+        ValueError: it is not such a file.
+    """
+    length = int.from_bytes(data[-8:-4], "little")
+    if data[-4:] != b"PAR1" or not 0 < length <= len(data) - 12:
+        raise ValueError("no footer")
+    try:
+        footer, _ = _table(data[-8 - length : -8], 0, DEPTH)
+        # Room is made for as many cells as any of these says, and a negative number is a huge one.
+        counts, sizes = [footer[3], sum(group[3] for group in footer[4])], [0]
+        for group in footer[4]:
+            counts.append(group[3])
+            for column in group[1]:
+                about = column[3]
+                counts.append(about[5])
+                at = about.get(11) or about[9]
+                end = at + about[7]
+                while at < end:
+                    page, head = _table(data[at : at + _PAGE_HEAD], 0, DEPTH)
+                    counts += [page[kind][1] for kind in _KINDS if kind in page]
+                    sizes.append(page[2])
+                    at += head + page[3]
+                    if page[3] < 0 or len(sizes) > _PAGES:
+                        raise ValueError("no pages")
+        if min(*counts, *sizes) < 0:
+            raise ValueError("a negative size")
+        return max(counts), sum(sizes)
+    except (LookupError, TypeError, AttributeError) as error:
+        raise ValueError(str(error)) from None
+
+
+def _number(data: bytes, at: int) -> tuple[int, int]:
+    """A number of seven bits a byte, and where it ends."""
+    found = 0
+    for shift in range(0, 70, 7):
+        byte = data[at]
+        at += 1
+        found |= (byte & 127) << shift
+        if byte < 128:
+            return found, at
+    raise ValueError("a number that does not end")
+
+
+def _signed(data: bytes, at: int) -> tuple[int, int]:
+    found, at = _number(data, at)
+    return (found >> 1) ^ -(found & 1), at
+
+
+def _value(data: bytes, at: int, kind: int, depth: int) -> tuple[Any, int]:
+    """What stands at a place; text and floating numbers, which say no size, are left out."""
+    if at >= len(data) or depth < 0:
+        raise ValueError("a value beyond the end, or too deep")
+    if kind == 3:
+        return data[at], at + 1
+    if kind in (4, 5, 6):
+        return _signed(data, at)
+    if kind == 7:
+        return None, at + 8
+    if kind == 8:
+        length, at = _number(data, at)
+        return None, at + length
+    if kind in (9, 10):
+        count, of = data[at] >> 4, data[at] & 15
+        at += 1
+        if count == 15:
+            count, at = _number(data, at)
+        found = []
+        for _ in range(count):
+            each, at = (data[at], at + 1) if of in (1, 2) else _value(data, at, of, depth - 1)
+            found.append(each)
+        return found, at
+    if kind == 12:
+        return _table(data, at, depth - 1)
+    raise ValueError(f"a value of the kind {kind}")
+
+
+def _table(data: bytes, at: int, depth: int) -> tuple[dict[int, Any], int]:
+    """Values by the numbers of their fields, and where they end."""
+    found: dict[int, Any] = {}
+    field = 0
+    while (head := data[at]) != 0:
+        at += 1
+        field, at = (field + (head >> 4), at) if head >> 4 else _signed(data, at)
+        kind = head & 15
+        found[field], at = (None, at) if kind in (1, 2) else _value(data, at, kind, depth)
+    return found, at + 1

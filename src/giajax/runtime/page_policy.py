@@ -1,0 +1,51 @@
+"""What a page may do in a browser: run its own scripts, and load nothing from elsewhere."""
+
+import base64
+import hashlib
+import re
+
+_SCRIPT = re.compile(
+    rb"<script(?![^>]*application/json)[^>]*>(.*?)</script>", re.DOTALL | re.IGNORECASE
+)
+_FIRST = re.compile(rb"<(?:style|script|link)\b", re.IGNORECASE)
+
+
+VISER = "'self' 'unsafe-inline' 'unsafe-eval' blob:"
+"""Sources of the scripts of viser's page, which unpacks itself and so has no sum of its own."""
+
+
+def policy(scripts: str, connect: str = "data: blob:") -> str:
+    """A content security policy.
+
+    Arguments:
+        scripts: sources of scripts, as of `script-src`.
+        connect: sources of data, as of `connect-src`.
+
+    Returns:
+        What the header of this name says.
+    """
+    return (
+        f"default-src 'none'; script-src {scripts}; connect-src {connect}; "
+        "style-src 'unsafe-inline'; img-src 'self' data: blob:; font-src data:; "
+        "worker-src blob: data:; frame-src 'self'; base-uri 'none'; form-action 'none'"
+    )
+
+
+def own_scripts(page: bytes) -> str:
+    """The scripts that stand in a page, and no other, as sources of a policy."""
+    sums = (hashlib.sha256(found[1]).digest() for found in _SCRIPT.finditer(page))
+    found = dict.fromkeys(f"'sha256-{base64.b64encode(each).decode()}'" for each in sums)
+    return " ".join(found) or "'none'"
+
+
+def with_policy(page: bytes, scripts: str | None = None, connect: str = "data: blob:") -> bytes:
+    """A page that says in its head what it may do.
+
+    Arguments:
+        page: HTML with a head.
+        scripts: sources of scripts; those that stand in the page, and no other, by default.
+        connect: sources of data, as of `policy`.
+    """
+    said = policy(own_scripts(page) if scripts is None else scripts, connect)
+    meta = f'<meta http-equiv="Content-Security-Policy" content="{said}">\n'.encode()
+    return _FIRST.sub(lambda first: meta + first[0], page, count=1)
