@@ -67,6 +67,7 @@ def resting():
     )
 
 
+@pytest.mark.slow
 def test_what_rests_does_not_drift():
     arm = resting()
     times = np.concatenate([np.linspace(0.0, 60.0, 31), np.linspace(120.0, 600.0, 5)])
@@ -161,6 +162,7 @@ def test_energy_does_not_grow_over_random_impacts(solver, count):
     assert np.median(energy[:, -1] / energy[:, 0]) < 0.9
 
 
+@pytest.mark.slow
 def test_both_solvers_agree():
     arm = resting()
     times = np.linspace(0.0, 3.0, 31)

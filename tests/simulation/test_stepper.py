@@ -52,7 +52,13 @@ def stepped(stepper, commands, wind=None):
     return last, jnp.concatenate([jnp.zeros((1, 3)), angles])
 
 
-@pytest.mark.parametrize("kind", ARMS)
+# What compiles in a moment goes first; contact and muscles have tests of their own beside these.
+LONGER = ("lagging muscles", "ground")
+
+
+@pytest.mark.parametrize(
+    "kind", [pytest.param(kind, marks=[pytest.mark.slow] * (kind in LONGER)) for kind in ARMS]
+)
 def test_decisions_on_the_way_are_a_log_known_before(kind):
     arm = chain(3, **({"parameters": STIFF} | ARMS[kind]))
     commands, wind = operated(), [0.3, 0.5, 0.0]

@@ -181,6 +181,40 @@ def _direction(state: FitState) -> str:
 # The host loop of a fit: step until the optimum, and estimate the noise that no sidecar states.
 
 
+def advance(state: FitState) -> FitState:
+    """The state after this one: a trial step, or what there is to do once none is left.
+
+    Raises:
+        InputError: the model cannot be evaluated at the start.
+    """
+    if not state.evaluated:
+        return _at_start(state)
+    if not state.done:
+        return _after(trial(state))
+    return _next_round(state)
+
+
+def advance_alone(state: FitState) -> FitState:
+    """As `advance`, with the noise and the tolerance as they are, and what does not move held."""
+    if not state.evaluated:
+        state = step(state)
+        if not state.evaluated:
+            return state.ended("not_converged", "the model cannot be evaluated there", "wall")
+        # What was not left out may leave some without a response.
+        moves = responds(state.natural_jacobian().norms(), state.sizes)
+        state = moving(state, moves & np.asarray(state.active))
+        state = dataclasses.replace(state, done=False, converged=False)
+        return state.recorded(accepted=True)
+    if state.done:
+        return _converged(state)
+    state = trial(state)
+    reason, sentence = stopped_by(state) or ("", "")
+    if not reason:
+        return state
+    at_optimum = reason in ("rough", "crawl") and nearly(state)
+    return state.ended("converged" if at_optimum else "not_converged", sentence, reason)
+
+
 def descend(
     state: FitState,
     max_iterations: int,
@@ -188,6 +222,7 @@ def descend(
     *,
     budget: Budget | None = None,
     keep: Callable[[FitState], None] | None = None,
+    advance: Callable[[FitState], FitState] = advance,
 ) -> FitState:
     """Step until converged.
 
@@ -198,6 +233,7 @@ def descend(
         budget: ends the fit before a step that it has no time for.
         keep: called with each state on the way. Whoever goes on from one of them reaches the
             same end. What only ends the fit early (iterations, budget, Ctrl-C) is no part of them.
+        advance: gives the state after another one.
 
     Returns:
         The last state; its `ending` says how it ended. After Ctrl-C the best one so far.
@@ -254,19 +290,6 @@ def _limit(
             "budget",
         )
     return None
-
-
-def advance(state: FitState) -> FitState:
-    """The state after this one: a trial step, or what there is to do once none is left.
-
-    Raises:
-        InputError: the model cannot be evaluated at the start.
-    """
-    if not state.evaluated:
-        return _at_start(state)
-    if not state.done:
-        return _after(trial(state))
-    return _next_round(state)
 
 
 def _at_start(state: FitState) -> FitState:

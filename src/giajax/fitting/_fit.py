@@ -20,7 +20,7 @@ from ..runtime.text import InputError
 from ._checks import Checks, checks
 from ._configuration import Setup, set_up
 from ._derived import derived_estimates, with_tied
-from ._descend import Budget, descend, moving, nearly, stopped_by
+from ._descend import Budget, advance_alone, descend
 from ._estimates import estimates, findings, own_estimates
 from ._noise import verdict
 from ._problem import Problem, predictions_by_run
@@ -29,8 +29,7 @@ from ._result import FitResult, integration_of
 from ._run_records import ChannelFit, OwnEstimate, RunFit
 from ._state import FitState, Reason
 from ._statistics import Statistics, statistics
-from ._transitions import FitJournal, begin, keeper, restored, step, trial
-from ._uncertainty import responds
+from ._transitions import FitJournal, begin, keeper, restored
 
 # From the last state of a fit to its result.
 
@@ -402,25 +401,16 @@ class Refit:
         return statistics(self.state)
 
 
-def descended(state: FitState, most: int) -> Refit:
+def refitted(state: FitState, most: int) -> Refit:
     """Steps until none is left, with the noise and the tolerance as they are.
 
     Arguments:
         state: where to begin, not evaluated yet.
         most: trial steps.
     """
-    state = step(state)
-    if not state.evaluated:
-        return Refit(state, False, "wall")
-    # What was not left out may leave some without a response.
-    moves = responds(state.natural_jacobian().norms(), state.sizes)
-    state = dataclasses.replace(moving(state, moves & np.asarray(state.active)), done=False)
-    state = dataclasses.replace(state, converged=False).recorded(accepted=True)
-    while not state.done:
-        if state.trials >= most:
-            return Refit(state, False, "iterations")
-        state = trial(state)
-        reason, _ = stopped_by(state) or ("", "")
-        if reason:
-            return Refit(state, reason in ("rough", "crawl") and nearly(state), reason)
-    return Refit(state, True, "optimum")
+    state = descend(state, most, None, advance=advance_alone)
+    assert state.ending is not None
+    status, _, reason = state.ending
+    if reason == "interrupted":
+        raise KeyboardInterrupt
+    return Refit(state, status == "converged", reason)

@@ -18,10 +18,10 @@ from ..runtime.text import InputError
 from ._configuration import Setup
 from ._derived import derived_quantity
 from ._descend import moving
-from ._fit import Refit, descended
+from ._fit import Refit, refitted
 from ._linearise import BlockJacobian
 from ._noise import reestimate, residual_cells
-from ._problem import Recorded, predictions_by_run, recorded_otherwise
+from ._problem import Recorded, predictions_by_run, with_recorded
 from ._run_records import RunFit
 from ._state import FitState, labels
 from ._statistics import Statistics, statistics
@@ -174,7 +174,7 @@ class Optimum:
         values = np.clip(values, lower, upper)
         problem = state.problem
         if recorded is not None:
-            groups = recorded_otherwise(problem.groups, state.setup.runs, state.noise, recorded)
+            groups = with_recorded(problem.groups, state.setup.runs, state.noise, recorded)
             problem = dataclasses.replace(problem, groups=groups)
         if centres is not None:
             known = on_device(centres, problem.priors.centre.dtype)
@@ -193,7 +193,7 @@ class Optimum:
             step_seconds=(),
             ending=None,
         )
-        return descended(move(begun, problem.bijector.inverse(values)), max_iterations)
+        return refitted(move(begun, problem.bijector.inverse(values)), max_iterations)
 
     def _predictions(self, state: FitState) -> list[dict[str, np.ndarray]]:
         return predictions_by_run(state.problem, state.inner.aux, state.setup.runs)

@@ -267,10 +267,10 @@ def build_groups(
     return tuple(groups)
 
 
-def recorded_otherwise(
+def with_recorded(
     groups: Sequence[Group], runs: Sequence[Run], noise: Noise, recorded: Recorded
 ) -> tuple[Group, ...]:
-    """Groups whose runs recorded something else; what was prepared of the runs stays.
+    """Groups with other recorded values or another noise; what was prepared of the runs stays.
 
     Arguments:
         groups: of the runs.

@@ -7,7 +7,7 @@ and Jacobian of the trial point together, so that an accepted step costs one eva
 """
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -242,6 +242,33 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         y, state = self.judge(y, options, state, trial, there)
         return y, state, state.aux
 
+    def trials(
+        self,
+        y: Array,
+        linearise: Callable[[Array], Linearised],
+        options: dict[str, Any],
+        blank: tuple[Array, Any],
+    ) -> Iterator[tuple[Array, MarquardtState, optx.RESULTS | None]]:
+        """The steps from a point, tried one after the other on the host.
+
+        Arguments:
+            y: where to begin; the first step evaluates it.
+            linearise: the option of this name, as a function of the point alone.
+            options: the others, as `step` has them.
+            blank: a residual and auxiliary output, whose values do not count.
+
+        Yields:
+            After each step the point, the state there, and how it ended; None where it goes on.
+        """
+        options = {**options, "linearise": lambda there, _: linearise(there)}
+        state = self.init(_not_called, y, None, options, *blank, frozenset())
+        while True:
+            y, state, _ = self.step(_not_called, y, None, options, state, frozenset())
+            over, how = self.terminate(_not_called, y, None, options, state, frozenset())
+            yield y, state, how if bool(over) else None
+            if bool(over):
+                return
+
     def propose(self, y: Array, options: dict[str, Any], state: MarquardtState) -> Array:
         """The point to evaluate next; before the first evaluation, the one where it is.
 
@@ -402,6 +429,11 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
     ) -> tuple[Array, Any, dict[str, Any]]:
         """Nothing is left to do."""
         return y, aux, {"cost": state.cost, "evaluations": state.evaluations}
+
+
+def _not_called(y: Any, args: Any) -> Any:
+    """Stands for the function where the options have `linearise`."""
+    raise NotImplementedError
 
 
 def _bounds(y: Array, options: dict[str, Any]) -> tuple[Array, Array]:

@@ -18,7 +18,7 @@ from ..runtime.arrays import Float, on_device
 from ._configuration import Setup
 from ._coordinates import Bijector
 from ._linearise import blank, residuals, stepped
-from ._problem import Group, Problem, build_groups, own_begun
+from ._problem import Group, Problem, build_groups, own_begun, with_recorded
 from ._records import Iteration
 from ._solver import Marquardt, MarquardtState
 from ._state import FitState, coordinate_paths
@@ -134,7 +134,8 @@ def move(state: FitState, coordinate: Any) -> FitState:
 
 def reweight(state: FitState, noise: Noise) -> FitState:
     """Go on from the same point with another noise; not evaluated yet."""
-    groups = build_groups(state.problem.model, state.setup.runs, noise, state.setup.layout)
+    runs = state.setup.runs
+    groups = with_recorded(state.problem.groups, runs, noise, [run.observations for run in runs])
     # Weights of cells take the place of a robust loss: whitened residuals are no single cells.
     loss = state.setup.settings.loss if noise.weights is None else "linear"
     problem = dataclasses.replace(state.problem, groups=groups, loss=loss)

@@ -129,29 +129,26 @@ def search(
 def _descend(
     reading: str, number: int, start: np.ndarray, iterations: int, say: Say, tell: Tell
 ) -> SearchEnd:
-    """One search, by the solver of every fit; its steps are taken here, to be told and stopped."""
+    """One search, by the solver of every fit."""
     taken = READINGS[reading]
     options = dict(zip(("lower", "upper"), map(jnp.asarray, taken.box()), strict=True))
-    at, why, tried, state = jnp.asarray(start), "iterations", 1, None
+    at, why, tried = jnp.asarray(start), "iterations", 1
+    state: Any = None
     out, slopes, checked = _nothing(taken)
+    blank = jnp.zeros(max(len(CELLS), len(taken.free))), out
+    steps = _SOLVER.trials(at, lambda y: _weighed(taken, np.asarray(y)), options, blank)
     try:
-        there = _weighed(taken, start)
-        state = _SOLVER.init(_unused, at, None, options, there[0], there[4], frozenset())
-        for tried in range(1, iterations + 2):
-            trial = _SOLVER.propose(at, options, state)
-            # The first one is the start, which is known.
-            there = there if tried == 1 else _weighed(taken, np.asarray(trial))
-            at, state = _SOLVER.judge(at, options, state, trial, there)
+        # The first one evaluates the start.
+        for tried, each in zip(range(1, iterations + 2), steps, strict=False):
+            at, state, end = each
             worst = float(np.max(np.abs(np.asarray(state.aux.cells) - CELLS)))
             tell(say, f"{taken.label}, start {number}, step {tried - 1}: "
                       f"largest error of a cell {worst:.3g} points")  # fmt: skip
             if worst < ROUNDING:
                 why = "reached"
                 break
-            over, how = _SOLVER.terminate(_unused, at, None, options, state, frozenset())
-            if bool(over):
-                why = "minimum" if bool(how == optx.RESULTS.successful) else "stuck"
-                break
+            if end is not None:
+                why = "minimum" if bool(end == optx.RESULTS.successful) else "stuck"
         checked = _differences(taken, np.asarray(at))
     except KeyboardInterrupt:
         why = "interrupted"
@@ -177,11 +174,6 @@ def _nothing(taken: Reading) -> tuple[Compared, np.ndarray, np.ndarray]:
     slopes: Any = np.full((len(CELLS), len(taken.free)), np.nan)
     four = slopes[:LINKS_COMPARED, 0]
     return Compared(slopes[:, 0], four, four > 0), slopes, slopes
-
-
-def _unused(y: Any, args: Any) -> Any:
-    """The solver is given what it would evaluate."""
-    raise NotImplementedError
 
 
 def _weighed(taken: Reading, at: np.ndarray) -> tuple[Any, ...]:
