@@ -13,6 +13,7 @@ from ..runtime.signals import is_stopped, stopped_status
 from ..runtime.text import InputError
 from ._commands import command
 from ._model import is_result
+from ._options import Force, Json, Links, Settings, Solver, Tolerance, print_table
 from ._simulate import channel_names, definition_from_options, model_and_truth
 from ._values import deviations, noise_section
 
@@ -136,11 +137,8 @@ def design(
     source: Annotated[
         Path | None, typer.Argument(metavar="[SOURCE]", help="The arm, or a fit of it; see below.")
     ] = None,
-    links: Annotated[int | None, typer.Option(metavar="N", help="Number of links.")] = None,
-    pairs: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="PATH=VALUE", help="A parameter's value. Repeatable."),
-    ] = None,
+    links: Links = None,
+    pairs: Settings = None,
     free: Annotated[
         list[str] | None,
         typer.Option(
@@ -200,15 +198,11 @@ def design(
     iterations: Annotated[
         int, typer.Option(metavar="N", min=1, help="Steps of the optimiser, from each.")
     ] = 25,
-    solver: Annotated[
-        str, typer.Option(metavar="NAME", help="Integration method, such as tsit5, springs5.")
-    ] = "springs5",
-    tolerance: Annotated[
-        float, typer.Option(metavar="TOL", help="Tolerance of the integration.")
-    ] = 1e-6,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+    solver: Solver = "springs5",
+    tolerance: Tolerance = 1e-6,
+    as_json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="No progress.")] = False,
-    force: Annotated[bool, typer.Option("--force", help="Write over files.")] = False,
+    force: Force = False,
 ) -> None:
     """Find the command of the next experiment, and what to film of it.
 
@@ -317,7 +311,6 @@ class _Progress:
 
 def _show(found: "Design") -> None:
     from ..apps.design import DESIGN_HEADINGS, design_rows
-    from ._options import print_table
 
     typer.echo("standard errors to expect:")
     print_table(DESIGN_HEADINGS, design_rows(found))

@@ -9,6 +9,7 @@ import typer
 from ..runtime.limits import FILLING_S
 from ..runtime.text import InputError
 from ._commands import command
+from ._options import Force, Json, print_table
 from ._values import settings, with_settings
 
 if TYPE_CHECKING:
@@ -54,8 +55,8 @@ def fill(
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write tables and pictures there.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
-    force: Annotated[bool, typer.Option("--force", help="Write over files.")] = False,
+    as_json: Json = False,
+    force: Force = False,
 ) -> None:
     """Fill an arm of balloons with helium, and tell what each link is like on the way.
 
@@ -110,8 +111,6 @@ def _show(filled: "Filled") -> None:
     """A row for each link, and what is so of all."""
     import numpy as np
 
-    from ._options import print_table
-
     def minutes(seconds: float) -> str | None:
         return None if np.isnan(seconds) else f"{seconds / 60:.2f}"
 
@@ -148,7 +147,6 @@ def _show_curve(curve: "FillingCurve") -> None:
     import numpy as np
 
     from ..schema import SUPPLY
-    from ._options import print_table
 
     unit = next(each.unit for each in SUPPLY if each.path == curve.path)
     typer.echo(f"\nfilling takes {curve.duration / 60:g} min with")

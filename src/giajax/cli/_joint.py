@@ -10,7 +10,7 @@ import typer
 
 from ..runtime.text import InputError
 from ._commands import command
-from ._options import Renamed
+from ._options import Digits, Force, ForceRun, Renamed, print_table
 from ._values import Values, settings, with_settings
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def joint(
     target: Annotated[
         float, typer.Option(metavar="DEG", help="Angle whose two pressures are shown.")
     ] = 20.0,
-    force: Annotated[bool, typer.Option("--force", help="Write over files.")] = False,
+    force: Force = False,
 ) -> None:
     """Draw one joint at rest: paths, forces, corrections and equilibria.
 
@@ -130,7 +130,6 @@ def _show(pair: Any, target: float) -> None:
     import numpy as np
 
     from ..mechanics.joint import branch_angles, equilibria, pair_command
-    from ._options import print_table
 
     taut, wrapped = np.rad2deg(branch_angles(pair.joint.geometry))
     command = pair_command(pair, np.deg2rad(target))
@@ -197,10 +196,8 @@ def compensate(
         ),
     ] = None,
     rename: Renamed = None,
-    digits: Annotated[
-        int, typer.Option(metavar="N", min=3, max=17, help="Significant digits that are written.")
-    ] = 9,
-    force: Annotated[bool, typer.Option("--force", help="Write over a run.")] = False,
+    digits: Digits = 9,
+    force: ForceRun = False,
 ) -> None:
     """Turn target outputs into the commands that reach them.
 

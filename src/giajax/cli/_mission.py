@@ -11,7 +11,7 @@ import typer
 
 from ..runtime.text import InputError
 from ._commands import command
-from ._options import origin
+from ._options import Force, Json, origin, print_table
 from ._values import settings, with_settings
 
 if TYPE_CHECKING:
@@ -25,7 +25,6 @@ def tell(
     """Tell and write what came of one mission."""
     from ..apps.mission import mission_files, mission_json, recorded
     from ..recordings import make_folder, write_files, write_run
-    from ._options import print_table
 
     if out is not None:
         make_folder(out)
@@ -80,7 +79,6 @@ def tell_cases(
     """Tell and write what came of many missions."""
     from ..apps.mission import CASES_FILES, cases_files, cases_json
     from ..recordings import make_folder, write_files
-    from ._options import print_table
 
     if not cases.cases:
         return
@@ -166,11 +164,11 @@ def mission(
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write numbers and pictures there.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+    as_json: Json = False,
     page: Annotated[
         Path | None, typer.Option(metavar="FILE.html", help="Write a page that plays it.")
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Write over files.")] = False,
+    force: Force = False,
 ) -> None:
     """Have an operator bring an arm to an opening by the camera at its tip.
 

@@ -9,7 +9,7 @@ import typer
 from ..runtime.text import InputError
 from ._commands import command
 from ._model import definition_of, model_of
-from ._options import Renamed
+from ._options import Force, Json, OnlyChannels, Renamed, print_table
 from ._simulate import gust_numbers
 from ._values import velocity
 
@@ -65,16 +65,13 @@ def wind(
         float | None,
         typer.Option(metavar="HZ", help="Frequency to look up to. [half of what rows resolve]"),
     ] = None,
-    channels: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME", help="Only this channel, without its unit. Repeatable."),
-    ] = None,
+    channels: OnlyChannels = None,
     rename: Renamed = None,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write wind.json and wind.png there.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
-    force: Annotated[bool, typer.Option("--force", help="Write over files.")] = False,
+    as_json: Json = False,
+    force: Force = False,
 ) -> None:
     """Fit mean flow and gusts to the recording of a resting arm.
 
@@ -140,8 +137,6 @@ def wind(
 
 
 def _show(found: "WindFit") -> None:
-    from ._options import print_table
-
     rows = [
         [
             name,
