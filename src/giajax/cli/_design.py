@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,7 +12,17 @@ from ..runtime.signals import is_stopped, stopped_status
 from ..runtime.text import InputError
 from ._commands import command
 from ._model import is_result
-from ._options import Force, Json, Links, Settings, Solver, Tolerance, print_table
+from ._options import (
+    Force,
+    Json,
+    Links,
+    Settings,
+    Solver,
+    Tolerance,
+    print_table,
+    say_written,
+    write_folder,
+)
 from ._simulate import channel_names, definition_from_options, model_and_truth
 from ._values import deviations, noise_section
 
@@ -209,7 +218,7 @@ def design(
     Within limits of angle, rate and time it most lowers the standard error of chosen parameters,
     whatever they are within their present uncertainty. Ctrl-C keeps the best so far.
     """
-    from ..recordings import check_output_folder, make_folder, write_files, write_run
+    from ..recordings import check_output_folder, write_run
 
     if not 0 < tolerance <= 0.1:
         raise InputError(f"--tolerance is {tolerance:g}: give a positive number of at most 0.1")
@@ -257,7 +266,8 @@ def design(
     text = design_json(found)
     run = found.designed.run
     picture = to_png(design_figure(found, f"{', '.join(found.wanted)}: the next experiment"))
-    make_folder(out)
+    contents = {"design.json": f"{text}\n".encode(), "design.png": picture}
+    write_folder(out, contents, force=force)
     write_run(
         out / "command.csv",
         run.times,
@@ -266,13 +276,11 @@ def design(
         digits=_DIGITS,
         force=force,
     )
-    contents = {out / "design.json": f"{text}\n".encode(), out / "design.png": picture}
-    write_files(contents, force=force)
     if as_json:
         typer.echo(text)
     else:
         _show(found)
-        typer.echo(f"\nwrote {shlex.quote(str(out))}: {', '.join(_FILES)}")
+        say_written(out, _FILES)
     if found.status == "interrupted":
         typer.echo("giajax: stopped: this is the best command so far", err=True)
         raise typer.Exit(stopped_status())

@@ -10,7 +10,7 @@ import typer
 
 from ..runtime.text import InputError
 from ._commands import command
-from ._options import Digits, Force, ForceRun, Renamed, print_table
+from ._options import Digits, Force, ForceRun, Renamed, print_table, say_written, write_folder
 from ._values import Values, settings, with_settings
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def joint(
 
     The paper's figs 9 and 10, the joint itself at a few angles, and where two pressures hold it.
     """
-    from ..recordings import Definition, check_output_folder, make_folder, write_files
+    from ..recordings import Definition, check_output_folder
 
     sections = Definition() if definition is None else Definition.load(definition)
     angles = list(angle or _ANGLES)
@@ -80,11 +80,9 @@ def joint(
     check_output_folder(out, JOINT_FILES, force=force)
     pair = _pair(sections, values, torque)
     typer.echo("drawing, and solving for every equilibrium ...", err=True)
-    contents = joint_files(pair, angles, target)
-    make_folder(out)
-    write_files({out / name: contents[name] for name in JOINT_FILES}, force=force)
+    write_folder(out, joint_files(pair, angles, target), force=force)
     _show(pair, target)
-    typer.echo(f"\nwrote {out}: {', '.join(JOINT_FILES)}")
+    say_written(out, JOINT_FILES)
 
 
 def _pair(sections: "Definition", typed: Values, torque: float | None) -> Any:

@@ -3,7 +3,7 @@
 import contextlib
 import shlex
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -96,6 +96,19 @@ Cores = Annotated[
         metavar="N", min=1, envvar=CORES_VARIABLE, help="Compute on so many cores (all of them)."
     ),
 ]
+
+
+def write_folder(out: Path, contents: Mapping[str, bytes], *, force: bool) -> None:
+    """Write files by their names into a folder, which is made where it is missing."""
+    from ..recordings import make_folder, write_files
+
+    make_folder(out)
+    write_files({out / name: content for name, content in contents.items()}, force=force)
+
+
+def say_written(out: Path, names: Iterable[str]) -> None:
+    """Say which files of a folder were written."""
+    typer.echo(f"\nwrote {shlex.quote(str(out))}: {', '.join(names)}")
 
 
 def origin(context: typer.Context) -> str:

@@ -10,7 +10,7 @@ import typer
 from ..runtime.signals import is_stopped, stopped_status
 from ..runtime.text import InputError
 from ._commands import Ended, command
-from ._options import Force, print_table
+from ._options import Force, print_table, write_folder
 
 # As `giajax.apps.paper` has them, which would import JAX for a help text.
 NAMES = ("fig5", "fig6", "fig9", "fig10", "fig12", "fig19", "table3")
@@ -103,16 +103,13 @@ def _made(
 ) -> dict[str, dict[str, Any]]:
     """Make figures, write each as it is made, and return their records by name."""
     from ..apps.paper import reproduce, reproduced_files, reproduced_record
-    from ..recordings import make_folder, write_files
     from ._data import examples_root
 
     progress = None if quiet else (lambda text: typer.echo(text, err=True))
     made = {}
     recordings = examples_root() / "data" / "paper"
     for each, shown in reproduce(names, recordings, progress=progress):
-        make_folder(out)
-        contents = reproduced_files(each, shown)
-        write_files({out / file: contents[file] for file in contents}, force=force)
+        write_folder(out, reproduced_files(each, shown), force=force)
         made[each] = reproduced_record(each, shown)
         print(shown.title)
         print_table(shown.headings, shown.rows)

@@ -8,7 +8,7 @@ import typer
 
 from ..runtime.text import InputError
 from ._commands import command
-from ._options import Force, Links, Replayed, Settings, Wind, print_table
+from ._options import Force, Links, Replayed, Settings, Wind, print_table, say_written, write_folder
 from ._simulate import (
     DURATION,
     channel_names,
@@ -95,7 +95,7 @@ def sensitivity(
 
     And what that is worth: the standard errors to expect of a fit, before anything is recorded.
     """
-    from ..recordings import check_output_folder, make_folder, read_run, write_files
+    from ..recordings import check_output_folder, read_run
 
     section = noise_section(noise, "--noise")
     if not all(value > 0 for value in section.values()):
@@ -167,10 +167,9 @@ def sensitivity(
     files = {name: text.encode() for name, text in sensitivity_files(sensitivities, noises).items()}
     title = f"{recorded.name}: sensitivity, and the information in each body"
     files["sensitivity.png"] = to_png(sensitivity_figure(sensitivities, noises, title))
-    make_folder(out)
-    write_files({out / name: files[name] for name in _FILES}, force=force)
+    write_folder(out, files, force=force)
     _show(sensitivities, noises, information_shares(sensitivities, noises))
-    typer.echo(f"\nwrote {out}: {', '.join(_FILES)}")
+    say_written(out, _FILES)
 
 
 def _noise_of(run: "Run", channels: tuple[str, ...], section: dict[str, float]) -> list[float]:

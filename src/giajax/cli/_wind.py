@@ -1,6 +1,5 @@
 """`giajax wind`: the wind that a resting arm undulates in."""
 
-import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
@@ -9,7 +8,7 @@ import typer
 from ..runtime.text import InputError
 from ._commands import command
 from ._model import definition_of, model_of
-from ._options import Force, Json, OnlyChannels, Renamed, print_table
+from ._options import Force, Json, OnlyChannels, Renamed, print_table, say_written, write_folder
 from ._simulate import gust_numbers
 from ._values import velocity
 
@@ -81,10 +80,8 @@ def wind(
     from ..recordings import (
         Definition,
         check_output_folder,
-        make_folder,
         parse_rename,
         read_run,
-        write_files,
     )
 
     if out is not None:
@@ -122,10 +119,8 @@ def wind(
     text = wind_json(found, run)
     if out is not None:
         picture = to_png(wind_figure(found, f"{run.name}: spectra at rest, and those of the wind"))
-        make_folder(out)
         contents = (f"{text}\n".encode(), picture)
-        files = zip(_FILES, contents, strict=True)
-        write_files({out / name: content for name, content in files}, force=force)
+        write_folder(out, dict(zip(_FILES, contents, strict=True)), force=force)
     if as_json:
         typer.echo(text)
         return
@@ -133,7 +128,7 @@ def wind(
     if run.winds:
         typer.echo("note: the run's own wind columns were not used")
     if out is not None:
-        typer.echo(f"\nwrote {shlex.quote(str(out))}: {', '.join(_FILES)}")
+        say_written(out, _FILES)
 
 
 def _show(found: "WindFit") -> None:

@@ -9,9 +9,9 @@ from types import ModuleType
 from typing import Any, NamedTuple, Self
 
 import numpy as np
-from scipy.special import ndtri, stdtrit
+from scipy.special import ndtri
 
-from ..fitting import FitResult, Optimum
+from ..fitting import FitResult, Optimum, student_reach
 from ..recordings import Run
 from ..runtime.arrays import Float
 from ..runtime.records import finite_or_none, json_text, parse_record
@@ -160,12 +160,6 @@ def _arviz() -> ModuleType:
         raise InputError(_MISSING) from None
 
 
-_LEVEL = 0.95
-
-# Degrees of freedom from which Student's t is a normal distribution.
-_NORMAL = 1e9
-
-
 @dataclasses.dataclass(frozen=True)
 class Marginal:
     """What is known of one parameter, SI.
@@ -239,8 +233,7 @@ def _linear(optimum: Optimum, index: int) -> tuple[float, float] | None:
     error = statistics.standard_errors.get(index)
     if error is None or not np.isfinite(error):
         return None
-    freedom = min(statistics.freedom.get(index, _NORMAL), _NORMAL)
-    reach = float(stdtrit(freedom, 1 - (1 - _LEVEL) / 2)) * error
+    reach = student_reach(statistics.freedom.get(index, np.inf)) * error
     value, lower, upper = optimum.values[index], *(each[index] for each in optimum.bounds)
     return float(max(value - reach, lower)), float(min(value + reach, upper))
 
