@@ -39,7 +39,7 @@ def compare(
     from ..recordings import check_output_files, write_files
     from ..tasks import stored_result
 
-    # What is no result is told before JAX is imported, which takes seconds.
+    # What is no result is refused before JAX is imported, which takes seconds.
     for path in results:
         stored_result(path)
     if out is not None:

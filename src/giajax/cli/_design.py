@@ -63,7 +63,7 @@ def source_of(
             raise InputError("a fit brings its own arm: leave out --links and --set")
         fitted = load_result(source)
         model = capabilities.with_integration(fitted.model, solver=solver, tolerance=tolerance)
-        # As the definition of the fit would have it, but for noise, which the fit tells.
+        # As the definition of the fit would have it, but for noise, which the fit has.
         first = {**fitted.config["runs"][0], "noise": None}
         return dataclasses.replace(fitted, model=model), {
             "free": None,
@@ -230,7 +230,7 @@ def design(
     if source is not None and is_result(source):
         from ..tasks import stored_result
 
-        # What is no result is told before JAX is imported, which takes seconds.
+        # What is no result is refused before JAX is imported, which takes seconds.
         stored_result(source)
 
     from ..runtime.process import configure

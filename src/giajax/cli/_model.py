@@ -40,7 +40,7 @@ def definition_of(path: Path | None) -> "Definition":
     if is_result(path):
         from ..tasks import stored_result
 
-        # What is no result is told before JAX is imported, which takes seconds.
+        # What is no result is refused before JAX is imported, which takes seconds.
         stored_result(path)
         return Definition()
     return Definition.load(path)

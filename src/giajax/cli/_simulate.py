@@ -205,7 +205,7 @@ def drives_of(run: "Run", rate: float) -> tuple[float, float, list["Drive"]]:
         length = max(math.floor(length * rate + 1e-6), 1) / rate
     wind = run.definition.section(WindSection)
     interpolation = run.definition.section(CommandSection).interpolation
-    apart: dict[str, dict[str, Any]] = {}  # what is straight is told by the largest value
+    apart: dict[str, dict[str, Any]] = {}  # what is straight is judged by the largest value
     for name, values in run.commands.items():
         apart.setdefault(run.channels[name].quantity, {})[name] = values
     drives = [Drive(run.times, rows, interpolation) for rows in apart.values()]
@@ -441,7 +441,7 @@ def _write(out: Path, run: "Run", digits: int, force: bool) -> None:
     from ..recordings import sidecar_path, write_run
 
     write_run(out, run.times, run.values, definition=run.definition, digits=digits, force=force)
-    rows = 0 if run.times is None else len(run.times)
+    rows = len(next(iter(run.values.values())))
     typer.echo(
         f"wrote {out} and {sidecar_path(out)}: {rows} rows, {len(run.observations)} channels; "
         f"see: giajax check {shlex.quote(str(out))}"
@@ -533,7 +533,7 @@ def synth(
     For a run of any model. Tests what a fit makes of noise, gaps, outliers and a frame that is
     off, before the experiment does.
     """
-    from ..recordings import check_output_run, read_run, sidecar_path, write_run
+    from ..recordings import check_output_run, read_run
 
     check_output_run(out, force=force)
     values = settings(pairs)
@@ -571,9 +571,4 @@ def synth(
     except SimulationError as error:
         typer.echo(f"giajax: {error}", err=True)
         raise typer.Exit(1) from None
-    write_run(out, new.times, new.values, definition=new.definition, digits=digits, force=force)
-    rows = len(next(iter(new.values.values())))
-    typer.echo(
-        f"wrote {out} and {sidecar_path(out)}: {rows} rows, {len(new.observations)} channels; "
-        f"see: giajax check {shlex.quote(str(out))}"
-    )
+    _write(out, new, digits, force)

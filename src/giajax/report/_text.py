@@ -45,7 +45,7 @@ def times_noise(record: RunFit, names: Iterable[str] | None = None) -> float:
 # Without one of two equal recordings errors are 1.4 times as large; more than this is worth a word.
 _NOTABLE = 2.0
 
-# A factor is told up to here; beyond it hardly anything is known without the recording.
+# A factor is shown up to here; beyond it hardly anything is known without the recording.
 _LARGE = 1000.0
 
 

@@ -14,8 +14,9 @@ from scipy.special import ndtri
 from ..fitting import FitResult, Optimum, student_reach
 from ..recordings import Run
 from ..runtime.arrays import Float
-from ..runtime.records import finite_or_none, json_text, parse_record
+from ..runtime.records import finite_or_none
 from ..runtime.text import InputError
+from ._refit import StudyRecord
 
 # Whether chains have mixed: R-hat and effective sample sizes.
 #
@@ -297,8 +298,6 @@ def doubts(
     return sentences
 
 
-_HEAD = {"giajax_posterior": 1}
-
 # Where a normal variable is by 95 %, in deviations.
 NORMAL = 1.959964
 
@@ -330,7 +329,13 @@ class Band:
 
 
 @dataclasses.dataclass(frozen=True)
-class PosteriorSummary:
+class PosteriorSummary(
+    StudyRecord,
+    file="posterior.json",
+    head={"giajax_posterior": 1},
+    remedy="run giajax posterior again",
+    indent=2,
+):
     """What `posterior.json` says of a posterior.
 
     Attributes:
@@ -363,20 +368,6 @@ class PosteriorSummary:
     def is_of(self, result: FitResult) -> bool:
         """Whether it is of this fit, and not of another one that was in its place."""
         return self.cost == result.cost
-
-    def to_json(self) -> str:
-        """As JSON; what is not finite is null."""
-        return json_text(self, _HEAD)
-
-    @classmethod
-    def of_json(cls, text: str | bytes) -> Self:
-        """What `to_json` wrote.
-
-        Raises:
-            InputError: it is something else.
-        """
-        what = "this is no posterior.json of this version of giajax"
-        return parse_record(cls, text, _HEAD, what, "run giajax posterior again")
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
