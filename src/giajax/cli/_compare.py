@@ -7,7 +7,7 @@ import typer
 
 from ._commands import command
 from ._on_result import OnResult, on_result
-from ._options import Renamed, print_table
+from ._options import ForceFile, Json, Renamed, print_table
 
 
 @command("""\b
@@ -28,7 +28,7 @@ def compare(
     out: Annotated[
         Path | None, typer.Option(metavar="FILE.html", help="Write a page for a browser there.")
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Write over a file.")] = False,
+    force: ForceFile = False,
 ) -> None:
     """Show what several fits say of the same parameters.
 
@@ -39,7 +39,7 @@ def compare(
     from ..recordings import check_output_files, write_files
     from ..tasks import stored_result
 
-    # What is no result is told before JAX is imported, which takes seconds.
+    # What is no result is refused before JAX is imported, which takes seconds.
     for path in results:
         stored_result(path)
     if out is not None:
@@ -112,7 +112,7 @@ def choose(
         list[str] | None, typer.Option(metavar="NAME", help="Compare only these. Repeatable.")
     ] = None,
     rename: Renamed = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+    as_json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="No progress.")] = False,
 ) -> None:
     """Fit several hysteresis models and compare them on loops that they were not fitted to."""

@@ -8,7 +8,7 @@ import typer
 
 from ..runtime.text import InputError
 from ._commands import command
-from ._options import Renamed
+from ._options import Force, ForceRun, Renamed, print_table
 
 
 @command("""\b
@@ -38,8 +38,6 @@ def check(
 
 
 def _show_facts(facts: dict[str, Any]) -> None:
-    from ._options import print_table
-
     print_table(["", ""], _summary(facts), left=2)
     print()
     headings = ["channel", "part", "unit", "values", "missing %", "min", "max", "noise"]
@@ -162,7 +160,7 @@ def import_(
             "camera.",
         ),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Write over a run.")] = False,
+    force: ForceRun = False,
 ) -> None:
     """Make a run of points that DeepLabCut or Kinovea tracked in a film.
 
@@ -231,7 +229,7 @@ def examples(
     copy: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Copy them all to this folder.")
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Write over files.")] = False,
+    force: Force = False,
 ) -> None:
     """List the runs, fits and missions that ship with giajax, or copy them to start from."""
     root = examples_root()
@@ -265,8 +263,6 @@ def examples_root() -> Path:
 
 
 def _show_examples(root: Path) -> None:
-    from ._options import print_table
-
     fits = sorted((root / "fits").glob("*.toml"))
     print_table(["fit definition", "fits", "to"], [_fit(path, root) for path in fits], left=3)
     print()
@@ -349,7 +345,6 @@ def cache(
     from ..runtime.process import PROGRAMS, compilation_cache
     from ..runtime.programs import SUFFIX
     from ..runtime.text import InputError
-    from ._options import print_table
 
     directory, stated = compilation_cache()
     if directory is None:

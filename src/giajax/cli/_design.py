@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,6 +12,17 @@ from ..runtime.signals import is_stopped, stopped_status
 from ..runtime.text import InputError
 from ._commands import command
 from ._model import is_result
+from ._options import (
+    Force,
+    Json,
+    Links,
+    Settings,
+    Solver,
+    Tolerance,
+    print_table,
+    say_written,
+    write_folder,
+)
 from ._simulate import channel_names, definition_from_options, model_and_truth
 from ._values import deviations, noise_section
 
@@ -53,7 +63,7 @@ def source_of(
             raise InputError("a fit brings its own arm: leave out --links and --set")
         fitted = load_result(source)
         model = capabilities.with_integration(fitted.model, solver=solver, tolerance=tolerance)
-        # As the definition of the fit would have it, but for noise, which the fit tells.
+        # As the definition of the fit would have it, but for noise, which the fit has.
         first = {**fitted.config["runs"][0], "noise": None}
         return dataclasses.replace(fitted, model=model), {
             "free": None,
@@ -136,11 +146,8 @@ def design(
     source: Annotated[
         Path | None, typer.Argument(metavar="[SOURCE]", help="The arm, or a fit of it; see below.")
     ] = None,
-    links: Annotated[int | None, typer.Option(metavar="N", help="Number of links.")] = None,
-    pairs: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="PATH=VALUE", help="A parameter's value. Repeatable."),
-    ] = None,
+    links: Links = None,
+    pairs: Settings = None,
     free: Annotated[
         list[str] | None,
         typer.Option(
@@ -200,22 +207,18 @@ def design(
     iterations: Annotated[
         int, typer.Option(metavar="N", min=1, help="Steps of the optimiser, from each.")
     ] = 25,
-    solver: Annotated[
-        str, typer.Option(metavar="NAME", help="Integration method, such as tsit5, springs5.")
-    ] = "springs5",
-    tolerance: Annotated[
-        float, typer.Option(metavar="TOL", help="Tolerance of the integration.")
-    ] = 1e-6,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+    solver: Solver = "springs5",
+    tolerance: Tolerance = 1e-6,
+    as_json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="No progress.")] = False,
-    force: Annotated[bool, typer.Option("--force", help="Write over files.")] = False,
+    force: Force = False,
 ) -> None:
     """Find the command of the next experiment, and what to film of it.
 
     Within limits of angle, rate and time it most lowers the standard error of chosen parameters,
     whatever they are within their present uncertainty. Ctrl-C keeps the best so far.
     """
-    from ..recordings import check_output_folder, make_folder, write_files, write_run
+    from ..recordings import check_output_folder, write_run
 
     if not 0 < tolerance <= 0.1:
         raise InputError(f"--tolerance is {tolerance:g}: give a positive number of at most 0.1")
@@ -227,7 +230,7 @@ def design(
     if source is not None and is_result(source):
         from ..tasks import stored_result
 
-        # What is no result is told before JAX is imported, which takes seconds.
+        # What is no result is refused before JAX is imported, which takes seconds.
         stored_result(source)
 
     from ..runtime.process import configure
@@ -263,7 +266,8 @@ def design(
     text = design_json(found)
     run = found.designed.run
     picture = to_png(design_figure(found, f"{', '.join(found.wanted)}: the next experiment"))
-    make_folder(out)
+    contents = {"design.json": f"{text}\n".encode(), "design.png": picture}
+    write_folder(out, contents, force=force)
     write_run(
         out / "command.csv",
         run.times,
@@ -272,13 +276,11 @@ def design(
         digits=_DIGITS,
         force=force,
     )
-    contents = {out / "design.json": f"{text}\n".encode(), out / "design.png": picture}
-    write_files(contents, force=force)
     if as_json:
         typer.echo(text)
     else:
         _show(found)
-        typer.echo(f"\nwrote {shlex.quote(str(out))}: {', '.join(_FILES)}")
+        say_written(out, _FILES)
     if found.status == "interrupted":
         typer.echo("giajax: stopped: this is the best command so far", err=True)
         raise typer.Exit(stopped_status())
@@ -317,7 +319,6 @@ class _Progress:
 
 def _show(found: "Design") -> None:
     from ..apps.design import DESIGN_HEADINGS, design_rows
-    from ._options import print_table
 
     typer.echo("standard errors to expect:")
     print_table(DESIGN_HEADINGS, design_rows(found))

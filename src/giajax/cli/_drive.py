@@ -12,7 +12,7 @@ import typer
 from ..runtime.text import InputError
 from ._commands import command
 from ._model import is_result
-from ._options import origin
+from ._options import Browser, ForceRun, Host, Links, Port, origin
 from ._simulate import channel_names, definition_from_options, gusts_of
 from ._values import noise_section, settings, with_settings
 
@@ -202,7 +202,7 @@ def drive(
     replay: Annotated[
         Path | None, typer.Option(metavar="PAD.csv", help="Drive by a table, without a page.")
     ] = None,
-    links: Annotated[int | None, typer.Option(metavar="N", help="Number of links.")] = None,
+    links: Links = None,
     pairs: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="PATH=VALUE", help="A parameter. Repeatable."),
@@ -244,14 +244,10 @@ def drive(
         int, typer.Option(metavar="N", min=1, help="One row in so many is recorded.")
     ] = 3,
     seed: Annotated[int, typer.Option(metavar="N", min=0, help="Of noise and gusts.")] = 0,
-    host: Annotated[
-        str, typer.Option(metavar="ADDRESS", help="Where to listen; 0.0.0.0: everywhere.")
-    ] = "127.0.0.1",
-    port: Annotated[int, typer.Option(metavar="N", help="Where to listen; 0 for a free one.")] = 0,
-    browser: Annotated[
-        bool, typer.Option("--browser/--no-browser", help="Open a browser, or only say where.")
-    ] = True,
-    force: Annotated[bool, typer.Option("--force", help="Write over a run.")] = False,
+    host: Host = "127.0.0.1",
+    port: Port = 0,
+    browser: Browser = True,
+    force: ForceRun = False,
 ) -> None:
     """Drive an arm: with a game pad or sliders, in a browser, in real time.
 

@@ -1,6 +1,5 @@
 """`giajax fill`: an arm of balloons that is filled with helium."""
 
-import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,6 +8,7 @@ import typer
 from ..runtime.limits import FILLING_S
 from ..runtime.text import InputError
 from ._commands import command
+from ._options import Force, Json, print_table, say_written, write_folder
 from ._values import settings, with_settings
 
 if TYPE_CHECKING:
@@ -54,15 +54,15 @@ def fill(
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write tables and pictures there.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
-    force: Annotated[bool, typer.Option("--force", help="Write over files.")] = False,
+    as_json: Json = False,
+    force: Force = False,
 ) -> None:
     """Fill an arm of balloons with helium, and tell what each link is like on the way.
 
     Bags in a row with ports between them, fed at the base (the paper's fig. 15), and which
     port goes with which supply where filling takes the paper's 23 minutes.
     """
-    from ..recordings import Definition, check_output_folder, make_folder, write_files
+    from ..recordings import Definition, check_output_folder
 
     if not 0 < minutes <= FILLING_S / 60:
         raise InputError(
@@ -93,9 +93,7 @@ def fill(
     filled = filled_by(filling)
     curve = None if no_curve else filling_curve(filling, duration=60 * minutes)
     if out is not None:
-        contents = filling_files(filled, curve)
-        make_folder(out)
-        write_files({out / name: contents[name] for name in names}, force=force)
+        write_folder(out, filling_files(filled, curve), force=force)
     if as_json:
         typer.echo(filling_json(filled, curve))
         return
@@ -103,14 +101,12 @@ def fill(
     if curve is not None:
         _show_curve(curve)
     if out is not None:
-        typer.echo(f"\nwrote {shlex.quote(str(out))}: {', '.join(names)}")
+        say_written(out, names)
 
 
 def _show(filled: "Filled") -> None:
     """A row for each link, and what is so of all."""
     import numpy as np
-
-    from ._options import print_table
 
     def minutes(seconds: float) -> str | None:
         return None if np.isnan(seconds) else f"{seconds / 60:.2f}"
@@ -148,7 +144,6 @@ def _show_curve(curve: "FillingCurve") -> None:
     import numpy as np
 
     from ..schema import SUPPLY
-    from ._options import print_table
 
     unit = next(each.unit for each in SUPPLY if each.path == curve.path)
     typer.echo(f"\nfilling takes {curve.duration / 60:g} min with")

@@ -10,7 +10,7 @@ import typer
 
 from ..runtime.text import InputError
 from ._commands import command
-from ._options import Renamed
+from ._options import Digits, Force, ForceRun, Renamed, print_table, say_written, write_folder
 from ._values import Values, settings, with_settings
 
 if TYPE_CHECKING:
@@ -56,13 +56,13 @@ def joint(
     target: Annotated[
         float, typer.Option(metavar="DEG", help="Angle whose two pressures are shown.")
     ] = 20.0,
-    force: Annotated[bool, typer.Option("--force", help="Write over files.")] = False,
+    force: Force = False,
 ) -> None:
     """Draw one joint at rest: paths, forces, corrections and equilibria.
 
     The paper's figs 9 and 10, the joint itself at a few angles, and where two pressures hold it.
     """
-    from ..recordings import Definition, check_output_folder, make_folder, write_files
+    from ..recordings import Definition, check_output_folder
 
     sections = Definition() if definition is None else Definition.load(definition)
     angles = list(angle or _ANGLES)
@@ -80,11 +80,9 @@ def joint(
     check_output_folder(out, JOINT_FILES, force=force)
     pair = _pair(sections, values, torque)
     typer.echo("drawing, and solving for every equilibrium ...", err=True)
-    contents = joint_files(pair, angles, target)
-    make_folder(out)
-    write_files({out / name: contents[name] for name in JOINT_FILES}, force=force)
+    write_folder(out, joint_files(pair, angles, target), force=force)
     _show(pair, target)
-    typer.echo(f"\nwrote {out}: {', '.join(JOINT_FILES)}")
+    say_written(out, JOINT_FILES)
 
 
 def _pair(sections: "Definition", typed: Values, torque: float | None) -> Any:
@@ -130,7 +128,6 @@ def _show(pair: Any, target: float) -> None:
     import numpy as np
 
     from ..mechanics.joint import branch_angles, equilibria, pair_command
-    from ._options import print_table
 
     taut, wrapped = np.rad2deg(branch_angles(pair.joint.geometry))
     command = pair_command(pair, np.deg2rad(target))
@@ -197,10 +194,8 @@ def compensate(
         ),
     ] = None,
     rename: Renamed = None,
-    digits: Annotated[
-        int, typer.Option(metavar="N", min=3, max=17, help="Significant digits that are written.")
-    ] = 9,
-    force: Annotated[bool, typer.Option("--force", help="Write over a run.")] = False,
+    digits: Digits = 9,
+    force: ForceRun = False,
 ) -> None:
     """Turn target outputs into the commands that reach them.
 

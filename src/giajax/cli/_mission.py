@@ -11,7 +11,7 @@ import typer
 
 from ..runtime.text import InputError
 from ._commands import command
-from ._options import origin
+from ._options import Force, Json, origin, print_table, write_folder
 from ._values import settings, with_settings
 
 if TYPE_CHECKING:
@@ -24,15 +24,10 @@ def tell(
 ) -> None:  # fmt: skip
     """Tell and write what came of one mission."""
     from ..apps.mission import mission_files, mission_json, recorded
-    from ..recordings import make_folder, write_files, write_run
-    from ._options import print_table
+    from ..recordings import write_run
 
     if out is not None:
-        make_folder(out)
-        write_files(
-            {out / name: data for name, data in mission_files(mission, outcome).items()},
-            force=force,
-        )
+        write_folder(out, mission_files(mission, outcome), force=force)
         run = recorded(mission, outcome, name="run", origin=origin)
         write_run(out / "run.csv", run.times, run.values, definition=run.definition, force=force)
     if as_json:
@@ -79,15 +74,11 @@ def tell_cases(
 ) -> None:
     """Tell and write what came of many missions."""
     from ..apps.mission import CASES_FILES, cases_files, cases_json
-    from ..recordings import make_folder, write_files
-    from ._options import print_table
 
     if not cases.cases:
         return
     if out is not None:
-        make_folder(out)
-        contents = cases_files(mission, cases)
-        write_files({out / name: contents[name] for name in CASES_FILES}, force=force)
+        write_folder(out, cases_files(mission, cases), force=force)
     if as_json:
         typer.echo(cases_json(mission, cases))
         return
@@ -166,11 +157,11 @@ def mission(
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write numbers and pictures there.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+    as_json: Json = False,
     page: Annotated[
         Path | None, typer.Option(metavar="FILE.html", help="Write a page that plays it.")
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Write over files.")] = False,
+    force: Force = False,
 ) -> None:
     """Have an operator bring an arm to an opening by the camera at its tip.
 

@@ -9,7 +9,7 @@ import typer
 from ..runtime.records import finite_or_none
 from ..runtime.text import InputError
 from ._commands import command
-from ._options import Renamed
+from ._options import ForceFile, Json, OnlyChannels, Renamed, print_table
 
 if TYPE_CHECKING:
     from ..models import AbstractModel
@@ -40,7 +40,7 @@ def definition_of(path: Path | None) -> "Definition":
     if is_result(path):
         from ..tasks import stored_result
 
-        # What is no result is told before JAX is imported, which takes seconds.
+        # What is no result is refused before JAX is imported, which takes seconds.
         stored_result(path)
         return Definition()
     return Definition.load(path)
@@ -88,7 +88,7 @@ def parameters(
     links: Annotated[
         int | None, typer.Option(metavar="N", help="Number of links of the arm.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+    as_json: Json = False,
 ) -> None:
     """List every parameter of the arm, or of a run's model.
 
@@ -159,8 +159,6 @@ def _facts(parameter: "Parameter", unit: str, model: Any) -> dict[str, Any]:
 
 
 def _show(facts: list[dict[str, Any]]) -> None:
-    from ._options import print_table
-
     headings = ["parameter", "unit", "value", "bounds", "in a fit", "elements", "", "meaning"]
     print_table(headings, [_row(fact) for fact in facts], left=len(headings))
 
@@ -229,10 +227,7 @@ def predict(
             help="A fit definition whose [initial], [wind] and channels hold for the runs, too.",
         ),
     ] = None,
-    channels: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME", help="Only this channel, without its unit. Repeatable."),
-    ] = None,
+    channels: OnlyChannels = None,
     rename: Renamed = None,
     refit_initial: Annotated[
         bool,
@@ -241,7 +236,7 @@ def predict(
     out: Annotated[
         Path | None, typer.Option(metavar="FILE.csv", help="Write the table there.")
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Write over a file.")] = False,
+    force: ForceFile = False,
 ) -> None:
     """Predict runs, and print the RMSE of each channel.
 
@@ -271,7 +266,6 @@ def predict(
 
     configure()
     from ..studies import compare
-    from ._options import print_table
 
     renamed = parse_rename(rename or [])
 

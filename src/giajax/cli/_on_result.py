@@ -7,7 +7,6 @@ is known by its type (`giajax.report.View`).
 import dataclasses
 import functools
 import inspect
-import shlex
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,7 +15,15 @@ import typer
 
 from ..runtime.text import InputError
 from ._commands import command
-from ._options import ManyProgress, Renamed, Scheduler, Workers, end_if_stopped, print_table
+from ._options import (
+    ManyProgress,
+    Renamed,
+    Scheduler,
+    Workers,
+    end_if_stopped,
+    print_table,
+    say_written,
+)
 
 if TYPE_CHECKING:
     from ..fitting import FitResult
@@ -51,7 +58,7 @@ class OnResult:
 
     @functools.cached_property
     def home(self) -> Path:
-        """The folder of the result, which is told before JAX is imported if there is none."""
+        """The folder of the result; where there is none, JAX is not imported to refuse it."""
         from ..tasks import stored_result
 
         return stored_result(self.result)[0]
@@ -159,7 +166,7 @@ def show(found: Any, result: "FitResult", most: int | None = None) -> None:
 def show_files(files: Mapping[Path, bytes]) -> None:
     """Print where files of one folder are."""
     (folder,) = {path.parent for path in files}
-    print(f"\nwrote {shlex.quote(str(folder))}: {', '.join(path.name for path in files)}")
+    say_written(folder, [path.name for path in files])
 
 
 def on_result(

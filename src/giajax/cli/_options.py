@@ -3,7 +3,7 @@
 import contextlib
 import shlex
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -50,6 +50,41 @@ def _cell(value: Any) -> str:
     return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
+# Options that several commands have.
+
+Browser = Annotated[
+    bool, typer.Option("--browser/--no-browser", help="Open a browser, or only say where.")
+]
+Digits = Annotated[
+    int, typer.Option(metavar="N", min=3, max=17, help="Significant digits that are written.")
+]
+Force = Annotated[bool, typer.Option("--force", help="Write over files.")]
+ForceFile = Annotated[bool, typer.Option("--force", help="Write over a file.")]
+ForceRun = Annotated[bool, typer.Option("--force", help="Write over a run.")]
+Host = Annotated[str, typer.Option(metavar="ADDRESS", help="Where to listen; 0.0.0.0: everywhere.")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
+Links = Annotated[int | None, typer.Option(metavar="N", help="Number of links.")]
+OnlyChannels = Annotated[
+    list[str] | None,
+    typer.Option(metavar="NAME", help="Only this channel, without its unit. Repeatable."),
+]
+Port = Annotated[int, typer.Option(metavar="N", help="Where to listen; 0 for a free one.")]
+Replayed = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE.csv", help="A run whose commands and wind are used instead."),
+]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="PATH=VALUE", help="A parameter's value. Repeatable."),
+]
+Solver = Annotated[
+    str, typer.Option(metavar="NAME", help="Integration method, such as tsit5, springs5.")
+]
+Tolerance = Annotated[float, typer.Option(metavar="TOL", help="Tolerance of the integration.")]
+Wind = Annotated[
+    str | None, typer.Option(metavar="X,Y,Z", help="Constant velocity of the air, m/s.")
+]
+
 Renamed = Annotated[
     list[str] | None,
     typer.Option(metavar="OLD=NEW", help="Read column OLD of the files as NEW. Repeatable."),
@@ -61,6 +96,19 @@ Cores = Annotated[
         metavar="N", min=1, envvar=CORES_VARIABLE, help="Compute on so many cores (all of them)."
     ),
 ]
+
+
+def write_folder(out: Path, contents: Mapping[str, bytes], *, force: bool) -> None:
+    """Write files by their names into a folder, which is made where it is missing."""
+    from ..recordings import make_folder, write_files
+
+    make_folder(out)
+    write_files({out / name: content for name, content in contents.items()}, force=force)
+
+
+def say_written(out: Path, names: Iterable[str]) -> None:
+    """Say which files of a folder were written."""
+    typer.echo(f"\nwrote {shlex.quote(str(out))}: {', '.join(names)}")
 
 
 def origin(context: typer.Context) -> str:
@@ -89,7 +137,6 @@ Workers = Annotated[
     int | None,
     typer.Option(metavar="N", min=1, help="Compute in so many processes of this machine (1)."),
 ]
-"""The option `--workers`."""
 
 Scheduler = Annotated[
     str | None,
@@ -97,7 +144,6 @@ Scheduler = Annotated[
         metavar="ADDRESS", help="Compute on a cluster of dask.distributed: tcp://host:8786."
     ),
 ]
-"""The option `--scheduler`."""
 
 STARTS = "starts"
 """Folder of a file for each start of a fit that workers do, beside its journal."""

@@ -10,6 +10,7 @@ import typer
 from ..runtime.signals import is_stopped, stopped_status
 from ..runtime.text import InputError
 from ._commands import Ended, command
+from ._options import Force, print_table, write_folder
 
 # As `giajax.apps.paper` has them, which would import JAX for a help text.
 NAMES = ("fig5", "fig6", "fig9", "fig10", "fig12", "fig19", "table3")
@@ -45,7 +46,7 @@ def paper(
         bool,
         typer.Option("--inverse", help="Of table3: which arms give the numbers that are printed."),
     ] = False,
-    force: Annotated[bool, typer.Option("--force", help="Write over files.")] = False,
+    force: Force = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print the tables only.")] = False,
 ) -> None:
     """Make a figure or a table of the paper again.
@@ -102,17 +103,13 @@ def _made(
 ) -> dict[str, dict[str, Any]]:
     """Make figures, write each as it is made, and return their records by name."""
     from ..apps.paper import reproduce, reproduced_files, reproduced_record
-    from ..recordings import make_folder, write_files
     from ._data import examples_root
-    from ._options import print_table
 
     progress = None if quiet else (lambda text: typer.echo(text, err=True))
     made = {}
     recordings = examples_root() / "data" / "paper"
     for each, shown in reproduce(names, recordings, progress=progress):
-        make_folder(out)
-        contents = reproduced_files(each, shown)
-        write_files({out / file: contents[file] for file in contents}, force=force)
+        write_folder(out, reproduced_files(each, shown), force=force)
         made[each] = reproduced_record(each, shown)
         print(shown.title)
         print_table(shown.headings, shown.rows)
@@ -136,7 +133,7 @@ def hysteresis(
         typer.Option(metavar="DEG", help="Travel within which eq. (12) changes its branch."),
     ] = 40.0,
     seed: Annotated[int, typer.Option(metavar="N", min=0, help="Of all noise.")] = 0,
-    force: Annotated[bool, typer.Option("--force", help="Write over files.")] = False,
+    force: Force = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print the errors only.")] = False,
 ) -> None:
     """Follow angles with a hysteretic joint, without compensation and with two.
@@ -153,7 +150,6 @@ def hysteresis(
     configure()
     from ..apps.experiments import ONE_LINK_FILES, SimulatedJoint, one_link, write_one_link
     from ..recordings import check_output_folder
-    from ._options import print_table
 
     check_output_folder(out, ONE_LINK_FILES, force=force)
     progress = None if quiet else (lambda text: typer.echo(text, err=True))

@@ -8,6 +8,7 @@ import typer
 
 from ..runtime.text import InputError
 from ._commands import command
+from ._options import Force, Links, Replayed, Settings, Wind, print_table, say_written, write_folder
 from ._simulate import (
     DURATION,
     channel_names,
@@ -59,11 +60,8 @@ def sensitivity(
     arm: Annotated[
         Path | None, typer.Option(metavar="FILE.toml", help="The arm: [arm] of this file.")
     ] = None,
-    links: Annotated[int | None, typer.Option(metavar="N", help="Number of links.")] = None,
-    pairs: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="PATH=VALUE", help="A parameter's value. Repeatable."),
-    ] = None,
+    links: Links = None,
+    pairs: Settings = None,
     step: Annotated[
         list[str] | None, typer.Option(metavar="JOINT=DEG[@T]", help="Step of a command.")
     ] = None,
@@ -71,13 +69,8 @@ def sensitivity(
         list[str] | None,
         typer.Option(metavar="JOINT=DEG[@START:DURATION]", help="Linear change of a command."),
     ] = None,
-    command: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.csv", help="A run whose commands and wind are used instead."),
-    ] = None,
-    wind: Annotated[
-        str | None, typer.Option(metavar="X,Y,Z", help="Constant velocity of the air, m/s.")
-    ] = None,
+    command: Replayed = None,
+    wind: Wind = None,
     duration: Annotated[
         float | None, typer.Option(metavar="S", help="Length of the run, s. [25]")
     ] = None,
@@ -96,13 +89,13 @@ def sensitivity(
             "[the run's, or position_m=0.01, angle_deg=0.5, pixel_px=2]",
         ),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Write over files.")] = False,
+    force: Force = False,
 ) -> None:
     """Show how strongly, when and where a motion responds to parameters.
 
     And what that is worth: the standard errors to expect of a fit, before anything is recorded.
     """
-    from ..recordings import check_output_folder, make_folder, read_run, write_files
+    from ..recordings import check_output_folder, read_run
 
     section = noise_section(noise, "--noise")
     if not all(value > 0 for value in section.values()):
@@ -174,10 +167,9 @@ def sensitivity(
     files = {name: text.encode() for name, text in sensitivity_files(sensitivities, noises).items()}
     title = f"{recorded.name}: sensitivity, and the information in each body"
     files["sensitivity.png"] = to_png(sensitivity_figure(sensitivities, noises, title))
-    make_folder(out)
-    write_files({out / name: files[name] for name in _FILES}, force=force)
+    write_folder(out, files, force=force)
     _show(sensitivities, noises, information_shares(sensitivities, noises))
-    typer.echo(f"\nwrote {out}: {', '.join(_FILES)}")
+    say_written(out, _FILES)
 
 
 def _noise_of(run: "Run", channels: tuple[str, ...], section: dict[str, float]) -> list[float]:
@@ -205,8 +197,6 @@ def _noise_of(run: "Run", channels: tuple[str, ...], section: dict[str, float]) 
 
 
 def _show(sensitivities: "Sensitivity", noises: list[float], shares: "np.ndarray") -> None:
-    from ._options import print_table
-
     bodies = list(sensitivities.bodies())
     rows = []
     for index, path in enumerate(sensitivities.parameters):

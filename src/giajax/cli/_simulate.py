@@ -12,7 +12,7 @@ import typer
 from ..runtime.text import InputError
 from ._commands import command
 from ._model import definition_of, model_of
-from ._options import origin
+from ._options import Digits, ForceRun, Links, Replayed, Solver, Tolerance, Wind, origin
 from ._values import (
     NUMBER,
     deviations,
@@ -205,7 +205,7 @@ def drives_of(run: "Run", rate: float) -> tuple[float, float, list["Drive"]]:
         length = max(math.floor(length * rate + 1e-6), 1) / rate
     wind = run.definition.section(WindSection)
     interpolation = run.definition.section(CommandSection).interpolation
-    apart: dict[str, dict[str, Any]] = {}  # what is straight is told by the largest value
+    apart: dict[str, dict[str, Any]] = {}  # what is straight is judged by the largest value
     for name, values in run.commands.items():
         apart.setdefault(run.channels[name].quantity, {})[name] = values
     drives = [Drive(run.times, rows, interpolation) for rows in apart.values()]
@@ -313,7 +313,7 @@ def simulate(
             help="The arm: [arm], [initial], [command] and [wind] of this file.",
         ),
     ] = None,
-    links: Annotated[int | None, typer.Option(metavar="N", help="Number of links.")] = None,
+    links: Links = None,
     settings: Annotated[
         list[str] | None,
         typer.Option(
@@ -333,13 +333,8 @@ def simulate(
             help="Linear change of a command, by default from 0.5 s for 1 s. Repeatable.",
         ),
     ] = None,
-    command: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.csv", help="A run whose commands and wind are used instead."),
-    ] = None,
-    wind: Annotated[
-        str | None, typer.Option(metavar="X,Y,Z", help="Constant velocity of the air, m/s.")
-    ] = None,
+    command: Replayed = None,
+    wind: Wind = None,
     gusts: Annotated[
         str | None,
         typer.Option(
@@ -376,16 +371,10 @@ def simulate(
         float, typer.Option(metavar="PERCENT", help="Share of each channel that is left empty.")
     ] = 0.0,
     seed: Annotated[int, typer.Option(metavar="N", min=0, help="Of noise, gaps and gusts.")] = 0,
-    solver: Annotated[
-        str, typer.Option(metavar="NAME", help="Integration method, such as tsit5, springs5.")
-    ] = "tsit5",
-    tolerance: Annotated[
-        float, typer.Option(metavar="TOL", help="Tolerance of the integration.")
-    ] = 1e-7,
-    digits: Annotated[
-        int, typer.Option(metavar="N", min=3, max=17, help="Significant digits that are written.")
-    ] = 9,
-    force: Annotated[bool, typer.Option("--force", help="Write over a run.")] = False,
+    solver: Solver = "tsit5",
+    tolerance: Tolerance = 1e-7,
+    digits: Digits = 9,
+    force: ForceRun = False,
 ) -> None:
     """Simulate an arm and write a run that `giajax fit` reads.
 
@@ -452,7 +441,7 @@ def _write(out: Path, run: "Run", digits: int, force: bool) -> None:
     from ..recordings import sidecar_path, write_run
 
     write_run(out, run.times, run.values, definition=run.definition, digits=digits, force=force)
-    rows = 0 if run.times is None else len(run.times)
+    rows = len(next(iter(run.values.values())))
     typer.echo(
         f"wrote {out} and {sidecar_path(out)}: {rows} rows, {len(run.observations)} channels; "
         f"see: giajax check {shlex.quote(str(out))}"
@@ -536,17 +525,15 @@ def synth(
         list[str] | None, typer.Option(metavar="KEY=VALUE", help="How far. Repeatable.")
     ] = None,
     seed: Annotated[int, typer.Option(metavar="N", min=0, help="Of all errors.")] = 0,
-    digits: Annotated[
-        int, typer.Option(metavar="N", min=3, max=17, help="Significant digits that are written.")
-    ] = 9,
-    force: Annotated[bool, typer.Option("--force", help="Write over a run.")] = False,
+    digits: Digits = 9,
+    force: ForceRun = False,
 ) -> None:
     """Record a run again, as its model or a fit predicts it, with errors of your choice.
 
     For a run of any model. Tests what a fit makes of noise, gaps, outliers and a frame that is
     off, before the experiment does.
     """
-    from ..recordings import check_output_run, read_run, sidecar_path, write_run
+    from ..recordings import check_output_run, read_run
 
     check_output_run(out, force=force)
     values = settings(pairs)
@@ -584,9 +571,4 @@ def synth(
     except SimulationError as error:
         typer.echo(f"giajax: {error}", err=True)
         raise typer.Exit(1) from None
-    write_run(out, new.times, new.values, definition=new.definition, digits=digits, force=force)
-    rows = len(next(iter(new.values.values())))
-    typer.echo(
-        f"wrote {out} and {sidecar_path(out)}: {rows} rows, {len(new.observations)} channels; "
-        f"see: giajax check {shlex.quote(str(out))}"
-    )
+    _write(out, new, digits, force)

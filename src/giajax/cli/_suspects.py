@@ -84,10 +84,10 @@ def suspects(
     if tries is not None and not ladder:
         raise typer.BadParameter("--tries is how many fits a step of a ladder makes: add --ladder")
     fitted, runs = given.fitted, given.runs
-    from ..studies import TRIES, ladder as climb, suspects as ask, with_systematic_errors
+    from ..studies import TRIES, ladder as selected, suspects as tested, with_systematic_errors
 
     others = read_runs(held_out or [], Definition(), rename=given.renamed)
-    found = ask(fitted, runs, each=each or [])
+    found = tested(fitted, runs, each=each or [])
     fitted = dataclasses.replace(fitted, suspects=found.rows)
     fitted = with_systematic_errors(fitted, runs, deviations or None)
     shown = not (given.as_json or given.quiet)
@@ -99,7 +99,9 @@ def suspects(
     if ladder:
         others += held_out_runs(fitted, given.data or [], rename=given.renamed)
         said = None if given.quiet else _say
-        steps = climb(fitted, runs, held_out=others, most=most, tries=tries or TRIES, progress=said)
+        steps = selected(
+            fitted, runs, held_out=others, most=most, tries=tries or TRIES, progress=said
+        )
         if shown:
             _show_ladder(steps)
     if given.out is not None:

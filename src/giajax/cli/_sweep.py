@@ -7,7 +7,7 @@ import typer
 
 from ..runtime.signals import stopped_status
 from ._commands import command
-from ._options import ManyProgress, Scheduler, Workers
+from ._options import ManyProgress, Scheduler, Workers, print_table
 
 if TYPE_CHECKING:
     import polars as pl
@@ -94,7 +94,6 @@ def _list(plan: "Plan", folder: Path) -> None:
     """The fits of a plan, and which of them are done."""
     from ..runtime.tasks import read_outcome
     from ..tasks import FITS
-    from ._options import print_table
 
     rows, known = [], 0
     for number, (case, task) in enumerate(zip(plan.cases, plan.tasks(), strict=True), 1):
@@ -108,8 +107,6 @@ def _list(plan: "Plan", folder: Path) -> None:
 
 def _show(table: "pl.DataFrame", columns: list[str]) -> None:
     """The first rows: what differs, what was found, and how well it describes the data."""
-    from ._options import print_table
-
     values = [name for name in table.columns if name.startswith("value.")]
     shown = [*columns, "status", *values, "verdict"]
     rows = table.head(_ROWS).select(shown).rows()

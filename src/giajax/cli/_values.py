@@ -154,7 +154,7 @@ def velocity(text: str, option: str) -> list[float]:
     return found
 
 
-# The grammar of what `giajax fit` is told of parameters: priors, bounds, ties, groups of runs.
+# The grammar of options of `giajax fit` on parameters: priors, bounds, ties, groups of runs.
 #
 # No character in it means anything to a shell, brackets of indices apart.
 

@@ -9,7 +9,7 @@ import typer
 
 from ..runtime.text import InputError
 from ._commands import command
-from ._options import Renamed
+from ._options import Browser, ForceFile, Host, Port, Renamed
 
 if TYPE_CHECKING:
     from ..apps.viewer import Posable, Show
@@ -47,14 +47,10 @@ def view(
         typer.Option(metavar="FILE.html", help="Write a file that plays without a server."),
     ] = None,
     dark: Annotated[bool, typer.Option("--dark", help="Of --out: light on dark.")] = False,
-    host: Annotated[
-        str, typer.Option(metavar="ADDRESS", help="Where to listen; 0.0.0.0: everywhere.")
-    ] = "127.0.0.1",
-    port: Annotated[int, typer.Option(metavar="N", help="Where to listen; 0 for a free one.")] = 0,
-    browser: Annotated[
-        bool, typer.Option("--browser/--no-browser", help="Open a browser, or only say where.")
-    ] = True,
-    force: Annotated[bool, typer.Option("--force", help="Write over a file.")] = False,
+    host: Host = "127.0.0.1",
+    port: Port = 0,
+    browser: Browser = True,
+    force: ForceFile = False,
 ) -> None:
     """Show an arm in a browser: balloons, markers, forces, surroundings.
 

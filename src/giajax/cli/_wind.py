@@ -1,6 +1,5 @@
 """`giajax wind`: the wind that a resting arm undulates in."""
 
-import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
@@ -9,7 +8,7 @@ import typer
 from ..runtime.text import InputError
 from ._commands import command
 from ._model import definition_of, model_of
-from ._options import Renamed
+from ._options import Force, Json, OnlyChannels, Renamed, print_table, say_written, write_folder
 from ._simulate import gust_numbers
 from ._values import velocity
 
@@ -65,16 +64,13 @@ def wind(
         float | None,
         typer.Option(metavar="HZ", help="Frequency to look up to. [half of what rows resolve]"),
     ] = None,
-    channels: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME", help="Only this channel, without its unit. Repeatable."),
-    ] = None,
+    channels: OnlyChannels = None,
     rename: Renamed = None,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write wind.json and wind.png there.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
-    force: Annotated[bool, typer.Option("--force", help="Write over files.")] = False,
+    as_json: Json = False,
+    force: Force = False,
 ) -> None:
     """Fit mean flow and gusts to the recording of a resting arm.
 
@@ -84,10 +80,8 @@ def wind(
     from ..recordings import (
         Definition,
         check_output_folder,
-        make_folder,
         parse_rename,
         read_run,
-        write_files,
     )
 
     if out is not None:
@@ -125,10 +119,8 @@ def wind(
     text = wind_json(found, run)
     if out is not None:
         picture = to_png(wind_figure(found, f"{run.name}: spectra at rest, and those of the wind"))
-        make_folder(out)
         contents = (f"{text}\n".encode(), picture)
-        files = zip(_FILES, contents, strict=True)
-        write_files({out / name: content for name, content in files}, force=force)
+        write_folder(out, dict(zip(_FILES, contents, strict=True)), force=force)
     if as_json:
         typer.echo(text)
         return
@@ -136,12 +128,10 @@ def wind(
     if run.winds:
         typer.echo("note: the run's own wind columns were not used")
     if out is not None:
-        typer.echo(f"\nwrote {shlex.quote(str(out))}: {', '.join(_FILES)}")
+        say_written(out, _FILES)
 
 
 def _show(found: "WindFit") -> None:
-    from ._options import print_table
-
     rows = [
         [
             name,

@@ -378,7 +378,6 @@ def _picture(path: Path) -> str | None:
 
 POSTERIOR_VIEW = View(
     record=PosteriorSummary,
-    file=POSTERIOR,
     table=_table,
     sentences=_sentences,
     section=_section,

@@ -13,7 +13,7 @@ from scipy.interpolate import PchipInterpolator
 from ..fitting import Estimate, FitResult, in_column_units
 from ..models import AbstractModel
 from ..runtime.text import format_estimate
-from ..studies import PROFILES, Profile, Profiles
+from ..studies import Profile, Profiles
 from ._style import BLUE, GREY, LIGHT, VERMILLION, new_figure, new_plot, plain, small
 from ._views import Section, Table, View
 
@@ -59,11 +59,11 @@ def profile_rows(profiles: Profiles, result: FitResult) -> list[list[str]]:
     for profile in profiles.profiles.values():
         factor, unit = _in_columns(profile, result.model)
         error = None if profile.standard_error is None else profile.standard_error * factor
-        value, told = format_estimate(profile.value * factor, error)
+        value, shown_error = format_estimate(profile.value * factor, error)
         linear = "-" if profile.linear is None else _interval(profile.linear, factor)
         found = _interval(profile.interval, factor)
         remarks = "; ".join(profile.remarks)
-        rows.append([profile.name, value, told, unit or "-", linear, found, remarks])
+        rows.append([profile.name, value, shown_error, unit or "-", linear, found, remarks])
     return rows
 
 
@@ -233,7 +233,6 @@ def _title(result: FitResult) -> str:
 
 PROFILE_VIEW = View(
     record=Profiles,
-    file=PROFILES,
     table=_table,
     sentences=lambda found, most: [
         f"intervals of {found.level:.3g}; 'open' where the data give no end"

@@ -49,7 +49,7 @@ def sections(result: FitResult, source: Path | None) -> list[Section]:
     found = []
     for view in _VIEWS.values():
         try:
-            record = view.record.of_json(read_bytes(source.parent / view.file, RESULT_BYTES))
+            record = view.record.of_json(read_bytes(source.parent / view.record.file, RESULT_BYTES))
         except (OSError, InputError):
             continue
         if record.is_of(result):

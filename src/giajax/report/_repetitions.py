@@ -184,7 +184,6 @@ def _histogram(one: Repeated) -> str:
 
 BOOTSTRAP_VIEW = View(
     record=Bootstrap,
-    file=BOOTSTRAP,
     table=lambda found, result, most: Table(*bootstrap_table(found)),
     sentences=lambda found, most: bootstrap_summary(found),
     figure=lambda found, result: bootstrap_figure(found),
@@ -302,7 +301,6 @@ def _influence_sentences(found: Influence, most: int | None) -> list[str]:
 
 INFLUENCE_VIEW = View(
     record=Influence,
-    file=INFLUENCE,
     table=lambda found, result, most: Table(*influence_table(found, most), 2),
     sentences=_influence_sentences,
     figure=lambda found, result: influence_figure(found),

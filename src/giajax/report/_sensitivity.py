@@ -1,4 +1,4 @@
-"""Sensitivities as pictures and tables: over time, and what each body tells."""
+"""Sensitivities as pictures and tables: over time, and the information in each body."""
 
 import csv
 import io

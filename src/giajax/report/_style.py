@@ -159,9 +159,9 @@ def draw_scene(
             panel.add_patch(Polygon(outline, closed=True, color=colour, alpha=0.22, linewidth=0))
             panel.plot(*points.T, color=colour, linewidth=0.7, linestyle=_AXIS)
             continue
-        hangs = line.loose is not None and bool(line.loose[sample])
+        is_loose = line.loose is not None and bool(line.loose[sample])
         width = (widths or {}).get(line.name, 1.4)
-        panel.plot(*points.T, color=colour, linewidth=width, linestyle=_SLACK if hangs else "-")
+        panel.plot(*points.T, color=colour, linewidth=width, linestyle=_SLACK if is_loose else "-")
     for marker in scene.markers.values():
         panel.plot(*marker[sample][seen], "o", color=INK, markersize=2.6, zorder=5)
     panel.set_aspect("equal")

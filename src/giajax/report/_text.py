@@ -45,7 +45,7 @@ def times_noise(record: RunFit, names: Iterable[str] | None = None) -> float:
 # Without one of two equal recordings errors are 1.4 times as large; more than this is worth a word.
 _NOTABLE = 2.0
 
-# A factor is told up to here; beyond it hardly anything is known without the recording.
+# A factor is shown up to here; beyond it hardly anything is known without the recording.
 _LARGE = 1000.0
 
 
@@ -84,12 +84,21 @@ def held_out_lines(result: FitResult) -> list[str]:
     return [line for record in result.held_out for line in _lines(record)]
 
 
-def _lines(record: HeldOut) -> list[str]:
+def _by_unit(run: RunFit | PredictionErrors | HeldOut) -> dict[str, list[str]]:
+    """Names of the channels of each unit; the unit as it stands behind a number."""
     by_unit: dict[str, list[str]] = {}
-    for name, channel in record.channels.items():
-        by_unit.setdefault(channel.unit, []).append(name)
+    for name, channel in run.channels.items():
+        by_unit.setdefault(_unit(channel.unit), []).append(name)
+    return by_unit
+
+
+def _unit(unit: str) -> str:
+    return f" {unit}" if unit else ""
+
+
+def _lines(record: HeldOut) -> list[str]:
     lines = []
-    for unit, names in by_unit.items():
+    for unit, names in _by_unit(record).items():
         channels = [record.channels[name] for name in names]
         errors = _range([channel.rmse for channel in channels]) or "not known"
         if len(names) <= 4:
@@ -98,7 +107,7 @@ def _lines(record: HeldOut) -> list[str]:
         sizes = _range([channel.size for channel in channels])
         values = sum(channel.n for channel in channels)
         lines.append(
-            f"{record.name}: RMSE {errors}{f' {unit}' if unit else ''}"
+            f"{record.name}: RMSE {errors}{unit}"
             + (f"; {sizes} times what noise and the parameters allow" if sizes else "")
             + f"; {len(names)} channel{'s' * (len(names) > 1)}, {values} values"
         )
@@ -257,19 +266,17 @@ def _over_runs(runs: Sequence[RunFit | PredictionErrors | HeldOut], what: str) -
     for (name, unit), values in table.items():
         low, middle, high = np.quantile(values, [0.0, 0.5, 1.0])
         shown = f"{_rmse(low)} to {_rmse(high)}, median {_rmse(middle)}"
-        lines.append(f"{what} {len(values)} runs: {name} RMSE {shown}{f' {unit}' if unit else ''}")
+        lines.append(f"{what} {len(values)} runs: {name} RMSE {shown}{_unit(unit)}")
     return lines
 
 
 def _errors(run: PredictionErrors) -> list[str]:
     """RMSE of the prediction of a run that was not fitted."""
-    by_unit: dict[str, list[str]] = {}
-    for name, channel in run.channels.items():
-        by_unit.setdefault(channel.unit, []).append(f"{name} {_rmse(channel.rmse)}")
-    return [
-        f"{run.name}: RMSE {', '.join(shown)}{f' {unit}' if unit else ''}"
-        for unit, shown in by_unit.items()
-    ]
+    lines = []
+    for unit, names in _by_unit(run).items():
+        shown = ", ".join(f"{name} {_rmse(run.channels[name].rmse)}" for name in names)
+        lines.append(f"{run.name}: RMSE {shown}{unit}")
+    return lines
 
 
 def _number(value: float | None) -> str:
@@ -283,11 +290,8 @@ def _rmse(value: float | None) -> str:
 def _residuals(run: RunFit) -> list[str]:
     """One line for a few channels, one line per unit for many."""
     channels = run.channels
-    by_unit: dict[str, list[str]] = {}
-    for name, channel in channels.items():
-        by_unit.setdefault(channel.unit, []).append(name)
     lines = []
-    for unit, names in by_unit.items():
+    for unit, names in _by_unit(run).items():
         known = {name: rmse for name in names if (rmse := channels[name].rmse) is not None}
         values = sum(channels[name].n for name in names)
         noise = sorted({channels[name].noise for name in names})
@@ -301,7 +305,7 @@ def _residuals(run: RunFit) -> list[str]:
             shown = "not finite"
         against = f"{noise[0]:.3g}" + (f" to {noise[-1]:.3g}" if noise[-1] > noise[0] else "")
         lines.append(
-            f"{run.name}: RMSE {shown}{f' {unit}' if unit else ''}; noise {against}; "
+            f"{run.name}: RMSE {shown}{unit}; noise {against}; "
             f"{len(names)} channel{'s' * (len(names) > 1)}, {values} values"
         )
     return lines

@@ -3,31 +3,14 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic, NamedTuple, Protocol, Self, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 from matplotlib.figure import Figure
 
 from ..fitting import FitResult
+from ..studies import StudyRecord
 
-
-class Record(Protocol):
-    """What a command on a result finds and writes beside it."""
-
-    def to_json(self) -> str:
-        """The text of its file."""
-        ...
-
-    @classmethod
-    def of_json(cls, text: str | bytes) -> Self:
-        """The record that a text of `to_json` holds; InputError where there is none."""
-        ...
-
-    def is_of(self, result: FitResult) -> bool:
-        """Whether it is of this fit, and not of another one in its folder."""
-        ...
-
-
-R = TypeVar("R", bound=Record)
+R = TypeVar("R", bound=StudyRecord)
 
 
 class Table(NamedTuple):
@@ -75,7 +58,6 @@ class View(Generic[R]):
 
     Attributes:
         record: the type.
-        file: that keeps one beside a `result.json`.
         table: of a record, the result and a number of rows (None for all).
         sentences: below the table, likewise.
         figure: the picture of a record beside its file; None where the files have another way.
@@ -83,7 +65,6 @@ class View(Generic[R]):
     """
 
     record: type[R]
-    file: str
     table: Callable[[R, FitResult, int | None], Table]
     sentences: Callable[[R, int | None], list[str]]
     section: Callable[[R, FitResult, Path], Section]

@@ -61,6 +61,7 @@ from ._profile_records import (
 )
 from ._refit import (
     Fitted as Fitted,
+    StudyRecord as StudyRecord,
     begun_as_fitted as begun_as_fitted,
     begun_where_it_ended as begun_where_it_ended,
     fit_key as fit_key,

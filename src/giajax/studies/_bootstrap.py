@@ -14,14 +14,11 @@ from ..noise import ChannelNoise, drawn
 from ..recordings import Run
 from ..runtime.arrays import Float
 from ..runtime.execution import Execution
-from ..runtime.records import json_text, parse_record
 from ..runtime.text import InputError
 from ..schema.parameters import get
-from ._refit import Fitted, optimum_of, refit
+from ._refit import Fitted, StudyRecord, optimum_of, refit
 
 Method = Literal["parametric", "block"]
-
-_HEAD = {"schema_version": 1}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,7 +64,9 @@ class Repeated:
 
 
 @dataclasses.dataclass(frozen=True)
-class Bootstrap:
+class Bootstrap(
+    StudyRecord, file="bootstrap.json", head={"schema_version": 1}, remedy="repeat the fit again"
+):
     """What repetitions of a fit say of its standard errors and intervals.
 
     Attributes:
@@ -108,20 +107,6 @@ class Bootstrap:
     def is_of(self, result: FitResult) -> bool:
         """Whether it is of this fit, and not of another one that was in its place."""
         return self.fitted == {path: float(one.value) for path, one in result.free.items()}
-
-    def to_json(self) -> str:
-        """The text of `bootstrap.json`."""
-        return json_text(self, _HEAD, indent=1)
-
-    @classmethod
-    def of_json(cls, text: str | bytes) -> Self:
-        """The record that a text of `to_json` holds.
-
-        Raises:
-            InputError: it is of none, or of a later version.
-        """
-        what = "this is no bootstrap.json of this version of giajax"
-        return parse_record(cls, text, _HEAD, what, "repeat the fit again")
 
 
 LEVEL = 0.95

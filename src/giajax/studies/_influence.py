@@ -2,18 +2,16 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, Self, Unpack
+from typing import Any, Literal, Unpack
 
 import numpy as np
 
 from ..fitting import CellEquations, FitResult, Optimum, Recorded
 from ..recordings import Channel, Run
 from ..runtime.execution import Execution
-from ..runtime.records import finite_or_none, json_text, parse_record
+from ..runtime.records import finite_or_none
 from ..runtime.text import InputError
-from ._refit import Fitted
-
-_HEAD = {"schema_version": 1}
+from ._refit import Fitted, StudyRecord
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,7 +69,9 @@ class LeftOut:
 
 
 @dataclasses.dataclass(frozen=True)
-class Influence:
+class Influence(
+    StudyRecord, file="influence.json", head={"schema_version": 1}, remedy="ask for it again"
+):
     """What each part of the data does to the parameters of a fit.
 
     Attributes:
@@ -93,20 +93,6 @@ class Influence:
     def is_of(self, result: FitResult) -> bool:
         """Whether it is of this fit, and not of another one that was in its place."""
         return self.fitted == {path: float(one.value) for path, one in result.free.items()}
-
-    def to_json(self) -> str:
-        """The text of `influence.json`."""
-        return json_text(self, _HEAD, indent=1)
-
-    @classmethod
-    def of_json(cls, text: str | bytes) -> Self:
-        """The record that a text of `to_json` holds.
-
-        Raises:
-            InputError: it is of none, or of a later version.
-        """
-        what = "this is no influence.json of this version of giajax"
-        return parse_record(cls, text, _HEAD, what, "ask for it again")
 
 
 Kind = Literal["run", "marker", "channel", "span"]

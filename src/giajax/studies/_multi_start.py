@@ -143,10 +143,10 @@ def multi_start(
         seed: of the other starts (0).
         **keywords: these three, and those of `giajax.fit`, in place of `settings`.
         announce: called before each fit with its number, from 1, and its start. Of fits side by
-            side the later ones are told of, with their steps, when the earlier ones have ended.
+            side the later ones are reported, with their steps, when the earlier ones have ended.
         before: a result of the same fit from fewer starts, which are not fitted again.
         executor: who fits the starts after the first that converges, each a task
-            (`giajax.runtime.execution.run_tasks`), and is told of once it has ended; by default
+            (`giajax.runtime.execution.run_tasks`), and is reported once it has ended; by default
             threads of this process.
         folder: of a file for each of these tasks, by which the same call goes on.
 
@@ -199,7 +199,7 @@ def solve_from_starts(
     setup, settings = setup.at_start(), setup.settings
     starts, values = settings.starts, start_values(setup)
     budget = None if settings.budget_s is None else Budget(settings.budget_s)
-    # A wrong number of cores is told before the first start, not after it.
+    # A wrong number of cores is refused before the first start, not after it.
     count = cores()
     spent = threading.Event()
 

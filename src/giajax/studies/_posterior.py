@@ -24,7 +24,7 @@ from ..runtime.text import InputError
 from ._posterior_records import Band, Posterior, PosteriorSummary, bands, doubts, marginal
 from ._refit import Fitted
 
-# Transitions of a call of the program: between calls Ctrl-C is heard, and progress told.
+# Transitions of a call of the program: between calls Ctrl-C is noticed, and progress reported.
 _AT_ONCE = 20
 
 # Transitions of the warm-up below which the matrix of the optimum stays: Stan's windows, and some
@@ -37,8 +37,8 @@ _listener: contextvars.ContextVar[Callable[[int], None] | None] = contextvars.Co
 
 
 @contextlib.contextmanager
-def heard_by(listener: Callable[[int], None] | None) -> Iterator[None]:
-    """Tell a function of the transitions that chains of this process have done since the last."""
+def reporting(listener: Callable[[int], None] | None) -> Iterator[None]:
+    """Call a function with the transitions that chains of this process do, after each few."""
     token = _listener.set(listener)
     try:
         yield
@@ -247,9 +247,9 @@ def posterior(
         Task(chain, {"begun": one, "number": at, "draws": draws, "warmup": warmup}, seed=seed)
         for at, one in enumerate(begun)
     ]
-    told = _Told(progress, chains, draws + warmup)
-    with heard_by(told.moved):
-        outcomes = run_tasks(tasks, executor=executor, folder=folder, progress=told.done)
+    counted = _Progress(progress, chains, draws + warmup)
+    with reporting(counted.moved):
+        outcomes = run_tasks(tasks, executor=executor, folder=folder, progress=counted.done)
     found = [outcome.value for outcome in outcomes if outcome.status == "done"]
     failed = [outcome.message for outcome in outcomes if outcome.status == "failed"]
     if not found:
@@ -294,8 +294,8 @@ def check_posterior(*, chains: int = 1, draws: int = 8, warmup: int = 0) -> None
             raise InputError(f"{what} is {number}, but must be at least {least}")
 
 
-class _Told:
-    """Adds up what chains of this process and of others say that they have done."""
+class _Progress:
+    """Adds up the transitions that chains of this process and of others have done."""
 
     def __init__(self, progress: Callable[[int, int], None] | None, chains: int, each: int) -> None:
         self._progress, self._each, self._total = progress, each, chains * each

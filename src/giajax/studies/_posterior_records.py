@@ -9,13 +9,14 @@ from types import ModuleType
 from typing import Any, NamedTuple, Self
 
 import numpy as np
-from scipy.special import ndtri, stdtrit
+from scipy.special import ndtri
 
-from ..fitting import FitResult, Optimum
+from ..fitting import FitResult, Optimum, student_reach
 from ..recordings import Run
 from ..runtime.arrays import Float
-from ..runtime.records import finite_or_none, json_text, parse_record
+from ..runtime.records import finite_or_none
 from ..runtime.text import InputError
+from ._refit import StudyRecord
 
 # Whether chains have mixed: R-hat and effective sample sizes.
 #
@@ -160,12 +161,6 @@ def _arviz() -> ModuleType:
         raise InputError(_MISSING) from None
 
 
-_LEVEL = 0.95
-
-# Degrees of freedom from which Student's t is a normal distribution.
-_NORMAL = 1e9
-
-
 @dataclasses.dataclass(frozen=True)
 class Marginal:
     """What is known of one parameter, SI.
@@ -239,8 +234,7 @@ def _linear(optimum: Optimum, index: int) -> tuple[float, float] | None:
     error = statistics.standard_errors.get(index)
     if error is None or not np.isfinite(error):
         return None
-    freedom = min(statistics.freedom.get(index, _NORMAL), _NORMAL)
-    reach = float(stdtrit(freedom, 1 - (1 - _LEVEL) / 2)) * error
+    reach = student_reach(statistics.freedom.get(index, np.inf)) * error
     value, lower, upper = optimum.values[index], *(each[index] for each in optimum.bounds)
     return float(max(value - reach, lower)), float(min(value + reach, upper))
 
@@ -304,8 +298,6 @@ def doubts(
     return sentences
 
 
-_HEAD = {"giajax_posterior": 1}
-
 # Where a normal variable is by 95 %, in deviations.
 NORMAL = 1.959964
 
@@ -337,7 +329,13 @@ class Band:
 
 
 @dataclasses.dataclass(frozen=True)
-class PosteriorSummary:
+class PosteriorSummary(
+    StudyRecord,
+    file="posterior.json",
+    head={"giajax_posterior": 1},
+    remedy="run giajax posterior again",
+    indent=2,
+):
     """What `posterior.json` says of a posterior.
 
     Attributes:
@@ -370,20 +368,6 @@ class PosteriorSummary:
     def is_of(self, result: FitResult) -> bool:
         """Whether it is of this fit, and not of another one that was in its place."""
         return self.cost == result.cost
-
-    def to_json(self) -> str:
-        """As JSON; what is not finite is null."""
-        return json_text(self, _HEAD)
-
-    @classmethod
-    def of_json(cls, text: str | bytes) -> Self:
-        """What `to_json` wrote.
-
-        Raises:
-            InputError: it is something else.
-        """
-        what = "this is no posterior.json of this version of giajax"
-        return parse_record(cls, text, _HEAD, what, "run giajax posterior again")
 
 
 @dataclasses.dataclass(frozen=True, repr=False)

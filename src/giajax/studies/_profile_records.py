@@ -6,20 +6,18 @@ JSON gives each record back; field by field they are the objects of `profiles.js
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal, Self, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from ..fitting import FitResult
 from ..runtime.files import read_bytes
 from ..runtime.limits import RESULT_BYTES
-from ..runtime.records import json_text, parse_record
+from ..runtime.records import parse_record
 from ..runtime.text import InputError
-from ._refit import fit_key
+from ._refit import StudyRecord, fit_key
 
 PROFILES = "profiles.json"
-_HEAD = {"giajax_profiles": 1}
-
 Ending: TypeAlias = Literal["level", "bound", "flat", "failed", "unfinished", "stopped"]
 """What ended a side of a profile.
 
@@ -92,7 +90,9 @@ class Profile:
 
 
 @dataclasses.dataclass(frozen=True)
-class Profiles:
+class Profiles(
+    StudyRecord, file=PROFILES, head={"giajax_profiles": 1}, remedy="profile the fit again"
+):
     """Profiles of a fit.
 
     Attributes:
@@ -114,20 +114,6 @@ class Profiles:
     def is_of(self, result: FitResult) -> bool:
         """Whether they are of this fit, and not of another one that was in its place."""
         return self.fit == fit_key(result)
-
-    def to_json(self) -> str:
-        """The profiles as JSON."""
-        return json_text(self, _HEAD, indent=1)
-
-    @classmethod
-    def of_json(cls, text: str | bytes) -> Self:
-        """The profiles that a text of `to_json` holds.
-
-        Raises:
-            InputError: it is of none, or of another version.
-        """
-        what = "this is no profiles.json of this version of giajax"
-        return parse_record(cls, text, _HEAD, what, "profile the fit again")
 
 
 def load_profiles(path: str | Path) -> Profiles:
@@ -152,7 +138,7 @@ def load_profiles(path: str | Path) -> Profiles:
         raise InputError(f"{path} does not exist: make it with giajax profile") from None
     except OSError as error:
         raise InputError(f"{what} ({error.strerror}): make it anew") from None
-    return parse_record(Profiles, text, _HEAD, what, "make it anew")
+    return parse_record(Profiles, text, Profiles.head, what, "make it anew")
 
 
 # A deviance this far below that of the fit is no rounding.

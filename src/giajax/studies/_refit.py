@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from ..recordings import Definition, FitSettings, NoiseModel, Run
 from ..runtime.execution import prepared, run_tasks
 from ..runtime.identities import fields_of
 from ..runtime.programs import content
+from ..runtime.records import json_text, parse_record
 from ..runtime.tasks import Outcome, Task
 from ..runtime.text import InputError
 from ..schema.parameters import Parameter, declared, elements, get, switched_on
@@ -240,8 +241,8 @@ class Fitted:
 
         Times, places of files, versions, and what was asked of a result afterwards do not count.
         """
-        told = content(list(map(fingerprint, self.runs)))
-        return hashlib.sha256((fit_key(self.result) + told).encode()).hexdigest()
+        data = content(list(map(fingerprint, self.runs)))
+        return hashlib.sha256((fit_key(self.result) + data).encode()).hexdigest()
 
     def study(
         self, function: Callable[..., Any], each: Iterable[Mapping[str, Any]], **how: Any
@@ -302,6 +303,48 @@ def _counted(value: Any) -> Any:
     if isinstance(value, float | np.floating):
         return float(value) if math.isfinite(value) else None
     return value
+
+
+class StudyRecord:
+    """What a study of a fit found, as a file beside its `result.json`.
+
+    A study derives a frozen dataclass from it, with the keywords below, and says by `is_of` whose
+    it is. How it is shown is its `giajax.report.View`.
+
+    Attributes:
+        file: name of the file.
+        head: its first keys: the version of what is in it.
+        remedy: what to do where a file holds no such record.
+        indent: spaces of a level.
+    """
+
+    file: ClassVar[str]
+    head: ClassVar[Mapping[str, int]]
+    remedy: ClassVar[str]
+    indent: ClassVar[int]
+
+    def __init_subclass__(
+        cls, *, file: str, head: Mapping[str, int], remedy: str, indent: int = 1
+    ) -> None:
+        cls.file, cls.head, cls.remedy, cls.indent = file, head, remedy, indent
+
+    def is_of(self, result: FitResult) -> bool:
+        """Whether it is of this fit, and not of another one that was in its place."""
+        raise NotImplementedError
+
+    def to_json(self) -> str:
+        """The text of its file; what is not finite is null."""
+        return json_text(self, self.head, indent=self.indent)
+
+    @classmethod
+    def of_json(cls, text: str | bytes) -> Self:
+        """The record that a text of `to_json` holds.
+
+        Raises:
+            InputError: it is of none, or of another version.
+        """
+        what = f"this is no {cls.file} of this version of giajax"
+        return parse_record(cls, text, cls.head, what, cls.remedy)
 
 
 def fingerprint(run: Run) -> tuple[Any, ...]:

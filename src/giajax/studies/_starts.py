@@ -218,8 +218,8 @@ class Asked:
     def task_key(self) -> str:
         """SHA-256 of what decides where a start ends."""
         words = json.dumps([self.config, self.own, self.suited], sort_keys=True)
-        told = content([self.model, [fingerprint(run) for run in self.runs]])
-        return hashlib.sha256((words + told).encode()).hexdigest()
+        data = content([self.model, [fingerprint(run) for run in self.runs]])
+        return hashlib.sha256((words + data).encode()).hexdigest()
 
     def setup(self) -> Setup:
         """The setup again, kept in this process for the tasks to come."""
@@ -281,7 +281,7 @@ def by_executor(
         values: of all starts.
         executor, folder: as of `run_tasks`.
         budget: of all of them together.
-        announce, progress: told of a start, and of its steps, once it has ended.
+        announce, progress: called with a start, and with its steps, once it has ended.
         spent: called where there was no time for a start.
     """
 

@@ -32,15 +32,7 @@ class _Bar(NamedTuple):
 
 
 def compare_page(found: Contrast, results: Sequence[FitResult]) -> bytes:
-    """Several results as one HTML file that opens without a network.
-
-    Arguments:
-        found: them side by side.
-        results: the results, in the same order.
-
-    Returns:
-        The page, encoded.
-    """
+    """As of `giajax.report.compare_page`."""
     parameters, whole = contrast_tables(found)
     openings: list[Opening] = [opening(result) for result in results]
     names = [column.name for column in found.columns]

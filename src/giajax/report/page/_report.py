@@ -245,20 +245,7 @@ def report_page(
     held_out: Sequence[Run] = (),
     source: Path | None = None,
 ) -> bytes:
-    """A result as one HTML file that opens without a network.
-
-    Arguments:
-        result: the result of a fit.
-        runs: the runs that were fitted, in the same order.
-        held_out: what was held out of them.
-        source: the `result.json`, from which the page says how to fit it again.
-
-    Returns:
-        The page, below 5 MB.
-
-    Raises:
-        InputError: other runs than those of the result.
-    """
+    """As of `giajax.report.report_page`."""
     runs = matching_runs(result.runs, runs, whole=True)
     # What is predicted here, the bands and the arm with it, begins where the fitted values do.
     runs = begun_where_it_ended(result, runs)

@@ -2,12 +2,19 @@
 
 import json
 import math
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...fitting import Estimate, FitResult, column_factors, in_column_units
+from ...fitting import (
+    Estimate,
+    FitResult,
+    HeldOut,
+    PredictionErrors,
+    column_factors,
+    in_column_units,
+)
 from ...runtime.text import format_bounds, format_estimate
 from ...studies import distinct_optima, lost_starts, together
 from .._views import Table
@@ -132,44 +139,48 @@ def noise_table(result: FitResult) -> Table:
 
 def held_out_table(result: FitResult) -> Table:
     """What was held out, and how far off its prediction is."""
-    rows = [
-        [record.name, name, c.unit or "-", str(c.n), _number(c.rmse), _number(c.size, "-")]
-        for record in result.held_out
-        for name, c in record.channels.items()
-    ]
-    headings = ["run", "channel", "unit", "values", "RMSE", "times what it may be off"]
-    return Table(headings, rows, 3)
+    return _errors(result.held_out, "times what it may be off", lambda c: _number(c.size, "-"))
 
 
 def validation_table(result: FitResult) -> Table:
     """Runs that were not fitted, and how far off their prediction is."""
+    return _errors(result.validation, "largest error", lambda c: _number(c.largest))
+
+
+def _errors(
+    records: Sequence[HeldOut | PredictionErrors], last: str, cell: Callable[[Any], str]
+) -> Table:
     rows = [
-        [record.name, name, c.unit or "-", str(c.n), _number(c.rmse), _number(c.largest)]
-        for record in result.validation
+        [record.name, name, c.unit or "-", str(c.n), _number(c.rmse), cell(c)]
+        for record in records
         for name, c in record.channels.items()
     ]
-    return Table(["run", "channel", "unit", "values", "RMSE", "largest error"], rows, 3)
+    return Table(["run", "channel", "unit", "values", "RMSE", last], rows, 3)
+
+
+def _free(result: FitResult) -> tuple[dict[str, float], list[str]]:
+    """By what the free parameters are multiplied in the columns' units, and their headings."""
+    factors = column_factors(result.model)
+    units = {path: one.unit for path, one in in_column_units(result.free, result.model).items()}
+    # Of an element of an array, it is that of the array.
+    paths = {path: factors.get(path.partition("[")[0], 1.0) for path in result.free}
+    return paths, [f"{path} ({units[path]})" if units[path] else path for path in paths]
 
 
 def starts_table(result: FitResult) -> Table:
     """Where each start ended, in the columns' units."""
-    factors = column_factors(result.model)
-    # Of an element of an array, it is that of the array.
-    paths = {path: factors.get(path.partition("[")[0], 1.0) for path in result.free}
+    paths, headings = _free(result)
     rows = [
         [start.status, "-" if start.misfit is None else f"{start.misfit:.6g}"]
         + [_number(_times((start.parameters or {}).get(path), paths[path])) for path in paths]
         for start in result.starts
     ]
-    units = {path: one.unit for path, one in in_column_units(result.free, result.model).items()}
-    headings = [f"{path} ({units[path]})" if units[path] else path for path in paths]
     return Table(["ended", "misfit", *headings], rows, 1)
 
 
 def optima_table(result: FitResult) -> Table:
     """The optima that the starts reached, in the columns' units; what failed is below them."""
-    factors = column_factors(result.model)
-    paths = {path: factors.get(path.partition("[")[0], 1.0) for path in result.free}
+    paths, headings = _free(result)
     rows = [
         [f"optimum {place}", str(optimum.reached), f"{optimum.worse:.3g}"]
         + [_number(optimum.values[path] * factor) for path, factor in paths.items()]
@@ -177,8 +188,6 @@ def optima_table(result: FitResult) -> Table:
     ]
     nothing = ["-"] * (1 + len(paths))
     rows += [[why, str(count), *nothing] for why, count in lost_starts(result).items()]
-    units = {path: one.unit for path, one in in_column_units(result.free, result.model).items()}
-    headings = [f"{path} ({units[path]})" if units[path] else path for path in paths]
     return Table(["ended at", "starts", "worse by (log-likelihood)", *headings], rows, 1)
 
 
