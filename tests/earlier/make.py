@@ -446,11 +446,14 @@ def keep_some(folder: Path, gone: int) -> None:
         path.unlink()
 
 
-def starts(case: str) -> None:
+def starts(case: str, **settings: float) -> None:
     """Several starts in processes of their own, of which the last ones were not fitted."""
     from giajax.cli import _fit_run
 
     write_inputs(case)
+    lines = [f"{name} = {value}\n" for name, value in settings.items()]
+    path = Path("run_fit.toml")
+    path.write_text(path.read_text().replace("[fit]\n", "".join(["[fit]\n", *lines])))
     _fit_run.forget_starts = lambda out: None
     words = ["fit", "run_fit.toml", "--starts", 5, "--seed", 2, "--workers", 1, "--no-figures"]
     giajax(*words, "--out", "whole", "--quiet")
@@ -535,7 +538,8 @@ MAKE = {
     "studies/journal_of_starts": lambda: journal("loops", 14, "--starts", 3),
     "studies/journal_of_arm": lambda: journal("arm", 4),
     "studies/starts": lambda: starts("loops"),
-    "studies/starts_of_arm": lambda: starts("memory"),
+    # Keys of the later starts have the tolerance that the first one chose, unless it is given.
+    "studies/starts_of_arm": lambda: starts("memory", tolerance=1e-6),
     "studies/sweep": sweep,
     "studies/profile": lambda: of_result("loops", "profile", 2),
     "studies/profile_of_arm": lambda: of_result("memory", "profile", 1, "joints.pitch_stiffness"),
