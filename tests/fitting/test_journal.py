@@ -7,6 +7,7 @@ import os
 import numpy as np
 import pytest
 
+from damage import damages
 from giajax import InputError
 from giajax.fitting import Budget, _fit, fit, set_up, solve
 from giajax.studies import _multi_start, multi_start, solve_from_starts
@@ -14,7 +15,28 @@ from giajax.tasks import JOURNAL, Journal, read_journal
 from toy_model import Decay, run
 
 START = {"amplitude": 0.5, "decay": 3.0}
-HEAD = {"versions": {}, "task": {}, "config": {}}
+HEAD = {
+    "versions": {},
+    "task": {
+        "definition": {},
+        "data": [],
+        "validation": [],
+        "rename": {},
+        "source": None,
+        "out": "",
+        "begin": None,
+        "inputs": {},
+    },
+    "config": {
+        "definition": {},
+        "runs": [],
+        "free": [],
+        "start": {},
+        "fix": {},
+        "loss": "linear",
+        "max_iterations": 1,
+    },
+}
 
 # What a fit meets on its way: noise to be estimated in several rounds, a bound that it is moved
 # left from, a robust loss, a parameter that is held because nothing responds to it.
@@ -368,3 +390,23 @@ def test_kept_numbers_are_exact():
     """Every float comes back as it was, by way of JSON."""
     values = np.random.default_rng(0).normal(size=600) * 10.0 ** np.arange(-300.0, 300.0)
     assert json.loads(json.dumps(values.tolist())) == values.tolist()
+
+
+def test_a_damaged_journal_goes_on_or_is_refused_in_a_sentence(tmp_path):
+    setup = set_up(Decay(), run(state_noise=False), start=START)
+    journalled(tmp_path, setup, check=False, max_iterations=3)
+    path = tmp_path / JOURNAL
+    lines = path.read_text().splitlines()
+    refused = 0
+    for number in (0, -1):
+        for what, damaged in damages(json.loads(lines[number]), seed=30):
+            changed = [*lines]
+            changed[number] = json.dumps(damaged)
+            path.write_text("\n".join(changed) + "\n")
+            try:
+                journalled(tmp_path, setup, check=False, max_iterations=4)
+            except InputError:
+                refused += 1
+            except Exception as error:
+                raise AssertionError(f"line {number}: {what}") from error
+    assert refused > 50
