@@ -3,13 +3,14 @@
 import dataclasses
 import json
 import os
+import time
 
 import numpy as np
 import pytest
 
 from damage import damages
 from giajax import InputError
-from giajax.fitting import Budget, _fit, fit, set_up, solve
+from giajax.fitting import Budget, _descend, _fit, fit, set_up, solve
 from giajax.studies import _multi_start, multi_start, solve_from_starts
 from giajax.tasks import JOURNAL, Journal, read_journal
 from toy_model import Decay, run
@@ -226,10 +227,8 @@ def test_a_budget_ends_a_fit_with_the_best_so_far(tmp_path):
 
 def test_a_budget_ends_before_a_step_that_it_has_no_time_for(monkeypatch):
     """Steps of 2 s by a clock of our own, and 7 s for them: three and the one that compiles."""
-    from giajax.fitting import _descend, _descend as _budget
-
     clock = [100.0]
-    monkeypatch.setattr(_budget.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(time, "monotonic", lambda: clock[0])
     trial = _descend.trial
 
     def timed(state):
@@ -246,11 +245,9 @@ def test_a_budget_ends_before_a_step_that_it_has_no_time_for(monkeypatch):
 @pytest.mark.parametrize("ended_at", [2, 3])
 def test_a_budget_ends_several_starts(monkeypatch, ended_at):
     """The best of the starts so far is the result, and says that there were to be more."""
-    from giajax.fitting import _descend as _budget
-
     clock, begun = [0.0], []
     monkeypatch.setenv("GIAJAX_CORES", "1")
-    monkeypatch.setattr(_budget.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(time, "monotonic", lambda: clock[0])
 
     def announce(number, start):
         begun.append(number)
@@ -269,8 +266,6 @@ def test_a_budget_ends_several_starts(monkeypatch, ended_at):
 @pytest.mark.parametrize("cores", ["1", "2"])
 def test_a_start_that_the_budget_ends_is_the_last(monkeypatch, cores):
     """Some of the budget is left, but too little for a step; no start is taken for interrupted."""
-    from giajax.fitting import _descend
-
     limit, begun = _descend._limit, []
     monkeypatch.setenv("GIAJAX_CORES", cores)
 
