@@ -291,15 +291,15 @@ def test_a_start_that_the_budget_ends_is_the_last(monkeypatch, cores):
 
 def test_starts_that_have_ended_are_not_run_again(tmp_path, monkeypatch):
     monkeypatch.setenv("GIAJAX_CORES", "1")
-    setup = set_up(Decay(), run(), start=START)
+    setup = set_up(Decay(), run(), start=START, starts=3, seed=1)
 
     def several(**options):
         journal = read_journal(tmp_path) or Journal(tmp_path / JOURNAL, HEAD)
-        result = solve_from_starts(setup, starts=3, seed=1, journal=journal.of, **options)
+        result = solve_from_starts(setup, journal=journal.of, **options)
         journal.close()
         return result
 
-    plain = numbers(solve_from_starts(setup, starts=3, seed=1))
+    plain = numbers(solve_from_starts(setup))
     assert numbers(several()) == plain
     path = tmp_path / JOURNAL
     whole = path.read_text().splitlines(keepends=True)
@@ -316,12 +316,12 @@ def test_starts_that_have_ended_are_not_run_again(tmp_path, monkeypatch):
 
 def test_from_any_line_of_starts_side_by_side_to_the_same_end(tmp_path, monkeypatch):
     """Their lines stand between each other's."""
-    setup = set_up(Decay(), run(), start=START)
+    setup = set_up(Decay(), run(), start=START, starts=4, seed=1)
 
     def several(cores):
         monkeypatch.setenv("GIAJAX_CORES", cores)
         journal = read_journal(tmp_path) or Journal(tmp_path / JOURNAL, HEAD)
-        result = solve_from_starts(setup, starts=4, seed=1, journal=journal.of)
+        result = solve_from_starts(setup, journal=journal.of)
         journal.close()
         return numbers(result)
 
@@ -358,8 +358,8 @@ def test_ctrl_c_while_the_result_is_made_keeps_the_fit(monkeypatch):
 
 def test_a_signal_between_the_best_start_and_its_check_is_kept(tmp_path, monkeypatch):
     """The journal has all starts, so that the check alone is left."""
-    setup = set_up(Decay(), run(), start=START)
-    plain = numbers(solve_from_starts(setup, starts=2, seed=1))
+    setup = set_up(Decay(), run(), start=START, starts=2, seed=1)
+    plain = numbers(solve_from_starts(setup))
 
     def stopped(*_):
         raise KeyboardInterrupt
@@ -367,14 +367,14 @@ def test_a_signal_between_the_best_start_and_its_check_is_kept(tmp_path, monkeyp
     journal = Journal(tmp_path / JOURNAL, HEAD)
     with monkeypatch.context() as patched:
         patched.setattr(_multi_start, "inside_bounds", stopped)
-        result = solve_from_starts(setup, starts=2, seed=1, journal=journal.of)
+        result = solve_from_starts(setup, journal=journal.of)
     journal.settle(result)
     journal.close()
     assert result.status == "interrupted"
     journal = read_journal(tmp_path)
     assert journal.is_written
     told = []
-    again = solve_from_starts(setup, starts=2, seed=1, journal=journal.of, progress=told.append)
+    again = solve_from_starts(setup, journal=journal.of, progress=told.append)
     assert numbers(again) == plain
     assert told
     journal.settle(again)
