@@ -11,7 +11,7 @@ import pytest
 
 import giajax
 from giajax import InputError, Run
-from giajax.fitting import _checks, begin, fit, set_up, step, trial
+from giajax.fitting import _checks, _descend, _fit, begin, fit, set_up, step, trial
 from giajax.models import Integration
 from giajax.report import summary
 from toy_model import TRUTH, Decay, height, run
@@ -338,8 +338,6 @@ def test_an_interrupted_fit_keeps_the_best():
 
 
 def test_an_interrupted_step_keeps_the_state_before_it(monkeypatch):
-    from giajax.fitting import _descend
-
     step, seen = _descend.trial, []
 
     def interrupted(state):
@@ -407,8 +405,6 @@ def test_the_same_fit_compiles_once():
 
 
 def test_32_bit_is_warned_once(monkeypatch):
-    from giajax.fitting import _fit
-
     monkeypatch.setattr(_fit, "_warned", False)
     monkeypatch.setattr(jax.config, "read", lambda name: False)
     with pytest.warns(UserWarning, match="32-bit"):

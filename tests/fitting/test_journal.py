@@ -3,18 +3,41 @@
 import dataclasses
 import json
 import os
+import time
 
 import numpy as np
 import pytest
 
+from damage import damages
 from giajax import InputError
-from giajax.fitting import Budget, _fit, fit, set_up, solve
+from giajax.fitting import Budget, _descend, _fit, fit, set_up, solve
 from giajax.studies import _multi_start, multi_start, solve_from_starts
 from giajax.tasks import JOURNAL, Journal, read_journal
 from toy_model import Decay, run
 
 START = {"amplitude": 0.5, "decay": 3.0}
-HEAD = {"versions": {}, "task": {}, "config": {}}
+HEAD = {
+    "versions": {},
+    "task": {
+        "definition": {},
+        "data": [],
+        "validation": [],
+        "rename": {},
+        "source": None,
+        "out": "",
+        "begin": None,
+        "inputs": {},
+    },
+    "config": {
+        "definition": {},
+        "runs": [],
+        "free": [],
+        "start": {},
+        "fix": {},
+        "loss": "linear",
+        "max_iterations": 1,
+    },
+}
 
 # What a fit meets on its way: noise to be estimated in several rounds, a bound that it is moved
 # left from, a robust loss, a parameter that is held because nothing responds to it.
@@ -204,10 +227,8 @@ def test_a_budget_ends_a_fit_with_the_best_so_far(tmp_path):
 
 def test_a_budget_ends_before_a_step_that_it_has_no_time_for(monkeypatch):
     """Steps of 2 s by a clock of our own, and 7 s for them: three and the one that compiles."""
-    from giajax.fitting import _descend, _descend as _budget
-
     clock = [100.0]
-    monkeypatch.setattr(_budget.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(time, "monotonic", lambda: clock[0])
     trial = _descend.trial
 
     def timed(state):
@@ -224,11 +245,9 @@ def test_a_budget_ends_before_a_step_that_it_has_no_time_for(monkeypatch):
 @pytest.mark.parametrize("ended_at", [2, 3])
 def test_a_budget_ends_several_starts(monkeypatch, ended_at):
     """The best of the starts so far is the result, and says that there were to be more."""
-    from giajax.fitting import _descend as _budget
-
     clock, begun = [0.0], []
     monkeypatch.setenv("GIAJAX_CORES", "1")
-    monkeypatch.setattr(_budget.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(time, "monotonic", lambda: clock[0])
 
     def announce(number, start):
         begun.append(number)
@@ -247,8 +266,6 @@ def test_a_budget_ends_several_starts(monkeypatch, ended_at):
 @pytest.mark.parametrize("cores", ["1", "2"])
 def test_a_start_that_the_budget_ends_is_the_last(monkeypatch, cores):
     """Some of the budget is left, but too little for a step; no start is taken for interrupted."""
-    from giajax.fitting import _descend
-
     limit, begun = _descend._limit, []
     monkeypatch.setenv("GIAJAX_CORES", cores)
 
@@ -274,15 +291,15 @@ def test_a_start_that_the_budget_ends_is_the_last(monkeypatch, cores):
 
 def test_starts_that_have_ended_are_not_run_again(tmp_path, monkeypatch):
     monkeypatch.setenv("GIAJAX_CORES", "1")
-    setup = set_up(Decay(), run(), start=START)
+    setup = set_up(Decay(), run(), start=START, starts=3, seed=1)
 
     def several(**options):
         journal = read_journal(tmp_path) or Journal(tmp_path / JOURNAL, HEAD)
-        result = solve_from_starts(setup, starts=3, seed=1, journal=journal.of, **options)
+        result = solve_from_starts(setup, journal=journal.of, **options)
         journal.close()
         return result
 
-    plain = numbers(solve_from_starts(setup, starts=3, seed=1))
+    plain = numbers(solve_from_starts(setup))
     assert numbers(several()) == plain
     path = tmp_path / JOURNAL
     whole = path.read_text().splitlines(keepends=True)
@@ -299,12 +316,12 @@ def test_starts_that_have_ended_are_not_run_again(tmp_path, monkeypatch):
 
 def test_from_any_line_of_starts_side_by_side_to_the_same_end(tmp_path, monkeypatch):
     """Their lines stand between each other's."""
-    setup = set_up(Decay(), run(), start=START)
+    setup = set_up(Decay(), run(), start=START, starts=4, seed=1)
 
     def several(cores):
         monkeypatch.setenv("GIAJAX_CORES", cores)
         journal = read_journal(tmp_path) or Journal(tmp_path / JOURNAL, HEAD)
-        result = solve_from_starts(setup, starts=4, seed=1, journal=journal.of)
+        result = solve_from_starts(setup, journal=journal.of)
         journal.close()
         return numbers(result)
 
@@ -341,8 +358,8 @@ def test_ctrl_c_while_the_result_is_made_keeps_the_fit(monkeypatch):
 
 def test_a_signal_between_the_best_start_and_its_check_is_kept(tmp_path, monkeypatch):
     """The journal has all starts, so that the check alone is left."""
-    setup = set_up(Decay(), run(), start=START)
-    plain = numbers(solve_from_starts(setup, starts=2, seed=1))
+    setup = set_up(Decay(), run(), start=START, starts=2, seed=1)
+    plain = numbers(solve_from_starts(setup))
 
     def stopped(*_):
         raise KeyboardInterrupt
@@ -350,14 +367,14 @@ def test_a_signal_between_the_best_start_and_its_check_is_kept(tmp_path, monkeyp
     journal = Journal(tmp_path / JOURNAL, HEAD)
     with monkeypatch.context() as patched:
         patched.setattr(_multi_start, "inside_bounds", stopped)
-        result = solve_from_starts(setup, starts=2, seed=1, journal=journal.of)
+        result = solve_from_starts(setup, journal=journal.of)
     journal.settle(result)
     journal.close()
     assert result.status == "interrupted"
     journal = read_journal(tmp_path)
     assert journal.is_written
     told = []
-    again = solve_from_starts(setup, starts=2, seed=1, journal=journal.of, progress=told.append)
+    again = solve_from_starts(setup, journal=journal.of, progress=told.append)
     assert numbers(again) == plain
     assert told
     journal.settle(again)
@@ -368,3 +385,23 @@ def test_kept_numbers_are_exact():
     """Every float comes back as it was, by way of JSON."""
     values = np.random.default_rng(0).normal(size=600) * 10.0 ** np.arange(-300.0, 300.0)
     assert json.loads(json.dumps(values.tolist())) == values.tolist()
+
+
+def test_a_damaged_journal_goes_on_or_is_refused_in_a_sentence(tmp_path):
+    setup = set_up(Decay(), run(state_noise=False), start=START)
+    journalled(tmp_path, setup, check=False, max_iterations=3)
+    path = tmp_path / JOURNAL
+    lines = path.read_text().splitlines()
+    refused = 0
+    for number in (0, -1):
+        for what, damaged in damages(json.loads(lines[number]), seed=30):
+            changed = [*lines]
+            changed[number] = json.dumps(damaged)
+            path.write_text("\n".join(changed) + "\n")
+            try:
+                journalled(tmp_path, setup, check=False, max_iterations=4)
+            except InputError:
+                refused += 1
+            except Exception as error:
+                raise AssertionError(f"line {number}: {what}") from error
+    assert refused > 50

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from giajax import load_result, read_run
+from damage import damages
+from giajax import InputError, load_result, read_run
 from giajax.fitting import Estimate, GradientCheck, Shift
 from giajax.report import summary
 
@@ -91,3 +92,42 @@ def test_a_notebook_shows_a_table_in_which_nothing_is_markup(earlier):
     for cell in ("width", "1.50", "0.10", "m", "where a &lt; b &amp; c"):
         assert f"<td>{cell}</td>" in page
     assert "converged in 9 iterations" in page
+
+
+def test_a_damaged_result_is_read_or_refused_in_a_sentence(tmp_path):
+    path = tmp_path / "result.json"
+    record = json.loads((EARLIER / "result.json").read_text())
+    refused = 0
+    for what, damaged in damages(record, seed=30):
+        path.write_text(json.dumps(damaged))
+        try:
+            result = load_result(path)
+            summary(result), result.to_json(), result.model_of(read_run(EARLIER / "loops.csv"))
+        except InputError:
+            refused += 1
+        except Exception as error:
+            raise AssertionError(what) from error
+    assert refused > 100
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        (lambda r: r.pop("cost"), "cost is missing"),
+        (lambda r: r["runs"][0].update(nam="x"), "runs[0].nam is no key that this version knows"),
+        (lambda r: r["config"].update(free=3), "config.free is 3, but must be a list"),
+        (
+            lambda r: r["parameters"]["weights[0]"].update(value="0.8"),
+            "parameters['weights[0]'].value is '0.8', but must be a number",
+        ),
+    ],
+)
+def test_the_key_that_is_wrong_is_named(tmp_path, change, complaint):
+    path = tmp_path / "result.json"
+    record = json.loads((EARLIER / "result.json").read_text())
+    change(record)
+    path.write_text(json.dumps(record))
+    with pytest.raises(InputError) as raised:
+        load_result(path)
+    expected = f"{path} is not a result of giajax ({complaint}): give the folder of a fit"
+    assert str(raised.value) == expected

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from test_journal import HEAD
 
 import giajax
 from giajax.fitting import fit, set_up, solve, state_at_end, tolerance_of
@@ -200,9 +201,7 @@ def test_a_cost_that_is_too_rough_to_descend_gets_a_finer_one():
 @pytest.mark.parametrize("error", [{"bias": 300.0}, {"roughness": 3e3}])
 def test_from_every_line_of_a_journal_to_the_same_end(tmp_path, error):
     def journalled():
-        journal = read_journal(tmp_path) or Journal(
-            tmp_path / JOURNAL, {"versions": {}, "task": {}, "config": {}}
-        )
+        journal = read_journal(tmp_path) or Journal(tmp_path / JOURNAL, HEAD)
         setup = set_up(Approximate(**error), run(), start=BEGIN)
         result = json.loads(solve(setup, journal=journal.of(1), check=False).to_json())
         journal.close()

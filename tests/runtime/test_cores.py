@@ -14,7 +14,7 @@ from threadpoolctl import ThreadpoolController
 from giajax import InputError, fit, map_on_cores
 from giajax.fitting import begin, evaluate, in_a_share, residuals, set_up
 from giajax.runtime.parallel import Batch, dealt, on_all_cores, side_by_side
-from giajax.runtime.process import _quota, cores, enable_x64, one_blas_thread
+from giajax.runtime.process import cgroup_quota, cores, enable_x64, one_blas_thread
 from toy_model import Decay, run
 
 
@@ -49,7 +49,7 @@ def test_a_container_has_the_cores_that_it_may_use(tmp_path, files, count):
     for name, text in files.items():
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text(text)
-    assert _quota(tmp_path) == count
+    assert cgroup_quota(tmp_path) == count
 
 
 @pytest.mark.parametrize("most", [1, 2, 3, 8])

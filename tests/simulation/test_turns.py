@@ -4,8 +4,7 @@ import jax.numpy as jnp
 import pytest
 from numpy.testing import assert_allclose
 
-from giajax.simulation import angle_after, solver, step_size_controller, turns
-from giajax.simulation._controller import _first_turn
+from giajax.simulation import angle_after, first_turn, solver, step_size_controller, turns
 
 STEP = 0.4
 
@@ -23,9 +22,9 @@ def test_a_cubic_motion_turns_where_it_does():
     assert_allclose(part, [0.25 / STEP, 1.0, 0.39 / STEP], rtol=1e-12)
     assert_allclose(angle_after(part, STEP, state(0.0), state(STEP))[0], 0.0, atol=1e-15)
     # That at its end is left in the step.
-    assert _first_turn(STEP, state(0.0), state(STEP), 1e-8) == pytest.approx(0.25 / STEP)
+    assert first_turn(STEP, state(0.0), state(STEP), 1e-8) == pytest.approx(0.25 / STEP)
     # Nor does it count where nothing moves.
-    assert _first_turn(STEP, state(0.0), state(STEP), 10.0) == 1
+    assert first_turn(STEP, state(0.0), state(STEP), 10.0) == 1
 
 
 @pytest.mark.parametrize("remembers", [True, False])

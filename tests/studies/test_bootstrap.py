@@ -13,7 +13,6 @@ from giajax.noise import ChannelNoise
 from giajax.studies import (
     Residuals,
     _bootstrap,
-    _bootstrap as _replicates,
     binomial_interval,
     block_length,
     repeated,
@@ -74,7 +73,7 @@ def test_what_is_known_before_is_drawn_anew(result, runs):
 def test_a_repetition_is_the_least_squares_of_its_data(result, runs, found):
     """The first one, by numpy; cells that were not measured are not in it."""
     optimum = giajax.studies.optimum_of(result, runs)
-    recorded = _replicates.noisy(optimum, np.random.default_rng([3, 0]))
+    recorded = _bootstrap.noisy(optimum, np.random.default_rng([3, 0]))
     x, y = [], []
     for run, again in zip(runs, recorded, strict=True):
         for name, values in run.observations.items():
@@ -101,8 +100,8 @@ def test_numbers_do_not_depend_on_parts_and_go_on_in_a_folder(
         raise RuntimeError("nothing is done twice")
 
     # A task is known by the name of its function.
-    fails.__module__, fails.__qualname__ = _replicates.__name__, "replicates"
-    monkeypatch.setattr(_replicates, "replicates", fails)
+    fails.__module__, fails.__qualname__ = _bootstrap.__name__, "replicates"
+    monkeypatch.setattr(_bootstrap, "replicates", fails)
     assert giajax.bootstrap(result, runs, **options) == few
     with pytest.raises(InputError, match=r"could be done: RuntimeError .*: nothing is done twice"):
         giajax.bootstrap(result, runs, **{**options, "seed": 4})

@@ -12,8 +12,8 @@ from giajax.report import summary
 from giajax.report.page import optima_table
 from giajax.runtime.execution import InProcess, open_executor
 from giajax.studies import (
+    SAME_END,
     _multi_start,
-    _multi_start as _valleys,
     distinct_optima,
     lost_starts,
     misfit,
@@ -144,7 +144,7 @@ def test_ends_that_are_as_good_and_elsewhere_are_two_optima():
     values = {path: estimate.value for path, estimate in finished.free.items()}
     path = next(p for p, one in finished.free.items() if one.standard_error is not None)
     far = {**values, path: values[path] + 5 * finished.free[path].standard_error}
-    worse = best + 2 * _valleys.SAME_END * count
+    worse = best + 2 * SAME_END * count
     ends = [(best, values), (worse, values), (best, far), (best, values)]
     starts = [Start({}, "converged", *end) for end in ends]
     starts.append(Start({}, "not_converged", best, values, "it crawls"))

@@ -29,7 +29,7 @@ from ._result import FitResult, integration_of
 from ._run_records import ChannelFit, OwnEstimate, RunFit
 from ._state import FitState, Reason
 from ._statistics import Statistics, statistics
-from ._transitions import FitJournal, begin, keeper, restored
+from ._transitions import CHANGED, FitJournal, begin, keeper, restored
 
 # From the last state of a fit to its result.
 
@@ -340,11 +340,10 @@ def _gone_on(begun: FitState, journal: FitJournal) -> tuple[FitState, float]:
     """As `restored`."""
     try:
         return restored(begun, journal)
-    except (ValueError, LookupError, TypeError):
-        raise InputError(
-            "the journal is not that of this fit, or a line of it was changed: begin again "
-            "without it"
-        ) from None
+    except InputError:
+        raise
+    except (ValueError, LookupError, TypeError, ArithmeticError):
+        raise InputError(f"{CHANGED}: begin again without it") from None
 
 
 _warned = False

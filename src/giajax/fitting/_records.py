@@ -149,6 +149,11 @@ class Correlation:
     parameters: tuple[str, ...] = ()
     matrix: tuple[tuple[float | None, ...], ...] = ()
 
+    def __post_init__(self) -> None:
+        count = len(self.parameters)
+        if len(self.matrix) != count or any(len(row) != count for row in self.matrix):
+            raise ValueError("must have a row and a column for each parameter")
+
 
 @dataclasses.dataclass(frozen=True)
 class GradientCheck:

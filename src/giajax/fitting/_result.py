@@ -337,7 +337,13 @@ _REMEDY = "give the folder of a fit"
 def _fields(record: dict[str, Any], what: str) -> Mapping[str, Any]:
     """The fields of a stored result, which earlier versions lack some of; without its model."""
     del record["schema_version"]
-    return vars(from_plain(_STORED, record, what, _REMEDY))
+    fields = vars(from_plain(_STORED, record, what, _REMEDY))
+    known = [path for path, one in fields["parameters"].items() if one.standard_error is not None]
+    for number, start in enumerate(fields["starts"]):
+        for path in known if start.misfit is not None else ():
+            if (start.parameters or {}).get(path) is None:
+                raise InputError(f"{what} (starts[{number}] has no {path}): {_REMEDY}")
+    return fields
 
 
 def _of(fields: Mapping[str, Any], model: AbstractModel) -> FitResult:

@@ -15,14 +15,15 @@ import numpy as np
 
 from ..models import capabilities
 from ..runtime.arrays import Float, on_device
+from ..runtime.records import from_plain
 from ._configuration import Setup
 from ._coordinates import Bijector
 from ._linearise import blank, residuals, stepped
 from ._problem import Group, Problem, build_groups, own_begun, with_recorded
-from ._records import Iteration
+from ._records import Iteration, Status
 from ._solver import Marquardt, MarquardtState
-from ._state import FitState, coordinate_paths
-from ._weights import Noise, Priors
+from ._state import FitState, Reason, coordinate_paths
+from ._weights import KeptNoise, Noise, Priors
 
 # In the free coordinate: a positive parameter grows by less than a factor of 6 in one step, and far
 # above its start by less than 4.5.
@@ -231,6 +232,40 @@ def _have_many_rows(groups: Iterable[Group]) -> bool:
 _SOLVER = ("damping", "growth", "scale", "step", "accepted", "detour", "sound", "evaluations")
 
 
+CHANGED = "the journal is not that of this fit, or a line of it was changed"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class KeptState:
+    """A state of a fit as a line of its journal has it; attributes of `FitState` where not said.
+
+    Attributes:
+        trials, done, converged, rounds_left, round_began, ending: of the state.
+        cost, coordinate, active: likewise; the cost shows whether this machine computes the same.
+        solver: numbers of the solver by name, those of `_SOLVER`.
+        noise: what the fit weights with.
+        tolerance: of the integration; None of a model without one, and of an earlier version.
+        history, step_seconds: what has come since the line before.
+        seconds: that the fit has taken.
+    """
+
+    trials: int
+    cost: float
+    coordinate: list[float]
+    active: list[bool]
+    solver: dict[str, bool | float | list[float]]
+    done: bool
+    converged: bool
+    rounds_left: int
+    round_began: int
+    noise: KeptNoise
+    tolerance: float | None = None
+    history: tuple[Iteration, ...]
+    step_seconds: tuple[float, ...]
+    seconds: float
+    ending: tuple[Status, str, Reason] | None
+
+
 class FitJournal(Protocol):
     """Where a fit writes what it has reached, and finds what it reached before.
 
@@ -259,37 +294,43 @@ def restored(begun: FitState, journal: FitJournal) -> tuple[FitState, float]:
         The state, and the seconds that the fit had taken up to it.
 
     Raises:
+        InputError: a line does not have what `KeptState` says.
         ValueError, LookupError, TypeError: a line is not of this fit.
     """
     if not journal.kept:
         return begun, 0.0
-    last = journal.kept[-1]
-    noise = begun.noise.with_plain(last["noise"])
-    coordinate = np.asarray(last["coordinate"], dtype=float)
-    active = np.asarray(last["active"], dtype=bool)
+    lines = [_kept(line) for line in journal.kept]
+    last = lines[-1]
+    coordinate, active = np.asarray(last.coordinate, dtype=float), np.asarray(last.active)
     if coordinate.shape != begun.coordinate.shape or active.shape != coordinate.shape:
         raise ValueError("another number of free coordinates")
     there = dataclasses.replace(
-        move(at_tolerance(reweight(begun, noise), last.get("tolerance")), coordinate),
+        move(
+            at_tolerance(reweight(begun, begun.noise.again(last.noise)), last.tolerance), coordinate
+        ),
         active=jnp.asarray(active),
     )
     there = step(there)
-    if there.cost != float(last["cost"]):
+    if there.cost != last.cost:
         journal.other_bits()
-    ending = last["ending"]
     state = dataclasses.replace(
         there,
-        inner=_with_solver(there.inner, last["solver"]),
-        done=bool(last["done"]),
-        converged=bool(last["converged"]),
-        trials=int(last["trials"]),
-        rounds_left=int(last["rounds_left"]),
-        round_began=int(last["round_began"]),
-        history=tuple(Iteration(**item) for line in journal.kept for item in line["history"]),
-        step_seconds=tuple(float(item) for line in journal.kept for item in line["step_seconds"]),
-        ending=None if ending is None else (ending[0], str(ending[1]), ending[2]),
+        inner=_with_solver(there.inner, last.solver),
+        done=last.done,
+        converged=last.converged,
+        trials=last.trials,
+        rounds_left=last.rounds_left,
+        round_began=last.round_began,
+        history=tuple(item for line in lines for item in line.history),
+        step_seconds=tuple(item for line in lines for item in line.step_seconds),
+        ending=last.ending,
     )
-    return state, float(last["seconds"])
+    return state, last.seconds
+
+
+def _kept(line: Mapping[str, Any]) -> KeptState:
+    record = {key: value for key, value in line.items() if key != "fit"}
+    return from_plain(KeptState, record, CHANGED, "begin again without it")
 
 
 def keeper(state: FitState, journal: FitJournal, elapsed: Callable[[], float]) -> Callable:
@@ -305,31 +346,27 @@ def keeper(state: FitState, journal: FitJournal, elapsed: Callable[[], float]) -
     def keep(reached: FitState) -> None:
         nonlocal shown, stepped
         inner = reached.inner
-        line = {
-            "trials": reached.trials,
-            "cost": reached.cost,
-            "coordinate": _plain(reached.coordinate),
-            "active": _plain(reached.active),
-            "solver": {name: _plain(getattr(inner, name)) for name in _SOLVER},
-            "done": reached.done,
-            "converged": reached.converged,
-            "rounds_left": reached.rounds_left,
-            "round_began": reached.round_began,
-            "noise": reached.noise.to_plain(),
-            "tolerance": tolerance_of(reached),
-            "history": [dataclasses.asdict(item) for item in reached.history[shown:]],
-            "step_seconds": list(reached.step_seconds[stepped:]),
-            "seconds": elapsed(),
-            "ending": reached.ending,
-        }
+        line = KeptState(
+            trials=reached.trials,
+            cost=reached.cost,
+            coordinate=np.asarray(reached.coordinate).tolist(),
+            active=np.asarray(reached.active).tolist(),
+            solver={name: np.asarray(getattr(inner, name)).tolist() for name in _SOLVER},
+            done=reached.done,
+            converged=reached.converged,
+            rounds_left=reached.rounds_left,
+            round_began=reached.round_began,
+            noise=reached.noise.kept(),
+            tolerance=tolerance_of(reached),
+            history=reached.history[shown:],
+            step_seconds=reached.step_seconds[stepped:],
+            seconds=elapsed(),
+            ending=reached.ending,
+        )
         shown, stepped = len(reached.history), len(reached.step_seconds)
-        journal.append(line)
+        journal.append(dataclasses.asdict(line))
 
     return keep
-
-
-def _plain(value: Any) -> Any:
-    return np.asarray(value).tolist()
 
 
 def _with_solver(inner: MarquardtState, stored: Mapping[str, Any]) -> MarquardtState:

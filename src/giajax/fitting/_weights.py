@@ -101,33 +101,37 @@ class Noise:
         values = tuple({name: by_key[key] for name, key in names.items()} for names in self.keys)
         return dataclasses.replace(self, values=values, weights=weights, estimated=True)
 
-    def to_plain(self) -> dict[str, Any]:
-        """What a fit changes of it, as numbers, for `with_plain`."""
-        return {
-            "estimated": self.estimated,
-            "values": [
-                {name: dataclasses.asdict(noise) for name, noise in of_run.items()}
-                for of_run in self.values
-            ],
-            "weights": None
-            if self.weights is None
-            else [{name: w.tolist() for name, w in of_run.items()} for of_run in self.weights],
-        }
+    def kept(self) -> "KeptNoise":
+        """What a fit changes of it."""
+        weights = self.weights
+        return KeptNoise(
+            estimated=self.estimated,
+            values=tuple(map(dict, self.values)),
+            weights=None
+            if weights is None
+            else tuple({name: w.tolist() for name, w in of_run.items()} for of_run in weights),
+        )
 
-    def with_plain(self, plain: Mapping[str, Any]) -> Self:
-        """The noise that `to_plain` gave the numbers of."""
-        values = tuple(
-            {name: ChannelNoise(**noise) for name, noise in of_run.items()}
-            for of_run in plain["values"]
-        )
-        weights = plain["weights"]
-        if weights is not None:
-            weights = tuple(
-                {name: np.asarray(w) for name, w in of_run.items()} for of_run in weights
-            )
+    def again(self, kept: "KeptNoise") -> Self:
+        """The noise that was kept."""
+        weights = kept.weights
         return dataclasses.replace(
-            self, values=values, weights=weights, estimated=plain["estimated"]
+            self,
+            values=kept.values,
+            weights=None
+            if weights is None
+            else tuple({name: np.asarray(w) for name, w in of_run.items()} for of_run in weights),
+            estimated=kept.estimated,
         )
+
+
+@dataclasses.dataclass(frozen=True)
+class KeptNoise:
+    """What a fit changes of its noise, as its journal has it: attributes of `Noise`."""
+
+    estimated: bool
+    values: tuple[dict[str, ChannelNoise], ...]
+    weights: tuple[dict[str, list[float]], ...] | None
 
 
 def _stated(run: Run, name: str) -> Stated:

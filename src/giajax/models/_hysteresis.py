@@ -18,7 +18,7 @@ from ..mechanics.hysteresis import (
 )
 from ..recordings import Channel, Definition, Run, parse_column
 from ..runtime.arrays import Array, Bool, Float, Scalar
-from ..runtime.text import InputError
+from ..runtime.text import InputError, shown
 from ..schema import KINDS, LOOP, HysteresisSection
 from ..schema.parameters import inline, parameter
 from ._arm_definition import agreed_section
@@ -49,7 +49,10 @@ class Columns:
     @classmethod
     def from_definition(cls, definition: Mapping[str, Any]) -> Self:
         """As `to_dict` gave them."""
-        return cls(definition.get("input_column", ""), definition.get("output_column", ""))
+        columns = [definition.get(key, "") for key in ("input_column", "output_column")]
+        if not all(isinstance(column, str) for column in columns):
+            raise InputError(f"the columns {shown(columns)} are no names: give text")
+        return cls(*columns)
 
     def to_dict(self) -> dict[str, str]:
         """Those that are known, as plain data."""

@@ -49,7 +49,7 @@ class StoredConfig:
     start: dict[str, Numbers]
     fix: dict[str, Numbers]
     loss: str
-    max_iterations: int
+    max_iterations: int | None = None
     noise_model: Literal["correlated", "white"] = "correlated"
     noise_per_run: bool = False
     solver: str | None = None

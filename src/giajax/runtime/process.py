@@ -120,14 +120,14 @@ def cores() -> int:
         # Not every system lets a process ask.
         allowed = getattr(os, "sched_getaffinity", None)
         there = len(allowed(0)) if allowed else os.cpu_count() or 1
-        return min(there, _quota() or there)
+        return min(there, cgroup_quota() or there)
     if not told.isdecimal() or int(told) == 0:
         raise InputError(f"{CORES_VARIABLE} is {told!r}: give the number of cores, or leave it out")
     return int(told)
 
 
 @functools.cache
-def _quota(root: Path = Path("/sys/fs/cgroup")) -> int | None:
+def cgroup_quota(root: Path = Path("/sys/fs/cgroup")) -> int | None:
     """Cores whose time a container may use (cgroups, version 2 or 1); None where that is no less.
 
     A container sees all cores of its machine, and is stopped for the rest of each period when its

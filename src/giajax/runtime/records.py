@@ -185,6 +185,8 @@ def _complaint(error: ValidationError, data: Any) -> str:
         return f"{name} is missing"
     if first["type"] == "unexpected_keyword_argument":
         return f"{name} is no key that this version knows"
+    if first["type"] == "value_error":  # raised by the record
+        return f"{name} {first['ctx']['error']}"
     must = _MUST.get(first["type"], "something else")
     if first["type"] == "literal_error":
         must = first["ctx"]["expected"].replace("'", '"')

@@ -3,7 +3,7 @@
 `springs5` is a linearly implicit additive Runge-Kutta method of order 5 (docs/solvers.md).
 """
 
-from ._controller import step_size_controller as step_size_controller
+from ._controller import first_turn as first_turn, step_size_controller as step_size_controller
 from ._integrate import (
     STEPS_FOR as STEPS_FOR,
     StepsFor as StepsFor,

@@ -130,7 +130,7 @@ class _Careful(diffrax.AbstractAdaptiveStepSizeController):
         )
         if self.turns:
             least = _WORTH * jnp.maximum(self.rtol, self.atol)
-            end = t0 + _BEYOND * _first_turn(t1 - t0, y0, y1_candidate, least) * (t1 - t0)
+            end = t0 + _BEYOND * first_turn(t1 - t0, y0, y1_candidate, least) * (t1 - t0)
             # Of a step that fails by itself, too, no more than what its error allows.
             crossed = (end < t1) & (keep | (end < next_t1)) & (end - t0 > _ulps(t1))
             keep = keep & ~crossed
@@ -166,7 +166,7 @@ def _ulps(time: Any) -> Any:
     return 4 * jnp.finfo(jnp.result_type(time)).eps * jnp.abs(time)
 
 
-def _first_turn(
+def first_turn(
     step: Any, y0: Float[Array, "row joint"], y1: Float[Array, "row joint"], least: Any
 ) -> Scalar:
     """Part of a step after which the first joint turns round; 1 if none does well within it.

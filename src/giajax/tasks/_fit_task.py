@@ -246,7 +246,7 @@ class FitTask:
         fields = {**unchanged(stored["task"], folder), "resolved": stored["config"]}
         task = cls(**fields, earlier=folder)
         out = folder.with_name(f"{folder.resolve().name}-again")
-        most = stored["config"]["max_iterations"]
+        most = stored["config"].get("max_iterations")
         return task.on_top(max_iterations=most, budget="", out=out)
 
     @classmethod

@@ -5,6 +5,7 @@ being written when the process ended is left out: the file is readable at every 
 """
 
 import contextlib
+import dataclasses
 import errno
 import json
 import os
@@ -14,9 +15,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..recordings import check_output_folder, make_folder
+from pydantic import ConfigDict
+
+from ..recordings import StoredConfig, StoredTask, check_output_folder, make_folder
 from ..runtime.files import read_bytes
 from ..runtime.limits import JOURNAL_BYTES
+from ..runtime.records import from_plain
 from ..runtime.text import InputError
 
 if TYPE_CHECKING:
@@ -270,35 +274,52 @@ def read_journal(folder: Path, complain: Callable[[str], None] = lambda _: None)
     whole = data.split(b"\n")[:-1]
     for number, text in enumerate(whole, 1):
         try:
-            line = json.loads(text)
-            lines.append(_checked(line, first=number == 1))
-        except (ValueError, LookupError, TypeError, RecursionError):
+            lines.append(_parsed(text, number, path))
+        except InputError:
             # The last one may have its length on the disk, and not yet its content.
             if number == len(whole) > 1:
                 break
-            raise InputError(
-                f"{path} is damaged in line {number}, or is no journal of giajax: remove it, and "
-                "fit anew"
-            ) from None
+            raise
         size += len(text) + 1
     if not lines:
         return None
-    if lines[0]["giajax_journal"] != _FORMAT:
-        raise InputError(
-            f"{path} was written by another version of giajax: go on with that one, or fit anew"
-        )
     journal = Journal(path, lines[0], lines[1:], size, complain)
     return journal if journal.is_begun else None
 
 
-def _checked(line: Any, *, first: bool) -> Line:
-    """A line that has what this file asks of it."""
-    if first:
-        for key in ("versions", "task", "config"):
-            line[key].items()
-        line["giajax_journal"]
-    elif not line.get("written"):
-        line["fit"], line["ending"]
+@dataclasses.dataclass(frozen=True)
+class _Head:
+    __pydantic_config__ = ConfigDict(extra="ignore")
+    giajax_journal: int
+    versions: dict[str, str]
+    task: StoredTask
+    config: StoredConfig
+
+
+@dataclasses.dataclass(frozen=True)
+class _State:
+    """A state of a fit; the rest of it is read when the fit goes on."""
+
+    __pydantic_config__ = ConfigDict(extra="ignore")
+    fit: int
+    ending: tuple[str, str, str] | None
+
+
+def _parsed(text: bytes, number: int, path: Path) -> Line:
+    """A line, checked to have what this file needs of it."""
+    what = f"{path} is damaged in line {number}, or is no journal of giajax"
+    remedy = "remove it, and fit anew"
+    try:
+        line = json.loads(text)
+    except (ValueError, RecursionError):
+        raise InputError(f"{what}: {remedy}") from None
+    known = line if isinstance(line, dict) else {}
+    if number == 1 and known.get("giajax_journal", _FORMAT) != _FORMAT:
+        raise InputError(
+            f"{path} was written by another version of giajax: go on with that one, or fit anew"
+        )
+    if not known.get("written"):
+        from_plain(_Head if number == 1 else _State, line, what, remedy)
     return dict(line)
 
 

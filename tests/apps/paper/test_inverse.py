@@ -13,7 +13,6 @@ from giajax.apps.paper import (
     Compared,
     SearchEnd,
     _inverse,
-    _inverse as _inverse_search,
     concordance,
     directions,
     evaluated,
@@ -55,8 +54,8 @@ def cores(request, monkeypatch):
 
 def searched(monkeypatch, offset, **options):
     evaluated, linearised = known(offset)
-    monkeypatch.setattr(_inverse_search, "evaluated", evaluated)
-    monkeypatch.setattr(_inverse_search, "linearised", linearised)
+    monkeypatch.setattr(_inverse, "evaluated", evaluated)
+    monkeypatch.setattr(_inverse, "linearised", linearised)
     return search("own", starts=2, pool=5, **options)
 
 
@@ -104,8 +103,8 @@ def test_a_search_that_is_stopped_or_fails_at_its_start(monkeypatch):
                 raise KeyboardInterrupt
             return (out, slopes) if len(calls) < 2 else (out._replace(cells=CELLS + np.nan), slopes)
 
-        monkeypatch.setattr(_inverse_search, "evaluated", known(5.0)[0])
-        monkeypatch.setattr(_inverse_search, "linearised", linearised)
+        monkeypatch.setattr(_inverse, "evaluated", known(5.0)[0])
+        monkeypatch.setattr(_inverse, "linearised", linearised)
         ends = search("own", starts=2, pool=5, iterations=0)
         assert [end.why for end in ends] == ["iterations", why]
         assert np.all(np.isfinite(ends[0].out.cells))

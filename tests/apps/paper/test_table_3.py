@@ -86,13 +86,21 @@ def test_fig_19_shows_the_first_run(fits):
     )
 
 
-def test_a_model_is_fitted_to_another_run_than_it_is_compared_with(fits, monkeypatch):
-    used = []
-    # No model is needed to see which run it is fitted to.
-    monkeypatch.setattr(_contenders, "takeichi_20m", lambda *_, **__: None)
-    monkeypatch.setattr(_contenders, "ArmModel", lambda arm: arm)
-    done = SimpleNamespace(status="converged")
-    monkeypatch.setattr(_contenders, "fit", lambda model, run, **_: used.append(run.name) or done)
+@pytest.fixture
+def faked(monkeypatch):
+    """What is fitted, and to what, is seen without a model: these names have other values."""
+
+    def fake(**names):
+        model = {"takeichi_20m": lambda *_, **__: None, "ArmModel": lambda _: None}
+        for name, value in {**model, **names}.items():
+            monkeypatch.setattr(_contenders, name, value)
+
+    return fake
+
+
+def test_a_model_is_fitted_to_another_run_than_it_is_compared_with(fits, faked):
+    used, done = [], SimpleNamespace(status="converged")
+    faked(fit=lambda model, run, **_: used.append(run.name) or done)
     for name in ("own", "with_air", "without_air", "own"):
         for run in fits.runs[:2]:
             Fits.result(fits, name, run)
@@ -100,25 +108,22 @@ def test_a_model_is_fitted_to_another_run_than_it_is_compared_with(fits, monkeyp
     assert used == ["run4", "run1", "run2"]
 
 
-def test_without_air_is_the_fitted_model_without_its_drag(fits, monkeypatch):
+def test_without_air_is_the_fitted_model_without_its_drag(fits, faked):
     run, asked = fits.runs[0], []
-    # What is fitted, and what of it is changed, is seen without a model.
-    monkeypatch.setattr(_contenders, "takeichi_20m", lambda *_, **__: None)
-    monkeypatch.setattr(_contenders, "ArmModel", lambda _: None)
     done = SimpleNamespace(model="fitted", status="converged")
-    monkeypatch.setattr(_contenders, "fit", lambda *_, **__: done)
-    monkeypatch.setattr(_contenders, "replace", lambda model, values: (model, dict(values)))
-    monkeypatch.setattr(_contenders, "predict", lambda model, _: asked.append(model) or run.values)
+    faked(
+        fit=lambda *_, **__: done,
+        replace=lambda model, values: (model, dict(values)),
+        predict=lambda model, _: asked.append(model) or run.values,
+    )
     for name in ("with_air", "without_air"):
         Fits.predicted(fits, name, run)
     assert asked == [("fitted", {}), ("fitted", {"air.drag_coefficient": 0.0})]
 
 
-def test_no_table_is_made_of_a_fit_that_was_stopped(fits, monkeypatch):
-    monkeypatch.setattr(_contenders, "takeichi_20m", lambda *_, **__: None)
-    monkeypatch.setattr(_contenders, "ArmModel", lambda _: None)
+def test_no_table_is_made_of_a_fit_that_was_stopped(fits, faked):
     stopped = SimpleNamespace(status="interrupted")
-    monkeypatch.setattr(_contenders, "fit", lambda *_, **__: stopped)
+    faked(fit=lambda *_, **__: stopped)
     with pytest.raises(KeyboardInterrupt):
         Fits.result(fits, "with_air", fits.runs[0])
 
