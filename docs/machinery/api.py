@@ -3,6 +3,7 @@
 import functools
 import importlib
 import inspect
+import pkgutil
 from types import ModuleType
 
 import giajax
@@ -17,27 +18,37 @@ and angles are in radians. What each argument is, with shape and unit, is said w
 
 @functools.cache
 def rooms() -> list[str]:
-    """The public rooms."""
-    names = (name for name in dir(giajax) if isinstance(getattr(giajax, name), ModuleType))
-    return sorted(names)
+    """The public modules: rooms, and the packages and modules in them, by their dotted names."""
+    found = (module.name for module in pkgutil.walk_packages(giajax.__path__, "giajax."))
+    names = (name.removeprefix("giajax.") for name in found)
+    return sorted(
+        name
+        for name in names
+        if not any(part.startswith("_") for part in name.split(".")) and not name.startswith("cli")
+    )
 
 
 def _exported(room: str) -> dict[str, object]:
     """Public names of a room, which others may import from it alone, and what they are."""
-    found = vars(importlib.import_module(f"giajax.{room}"))
+    module = importlib.import_module(f"giajax.{room}")
+    names = getattr(module, "__all__", vars(module))
+    found = {name: getattr(module, name) for name in names if not name.startswith("_")}
+    # What a package imports, it exports; a module has what it defines, and constants.
+    of_package = hasattr(module, "__path__")
     return {
         name: thing
         for name, thing in found.items()
-        if not name.startswith("_") and not isinstance(thing, ModuleType) and _home(thing, room)
+        if not isinstance(thing, ModuleType)
+        and _home(thing, room)
+        and (of_package or name.isupper() or getattr(thing, "__module__", "") == module.__name__)
     }
 
 
 def _home(thing: object, room: str) -> bool:
     """Whether a room is where something comes from, and not one that passes it on."""
-    module = getattr(thing, "__module__", None) or ""
-    first, _, rest = module.partition(".")
-    origin = rest.partition(".")[0]
-    return first != "giajax" or origin not in rooms() or origin == room
+    origin = (getattr(thing, "__module__", None) or "").removeprefix("giajax.")
+    homes = [name for name in rooms() if f"{origin}.".startswith(f"{name}.")]
+    return not homes or max(homes, key=len) == room
 
 
 def _directive(thing: object) -> str:
