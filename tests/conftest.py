@@ -4,7 +4,9 @@ And the tiers: tests marked `quick` compile nothing (`make check`), tests marked
 of `make test`, and those marked `long` of `make test-all`, too; both say so at their end.
 """
 
+import contextlib
 import gc
+import io
 import os
 import shutil
 from importlib.metadata import version
@@ -129,6 +131,23 @@ def browser():
     if found is None:
         pytest.skip(f"no browser, one of {', '.join(browse.BROWSERS)}: make browser")
     return found
+
+
+@pytest.fixture(scope="session")
+def arm_fit(tmp_path_factory):
+    """The recording of a short arm, the folder of its fit by the command, and how that ended.
+
+    Copy the folder before anything else is written into it.
+    """
+    from giajax.cli import main
+    from small_arm import STARTS, make_run
+
+    folder = tmp_path_factory.mktemp("arm")
+    data, out, err = make_run(folder), io.StringIO(), io.StringIO()
+    words = ["fit", "--data", str(data), *STARTS, "--out", str(folder / "out")]
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        status = main(words)
+    return data, folder / "out", (status, out.getvalue(), err.getvalue())
 
 
 @pytest.fixture(scope="session")

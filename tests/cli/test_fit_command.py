@@ -36,12 +36,9 @@ def contents(folder):
     return {str(p): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
-@pytest.fixture(scope="module")
-def fitted(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("fitted")
-    data = make_run(folder)
-    done = giajax("fit", "--data", data, *STARTS, "--out", folder / "out")
-    return data, folder / "out", done
+@pytest.fixture
+def fitted(arm_fit):
+    return arm_fit
 
 
 @pytest.fixture

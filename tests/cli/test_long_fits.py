@@ -119,7 +119,7 @@ sys.exit(main())
 """
 
 
-@pytest.mark.parametrize("module", ["giajax.cli", "typer", "numpy", "jax", "equinox"])
+@pytest.mark.parametrize("module", ["giajax.cli", "numpy", "equinox"])
 def test_a_signal_before_anything_is_computed_is_one_line(folder, module):
     """From the first import on."""
     before = sorted(os.listdir())

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..runtime.records import finite_or_none
 from ..runtime.text import InputError
 from ._commands import command
 from ._options import ForceFile, Json, OnlyChannels, Renamed, print_table
@@ -137,6 +136,8 @@ def parameters(
 
 
 def _facts(parameter: "Parameter", unit: str, model: Any) -> dict[str, Any]:
+    from ..runtime.records import finite_or_none
+
     declaration = parameter.declaration
     on = parameter.is_on(model)
     value = parameter.value(model) if on else None

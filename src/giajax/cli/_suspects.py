@@ -107,7 +107,9 @@ def suspects(
     if given.out is not None:
         write_files({given.out: fitted.to_json().encode()}, force=given.force)
     if given.as_json:
-        typer.echo(json.dumps(_facts(fitted, found, steps), indent=2, allow_nan=False))
+        from ..runtime.records import plain_data
+
+        typer.echo(json.dumps(plain_data(_facts(fitted, found, steps)), indent=2))
 
 
 def _say(step: "Step") -> None:
@@ -145,13 +147,12 @@ def _facts(
     result: "FitResult", found: "Suspects", steps: "StepwiseSelection | None"
 ) -> dict[str, Any]:
     """What `--json` prints."""
-    stored = json.loads(result.to_json())
     facts: dict[str, Any] = {
         "chi_square": found.chi_square,
         "values": found.values,
         "asked": found.asked,
-        "suspects": stored["suspects"],
-        "systematic": stored["systematic"],
+        "suspects": result.suspects,
+        "systematic": result.systematic,
     }
     if steps is not None:
         facts["ladder"] = {
@@ -164,7 +165,7 @@ def _facts(
                     "aic": step.aic,
                     "bic": step.bic,
                     "held_out": step.held_out,
-                    "parameters": json.loads(step.result.to_json())["parameters"],
+                    "parameters": step.result.parameters,
                 }
                 for step in steps.steps
             ],

@@ -96,12 +96,18 @@ class _Estimate:
 
 
 @dataclasses.dataclass(frozen=True)
+class _OwnEstimate:
+    __pydantic_config__ = _OTHERS
+    value: float
+
+
+@dataclasses.dataclass(frozen=True)
 class _FittedRun:
     __pydantic_config__ = _OTHERS
     name: str
     sha256: str | None
     channels: dict[str, Any]
-    parameters: dict[str, dict[str, Any]] = dataclasses.field(default_factory=dict)
+    parameters: dict[str, _OwnEstimate] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True)

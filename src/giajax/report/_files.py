@@ -2,7 +2,6 @@
 
 import dataclasses
 import hashlib
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -23,6 +22,7 @@ from ..recordings import (
 )
 from ..runtime.files import parse_json, read_bytes
 from ..runtime.limits import RESULT_BYTES
+from ..runtime.records import plain_data
 from ..runtime.text import InputError, format_estimate
 from ..schema.parameters import find, switched_on
 from ..studies import begun_where_it_ended
@@ -68,7 +68,7 @@ def check_folder(
         record = parse_json(read_bytes(path, RESULT_BYTES).decode(), path)
         checksums = [run["sha256"] for run in record["runs"]]
         before = record["config"]
-        differing = [key for key in _SAME if before.get(key) != _as_json(config.get(key))]
+        differing = [key for key in _SAME if before.get(key) != plain_data(config.get(key))]
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror}): {remedy}") from None
     except (ValueError, LookupError, TypeError, AttributeError):
@@ -81,11 +81,6 @@ def check_folder(
         raise InputError(
             f"{folder} holds the result of another configuration (it differs in {what}): {remedy}"
         )
-
-
-def _as_json(value: Any) -> Any:
-    """What becomes of a value that is written as JSON and read again."""
-    return json.loads(json.dumps(value))
 
 
 @dataclasses.dataclass(frozen=True)

@@ -17,7 +17,7 @@ from matplotlib.ticker import MaxNLocator
 from ..fitting import FitResult, column_factors, in_column_units
 from ..recordings import Run, unique_names
 from ..runtime.files import read_bytes
-from ..runtime.text import InputError
+from ..runtime.text import InputError, format_number, format_range
 from ..studies import Band, Marginal, Posterior, PosteriorSummary
 from ._pictures import channel_label, sample_times, time_label
 from ._style import BLUE, GREY, INK, VERMILLION, new_figure, plain, to_csv, to_png, unfinished
@@ -226,11 +226,11 @@ def _row(label: str, one: Marginal) -> list[str]:
         one.unit or "-",
         f"{one.mean:.{digits}g}",
         f"{one.deviation:.2g}",
-        _ends(one.interval, digits),
-        "-" if one.linear is None else _ends(one.linear, digits),
-        "-" if one.r_hat is None else f"{one.r_hat:.3f}",
-        "-" if one.ess_bulk is None else f"{one.ess_bulk:.0f}",
-        "-" if one.ess_tail is None else f"{one.ess_tail:.0f}",
+        format_range(one.interval, f".{digits}g"),
+        format_range(one.linear, f".{digits}g"),
+        format_number(one.r_hat, ".3f"),
+        format_number(one.ess_bulk, ".0f"),
+        format_number(one.ess_tail, ".0f"),
     ]
 
 
@@ -239,10 +239,6 @@ def _digits(one: Marginal) -> int:
     size = max(map(abs, one.interval))
     width = one.interval[1] - one.interval[0]
     return int(np.clip(np.ceil(np.log10(size / width)) + 3, 3, 12)) if width > 0 else 6
-
-
-def _ends(ends: tuple[float, float], digits: int) -> str:
-    return f"{ends[0]:.{digits}g} .. {ends[1]:.{digits}g}"
 
 
 def posterior_files(found: Posterior, result: FitResult, runs: Sequence[Run]) -> dict[str, bytes]:

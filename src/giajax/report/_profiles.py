@@ -1,7 +1,6 @@
 """Profiles as a table, a picture and a section of a page, in the units of the columns."""
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,7 +11,7 @@ from scipy.interpolate import PchipInterpolator
 
 from ..fitting import Estimate, FitResult, in_column_units
 from ..models import AbstractModel
-from ..runtime.text import format_estimate
+from ..runtime.text import format_estimate, format_range
 from ..studies import Profile, Profiles
 from ._style import BLUE, GREY, LIGHT, VERMILLION, new_figure, new_plot, plain, small
 from ._views import Section, Table, View
@@ -60,8 +59,8 @@ def profile_rows(profiles: Profiles, result: FitResult) -> list[list[str]]:
         factor, unit = _in_columns(profile, result.model)
         error = None if profile.standard_error is None else profile.standard_error * factor
         value, shown_error = format_estimate(profile.value * factor, error)
-        linear = "-" if profile.linear is None else _interval(profile.linear, factor)
-        found = _interval(profile.interval, factor)
+        linear = format_range(profile.linear, factor=factor)
+        found = format_range(profile.interval, factor=factor)
         remarks = "; ".join(profile.remarks)
         rows.append([profile.name, value, shown_error, unit or "-", linear, found, remarks])
     return rows
@@ -174,11 +173,6 @@ def _in_columns(profile: Profile, model: AbstractModel) -> tuple[float, str]:
     one = Estimate(1.0, None, profile.unit, None, None, free=True)
     shown = in_column_units({profile.name: one}, model)[profile.name]
     return float(shown.value), shown.unit
-
-
-def _interval(ends: Sequence[float | None], factor: float) -> str:
-    low, high = ("open" if end is None else f"{end * factor:.5g}" for end in ends)
-    return f"{low} .. {high}"
 
 
 def _table(found: Profiles, result: FitResult, most: int | None = None) -> Table:

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..fitting import FitResult
-from ..runtime.text import format_estimate
+from ..runtime.text import format_estimate, format_number
 from ..studies import Bootstrap, Influence, LeftOut, Repeated
 from ._style import BLUE, GREY, INK, LIGHT, VERMILLION, new_figure, new_plot, plain
 from ._views import Section, Table, View
@@ -212,7 +212,7 @@ def influence_table(found: Influence, most: int | None = None) -> tuple[list[str
     rows = []
     for part in found.parts[:most]:
         by = "fit" if part.exact is not None else "step"
-        surprise = "-" if part.surprise is None else f"{part.surprise:.1f}"
+        surprise = format_number(part.surprise, ".1f")
         shown = [_cell(part, path) for path in paths]
         rows.append([part.name, part.kind, str(part.cells), by, surprise, *shown])
     return headings, rows

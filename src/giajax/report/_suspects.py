@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..fitting import Estimate, FitResult, Suspect, SystematicError
-from ..runtime.text import format_estimate
+from ..runtime.text import format_estimate, format_number
 from ..studies import LEVEL, Contrast, Step, StepwiseSelection, Suspects, promising, together
 
 Rows = list[list[str]]
@@ -54,7 +54,7 @@ def _cells(row: Suspect) -> list[str]:
         *shown,
         row.unit or "-",
         f"-{row.chi_square_drop:.4g}",
-        "-" if row.p_value is None else f"{row.p_value:.2g}",
+        format_number(row.p_value, ".2g"),
         "; ".join(remarks),
     ]
 
@@ -87,7 +87,7 @@ def _step_row(step: Step, paths: Sequence[str], *, held_out: bool) -> list[str]:
     numbers = [step.chi_square, step.aic, step.bic]
     cells = [step.change, *(f"{number:.5g}" for number in numbers)]
     if held_out:
-        cells.append("-" if step.held_out is None else f"{step.held_out:.3g}")
+        cells.append(format_number(step.held_out, ".3g"))
     for path in paths:
         estimate = step.result.parameters.get(path)
         if estimate is None:
@@ -107,16 +107,20 @@ def systematic_table(result: FitResult) -> tuple[list[str], Rows]:
     rows = [_held(result, error, free) for error in result.systematic]
     stated = together(result.systematic)
     statistical = [result.free[path].standard_error for path in free]
-    rows.append(["statistical error", "", "", *map(_number, statistical)])
+    rows.append(["statistical error", "", "", *_errors(statistical)])
     if stated:
         systematic = [stated.get(path, 0.0) for path in free]
         both = [
             None if error is None else float(np.hypot(error, other))
             for error, other in zip(statistical, systematic, strict=True)
         ]
-        rows.append(["systematic error", "", "", *map(_number, systematic)])
-        rows.append(["both", "", "", *map(_number, both)])
+        rows.append(["systematic error", "", "", *_errors(systematic)])
+        rows.append(["both", "", "", *_errors(both)])
     return ["held", "at", "changed by", *free], rows
+
+
+def _errors(values: Sequence[float | None]) -> list[str]:
+    return [format_number(value, ".3g") for value in values]
 
 
 def _held(result: FitResult, error: SystematicError, free: Sequence[str]) -> list[str]:
@@ -124,7 +128,7 @@ def _held(result: FitResult, error: SystematicError, free: Sequence[str]) -> lis
     for path in free:
         one = result.free[path].standard_error
         shift = error.shifts[path]
-        cells.append(f"{shift / one:+.2g}" if one else _number(shift))
+        cells.append(f"{shift / one:+.2g}" if one else format_number(shift, ".3g"))
     change = f"{error.uncertainty:.3g}{f' {error.unit}' if error.unit else ''}"
     return [error.path, _plain(error.value), change if error.stated else "1 %", *cells]
 
@@ -138,10 +142,6 @@ def _plain(value: Any) -> str:
     return f"{value:.4g}"
 
 
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3g}"
-
-
 PLUS_MINUS = "\N{PLUS-MINUS SIGN}"
 
 
@@ -151,7 +151,7 @@ def contrast_tables(found: Contrast) -> tuple[tuple[list[str], Rows], tuple[list
     headings = ["parameter", "unit", *names, *(f"{name} - {names[0]}" for name in names[1:])]
     rows = [
         [row.path, row.unit or "-", *map(estimate_cell, row.estimates)]
-        + [_signed(difference) for difference in row.differences[1:]]
+        + [format_number(difference, "+.2g") for difference in row.differences[1:]]
         for row in found.rows
     ]
     about = {
@@ -161,14 +161,14 @@ def contrast_tables(found: Contrast) -> tuple[tuple[list[str], Rows], tuple[list
         "values": [str(column.values) for column in found.columns],
         "parameters": [str(column.parameters) for column in found.columns],
         "reduced chi-square": [
-            _contrast_number(column.reduced_chi_square) for column in found.columns
+            format_number(column.reduced_chi_square) for column in found.columns
         ],
     }
     if any(column.bic is not None for column in found.columns):
-        about["BIC, less the least"] = [_contrast_number(column.bic) for column in found.columns]
+        about["BIC, less the least"] = [format_number(column.bic) for column in found.columns]
     if any(column.held_out is not None for column in found.columns):
         about["held out, times what it may be off"] = [
-            _contrast_number(c.held_out) for c in found.columns
+            format_number(c.held_out) for c in found.columns
         ]
     return (headings, rows), (["", *names], [[name, *cells] for name, cells in about.items()])
 
@@ -210,11 +210,3 @@ def estimate_cell(one: Estimate | None) -> str:
         return f"{value} {PLUS_MINUS} {error}"
     # The remark of what was tied says to what, too, which is no text for a cell.
     return f"{value} ({'not determined' if one.free else one.remark.partition(':')[0] or 'held'})"
-
-
-def _signed(value: float | None) -> str:
-    return "-" if value is None else f"{value:+.2g}"
-
-
-def _contrast_number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.5g}"

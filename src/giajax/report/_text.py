@@ -15,7 +15,7 @@ from ..fitting import (
     units_note,
 )
 from ..models import capabilities
-from ..runtime.text import wrapped
+from ..runtime.text import format_number, wrapped
 from ..studies import SAME_END, distinct_optima, lost_starts, misfit
 
 MOST_RUNS = 6
@@ -195,8 +195,8 @@ def summary_rows(result: FitResult) -> list[tuple[str, str]]:
     rows += _labelled("units", [note] if (note := units_note(result.shown, result.model)) else [])
     rows += _labelled("verdict", verdict_lines(result))
     rows += _labelled("noise", noise_lines(result))
-    chi_square = _number(result.reduced_chi_square)
-    rows += [("cost", _number(result.cost)), ("reduced chi-square", chi_square)]
+    for label, number in (("cost", result.cost), ("reduced chi-square", result.reduced_chi_square)):
+        rows.append((label, format_number(number, missing="not finite")))
     rows += _labelled("starts", _starts(result))
     residuals = [text for run in result.runs for text in _residuals(run)]
     if len(residuals) > _MANY:
@@ -279,12 +279,8 @@ def _errors(run: PredictionErrors) -> list[str]:
     return lines
 
 
-def _number(value: float | None) -> str:
-    return "not finite" if value is None else f"{value:.5g}"
-
-
 def _rmse(value: float | None) -> str:
-    return "not finite" if value is None else f"{value:.3g}"
+    return format_number(value, ".3g", "not finite")
 
 
 def _residuals(run: RunFit) -> list[str]:

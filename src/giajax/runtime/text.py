@@ -44,6 +44,26 @@ def format_estimate(value: Any, standard_error: float | None) -> tuple[str, str]
     return f"{value:.{min(max(digits, 0), 15)}e}", f"{standard_error:.1e}"
 
 
+def format_number(value: float | None, digits: str = ".5g", missing: str = "-") -> str:
+    """A number in so many digits; a word where there is none."""
+    return missing if value is None else f"{value:{digits}}"
+
+
+def format_range(
+    ends: Sequence[float | None] | None, digits: str = ".5g", factor: float = 1.0
+) -> str:
+    """Both ends of an interval times a factor, `open` for one that is not there; a dash of None.
+
+    Example:
+        >>> format_range((0.25, None), factor=2.0), format_range(None)
+        ('0.5 .. open', '-')
+    """
+    if ends is None:
+        return "-"
+    shown = (None if end is None else end * factor for end in ends)
+    return " .. ".join(format_number(end, digits, "open") for end in shown)
+
+
 def format_bounds(lower: float | None, upper: float | None) -> str:
     """Where a value may be; a dash where it may be anywhere."""
     if lower is None and upper is None:

@@ -1,12 +1,12 @@
 """A fit as data: what to fit to what, before anything is read or computed. Imports no JAX."""
 
 import dataclasses
-import json
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, Unpack
 
 from ..recordings import Definition, FitSettings, TaskKeywords, fit_settings, read_runs
+from ..runtime.records import plain_data
 from ..runtime.text import InputError
 from ._journal import read_journal
 from ._record import checksums_of, differences, unchanged
@@ -96,7 +96,7 @@ def plain_of(task: "FitTask") -> dict[str, Any]:
         "rename": dict(task.rename),
         "source": None if task.source is None else str(task.source),
         "out": str(task.out),
-        "definition": json.loads(json.dumps(task.definition.contents())),
+        "definition": plain_data(task.definition.contents()),
         "begin": None if task.begin is None else dict(task.begin),
     }
 

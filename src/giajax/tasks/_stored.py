@@ -1,6 +1,5 @@
 """What a stored result says of how it was fitted and of where it ended. Imports no JAX."""
 
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +17,7 @@ from ..recordings import (
     run_keys,
     stored_result,
 )
+from ..runtime.records import plain_data
 from ..runtime.text import InputError
 
 if TYPE_CHECKING:
@@ -57,8 +57,8 @@ def check_config(before: Mapping[str, Any], now: Mapping[str, Any], where: Path)
         now: `Setup.config`.
         where: the file that has the former, for an error.
     """
-    plain = json.loads(json.dumps(now))
-    differing = [_WORDS.get(key, key) for key, value in plain.items() if before.get(key) != value]
+    resolved = plain_data(now).items()
+    differing = [_WORDS.get(key, key) for key, value in resolved if before.get(key) != value]
     if differing:
         raise InputError(
             f"this version of giajax resolves the settings of {where} differently (in "
@@ -73,8 +73,8 @@ def compared(result: "FitResult", before: Mapping[str, Any]) -> str:
         result: of now.
         before: the stored one, as plain data.
     """
-    now = json.loads(result.to_json())
     keys = ("parameters", "correlation", "cost", "reduced_chi_square", "history")
+    now = _plain(result, *keys, "runs", "held_out")
     if not any("sources" in estimate for estimate in before["parameters"].values()):
         # An earlier version did not say what each recording is worth.
         for estimate in now["parameters"].values():
@@ -112,26 +112,29 @@ def reached_by(result: "str | Path | FitResult") -> dict[str, Any]:
     """
     if isinstance(result, str | Path):
         return _beginning(stored_result(result)[1])
-    return _beginning(json.loads(result.to_json()))
+    known = _plain(result, "parameters", "config", "runs")
+    return _beginning({"model": result.model.kind, **known})
+
+
+def _plain(result: "FitResult", *names: str) -> dict[str, Any]:
+    """Some fields of a result as its file has them."""
+    plain: dict[str, Any] = plain_data({name: getattr(result, name) for name in names})
+    return plain
 
 
 def _beginning(record: Mapping[str, Any]) -> dict[str, Any]:
-    try:
-        estimates = record["parameters"]
-        fixed = {path.partition("[")[0] for path in record["config"].get("fix", {})}
-        values = {
-            path: estimate["value"]
-            for path, estimate in estimates.items()
-            if estimate["free"] or path in fixed
-        }
-        own = {
-            run["name"]: {path: item["value"] for path, item in run["parameters"].items()}
-            for run in record["runs"]
-            if run.get("parameters")
-        }
-        return {"model": record["model"], "values": values, "own": own}
-    except (LookupError, TypeError, AttributeError):
-        raise InputError("this is not a result of giajax: give the folder of a fit") from None
+    fixed = {path.partition("[")[0] for path in record["config"].get("fix", {})}
+    values = {
+        path: estimate["value"]
+        for path, estimate in record["parameters"].items()
+        if estimate["free"] or path in fixed
+    }
+    own = {
+        run["name"]: {path: item["value"] for path, item in run["parameters"].items()}
+        for run in record["runs"]
+        if run.get("parameters")
+    }
+    return {"model": record["model"], "values": values, "own": own}
 
 
 def without(beginning: Mapping[str, Any], paths: Iterable[str]) -> dict[str, Any]:

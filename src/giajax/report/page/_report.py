@@ -12,6 +12,7 @@ import numpy as np
 from ...fitting import Estimate, FitResult, in_column_units, matching_runs
 from ...models import capabilities
 from ...recordings import Run
+from ...runtime.records import plain_data
 from ...runtime.text import InputError, format_estimate
 from ...studies import LEVEL, begun_where_it_ended, promising
 from ...tasks import repeatable
@@ -282,7 +283,7 @@ def report_page(
         own=own_table(result),
         summary=summary_rows(result),
         files=file_rows(result),
-        config=json.dumps(json.loads(result.to_json())["config"], indent=2),
+        config=json.dumps(plain_data(result.config), indent=2),
         again=_again(source),
         dates=_dates(source),
         source=None if source is None else shlex.quote(str(source)),

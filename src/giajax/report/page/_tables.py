@@ -15,7 +15,7 @@ from ...fitting import (
     column_factors,
     in_column_units,
 )
-from ...runtime.text import format_bounds, format_estimate
+from ...runtime.text import format_bounds, format_estimate, format_number, format_range
 from ...studies import distinct_optima, lost_starts, together
 from .._views import Table
 
@@ -92,8 +92,8 @@ def parameter_rows(result: FitResult) -> list[ParameterRow]:
                 value=value,
                 exact=json.dumps(one.value),
                 statistical=error,
-                systematic="-" if systematic is None else f"{systematic:.2g}",
-                both="-" if both is None else f"{both:.2g}",
+                systematic=format_number(systematic, ".2g"),
+                both=format_number(both, ".2g"),
                 unit=one.unit or "-",
                 interval=_interval(one, factor),
                 bounds=format_bounds(one.lower, one.upper),
@@ -108,8 +108,7 @@ def parameter_rows(result: FitResult) -> list[ParameterRow]:
 def _interval(one: Estimate, factor: float) -> str:
     if one.interval is None or None in one.interval:
         return "-"
-    low, high = sorted(end * factor for end in one.interval)
-    return f"{low:.5g} .. {high:.5g}"
+    return format_range(sorted(end * factor for end in one.interval))
 
 
 def _sources(sources: Mapping[str, float | None]) -> str:
@@ -171,7 +170,7 @@ def starts_table(result: FitResult) -> Table:
     """Where each start ended, in the columns' units."""
     paths, headings = _free(result)
     rows = [
-        [start.status, "-" if start.misfit is None else f"{start.misfit:.6g}"]
+        [start.status, format_number(start.misfit, ".6g")]
         + [_number(_times((start.parameters or {}).get(path), paths[path])) for path in paths]
         for start in result.starts
     ]
@@ -221,4 +220,4 @@ def _times(value: float | None, factor: float) -> float | None:
 
 
 def _number(value: float | None, missing: str = "not finite") -> str:
-    return missing if value is None else f"{value:.4g}"
+    return format_number(value, ".4g", missing)
