@@ -408,7 +408,9 @@ def filling_curve(
     if made.bags < 2:
         raise InputError("all links share one bag, which has no ports: leave the curve out")
     if not 0 < duration <= FILLING_S:
-        raise InputError(f"the duration is {duration:g} s: give from 0 to {FILLING_S:g} s")
+        raise InputError(
+            f"the duration is {duration:g} s: give a positive number, at most {FILLING_S:g} s"
+        )
     if not len(diameters):
         raise InputError("there are no diameters: give at least one")
     path = STRENGTHS[made.supply.kind]
