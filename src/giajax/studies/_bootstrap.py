@@ -143,15 +143,8 @@ def repeated(
         ratio = spread / standard_error
         ratio_error = ratio / float(np.sqrt(2 * (count - 1)))
     covered = coverage = interval = None
-    pairs = (
-        [
-            (there, reach)
-            for there, reach in zip(values, reaches or [], strict=reaches is not None)
-            if reach is not None
-        ]
-        if reaches is not None
-        else []
-    )
+    known = [None] * count if reaches is None else reaches
+    pairs = [(there, r) for there, r in zip(values, known, strict=True) if r is not None]
     if pairs:
         covered = sum(bool(abs(there - value) <= reach) for there, reach in pairs)
         coverage = covered / len(pairs)
