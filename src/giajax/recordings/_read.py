@@ -166,9 +166,6 @@ def _too_short(run: Run, length: float) -> InputError:
     )
 
 
-# Reading a run: CSV or Parquet, with its sidecar.
-
-
 def read_run(
     path: str | Path,
     *,

@@ -203,9 +203,6 @@ def _check_numbers(
         )
 
 
-# A run: what was recorded and commanded in one experiment, and its sidecar, in SI units.
-
-
 @dataclass(frozen=True, eq=False)
 class Run:
     """One experiment, in SI units.

@@ -186,9 +186,6 @@ def _checked(
     return TrackedPoints(times, points)
 
 
-# A run from points that were tracked in a film, and what was recorded beside it.
-
-
 def filmed(
     tracked: TrackedPoints, channels: Mapping[str, str], camera: str | None = None
 ) -> dict[str, npt.NDArray[np.float64]]:

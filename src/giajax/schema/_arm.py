@@ -84,9 +84,6 @@ WINDS = ("wind", "link_wind")
 COMMANDS = ("joint_command", "joint_torque", *PRESSURES)
 
 
-# What the sidecar of an arm's run is offered, by what was recorded.
-
-
 def arm_template(channels: Sequence[RecordedChannel]) -> list[Offer]:
     """The sections to offer for a run with these channels."""
     rows = {channel.kind for channel in channels}

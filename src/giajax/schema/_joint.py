@@ -101,9 +101,6 @@ JOINT = Kind(
 )
 
 
-# A muscle or a cylinder: from pressure and contraction to force.
-
-
 @with_keys(AT_REST, BRAIDED, EMPIRICAL, PISTON)
 class _Law(Section):
     """Which law, and what it knows."""
@@ -295,9 +292,6 @@ HYSTERESIS = Kind(
     drawn_over=_hysteresis_drawn_over,
     notes=_hysteresis_notes,
 )
-
-
-# An oscillator: a mass on a spring and a damper, with a Bouc-Wen element beside them.
 
 
 class OscillatorSection(Section):

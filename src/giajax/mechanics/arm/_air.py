@@ -61,9 +61,6 @@ def drag_factor(
     return jnp.exp(np.log(10) * (_log10(reynolds) - float(reference)))
 
 
-# Drag of the bodies that links carry: a ball on a string, an instrument in the wind.
-
-
 def body_drag(arm: Arm, here: Pose, relative: Rows, omega: Rows) -> tuple[Rows, Rows] | None:
     """Drag of the point masses, as it acts on the links that carry them.
 

@@ -310,9 +310,6 @@ def _touch(
     return Touch(load_torque(here, sum_from_tip(load)), slip, total)
 
 
-# What each link touches: flattening and force, by obstacle.
-
-
 def touched(
     arm: Arm,
     angles: Float[Array, " joint"],
@@ -347,9 +344,6 @@ def touched(
     flattened = jnp.stack([jnp.max(deep[:, boxes], axis=1) for boxes in of], axis=1)
     forces = jnp.stack([jnp.sum(force[:, :, boxes], axis=2) for boxes in of], axis=2)
     return flattened, jnp.moveaxis(forces, 0, -1)
-
-
-# How stiff contact is, as integrators need it.
 
 
 class Stiffness(NamedTuple):

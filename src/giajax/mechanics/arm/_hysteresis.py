@@ -212,9 +212,6 @@ class Memory(eqx.Module):
         return self.strength * z[0] * (rates - kept)
 
 
-# What joints remember of their way: the states of their hysteresis, in one table.
-
-
 class JointHysteresis(eqx.Module):
     """Hysteresis of the joints, beside their springs; by default there is none.
 

@@ -275,9 +275,6 @@ def _from_tip(count: int) -> list[tuple[int, int]]:
     return [(begin, end) for end, begin in itertools.pairwise(ends)]
 
 
-# Load of the links: the torque that a motion needs against inertia, gravity and air.
-
-
 def inverse_dynamics(
     arm: Arm,
     angles: Float[Array, " joint"],

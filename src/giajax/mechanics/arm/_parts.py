@@ -129,9 +129,6 @@ def _check_choice(name: str, value: str, choices: Sequence[str]) -> None:
         raise InputError(f"{name} is {value!r}: use one of {', '.join(choices)}")
 
 
-# The rigid links of an arm: sizes, masses and moments of inertia.
-
-
 class Links(eqx.Module):
     """The rigid links, one element of each array per link."""
 
@@ -160,9 +157,6 @@ class Links(eqx.Module):
     def volume(self) -> Float[Array, " link"]:
         """Air that each link displaces, m^3."""
         return np.pi / 4 * self.diameter**2 * self.length * self.fullness
-
-
-# The joints of an arm: axes, springs, dampers, friction and the inertia of drives.
 
 
 class Joints(eqx.Module):
@@ -260,9 +254,6 @@ class PointMasses(eqx.Module):
                     f"the point masses have {len(self.links)} links and a {name} of shape "
                     f"{value.shape}: give one number, or one each"
                 )
-
-
-# Contact of inflated links with obstacles: the law, and its numbers.
 
 
 class Contact(eqx.Module):

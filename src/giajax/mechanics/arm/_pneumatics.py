@@ -57,9 +57,6 @@ def stiffest_pair(pair: JointPair) -> Scalar:
     return jnp.max(jnp.maximum(-first, 0) + jnp.maximum(second, 0) + own)
 
 
-# What is between the pressures of muscles and the arm, beside the muscles themselves.
-
-
 class MuscleDrive(eqx.Module):
     """Lag of the pressures, and what else acts on joints with muscles.
 
@@ -245,9 +242,6 @@ class Pneumatics(eqx.Module):
             return jax.lax.pad(values, zero, [*around, within])
         every = jnp.zeros((*values.shape[:-1], count), values.dtype)
         return every.at[..., np.asarray(self.joints) - 1].set(values)
-
-
-# Joints with muscles, by a name or by their numbers.
 
 
 def muscles_in(muscles: str | Sequence[int], pair: JointPair | None, joints: Joints) -> Pneumatics:

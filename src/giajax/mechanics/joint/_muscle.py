@@ -172,9 +172,6 @@ class AbstractMuscle(eqx.Module):
         )
 
 
-# Friction of a muscle or a cylinder: the difference between filling and exhausting.
-
-
 class Friction(eqx.Module):
     """Coulomb friction whose half-width depends on the pressure.
 
@@ -287,9 +284,6 @@ class BraidedMuscle(AbstractMuscle):
         return self.dead_band + force / jnp.where(gain > 0, gain, 1), gain
 
 
-# An empirical law for muscles of any length: a largest force times one normalised shape.
-
-
 class EmpiricalMuscle(AbstractMuscle):
     """F = F_max(L) f(e, q), e = epsilon / contraction_limit, q = p / pressure_limit.
 
@@ -357,9 +351,6 @@ class EmpiricalMuscle(AbstractMuscle):
         return lacking / jnp.where(gain > 0, gain, 1), gain
 
 
-# A pneumatic cylinder: the simplest actuator, and one with a public recording.
-
-
 class Piston(AbstractMuscle):
     """F = p A + offset, A = pi bore^2 / 4.
 
@@ -410,9 +401,6 @@ MUSCLE_LAWS: dict[str, type[AbstractMuscle]] = {
     law.name: law for law in (BraidedMuscle, EmpiricalMuscle, Piston)
 }
 """The laws by the name that files give them."""
-
-
-# Force of any muscle from its pressure, and the pressure for a force, with checked arguments.
 
 
 def muscle_force(

@@ -157,9 +157,6 @@ def commanded(pair: JointPair, angle: Array, load: Array, torque: Array) -> Pair
 _pair_command = program(commanded)
 
 
-# Torque of a pair of muscles at two pressures, as a function of the angle, and its slopes.
-
-
 def net_torque(
     pair: JointPair,
     pressures: Float[Array, "2 ..."],
@@ -251,9 +248,6 @@ def checked_pressures(pressures: npt.ArrayLike | Array) -> Float[Array, "2"]:
             "finite and not negative"
         )
     return pressures
-
-
-# A pair of muscles near one equilibrium as the spring of a joint of the arm.
 
 
 class Spring(eqx.Module):

@@ -301,9 +301,6 @@ def _where(condition: Array, a: Point, b: Point) -> Point:
     return jnp.where(condition, a[0], b[0]), jnp.where(condition, a[1], b[1])
 
 
-# One joint at rest: its parameters, and the state of a muscle on either side of it.
-
-
 class Joint(eqx.Module):
     """One joint: its geometry, the corrections, and the torque that is on it at all times.
 
