@@ -36,7 +36,7 @@ def from_si(quantity: str, suffix: str, values: npt.ArrayLike) -> npt.NDArray[np
 
 
 @dataclass(frozen=True)
-class Wording:
+class Naming:
     """How errors name the parts of a run: `row 5` and columns of a file, samples of arrays."""
 
     source: str

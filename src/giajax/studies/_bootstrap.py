@@ -252,7 +252,7 @@ class Residuals:
 def block_length(
     run: Run, residuals: Float[np.ndarray, "sample channel"], noises: Sequence[ChannelNoise]
 ) -> int:
-    """Samples of a block: n^(1/3), or more where residuals have a memory.
+    """Samples of a block: n^(1/3), or more where residuals are correlated.
 
     For noise with autocovariances R(k) the best length is (3/2 (G/g)^2 n)^(1/3), with G the sum of
     |k| R(k) and g that of R(k) (Politis and White 2004, "Automatic block-length selection", for

@@ -274,12 +274,12 @@ def ladder(
     1 the step takes a fraction of the time, and trusts the test.
 
     All fits are made and compared by one likelihood: that of the loss of the fit, with white noise
-    that is the same for both. Noise with a memory would take what is missing for noise, each fit
+    that is the same for both. Correlated noise would take what is missing for noise, each fit
     as much as it leaves over. The white noise is what the runs state, or else what second
     differences of the residuals show, those of the fit with more in it; and where the samples do
     not follow each other, what that fit took for noise. The table that comes out has the noise of
-    its last row, which is fitted once more with a memory if the first fit had looked for it: its
-    parameters and errors are those of that fit.
+    its last row, which is fitted once more with correlated noise if the first fit had looked for
+    it: its parameters and errors are those of that fit.
 
     Arguments:
         result: of `giajax.fit` or `giajax.load_result`.
@@ -342,7 +342,7 @@ def ladder(
 
 
 def _by_white_noise(result: FitResult, runs: Sequence[Run]) -> FitResult:
-    """The fit, or where its noise has a memory, that by white noise."""
+    """The fit, or where its noise is correlated, that by white noise."""
     if result.noise is not None and not result.noise.widening:
         return result
     return refit(result, runs, noise_model="white")
