@@ -13,6 +13,7 @@ from ...runtime.text import InputError
 from ...schema import BRAIDED, EMPIRICAL, FRICTION, PISTON
 from ...schema.parameters import is_concrete, parameter
 from ..hysteresis import stop
+from ._geometry import Shaped
 
 REACHED, NEEDS_PUSH, NEEDS_PRESSURE, TOO_SHORT, PULLS_ANYWAY = range(5)
 
@@ -36,8 +37,8 @@ class PressureAnswer(eqx.Module):
             does not shorten so far at any pressure, 4 it has more force without any pressure.
     """
 
-    pressure: Float[Array, "*shape"]
-    force: Float[Array, "*shape"]
+    pressure: Shaped
+    force: Shaped
     code: Int[Array, "*shape"]
 
     @property
@@ -74,11 +75,8 @@ class AbstractMuscle(eqx.Module):
 
     @abc.abstractmethod
     def signed_force(
-        self,
-        pressure: Float[Array, "*shape"],
-        contraction: Float[Array, "*shape"],
-        length: Float[Array, ""],
-    ) -> Float[Array, "*shape"]:
+        self, pressure: Shaped, contraction: Shaped, length: Float[Array, ""]
+    ) -> Shaped:
         """Force by the law alone, N; negative beyond its reach.
 
         Arguments:
@@ -92,11 +90,8 @@ class AbstractMuscle(eqx.Module):
 
     @abc.abstractmethod
     def pressure_for(
-        self,
-        force: Float[Array, "*shape"],
-        contraction: Float[Array, "*shape"],
-        length: Float[Array, ""],
-    ) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
+        self, force: Shaped, contraction: Shaped, length: Float[Array, ""]
+    ) -> tuple[Shaped, Shaped]:
         """Pressure that the law says for a force >= 0, Pa, and the force gained per pascal.
 
         Where nothing is gained there is no such pressure, and its value means nothing.
@@ -115,12 +110,7 @@ class AbstractMuscle(eqx.Module):
     def limit(self) -> Float[Array, ""]:
         """Highest pressure, Pa."""
 
-    def force(
-        self,
-        pressure: Float[Array, "*shape"],
-        contraction: Float[Array, "*shape"],
-        length: Float[Array, ""],
-    ) -> Float[Array, "*shape"]:
+    def force(self, pressure: Shaped, contraction: Shaped, length: Float[Array, ""]) -> Shaped:
         """Force, N: that of the law, or 0 where the actuator is slack.
 
         Arguments:
@@ -135,10 +125,7 @@ class AbstractMuscle(eqx.Module):
         return force if self.pushes else jnp.maximum(force, 0)
 
     def answer(
-        self,
-        force: Float[Array, "*shape"],
-        contraction: Float[Array, "*shape"],
-        length: Float[Array, ""],
+        self, force: Shaped, contraction: Shaped, length: Float[Array, ""]
     ) -> PressureAnswer:
         """Pressure for a force at a contraction; nothing is checked.
 
@@ -257,7 +244,7 @@ class BraidedMuscle(AbstractMuscle):
         """Contraction at which the force vanishes at any pressure."""
         return (1 - 1 / (jnp.sqrt(3.0) * jnp.cos(self.braid_angle))) / self.end_correction
 
-    def _per_pascal(self, contraction: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    def _per_pascal(self, contraction: Shaped) -> Shaped:
         area = jnp.pi / 4 * self.diameter**2
         # A muscle that k has used up does not pull again: the square must not grow on.
         left = jnp.maximum(1 - self.end_correction * contraction, 0)
@@ -265,20 +252,14 @@ class BraidedMuscle(AbstractMuscle):
         return self.effectiveness * area * (shrunk - 1 / jnp.sin(self.braid_angle) ** 2)
 
     def signed_force(
-        self,
-        pressure: Float[Array, "*shape"],
-        contraction: Float[Array, "*shape"],
-        length: Float[Array, ""],
-    ) -> Float[Array, "*shape"]:
+        self, pressure: Shaped, contraction: Shaped, length: Float[Array, ""]
+    ) -> Shaped:
         """Force by the law, N."""
         return jnp.maximum(pressure - self.dead_band, 0) * self._per_pascal(contraction)
 
     def pressure_for(
-        self,
-        force: Float[Array, "*shape"],
-        contraction: Float[Array, "*shape"],
-        length: Float[Array, ""],
-    ) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
+        self, force: Shaped, contraction: Shaped, length: Float[Array, ""]
+    ) -> tuple[Shaped, Shaped]:
         """Pressure for a force, Pa, and the force per pascal."""
         gain = self._per_pascal(contraction)
         return self.dead_band + force / jnp.where(gain > 0, gain, 1), gain
@@ -322,27 +303,21 @@ class EmpiricalMuscle(AbstractMuscle):
         reach = jnp.maximum(length - self.end_length, 0) / self.length_scale
         return self.force_limit * (2 / jnp.pi) * jnp.arctan(reach)
 
-    def _passive(self, strain: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    def _passive(self, strain: Shaped) -> Shaped:
         rise = jnp.expm1(-self.decay * strain) / jnp.expm1(-self.decay)
         return jnp.exp(-(self.bell**2)) * rise
 
     def signed_force(
-        self,
-        pressure: Float[Array, "*shape"],
-        contraction: Float[Array, "*shape"],
-        length: Float[Array, ""],
-    ) -> Float[Array, "*shape"]:
+        self, pressure: Shaped, contraction: Shaped, length: Float[Array, ""]
+    ) -> Shaped:
         """Force by the law, N; 0 or less without pressure."""
         strain = contraction / self.contraction_limit
         active = pressure / self.pressure_limit * jnp.exp(-((self.bell * strain) ** 2))
         return self.largest_force(length) * (active - self._passive(strain))
 
     def pressure_for(
-        self,
-        force: Float[Array, "*shape"],
-        contraction: Float[Array, "*shape"],
-        length: Float[Array, ""],
-    ) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
+        self, force: Shaped, contraction: Shaped, length: Float[Array, ""]
+    ) -> tuple[Shaped, Shaped]:
         """Pressure for a force, Pa, and the force per pascal."""
         strain = contraction / self.contraction_limit
         largest = self.largest_force(length)
@@ -377,20 +352,14 @@ class Piston(AbstractMuscle):
         return jnp.pi / 4 * self.bore**2
 
     def signed_force(
-        self,
-        pressure: Float[Array, "*shape"],
-        contraction: Float[Array, "*shape"],
-        length: Float[Array, ""],
-    ) -> Float[Array, "*shape"]:
+        self, pressure: Shaped, contraction: Shaped, length: Float[Array, ""]
+    ) -> Shaped:
         """Force by the law, N."""
         return pressure * self.area + self.offset
 
     def pressure_for(
-        self,
-        force: Float[Array, "*shape"],
-        contraction: Float[Array, "*shape"],
-        length: Float[Array, ""],
-    ) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
+        self, force: Shaped, contraction: Shaped, length: Float[Array, ""]
+    ) -> tuple[Shaped, Shaped]:
         """Pressure for a force, Pa, and the force per pascal."""
         return (force - self.offset) / self.area, jnp.broadcast_to(self.area, force.shape)
 
@@ -408,7 +377,7 @@ def muscle_force(
     pressure: npt.ArrayLike | Array,
     contraction: npt.ArrayLike | Array,
     length: npt.ArrayLike | Array = 1.96,
-) -> Float[Array, "*shape"]:
+) -> Shaped:
     """Force of a muscle without friction, N.
 
     Arguments:
