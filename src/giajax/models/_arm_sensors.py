@@ -346,9 +346,7 @@ class Seen(NamedTuple):
 
 
 def seen_with_delays(
-    motion: Callable[[Times, Scalar], Trajectory],
-    times: Times,
-    delays: Sequence[Scalar | None],
+    motion: Callable[[Times, Scalar], Trajectory], times: Times, delays: Sequence[Scalar | None]
 ) -> tuple[list[Seen], Bool[Array, ""]]:
     """States at the samples less each delay, from one simulation.
 

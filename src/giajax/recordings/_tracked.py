@@ -175,9 +175,7 @@ def _numbers(
 
 
 def _checked(
-    path: Path,
-    times: npt.NDArray[np.float64],
-    points: dict[str, npt.NDArray[np.float64]],
+    path: Path, times: npt.NDArray[np.float64], points: dict[str, npt.NDArray[np.float64]]
 ) -> TrackedPoints:
     if not np.all(np.isfinite(times)) or np.any(np.diff(times) <= 0):
         raise InputError(

@@ -48,7 +48,7 @@ def stiffest_pair(pair: JointPair) -> Scalar:
         pair: the joint and its muscles.
     """
     angles = jnp.asarray(_ANGLES)
-    ahead, pressures = angles >= 0, jnp.full(2, 1.0) * pair.muscle.limit
+    ahead, pressures = angles >= 0, jnp.full(2, 1.0) * pair.muscle.pressure_limit
 
     def torques(angle: Array) -> tuple[Array, Array]:
         own = resistance(pair.joint.correction, angle, ahead)

@@ -72,6 +72,8 @@ class AbstractMuscle(eqx.Module):
     """Sign of the recorded displacement in which it moves by itself: +1 where it shortens."""
     pushes: ClassVar[bool]
     """Whether its force may be negative; else it is slack beyond its reach."""
+    pressure_limit: eqx.AbstractVar[Scalar]
+    """Highest pressure, Pa."""
 
     @abc.abstractmethod
     def signed_force(
@@ -105,11 +107,6 @@ class AbstractMuscle(eqx.Module):
             Pressure, Pa, and force gained per pascal, N/Pa.
         """
 
-    @property
-    @abc.abstractmethod
-    def limit(self) -> Float[Array, ""]:
-        """Highest pressure, Pa."""
-
     def force(self, pressure: Shaped, contraction: Shaped, length: Float[Array, ""]) -> Shaped:
         """Force, N: that of the law, or 0 where the actuator is slack.
 
@@ -139,11 +136,11 @@ class AbstractMuscle(eqx.Module):
         """
         needed, gain = self.pressure_for(jnp.maximum(force, 0), contraction, length)
         able = gain > 0
-        pressure = jnp.where(able, jnp.clip(needed, 0, self.limit), self.limit)
+        pressure = jnp.where(able, jnp.clip(needed, 0, self.pressure_limit), self.pressure_limit)
         code = jnp.where(
             able,
             jnp.where(
-                needed > self.limit,
+                needed > self.pressure_limit,
                 NEEDS_PRESSURE,
                 jnp.where(needed * gain < -_NO_FORCE, PULLS_ANYWAY, REACHED),
             ),
@@ -235,11 +232,6 @@ class BraidedMuscle(AbstractMuscle):
     pressure_limit: Scalar = parameter(BRAIDED.pressure_limit)
 
     @property
-    def limit(self) -> Float[Array, ""]:
-        """Highest pressure, Pa."""
-        return self.pressure_limit
-
-    @property
     def largest_contraction(self) -> Float[Array, ""]:
         """Contraction at which the force vanishes at any pressure."""
         return (1 - 1 / (jnp.sqrt(3.0) * jnp.cos(self.braid_angle))) / self.end_correction
@@ -293,11 +285,6 @@ class EmpiricalMuscle(AbstractMuscle):
     length_scale: Scalar = parameter(EMPIRICAL.length_scale)
     pressure_limit: Scalar = parameter(EMPIRICAL.pressure_limit)
 
-    @property
-    def limit(self) -> Float[Array, ""]:
-        """Highest pressure, Pa."""
-        return self.pressure_limit
-
     def largest_force(self, length: Float[Array, ""]) -> Float[Array, ""]:
         """F_max of a muscle of this length at rest (m), N."""
         reach = jnp.maximum(length - self.end_length, 0) / self.length_scale
@@ -340,11 +327,6 @@ class Piston(AbstractMuscle):
     bore: Scalar = parameter(PISTON.bore)
     offset: Scalar = parameter(PISTON.offset)
     pressure_limit: Scalar = parameter(PISTON.pressure_limit)
-
-    @property
-    def limit(self) -> Float[Array, ""]:
-        """Highest pressure, Pa."""
-        return self.pressure_limit
 
     @property
     def area(self) -> Float[Array, ""]:
