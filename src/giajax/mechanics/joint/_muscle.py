@@ -346,9 +346,7 @@ class Piston(AbstractMuscle):
         return (force - self.offset) / self.area, jnp.broadcast_to(self.area, force.shape)
 
 
-# The laws of muscles by name.
-
-MUSCLE_LAWS: dict[str, type[AbstractMuscle]] = {
+MUSCLE_LAWS: dict[str, type[BraidedMuscle | EmpiricalMuscle | Piston]] = {
     law.name: law for law in (BraidedMuscle, EmpiricalMuscle, Piston)
 }
 """The laws by the name that files give them."""
