@@ -135,7 +135,7 @@ def _ours(
     ]
     stated = {each.key: Stated(1.0) if case.stated else Stated() for each in cells}
     first = {each.key: ChannelNoise(1.0 if case.stated else _rms(each.residual)) for each in cells}
-    problem = estimate(Restricted.of(cells, first), stated, memory=True)
+    problem = estimate(Restricted.of(cells, first), stated, correlated=True)
     gram = np.sum([each.gram(problem.noise[each.key])[0] for each in cells], axis=0)
     covariance = np.linalg.inv(gram[:-1, :-1])
     off = np.abs(start + covariance @ gram[:-1, -1])

@@ -131,11 +131,11 @@ def test_white_and_correlated_parts_are_told_apart():
     values = 0.03 * rng.normal(size=3000) + 0.04 * memory(times, 0.7, rng)
     cells = of_run(times, values, smooth(times))
     problem = Restricted.of([cells], {"x": ChannelNoise(0.1)})
-    (noise,) = estimate(problem, {"x": Stated()}, memory=True).noise.values()
+    (noise,) = estimate(problem, {"x": Stated()}, correlated=True).noise.values()
     assert noise.white == pytest.approx(0.03, rel=0.06)
     assert noise.correlated == pytest.approx(0.04, rel=0.15)
     assert noise.time_s == pytest.approx(0.7, rel=0.4)
-    (white,) = estimate(problem, {"x": Stated()}, memory=False).noise.values()
+    (white,) = estimate(problem, {"x": Stated()}, correlated=False).noise.values()
     assert white.is_white
     assert white.deviation == pytest.approx(0.05, rel=0.1)
 
@@ -146,13 +146,13 @@ def test_stated_noise_is_kept_where_the_residuals_allow_it():
     times = np.arange(250) * 0.1
     values = 0.05 * memory(times, 1.0, rng)
     problem = Restricted.of([of_run(times, values, smooth(times))], {"x": ChannelNoise(0.05)})
-    kept = estimate(problem, {"x": Stated(0.05)}, memory=True).noise["x"]
+    kept = estimate(problem, {"x": Stated(0.05)}, correlated=True).noise["x"]
     assert kept.deviation == pytest.approx(0.05)
     assert not kept.is_white
-    left = estimate(problem, {"x": Stated(0.01)}, memory=True).noise["x"]
+    left = estimate(problem, {"x": Stated(0.01)}, correlated=True).noise["x"]
     assert left.deviation > 0.03
     known = Stated(0.05, correlated=0.03, time_s=2.0)
-    assert estimate(problem, {"x": known}, memory=True).noise["x"] == known.noise
+    assert estimate(problem, {"x": known}, correlated=True).noise["x"] == known.noise
 
 
 @pytest.mark.quick
@@ -162,7 +162,7 @@ def test_of_white_noise_the_degrees_of_freedom_are_those_of_students_t():
     columns = smooth(times)[:, :2]
     cells = of_run(times, rng.normal(size=15), columns)
     problem = Restricted.of([cells], {"x": ChannelNoise(1.0)})
-    problem = estimate(problem, {"x": Stated()}, memory=False)
+    problem = estimate(problem, {"x": Stated()}, correlated=False)
     size = problem.noise["x"].deviation
     assert size**2 == pytest.approx(np.sum(cells.residual**2) / 13, rel=1e-4)
     covariance = size**2 * np.linalg.inv(columns.T @ columns)
@@ -203,6 +203,6 @@ def test_far_guesses_of_the_size_lead_to_the_same():
     cells = of_run(times, 0.01 * rng.normal(size=200), smooth(times))
     for guess in (1.0, 1e-4):
         problem = Restricted.of([cells], {"x": ChannelNoise(guess)})
-        found = estimate(problem, {"x": Stated()}, memory=True).noise["x"]
+        found = estimate(problem, {"x": Stated()}, correlated=True).noise["x"]
         assert found.is_white
         assert found.deviation == pytest.approx(0.01, rel=0.1)

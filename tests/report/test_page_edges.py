@@ -14,7 +14,7 @@ from giajax.report import check_page, report_page
 from giajax.report.page import _report, animation, correlation_cells, opening, some_of
 from giajax.runtime.text import InputError
 from giajax.simulation import SimulationError
-from giajax.studies import begun_where_it_ended
+from giajax.studies import with_fitted_states
 from page_reader import Page
 
 EARLIER = Path(__file__).resolve().parents[1] / "earlier"
@@ -35,7 +35,7 @@ def test_a_fitted_initial_state_is_where_the_page_begins(result, run, monkeypatc
     state = {"initial.angle[0]": OwnEstimate(0.2, 0.01), "initial.rate[1]": OwnEstimate(-0.3, 0.1)}
     record = dataclasses.replace(result.runs[0], parameters=state)
     loaded = dataclasses.replace(result, runs=(record,), predictions=())
-    (begun,) = begun_where_it_ended(loaded, [free])
+    (begun,) = with_fitted_states(loaded, [free])
     predicted = loaded.predict(begun)
     assert max(np.max(np.abs(predicted[n] - loaded.predict(free)[n])) for n in predicted) > 0.05
 

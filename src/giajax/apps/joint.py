@@ -132,9 +132,6 @@ def angle_figure(joint: Joint, *, corrected: bool) -> Figure:
     return figure
 
 
-# Alpha and beta of a joint, in both readings of the paper.
-
-
 def correction_table(
     joint: Joint, *, reading: str, step_deg: float = 0.05
 ) -> dict[str, np.ndarray]:
@@ -285,9 +282,6 @@ def _draw_joint(panel: Axes, joint: Joint, scene: Scene, sample: int, degrees: f
     panel.set_xlim(-1.02, 1.02)
     height = float(np.sin(angle / 2))
     panel.set_ylim(min(-0.22, height - 0.18), max(0.34, height + 0.3))
-
-
-# Where two pressures hold a joint: every equilibrium, and the torque that makes them.
 
 
 def equilibria_table(

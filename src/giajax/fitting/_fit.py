@@ -109,7 +109,7 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
 
 
 def _lengths(state: FitState) -> list[tuple[str, float]]:
-    """How many correlation times of its slowest noise each run is long, where any has a memory."""
+    """How many correlation times of its slowest noise each run is long, where any is correlated."""
     lengths = []
     for run, noise in zip(state.setup.runs, state.noise.values, strict=True):
         longest = max((each.time_s for each in noise.values()), default=0.0)
@@ -226,7 +226,7 @@ def fit(
         start: start values by path, in SI units: one, or one for each element.
         fix: values by path that are set and not fitted, as `start`.
         loss: "linear", or "huber" or "soft_l1" where a few cells are outliers.
-        noise_model: "correlated" finds out whether the noise of a channel has a memory (white
+        noise_model: "correlated" finds out whether the noise of a channel is correlated (white
             noise plus an AR(1) in continuous time), and how large and long it is where the runs
             do not state it; "white" takes every cell for independent of the others.
         noise_per_run: estimate the noise of a channel in each run by itself, not in all together.

@@ -142,18 +142,18 @@ def reestimate(state: FitState) -> Noise:
         The noise in use, or a better one.
     """
     noise = state.noise
-    if noise.complete and not noise.memory:
+    if noise.complete and not noise.correlated:
         return noise
     cells = residual_cells(state)
     if state.setup.settings.loss != "linear":
         return _among_outliers(noise, cells, state.setup.runs)
-    # Without the priors: one that is wrong would pass for noise with a long memory.
+    # Without the priors: one that is wrong would pass for noise that is correlated for long.
     before = Restricted.of(list(cells.values()), noise.by_key())
     perfect = _perfect(cells, state.setup.runs)
     if perfect and noise.estimated:
         # What rounding leaves has no size to be estimated again.
         return noise
-    after = estimate(before, noise.stated_by_key(), memory=noise.memory and not perfect)
+    after = estimate(before, noise.stated_by_key(), correlated=noise.correlated and not perfect)
     if _gain(before, after) < _SETTLED:
         return dataclasses.replace(noise, estimated=not noise.complete)
     return noise.with_values(after.noise)
@@ -176,7 +176,7 @@ def _gain(before: Restricted, after: Restricted) -> float:
 def _among_outliers(
     noise: Noise, cells: dict[tuple[int, str], Cells], runs: Sequence[Run]
 ) -> Noise:
-    """The noise by robust statistics; with a memory, each cell gets a weight of its own."""
+    """The noise by robust statistics; correlated, each cell gets a weight of its own."""
     stated, old = noise.stated_by_key(), noise.by_key()
     sizes = {
         key: _robust(each, [c.residual for c in cells.values() if c.key == key])
@@ -184,12 +184,12 @@ def _among_outliers(
         else each
         for key, each in old.items()
     }
-    if noise.memory:
+    if noise.correlated:
         weights = {at: outlier_weights(each, sizes[each.key]) for at, each in cells.items()}
         # An outlier is no noise: it has no part in its size, only little in the fit.
         inliers = [each.where(weights[at] > OUTLIER) for at, each in cells.items()]
         before = Restricted.of(inliers, sizes)
-        after = estimate(before, stated, memory=True)
+        after = estimate(before, stated, correlated=True)
         if not all(each.is_white for each in after.noise.values()):
             return _weighted(noise, weights, runs, _gain(before, after), after)
     change = max(abs(np.log(sizes[key].deviation / old[key].deviation)) for key in old)
@@ -209,7 +209,7 @@ def _weighted(
     gain: float,
     after: Restricted,
 ) -> Noise:
-    """Noise with a memory, and with the weight of each cell at its sample."""
+    """Correlated noise, and with the weight of each cell at its sample."""
     placed: list[dict[str, np.ndarray]] = [{} for _ in noise.keys]
     changes = []
     for (run, name), of_cells in weights.items():

@@ -217,7 +217,7 @@ def optimum(setup: Setup, records: Sequence[RunFit]) -> Optimum:
     noise = begun.noise.with_values(_noise_of(begun.noise, setup, records))
     noise = dataclasses.replace(noise, estimated=not noise.complete)
     state = _evaluated(begun, noise)
-    if setup.settings.loss != "linear" and noise.memory:
+    if setup.settings.loss != "linear" and noise.correlated:
         # The weights of cells are not kept: they follow from the residuals.
         weights = reestimate(state).weights
         if weights is not None:

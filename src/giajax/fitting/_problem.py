@@ -145,8 +145,8 @@ def _whitening(
     length: int,
     recorded: Recorded,
 ) -> Whitening | None:
-    """That of the runs of a group, stacked; None where noise has no memory for sure."""
-    if not noise.memory:
+    """That of the runs of a group, stacked; None where noise is white for sure."""
+    if not noise.correlated:
         return None
     parts = []
     for i in indices:

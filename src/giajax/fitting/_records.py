@@ -202,7 +202,7 @@ class NoiseFit:
     """What a fit took for noise.
 
     Attributes:
-        model: "correlated" where a memory was looked for, or "white".
+        model: "correlated" where correlated noise was looked for, or "white".
         estimated: whether the size of any of it comes from the residuals.
         widening: standard error over that with white noise of the same size, by path; empty
             where all noise is white.

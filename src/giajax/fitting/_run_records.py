@@ -36,7 +36,7 @@ class ChannelFit:
         rmse: root mean square of recorded minus predicted; None where that is not finite.
         n: number of measured values.
         noise: standard deviation of a cell that the values were weighted with.
-        correlated: standard deviation of the part of it that has a memory.
+        correlated: standard deviation of the correlated part of it.
         correlation_time_s: of that part, s; 0 where there is none.
         innovation: deviation of what the cells before do not foretell, their geometric mean;
             None from a file without it.

@@ -26,7 +26,7 @@ class Noise:
         stated: what the sidecar of each run says, by channel.
         values: what the channels are weighted with.
         keys: of each channel of each run: those of the same key have the same noise.
-        memory: whether noise may be correlated.
+        correlated: whether noise may be correlated.
         weights: what robust statistics leave of each sample, by channel; None where outliers
             are not weighted that way.
         estimated: whether what the sidecars leave out comes from the residuals of a fit.
@@ -35,7 +35,7 @@ class Noise:
     stated: tuple[Mapping[str, Stated], ...]
     values: tuple[Mapping[str, ChannelNoise], ...]
     keys: tuple[Mapping[str, str], ...]
-    memory: bool
+    correlated: bool
     weights: tuple[Mapping[str, np.ndarray], ...] | None = None
     estimated: bool = False
 
@@ -64,13 +64,13 @@ class Noise:
                 guesses.setdefault(key, []).append(from_differences(run.observations[name]))
         values = tuple(
             {
-                name: known.noise_of(memory=model == "correlated")
+                name: known.noise_of(correlated=model == "correlated")
                 or ChannelNoise(float(np.median(guesses[names[name]])))
                 for name, known in of_run.items()
             }
             for of_run, names in zip(stated, keys, strict=True)
         )
-        return cls(stated, values, keys, memory=model == "correlated")
+        return cls(stated, values, keys, correlated=model == "correlated")
 
     @property
     def complete(self) -> bool:
@@ -79,7 +79,7 @@ class Noise:
 
     @property
     def is_white(self) -> bool:
-        """Whether no channel has a memory."""
+        """Whether no channel's noise is correlated."""
         return all(noise.is_white for of_run in self.values for noise in of_run.values())
 
     def by_key(self) -> dict[str, ChannelNoise]:
@@ -282,7 +282,7 @@ class Whitening(eqx.Module):
     """The gains of a run, or of several along a first axis, for residuals over their deviation.
 
     Attributes:
-        keep, gain: what goes on from one sample to the next, of the memory and of the cell.
+        keep, gain: of the correlated part and of the cell, what goes on to the next sample.
         scale: deviation of a cell over that of what the cells before it do not foretell; 0 where
             a cell is not measured.
     """
@@ -329,10 +329,10 @@ class Whitening(eqx.Module):
         samples, channels = self.keep.shape
         cells = rows.reshape(samples, channels, -1)
 
-        def step(memory: Array, each: tuple[Array, ...]) -> tuple[Array, Array]:
+        def step(kept: Array, each: tuple[Array, ...]) -> tuple[Array, Array]:
             cell, keep, gain, scale = each
-            fresh = cell - memory
-            return keep[:, None] * memory + gain[:, None] * fresh, scale[:, None] * fresh
+            fresh = cell - kept
+            return keep[:, None] * kept + gain[:, None] * fresh, scale[:, None] * fresh
 
         def through(cells: Array) -> Array:
             start = jnp.zeros(cells.shape[1:], cells.dtype)
@@ -348,11 +348,11 @@ class Whitening(eqx.Module):
         keep, gain, scale = (np.asarray(leaf) for leaf in (self.keep, self.gain, self.scale))
         cells = np.asarray(rows).reshape(*keep.shape, -1)
         result = np.empty_like(cells)
-        memory = np.zeros(cells.shape[1:])
+        kept = np.zeros(cells.shape[1:])
         for i, row in enumerate(cells):
             fresh = row / np.where(scale[i] > 0, scale[i], 1.0)[:, None]
-            result[i] = np.where(scale[i][:, None] > 0, memory + fresh, 0.0)
-            memory = keep[i][:, None] * memory + gain[i][:, None] * fresh
+            result[i] = np.where(scale[i][:, None] > 0, kept + fresh, 0.0)
+            kept = keep[i][:, None] * kept + gain[i][:, None] * fresh
         return result.reshape(np.shape(rows))
 
 

@@ -259,9 +259,6 @@ def stiff_share(load: Floats) -> Floats:
     return found
 
 
-# An arm that is filled: gas, bags, ports and supply.
-
-
 class Ports(eqx.Module):
     """The ports between neighbouring bags, from the base on."""
 

@@ -79,9 +79,6 @@ def within_faces(lines: Lines) -> tuple[PerPair, PerPair, tuple[Vectors, Vectors
     return first, last, (faces[0], faces[1])
 
 
-# What of a box is nearest to points: a face, an edge or a corner.
-
-
 class Nearest(NamedTuple):
     """The surface of boxes as seen from points.
 
@@ -123,9 +120,6 @@ def nearest(
     axis = (face[None] == faces).astype(x.dtype) - (face[None] == faces + 3).astype(x.dtype)
     pointing = jnp.sign(x) * outside / jnp.where(out, length, 1)[None]
     return Nearest(jnp.where(out, length, inside), jnp.where(out[None], pointing, axis))
-
-
-# Which stretch of a line is within a radius of a box: where a round link touches it.
 
 
 class Patches(NamedTuple):
@@ -460,9 +454,6 @@ class WallWithOpening(AbstractObstacle):
 
         places = [(column, row) for column in range(3) for row in range(3)]
         return [part(*place) for place in places if place != (1, 1)]
-
-
-# The boxes of all obstacles, in rows.
 
 
 class Solids(NamedTuple):

@@ -119,9 +119,6 @@ def _each(run: Run, values: npt.ArrayLike, joints: int) -> Row:
     return np.broadcast_to(values, (joints,))
 
 
-# What the arm needs of a run: times, command, wind, drive torque and initial state.
-
-
 class InitialState(eqx.Module):
     """Joint angles and rates at the first sample; parameters of one run, if it says so."""
 

@@ -42,8 +42,6 @@ from ._arm_sensors import Camera, Landmark, Sensors
 from ._cameras import Pinhole
 from ._protocol import parameter_values
 
-# Obstacles from the TOML vocabulary, and back.
-
 
 def obstacles_from(entries: Sequence[Obstacle]) -> tuple[AbstractObstacle, ...]:
     """The obstacles that entries of `[[arm.obstacles]]` state."""

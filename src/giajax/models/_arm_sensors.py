@@ -163,9 +163,6 @@ class Sensors(eqx.Module):
         return self.camera.sees(jax.vmap(lambda row: self.marker.at_tip(arm, row))(angles))
 
 
-# What cameras show of an arm and of the room, channel by channel.
-
-
 def camera_of(sensors: Sensors, channel: Channel) -> str:
     """The name of the camera that shows a channel.
 
@@ -349,9 +346,7 @@ class Seen(NamedTuple):
 
 
 def seen_with_delays(
-    motion: Callable[[Times, Scalar], Trajectory],
-    times: Times,
-    delays: Sequence[Scalar | None],
+    motion: Callable[[Times, Scalar], Trajectory], times: Times, delays: Sequence[Scalar | None]
 ) -> tuple[list[Seen], Bool[Array, ""]]:
     """States at the samples less each delay, from one simulation.
 

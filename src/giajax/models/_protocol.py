@@ -176,9 +176,6 @@ class AbstractModel(eqx.Module):
         """
 
 
-# Which model a set of runs, or a stored result, needs.
-
-
 def model_class(kind: str) -> Any:
     """The class of a kind, or of several as `arm+joint`; imported when a model of it is built."""
     where = "_several:SeveralModels" if "+" in kind else KINDS[kind].model

@@ -36,8 +36,8 @@ def outlier_weights(cells: Cells, noise: ChannelNoise) -> Float[np.ndarray, " ce
     """Huber's weights of the white part of each cell, one for what is within the noise.
 
     They minimise the sum of Huber's loss of the white part and of the square of the correlated
-    one: an outlier is no memory, so it is not foretold by its neighbours and does not foretell
-    them (iteratively reweighted least squares; Huber 1981, section 7.8).
+    one: an outlier is not correlated noise, so its neighbours do not predict it, nor it them
+    (iteratively reweighted least squares; Huber 1981, section 7.8).
 
     Arguments:
         cells: residuals of one channel of a run.
@@ -106,16 +106,16 @@ def _deviation(second: np.ndarray) -> float:
     return MAD * float(np.median(np.abs(second))) / np.sqrt(6) if len(second) else 0.0
 
 
-# Noise with a memory that makes the likelihood of a channel largest, where that is worth it.
+# Correlated noise that makes the likelihood of a channel largest, where that is worth it.
 
-# Twice the gain in log-likelihood that a memory must bring, for two more parameters: white noise
+# Twice the gain in log-likelihood that correlation must bring, for two more parameters: white noise
 # is taken for correlated in about one channel of twenty, and its intervals are wider then.
-_WORTH = 5.0
+_LEAST_GAIN = 5.0
 
 # Twice the gain at the best of a few tries, below which no search from there ends above that.
 _PROMISING = 1.0
 
-# No statement on a memory is made from fewer cells.
+# No statement on correlation is made from fewer cells.
 _FEWEST_SAMPLES = 20
 
 # How a deviation is made of white noise and what is correlated, as an angle, rad: its cosine and
@@ -135,7 +135,7 @@ _ITERATIONS = 30
 
 
 class Shape(NamedTuple):
-    """Noise with a memory but for its size.
+    """Correlated noise but for its size.
 
     Attributes:
         angle: its tangent is the correlated part over the white one, rad.
@@ -161,7 +161,7 @@ class Shape(NamedTuple):
 
 
 def time_limits(problem: Restricted, key: str) -> tuple[float, float] | None:
-    """Logarithms of the shortest and longest time that a memory may have; None without any."""
+    """Logarithms of the shortest and longest time of correlated noise; None without any."""
     cells = problem.of_key(key)
     timed = [each.times for each in cells if each.times is not None and len(each.times) > 2]
     if not timed or sum(len(each.residual) for each in cells) < _FEWEST_SAMPLES:
@@ -174,7 +174,7 @@ def promising(problem: Restricted, stated: Mapping[str, Stated]) -> dict[str, Sh
     """The best of a few shapes of each key for which one is better than white noise.
 
     Arguments:
-        problem: with white noise of about the right size, or noise with a memory.
+        problem: with white noise of about the right size, or correlated noise.
         stated: what is known of each key.
     """
     alike: dict[Hashable, list[str]] = {}
@@ -207,7 +207,7 @@ def _gain(values: np.ndarray) -> float:
     return float(values[0] - np.min(values[1:]))
 
 
-def with_memory(
+def best_correlated(
     problem: Restricted,
     key: str,
     white: ChannelNoise,
@@ -216,12 +216,12 @@ def with_memory(
     *,
     fixed: bool,
 ) -> ChannelNoise:
-    """The best noise with a memory, where it is worth it; else the white one.
+    """The best correlated noise, where it is worth it; else the white one.
 
     Arguments:
         problem: with the other keys' noise.
         key: of the channels.
-        white: the best without a memory.
+        white: the best white one.
         starts: of the search, which begins at the best of them.
         limits: as `time_limits`.
         fixed: whether the deviation of a cell is that of `white`.
@@ -252,7 +252,7 @@ def with_memory(
     done = minimize(
         with_slopes, [*at, 0.0], jac=True, method="L-BFGS-B", bounds=bounds, options=options
     )
-    if least - float(done.fun) < _WORTH:
+    if least - float(done.fun) < _LEAST_GAIN:
         return white
     angle, time, scale = done.x.tolist()
     return Shape(angle, time).noise(size * float(np.exp(scale)))
@@ -268,19 +268,19 @@ _SWEEPS = 2
 _MORE = 1.05
 
 
-def estimate(problem: Restricted, stated: Mapping[str, Stated], *, memory: bool) -> Restricted:
+def estimate(problem: Restricted, stated: Mapping[str, Stated], *, correlated: bool) -> Restricted:
     """The likelihood with the noise of every key that makes it largest.
 
     Arguments:
         problem: with the noise to begin with.
         stated: what is known of each key.
-        memory: whether there may be any.
+        correlated: whether noise may be correlated.
 
     Returns:
         The problem with the new noise.
     """
     starts: dict[str, Shape] = {}
-    if memory:
+    if correlated:
         # Most noise is white: all channels are asked at once whether they are worth a search.
         for key, present in problem.noise.items():
             if present.is_white:
@@ -288,7 +288,7 @@ def estimate(problem: Restricted, stated: Mapping[str, Stated], *, memory: bool)
         starts = promising(problem, stated)
     for _ in range(_SWEEPS):
         for key, known in stated.items():
-            noise = _of_key(problem, key, known, starts.get(key), memory=memory)
+            noise = _of_key(problem, key, known, starts.get(key), correlated=correlated)
             problem = problem.with_noise(key, noise)
         starts = {key: at for key, at in starts.items() if not problem.noise[key].is_white}
         if len(problem.noise) == 1 or all(each.is_white for each in problem.noise.values()):
@@ -297,13 +297,13 @@ def estimate(problem: Restricted, stated: Mapping[str, Stated], *, memory: bool)
 
 
 def _white(problem: Restricted, key: str, stated: Stated) -> ChannelNoise:
-    """As it is stated; else the best without a memory."""
-    known = stated.noise_of(memory=False)
+    """As it is stated; else the best white one."""
+    known = stated.noise_of(correlated=False)
     return known or scaled(problem, key, ChannelNoise(problem.noise[key].deviation))
 
 
 def _of_key(
-    problem: Restricted, key: str, stated: Stated, start: Shape | None, *, memory: bool
+    problem: Restricted, key: str, stated: Stated, start: Shape | None, *, correlated: bool
 ) -> ChannelNoise:
     """The best noise of a key with the others as they are.
 
@@ -311,13 +311,13 @@ def _of_key(
         problem: with its present noise.
         key: of the channels.
         stated: what is known of it.
-        start: where a search for a memory is promising; None where it is not.
-        memory: whether there may be any.
+        start: where a search for correlated noise is promising; None where it is not.
+        correlated: whether noise may be correlated.
     """
-    if memory and stated.correlated is not None and (known := stated.noise) is not None:
+    if correlated and stated.correlated is not None and (known := stated.noise) is not None:
         return known
     white, present = _white(problem, key, stated), problem.noise[key]
-    if not memory or (start is None and present.is_white):
+    if not correlated or (start is None and present.is_white):
         return white
     limits = time_limits(problem, key)
     if limits is None:
@@ -326,8 +326,8 @@ def _of_key(
     if not present.is_white:
         starts.append(Shape.of(present))
     if stated.deviation is None:
-        return with_memory(problem, key, white, starts, limits, fixed=False)
-    best = with_memory(problem, key, white, starts, limits, fixed=True)
+        return best_correlated(problem, key, white, starts, limits, fixed=False)
+    best = best_correlated(problem, key, white, starts, limits, fixed=True)
     cells = problem.of_key(key)
     count = sum(len(each.residual) for each in cells)
     squares = sum(float(each.residual @ each.residual) for each in cells)
@@ -335,7 +335,7 @@ def _of_key(
         return best
     if not best.is_white:
         starts.append(Shape.of(best))
-    free = with_memory(problem, key, scaled(problem, key, white), starts, limits, fixed=False)
+    free = best_correlated(problem, key, scaled(problem, key, white), starts, limits, fixed=False)
     if problem.value(key, best) - problem.value(key, free) <= _REJECTED:
         return best
     # White noise beyond what is stated scales the errors of all channels alike.

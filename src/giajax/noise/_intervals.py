@@ -163,9 +163,6 @@ def _second(function: Callable[[np.ndarray], np.ndarray], count: int) -> np.ndar
     return result
 
 
-# Standard errors that do not trust the noise model.
-
-
 def score_covariance(
     cells: Sequence[Cells],
     noise: Mapping[str, ChannelNoise],

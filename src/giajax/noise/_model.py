@@ -1,4 +1,4 @@
-"""White noise plus noise with a memory, of one channel."""
+"""White noise plus correlated noise of one channel."""
 
 import dataclasses
 import math
@@ -21,7 +21,7 @@ class ChannelNoise:
 
     Attributes:
         white: standard deviation of the part that differs from cell to cell, SI.
-        correlated: standard deviation of the part with a memory, SI.
+        correlated: standard deviation of the correlated part, SI.
         time_s: its correlation time, s; 0 where there is no such part.
     """
 
@@ -35,7 +35,7 @@ class ChannelNoise:
 
         Arguments:
             deviation: standard deviation of a cell, SI.
-            correlated: of the part with a memory; 0 where there is none.
+            correlated: of the correlated part; 0 where there is none.
             time_s: its correlation time, s.
         """
         white = math.sqrt(max(deviation**2 - correlated**2, 0.0))
@@ -48,7 +48,7 @@ class ChannelNoise:
 
     @property
     def is_white(self) -> bool:
-        """Whether no part has a memory."""
+        """Whether no part is correlated."""
         return self.correlated == 0
 
     def times(self, factor: float) -> Self:
@@ -64,7 +64,7 @@ class Stated:
 
     Attributes:
         deviation: of a cell, SI; None where nothing is.
-        correlated: of the part with a memory; None where nothing is.
+        correlated: of the correlated part; None where nothing is.
         time_s: its correlation time, s.
     """
 
@@ -75,14 +75,14 @@ class Stated:
     @property
     def noise(self) -> ChannelNoise | None:
         """The noise as it is stated; None where its size is not."""
-        return self.noise_of(memory=True)
+        return self.noise_of(correlated=True)
 
-    def noise_of(self, *, memory: bool) -> ChannelNoise | None:
+    def noise_of(self, *, correlated: bool) -> ChannelNoise | None:
         """The noise as it is stated, or as white as it is large; None where its size is not."""
         if self.deviation is None:
             return None
         return ChannelNoise.of_cell(
-            self.deviation, (self.correlated or 0.0) if memory else 0.0, self.time_s
+            self.deviation, (self.correlated or 0.0) if correlated else 0.0, self.time_s
         )
 
 
@@ -116,8 +116,8 @@ def solve(
 
     Arguments:
         noise: of the channel.
-        times: of the measured cells, s, increasing; None where the samples have no time, and so
-            no memory.
+        times: of the measured cells, s, increasing; None where the samples have no time: the
+            noise is then white.
         weights: of the cells, 0 to 1: the white variance of each is divided by it.
         columns: X.
 
@@ -228,11 +228,11 @@ def whitened(
     if not np.any(gain):
         return columns / deviation[:, None]
     result = np.empty_like(columns)
-    memory = np.zeros(columns.shape[1])
+    kept = np.zeros(columns.shape[1])
     for i, row in enumerate(columns):
-        fresh = row - memory
+        fresh = row - kept
         result[i] = fresh / deviation[i]
-        memory = keep[i] * memory + gain[i] * fresh
+        kept = keep[i] * kept + gain[i] * fresh
     return result
 
 
@@ -248,13 +248,13 @@ def drawn(
     weights: Float[np.ndarray, "sample channel"],
     random: np.random.Generator,
 ) -> Float[np.ndarray, "sample channel"]:
-    """Noise of some channels of a run: white, and with a memory that goes on through gaps.
+    """Noise of some channels of a run: white, and correlated across gaps.
 
-    The part with a memory is exact for any spacing of the samples.
+    The correlated part is exact for any spacing of the samples.
 
     Arguments:
         noises: of the channels.
-        times: of all samples, s; None where they have none, and so no memory.
+        times: of all samples, s; None where they have none: the noise is then white.
         weights: of the cells, 1 but for outliers, whose white part is wider by their root; a cell
             that is not measured has noise, too.
         random: draws it.
@@ -275,7 +275,7 @@ def drawn(
     lengths = np.asarray([noise.time_s or 1.0 for noise in noises])
     keep = np.exp(-np.diff(times)[:, None] / lengths)
     fresh = np.sqrt(-np.expm1(-2 * np.diff(times)[:, None] / lengths))
-    memory = kicks
+    slow = kicks
     for row in range(1, count):
-        memory[row] = keep[row - 1] * memory[row - 1] + fresh[row - 1] * kicks[row]
-    return noise + correlated * memory
+        slow[row] = keep[row - 1] * slow[row - 1] + fresh[row - 1] * kicks[row]
+    return noise + correlated * slow

@@ -35,11 +35,8 @@ def from_si(quantity: str, suffix: str, values: npt.ArrayLike) -> npt.NDArray[np
     return np.asarray(np.asarray(values, dtype=np.float64) / si_factor(quantity, suffix))
 
 
-# How errors name the parts of a run.
-
-
 @dataclass(frozen=True)
-class Wording:
+class Naming:
     """How errors name the parts of a run: `row 5` and columns of a file, samples of arrays."""
 
     source: str
@@ -57,9 +54,6 @@ class Wording:
             return f"channel {channel.name!r}"
         column = f"{channel.name}_{channel.unit}" if channel.unit else channel.name
         return f"column {column!r}"
-
-
-# The closed table of columns: which channels exist, in which units.
 
 
 def _gathered() -> dict[str, ChannelKind]:
@@ -193,9 +187,6 @@ def nearest(name: str, *, suffixes: bool = True) -> str | None:
             ]
     near = difflib.get_close_matches(name.lower(), candidates, n=1, cutoff=0.7)
     return near[0] if near else None
-
-
-# A channel: one measured or commanded quantity of a run, and what a column name means.
 
 
 @dataclass(frozen=True)
@@ -332,9 +323,6 @@ def _channel(row: NameMatch, unit: str) -> Channel:
         unit=unit,
         camera=groups.get("camera"),
     )
-
-
-# Which kind of model a set of channels belongs to.
 
 
 def belongs(channel: Channel, kind: Kind) -> bool:

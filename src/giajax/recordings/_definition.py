@@ -91,9 +91,6 @@ def _string(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-# Turns what pydantic has to say about a definition into one sentence about one key.
-
-
 def complaint(cls: type[BaseModel], error: ValidationError, source: str) -> InputError:
     """The first complaint of `error`, raised by `cls`, as an `InputError`.
 
@@ -419,9 +416,6 @@ def _merge(below: Any, above: Any, depth: int) -> Any:
     for name, value in above.items():
         merged[name] = _merge(merged.get(name), value, depth - 1)
     return merged
-
-
-# A sidecar to fill in, made from the declarations of the vocabulary.
 
 
 def sidecar_template(path: str | Path, rename: Mapping[str, str] | None = None) -> str:

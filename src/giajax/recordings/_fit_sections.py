@@ -76,7 +76,7 @@ class Noise(Section):
     pixel_correlation_s: Positive | None = key(_TIME, "how long that part is correlated")
 
     def correlated_part(self, name: str) -> tuple[float, float] | None:
-        """Deviation, in the unit of a key, and time of the part of it that has a memory."""
+        """Deviation, in the unit of a key, and time of the correlated part of it."""
         quantity, _, unit = name.partition("_")
         deviation = getattr(self, f"{quantity}_correlated_{unit}")
         time_s = getattr(self, f"{quantity}_correlation_s")
@@ -287,7 +287,7 @@ class FitSettings(Section):
     )
     noise_model: NoiseModel = setting(
         '"correlated" or "white"',
-        "correlated, which looks for a memory of the noise, or white.",
+        "correlated, which looks for correlated noise, or white.",
         "NAME",
         default="correlated",
     )
@@ -458,7 +458,7 @@ def deviation_of(noise: Noise, channel: Channel) -> float | None:
 
 
 def correlated_part_of(noise: Noise, channel: Channel) -> tuple[float, float] | None:
-    """The deviation (SI) and the time (s) of the part with a memory, as `[noise]` states it."""
+    """The deviation (SI) and the time (s) of the correlated part, as `[noise]` states it."""
     key = NOISE_KEYS.get(channel.kind)
     # A column that states its own noise is not that of its quantity.
     if any(parse_column(column).name == channel.name for column in noise.columns):

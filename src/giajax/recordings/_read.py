@@ -12,7 +12,7 @@ import numpy as np
 from ..runtime.files import check_path
 from ..runtime.text import InputError
 from ..schema import InitialSection
-from ._channels import Channel, Wording, match_name
+from ._channels import Channel, Naming, match_name
 from ._definition import Definition, run_keys
 from ._run import Run, build_run
 from ._table import Table, read_table
@@ -166,9 +166,6 @@ def _too_short(run: Run, length: float) -> InputError:
     )
 
 
-# Reading a run: CSV or Parquet, with its sidecar.
-
-
 def read_run(
     path: str | Path,
     *,
@@ -233,7 +230,7 @@ def run_of(table: Table, path: Path, definition: Definition) -> Run:
         values=dict(table.values),
         channels=dict(table.channels),
         definition=definition,
-        wording=Wording(str(path), "row", table.first_row, columns=True),
+        naming=Naming(str(path), "row", table.first_row, columns=True),
         path=path,
         sha256=table.sha256,
     )

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from ..runtime.limits import DURATION_S, GAP_S, STEP_S, TIME_S, VALUE
 from ..runtime.text import InputError
 from ..schema import KINDS, Kind
-from ._channels import TEXTS, Channel, Wording, decide_model, parse_column
+from ._channels import TEXTS, Channel, Naming, decide_model, parse_column
 from ._definition import Definition
 from ._fit_sections import correlated_part_of, deviation_of, noise_section
 
@@ -22,25 +22,25 @@ Times = npt.NDArray[np.float64]
 _EVEN = 2.0
 
 
-def check_times(times: Times, wording: Wording, *, integrated: bool) -> None:
+def check_times(times: Times, naming: Naming, *, integrated: bool) -> None:
     """Raise `InputError` unless times are finite, strictly increasing, and of one unit.
 
     Arguments:
         times: shape (T,), s.
-        wording: how an error names the samples.
+        naming: how an error names the samples.
         integrated: whether a model goes through all of the time between them.
     """
     bad = np.flatnonzero(~np.isfinite(times))
     if bad.size:
         state = "infinite" if np.isinf(times[bad[0]]) else "empty"
         raise InputError(
-            f"{wording.source}: time in {wording.at(bad[0])} is {state}, but every sample must "
+            f"{naming.source}: time in {naming.at(bad[0])} is {state}, but every sample must "
             "have its time: complete or remove it"
         )
     bad = np.flatnonzero(np.abs(times) > TIME_S)
     if bad.size:
         raise InputError(
-            f"{wording.source}: time in {wording.at(bad[0])} is {times[bad[0]]:.9g} s, but must be "
+            f"{naming.source}: time in {naming.at(bad[0])} is {times[bad[0]]:.9g} s, but must be "
             f"at most {TIME_S:g} s: correct the stamp, or its unit"
         )
     steps = np.diff(times)
@@ -48,33 +48,33 @@ def check_times(times: Times, wording: Wording, *, integrated: bool) -> None:
     if bad.size:
         at = bad[0] + 1
         raise InputError(
-            f"{wording.source}: time goes from {times[at - 1]:.9g} s to {times[at]:.9g} s in "
-            f"{wording.at(at)}, but must strictly increase: sort the samples and remove repeated "
+            f"{naming.source}: time goes from {times[at - 1]:.9g} s to {times[at]:.9g} s in "
+            f"{naming.at(at)}, but must strictly increase: sort the samples and remove repeated "
             "ones"
         )
-    _check_unit(times, steps, wording)
+    _check_unit(times, steps, naming)
     bad = np.flatnonzero(steps < STEP_S)
     if bad.size:
         at = bad[0] + 1
         raise InputError(
-            f"{wording.source}: {wording.at(at)} is {steps[at - 1]:.3g} s after the one before, "
+            f"{naming.source}: {naming.at(at)} is {steps[at - 1]:.3g} s after the one before, "
             f"but must be at least {STEP_S:g} s after it: correct the stamp"
         )
     bad = np.flatnonzero(steps > GAP_S)
     if bad.size and integrated:
         at = bad[0] + 1
         raise InputError(
-            f"{wording.source}: {wording.at(at)} is {steps[at - 1]:.6g} s after the one before, "
+            f"{naming.source}: {naming.at(at)} is {steps[at - 1]:.6g} s after the one before, "
             f"but may be {GAP_S:g} s after it at most: correct the stamp, or cut the run in two"
         )
     if integrated and times[-1] - times[0] > DURATION_S:
         raise InputError(
-            f"{wording.source} lasts {times[-1] - times[0]:.6g} s, but may last {DURATION_S:g} s "
+            f"{naming.source} lasts {times[-1] - times[0]:.6g} s, but may last {DURATION_S:g} s "
             "at most: cut it into several runs"
         )
 
 
-def _check_unit(times: Times, steps: Times, wording: Wording) -> None:
+def _check_unit(times: Times, steps: Times, naming: Naming) -> None:
     """Refuse stamps that go on in milliseconds: divided by 1000 they follow those before."""
     if len(steps) < 3:
         return
@@ -84,8 +84,8 @@ def _check_unit(times: Times, steps: Times, wording: Wording) -> None:
     if follow.any():
         at = int(np.flatnonzero(follow)[0]) + 2
         raise InputError(
-            f"{wording.source}: time goes from {times[at - 1]:.9g} s to {times[at]:.9g} s in "
-            f"{wording.at(at)}, and from there on as if in milliseconds, but must have one unit: "
+            f"{naming.source}: time goes from {times[at - 1]:.9g} s to {times[at]:.9g} s in "
+            f"{naming.at(at)}, and from there on as if in milliseconds, but must have one unit: "
             "convert the stamps"
         )
 
@@ -94,8 +94,8 @@ def _check_unit(times: Times, steps: Times, wording: Wording) -> None:
 
 
 @dataclass(frozen=True)
-class _Content:
-    """What a kind of model checks; see `giajax.schema.Content`."""
+class _RecordedRun:
+    """What a kind of model checks; see `giajax.schema.RecordedRun`."""
 
     times: npt.NDArray[np.float64] | None
     values: Mapping[str, npt.NDArray[Any]]
@@ -109,29 +109,29 @@ def check_content(
     values: Mapping[str, npt.NDArray[Any]],
     channels: Mapping[str, Channel],
     definition: Definition,
-    wording: Wording,
+    naming: Naming,
 ) -> None:
     """Raise `InputError` for the first thing in a run that no model could use."""
     kind = KINDS[model]
-    _check_lengths(kind, times, values, channels, wording)
+    _check_lengths(kind, times, values, channels, naming)
     if times is not None:
-        check_times(times, wording, integrated=kind.timed)
+        check_times(times, naming, integrated=kind.timed)
     for name, channel in channels.items():
         if channel.quantity == "text":
-            _check_text(values[name], channel, wording)
+            _check_text(values[name], channel, naming)
         else:
             # What acts on a model must be known at every sample; only measurements may be missing.
             gaps = channel.kind in kind.outputs
-            _check_numbers(values[name], channel, wording, gaps=gaps)
+            _check_numbers(values[name], channel, naming, gaps=gaps)
     for column in definition.noise.columns:
         if parse_column(column).name not in {
             name for name, channel in channels.items() if channel.kind in kind.outputs
         }:
             raise InputError(
-                f"{wording.source}: noise is stated for {column!r}, which must be a measured "
+                f"{naming.source}: noise is stated for {column!r}, which must be a measured "
                 "column of the run: correct or remove that key"
             )
-    kind.check(_Content(times, values, channels, definition), wording)
+    kind.check(_RecordedRun(times, values, channels, definition), naming)
 
 
 def _check_lengths(
@@ -139,71 +139,68 @@ def _check_lengths(
     times: npt.NDArray[np.float64] | None,
     values: Mapping[str, npt.NDArray[Any]],
     channels: Mapping[str, Channel],
-    wording: Wording,
+    naming: Naming,
 ) -> None:
     if times is None and kind.timed:
         run = f"{'an' if kind.name[0] in 'aeiou' else 'a'} {kind.name} run"
         raise InputError(
-            f"{wording.source} has no time column: {run} must have time_s or time_ms, "
+            f"{naming.source} has no time column: {run} must have time_s or time_ms, "
             "so add or --rename it"
-            if wording.columns
-            else f"{wording.source} has no times: {run} must have them, so give them"
+            if naming.columns
+            else f"{naming.source} has no times: {run} must have them, so give them"
         )
     length = len(next(iter(values.values()))) if times is None else len(times)
     for name, array in values.items():
         if len(array) != length:
             raise InputError(
-                f"{wording.source}: {wording.of(channels[name])} has {len(array)} samples, but "
+                f"{naming.source}: {naming.of(channels[name])} has {len(array)} samples, but "
                 f"must have {length} like the others: give it at every sample, NaN where missing"
             )
     least = 1 if times is None else 2
     if length < least:
         raise InputError(
-            f"{wording.source} has {length} sample{'s' * (length != 1)}, but must have at least "
+            f"{naming.source} has {length} sample{'s' * (length != 1)}, but must have at least "
             f"{least}: give a longer run"
         )
 
 
-def _check_text(array: npt.NDArray[Any], channel: Channel, wording: Wording) -> None:
+def _check_text(array: npt.NDArray[Any], channel: Channel, naming: Naming) -> None:
     allowed = TEXTS[channel.kind]
     for index, text in enumerate(array):
         if text not in allowed:
             raise InputError(
-                f"{wording.source}: {wording.of(channel)} is {text!r} in {wording.at(index)}, but "
+                f"{naming.source}: {naming.of(channel)} is {text!r} in {naming.at(index)}, but "
                 f"must be {' or '.join(allowed)} everywhere: correct it"
             )
 
 
 def _check_numbers(
-    array: npt.NDArray[Any], channel: Channel, wording: Wording, *, gaps: bool
+    array: npt.NDArray[Any], channel: Channel, naming: Naming, *, gaps: bool
 ) -> None:
     missing = np.isnan(array)
     if missing.all():
         raise InputError(
-            f"{wording.source}: {wording.of(channel)} has no value at all: "
+            f"{naming.source}: {naming.of(channel)} has no value at all: "
             "it must have at least one, so fill or remove it"
         )
     bad = np.flatnonzero(np.isinf(array))
     if bad.size:
         raise InputError(
-            f"{wording.source}: {wording.of(channel)} is infinite in {wording.at(bad[0])}, but "
+            f"{naming.source}: {naming.of(channel)} is infinite in {naming.at(bad[0])}, but "
             "must be a finite number or empty: correct it"
         )
     bad = np.flatnonzero(np.abs(array) > VALUE)
     if bad.size:
         raise InputError(
-            f"{wording.source}: {wording.of(channel)} is {channel.from_si(array[bad[0]]):.3g} in "
-            f"{wording.at(bad[0])}, but no value of a recording is so large: correct or empty it"
+            f"{naming.source}: {naming.of(channel)} is {channel.from_si(array[bad[0]]):.3g} in "
+            f"{naming.at(bad[0])}, but no value of a recording is so large: correct or empty it"
         )
     bad = np.flatnonzero(missing)
     if bad.size and not gaps:
         raise InputError(
-            f"{wording.source}: {wording.of(channel)} is empty in {wording.at(bad[0])}, but what "
+            f"{naming.source}: {naming.of(channel)} is empty in {naming.at(bad[0])}, but what "
             "drives the model must be known at every sample: fill the gap"
         )
-
-
-# A run: what was recorded and commanded in one experiment, and its sidecar, in SI units.
 
 
 @dataclass(frozen=True, eq=False)
@@ -284,7 +281,7 @@ class Run:
             values=arrays,
             channels=channels,
             definition=definition,
-            wording=Wording(name, "sample", 0, columns=False),
+            naming=Naming(name, "sample", 0, columns=False),
         )
 
     @property
@@ -328,7 +325,7 @@ class Run:
         return deviation_of(self.definition.noise, self.channels[name])
 
     def correlated_noise(self, name: str) -> tuple[float, float] | None:
-        """The part of a channel's noise that has a memory, as `[noise]` states it.
+        """The correlated part of a channel's noise, as `[noise]` states it.
 
         Its standard deviation, SI, and its correlation time, s; None where neither is stated.
         """
@@ -357,7 +354,7 @@ def build_run(
     values: dict[str, npt.NDArray[Any]],
     channels: dict[str, Channel],
     definition: Definition,
-    wording: Wording,
+    naming: Naming,
     path: Path | None = None,
     sha256: str | None = None,
 ) -> Run:
@@ -368,11 +365,11 @@ def build_run(
     """
     if not channels:
         raise InputError(
-            f"{wording.source} has only a time column: it must also have a channel, "
+            f"{naming.source} has only a time column: it must also have a channel, "
             "such as joint01_command_deg and link06_z_m"
         )
-    model = decide_model(channels.values(), definition.model, wording.source)
-    check_content(model, times, values, channels, definition, wording)
+    model = decide_model(channels.values(), definition.model, naming.source)
+    check_content(model, times, values, channels, definition, naming)
     for array in (*values.values(), *(() if times is None else (times,))):
         array.setflags(write=False)
     return Run(name, model, times, values, channels, definition, path, sha256)

@@ -175,18 +175,13 @@ def _numbers(
 
 
 def _checked(
-    path: Path,
-    times: npt.NDArray[np.float64],
-    points: dict[str, npt.NDArray[np.float64]],
+    path: Path, times: npt.NDArray[np.float64], points: dict[str, npt.NDArray[np.float64]]
 ) -> TrackedPoints:
     if not np.all(np.isfinite(times)) or np.any(np.diff(times) <= 0):
         raise InputError(
             f"{path}: pictures must follow each other in time, each once: sort the rows"
         )
     return TrackedPoints(times, points)
-
-
-# A run from points that were tracked in a film, and what was recorded beside it.
 
 
 def filmed(

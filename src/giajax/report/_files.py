@@ -25,7 +25,7 @@ from ..runtime.limits import RESULT_BYTES
 from ..runtime.records import plain_data
 from ..runtime.text import InputError, format_estimate
 from ..schema.parameters import find, switched_on
-from ..studies import begun_where_it_ended
+from ..studies import with_fitted_states
 from ._style import PAGE, RESULT, SIGNATURE
 
 # What makes two fits the same fit; the iterations allowed and the folder do not.
@@ -326,7 +326,7 @@ def _parts(
     """The runs of a result, their names as files, and what it predicts for each."""
     runs = matching_runs(result.runs, runs, whole=True)
     # A result that was loaded has no predictions with it.
-    begun = runs if result.predictions else begun_where_it_ended(result, runs)
+    begun = runs if result.predictions else with_fitted_states(result, runs)
     predictions = result.predictions or [result.predict(run) for run in begun]
     return runs, unique_names(runs), predictions
 

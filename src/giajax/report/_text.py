@@ -133,7 +133,7 @@ def verdict_lines(result: FitResult) -> list[str]:
 
 
 def noise_lines(result: FitResult) -> list[str]:
-    """What was taken for noise with a memory, and what it does to the standard errors."""
+    """What was taken for correlated noise, and what it does to the standard errors."""
     if result.noise is None or not result.noise.widening:
         return []
     channels = [channel for run in result.runs for channel in run.channels.values()]

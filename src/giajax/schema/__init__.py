@@ -42,12 +42,12 @@ from ._joint import (
 )
 from ._kind import (
     ChannelKind as ChannelKind,
-    Content as Content,
     Kind as Kind,
-    Offer as Offer,
+    Naming as Naming,
     RecordedChannel as RecordedChannel,
+    RecordedRun as RecordedRun,
     Sections as Sections,
-    Wording as Wording,
+    SectionTemplate as SectionTemplate,
 )
 from ._mission import MissionSection as MissionSection, PadFile as PadFile, PadSection as PadSection
 from ._quantities_arm import (

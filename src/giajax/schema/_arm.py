@@ -7,14 +7,14 @@ import numpy as np
 from ..runtime.text import InputError
 from ._arm_sections import ArmSection, CommandSection, InitialSection, SensorsSection, WindSection
 from ._camera_sections import CamerasSection, LandmarkSection, LandmarksSection, PinholeSection
-from ._kind import ChannelKind, Content, Kind, Offer, RecordedChannel, Wording
+from ._kind import ChannelKind, Kind, Naming, RecordedChannel, RecordedRun, SectionTemplate
 from ._quantities_arm import CONTACT
 
 PRESSURES = ("joint_pressure_first", "joint_pressure_second")
 """Rows of the column table: of the muscle towards which a positive angle bends, and the other."""
 
 
-def check_pressures(content: Content, wording: Wording) -> None:
+def check_pressures(content: RecordedRun, naming: Naming) -> None:
     """Both muscles of a joint, pressures that there are, and no other command of that joint."""
     names = {(channel.kind, channel.index): channel for channel in content.channels.values()}
     for (kind, joint), channel in names.items():
@@ -23,23 +23,23 @@ def check_pressures(content: Content, wording: Wording) -> None:
         (other,) = (row for row in PRESSURES if row != kind)
         if (other, joint) not in names:
             raise InputError(
-                f"{wording.source}: {wording.of(channel)} is there without that of the joint's "
+                f"{naming.source}: {naming.of(channel)} is there without that of the joint's "
                 f"other muscle: add the column joint{joint:02d}_{other.removeprefix('joint_')}_kPa"
             )
         if ("joint_command", joint) in names:
             raise InputError(
-                f"{wording.source}: joint {joint} has a command and pressures, but one of them "
+                f"{naming.source}: joint {joint} has a command and pressures, but one of them "
                 "moves it: remove the column of the other"
             )
         low = np.flatnonzero(content.values[channel.name] < 0)
         if low.size:
             raise InputError(
-                f"{wording.source}: {wording.of(channel)} is below 0 in {wording.at(low[0])}: give "
+                f"{naming.source}: {naming.of(channel)} is below 0 in {naming.at(low[0])}: give "
                 "the pressure above the surroundings"
             )
         if (joints := _with_muscles(content.definition.section(ArmSection))) and not joints(joint):
             raise InputError(
-                f"{wording.source}: {wording.of(channel)} is there, but joint {joint} has no "
+                f"{naming.source}: {naming.of(channel)} is there, but joint {joint} has no "
                 "muscles: correct the name, or muscles in [arm]"
             )
 
@@ -84,10 +84,7 @@ WINDS = ("wind", "link_wind")
 COMMANDS = ("joint_command", "joint_torque", *PRESSURES)
 
 
-# What the sidecar of an arm's run is offered, by what was recorded.
-
-
-def arm_template(channels: Sequence[RecordedChannel]) -> list[Offer]:
+def arm_template(channels: Sequence[RecordedChannel]) -> list[SectionTemplate]:
     """The sections to offer for a run with these channels."""
     rows = {channel.kind for channel in channels}
     numbered = [channel for channel in channels if channel.kind != "mark_pixel"]
@@ -104,25 +101,27 @@ def arm_template(channels: Sequence[RecordedChannel]) -> list[Offer]:
     state = ["first_row"] if recorded else list(InitialSection.quantities)
     wind = "interpolation" if rows & set(WINDS) else "velocity_m_per_s"
     return [
-        *([] if commanded else [Offer("", {"free_motion": True})]),
-        Offer("arm", arm, "known constants; a number holds for all links, a list has one a link"),
-        Offer(
+        *([] if commanded else [SectionTemplate("", {"free_motion": True})]),
+        SectionTemplate(
+            "arm", arm, "known constants; a number holds for all links, a list has one a link"
+        ),
+        SectionTemplate(
             "sensors",
             dict.fromkeys(sensors),
             "known errors of the recording; a fit can find them too",
         ),
         *_cameras(channels),
-        Offer(
+        SectionTemplate(
             "initial",
             dict.fromkeys((*state, "free")),
             "at the first sample; a number holds for all joints",
         ),
-        *([Offer("command", {"interpolation": None})] if commanded else []),
-        Offer("wind", {wind: None}),
+        *([SectionTemplate("command", {"interpolation": None})] if commanded else []),
+        SectionTemplate("wind", {wind: None}),
     ]
 
 
-def _cameras(channels: Sequence[RecordedChannel]) -> list[Offer]:
+def _cameras(channels: Sequence[RecordedChannel]) -> list[SectionTemplate]:
     """A section for each camera and each landmark that is recorded."""
     seen = [channel for channel in channels if channel.kind in PIXELS]
     cameras = sorted({channel.camera or "main" for channel in seen})
@@ -131,11 +130,13 @@ def _cameras(channels: Sequence[RecordedChannel]) -> list[Offer]:
     where = "where this landmark is; must be stated"
     return [
         *(
-            Offer(f"camera.{name}", dict.fromkeys(PinholeSection.model_fields), lens)
+            SectionTemplate(f"camera.{name}", dict.fromkeys(PinholeSection.model_fields), lens)
             for name in cameras
         ),
         *(
-            Offer(f"landmark.mark{mark:02d}", dict.fromkeys(LandmarkSection.model_fields), where)
+            SectionTemplate(
+                f"landmark.mark{mark:02d}", dict.fromkeys(LandmarkSection.model_fields), where
+            )
             for mark in marks
         ),
     ]
@@ -172,11 +173,11 @@ def links_of(section: ArmSection) -> int | None:
     return DEFAULT_LINKS if section.preset in (None, DEFAULT_PRESET) else None
 
 
-def _interpolation(content: Content) -> str:
+def _interpolation(content: RecordedRun) -> str:
     return content.definition.section(CommandSection).interpolation
 
 
-def _check(content: Content, wording: Wording) -> None:
+def _check(content: RecordedRun, naming: Naming) -> None:
     channels, definition = content.channels, content.definition
     section = definition.section(ArmSection)
     links = links_of(section)
@@ -185,37 +186,37 @@ def _check(content: Content, wording: Wording) -> None:
         if links is not None and numbered and (channel.index or 0) > links:
             part = "link" if channel.kind.startswith("link") else "joint"
             raise InputError(
-                f"{wording.source}: {wording.of(channel)} is of {part} {channel.index}, but the "
+                f"{naming.source}: {naming.of(channel)} is of {part} {channel.index}, but the "
                 f"arm has {links} links: correct the name, or state links in [arm]"
             )
     for name, lists in (("arm", section), ("sensors", definition.section(SensorsSection))):
         try:
             lists.check_lists(links)
         except ValueError as error:
-            raise InputError(f"{wording.source}: [{name}] {error}") from None
+            raise InputError(f"{naming.source}: [{name}] {error}") from None
     try:
         definition.section(CamerasSection).check_mounts(links)
     except ValueError as error:
-        raise InputError(f"{wording.source}: [camera] {error}") from None
-    check_obstacles(section, wording.source)
+        raise InputError(f"{naming.source}: [camera] {error}") from None
+    check_obstacles(section, naming.source)
     for body in section.point_masses or ():
         if links is not None and body.link > links:
             raise InputError(
-                f"{wording.source}: a body of arm.point_masses is on link {body.link}, but the "
+                f"{naming.source}: a body of arm.point_masses is on link {body.link}, but the "
                 f"arm has {links} links: correct the number, or state links in [arm]"
             )
-    _check_motion(channels, content, wording, links)
-    check_pressures(content, wording)
+    _check_motion(channels, content, naming, links)
+    check_pressures(content, naming)
     windy = [channel for channel in channels.values() if channel.kind in WINDS]
     if windy and definition.section(WindSection).velocity_m_per_s is not None:
         raise InputError(
-            f"{wording.source}: wind.velocity_m_per_s states a constant wind, but "
-            f"{wording.of(windy[0])} records it: remove one or the other"
+            f"{naming.source}: wind.velocity_m_per_s states a constant wind, but "
+            f"{naming.of(windy[0])} records it: remove one or the other"
         )
 
 
 def _check_motion(
-    channels: Mapping[str, RecordedChannel], content: Content, wording: Wording, links: int | None
+    channels: Mapping[str, RecordedChannel], content: RecordedRun, naming: Naming, links: int | None
 ) -> None:
     """What moves the arm: a command, an initial state, or nothing on purpose."""
     initial = content.definition.section(InitialSection)
@@ -223,26 +224,26 @@ def _check_motion(
         value = getattr(initial, key)
         if isinstance(value, list) and links is not None and len(value) != links:
             raise InputError(
-                f"{wording.source}: initial.{key} has {len(value)} values, but must have one for "
+                f"{naming.source}: initial.{key} has {len(value)} values, but must have one for "
                 f"each of the {links} joints: correct the list"
             )
     commanded = any(channel.kind in COMMANDS for channel in channels.values())
     free = bool(content.definition.free_motion)
     if commanded and free:
         raise InputError(
-            f"{wording.source}: free_motion = true is stated, but there are command columns: "
+            f"{naming.source}: free_motion = true is stated, but there are command columns: "
             "remove one or the other"
         )
     has_initial = bool(initial.first_row) or bool(initial.free)
     has_initial |= bool(initial.values())
     if not commanded and not free and not has_initial:
         raise InputError(
-            f"{wording.source} has no command column: an arm run must have one such as "
+            f"{naming.source} has no command column: an arm run must have one such as "
             "joint01_command_deg, or a sidecar with free_motion = true or [initial], so add it"
         )
 
 
-def _notes(content: Content, sidecar: bool) -> list[str]:
+def _notes(content: RecordedRun, sidecar: bool) -> list[str]:
     definition, notes = content.definition, []
     rows = {channel.kind for channel in content.channels.values()}
     if not definition.section(ArmSection).contents():

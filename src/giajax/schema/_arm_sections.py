@@ -122,9 +122,6 @@ def check_stated_once(section: Section, table: Mapping[str, float | list[float]]
                 )
 
 
-# The section of a body that is fixed to a link.
-
-
 @with_keys(POINT_MASSES, required=True)
 class PointMass(Section):
     """An entry of `[[arm.point_masses]]`: a small body fixed to a link."""
@@ -195,9 +192,6 @@ def check_names(obstacles: list[Obstacle]) -> None:
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
         raise ValueError(f"has two called '{twice}': give each its own name")
-
-
-# The section that says how an arm of balloons is filled.
 
 
 @with_keys(SUPPLY, PORTS, GAS, SKIN)

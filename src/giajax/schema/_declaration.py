@@ -104,9 +104,6 @@ def key_factor(key: str, si_unit: str) -> float:
     raise ValueError(f"key {key} does not end in a unit of {si_unit}: end it in {one_of(known)}")
 
 
-# What is known of a parameter before a fit.
-
-
 @dataclasses.dataclass(frozen=True)
 class Prior:
     """What is known of a parameter before a fit: about where it is, and how surely.
@@ -176,9 +173,6 @@ class Prior:
         """What a file says of it."""
         known = dataclasses.asdict(self)
         return {name: value for name, value in known.items() if value is not None}
-
-
-# The declaration of a quantity, once: for the model that computes with it and for files.
 
 
 @dataclasses.dataclass(frozen=True)

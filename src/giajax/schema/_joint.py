@@ -8,7 +8,7 @@ from pydantic import Field, field_validator
 
 from ..runtime.limits import ELEMENTS
 from ..runtime.text import InputError
-from ._kind import ChannelKind, Content, Kind, Wording
+from ._kind import ChannelKind, Kind, Naming, RecordedRun
 from ._quantities_joint import (
     ALPHA,
     AT_REST,
@@ -41,17 +41,17 @@ def _is_joint(rows: frozenset[str]) -> bool:
     return "side" in rows
 
 
-def _joint_drawn_over(content: Content) -> str | None:
+def _joint_drawn_over(content: RecordedRun) -> str | None:
     """The bending angle, where it varies."""
     return "angle" if np.ptp(content.values["angle"]) > 0 else None
 
 
-def _check_joint(content: Content, wording: Wording) -> None:
+def _check_joint(content: RecordedRun, naming: Naming) -> None:
     values, channels = content.values, content.channels
     for name, column in (("angle", "angle_deg"), ("side", "side")):
         if name not in channels:
             raise InputError(
-                f"{wording.source} has no {name}: a joint run must have one for each sample, so "
+                f"{naming.source} has no {name}: a joint run must have one for each sample, so "
                 f"add the column {column}"
             )
     angle, side = values["angle"], values["side"]
@@ -59,7 +59,7 @@ def _check_joint(content: Content, wording: Wording) -> None:
     if wrong.size:
         row = wrong[0]
         raise InputError(
-            f"{wording.source}: in {wording.at(row)} the muscle is the {side[row]} one at "
+            f"{naming.source}: in {naming.at(row)} the muscle is the {side[row]} one at "
             f"{np.rad2deg(angle[row]):.4g} deg, but the angle must be positive where the joint "
             "bends towards the muscle (inner): correct the side or the sign"
         )
@@ -67,12 +67,12 @@ def _check_joint(content: Content, wording: Wording) -> None:
     if beyond.size:
         row = beyond[0]
         raise InputError(
-            f"{wording.source}: {wording.of(channels['angle'])} is {np.rad2deg(angle[row]):.4g} "
-            f"deg in {wording.at(row)}, but a joint bends by at most 90 deg: correct it"
+            f"{naming.source}: {naming.of(channels['angle'])} is {np.rad2deg(angle[row]):.4g} "
+            f"deg in {naming.at(row)}, but a joint bends by at most 90 deg: correct it"
         )
 
 
-def _joint_notes(content: Content, sidecar: bool) -> list[str]:
+def _joint_notes(content: RecordedRun, sidecar: bool) -> list[str]:
     section, notes = content.definition.section(JointSection), []
     if not section.contents():
         notes.append("no [joint] in the sidecar: the geometry that giajax assumes is taken")
@@ -99,9 +99,6 @@ JOINT = Kind(
     check=_check_joint,
     notes=_joint_notes,
 )
-
-
-# A muscle or a cylinder: from pressure and contraction to force.
 
 
 @with_keys(AT_REST, BRAIDED, EMPIRICAL, PISTON)
@@ -147,36 +144,36 @@ def _is_muscle(rows: frozenset[str]) -> bool:
     return "pressure" in rows
 
 
-def _muscle_drawn_over(content: Content) -> str | None:
+def _muscle_drawn_over(content: RecordedRun) -> str | None:
     """The contraction of a muscle, the position of a piston; else the pressure."""
     moving = ("contraction", "position", "pressure")
     recorded = [name for name in moving if name in content.values]
     return next((name for name in recorded if np.ptp(content.values[name]) > 0), None)
 
 
-def _check_muscle(content: Content, wording: Wording) -> None:
+def _check_muscle(content: RecordedRun, naming: Naming) -> None:
     channels, section = content.channels, content.definition.section(MuscleSection)
     if "pressure" not in channels:
         raise InputError(
-            f"{wording.source} has no pressure: a muscle run must have one for each sample, so "
+            f"{naming.source} has no pressure: a muscle run must have one for each sample, so "
             "add a column such as pressure_kPa"
         )
     moves = {"contraction", "position"} & set(channels)
     if section.law != "piston" and not moves:
         raise InputError(
-            f"{wording.source} has neither contraction nor position: a muscle's force depends on "
+            f"{naming.source} has neither contraction nor position: a muscle's force depends on "
             "how far it has shortened, so add a column such as contraction"
         )
     friction = section.friction or ("coulomb" if section.law == "piston" else "none")
     directed = "phase" in channels or (moves and content.times is not None)
     if friction == "coulomb" and not directed:
         raise InputError(
-            f"{wording.source}: friction needs the direction of motion, from a phase column, or "
+            f"{naming.source}: friction needs the direction of motion, from a phase column, or "
             'from time and position: add them, or state friction = "none" in [muscle]'
         )
 
 
-def _muscle_notes(content: Content, sidecar: bool) -> list[str]:
+def _muscle_notes(content: RecordedRun, sidecar: bool) -> list[str]:
     section, notes = content.definition.section(MuscleSection), []
     if section.law is None:
         notes.append("law not stated in [muscle]: a braided muscle is assumed")
@@ -272,13 +269,13 @@ def _is_hysteresis(rows: frozenset[str]) -> bool:
     return {"command", "angle"} <= rows or {"input", "output"} <= rows
 
 
-def _hysteresis_drawn_over(content: Content) -> str | None:
+def _hysteresis_drawn_over(content: RecordedRun) -> str | None:
     """The input, where it varies: it makes loops."""
     names = [c.name for c in content.channels.values() if c.kind in HYSTERESIS.inputs]
     return next((name for name in names if np.ptp(content.values[name]) > 0), None)
 
 
-def _hysteresis_notes(content: Content, sidecar: bool) -> list[str]:
+def _hysteresis_notes(content: RecordedRun, sidecar: bool) -> list[str]:
     if content.definition.section(HysteresisSection).operator is not None:
         return []
     return ["operator not stated in [hysteresis]: Prandtl-Ishlinskii of ten is assumed"]
@@ -297,9 +294,6 @@ HYSTERESIS = Kind(
 )
 
 
-# An oscillator: a mass on a spring and a damper, with a Bouc-Wen element beside them.
-
-
 class OscillatorSection(Section):
     """`[oscillator]`: the options of an oscillator, parameters apart."""
 
@@ -315,7 +309,7 @@ def _never(rows: frozenset[str]) -> bool:
     return False
 
 
-def _interpolation(content: Content) -> str:
+def _interpolation(content: RecordedRun) -> str:
     return content.definition.section(OscillatorSection).interpolation or "linear"
 
 

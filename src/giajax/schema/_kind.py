@@ -40,7 +40,7 @@ class Sections(Protocol):
         """The section of a class, with its defaults where it is not in the file."""
 
 
-class Content(Protocol):
+class RecordedRun(Protocol):
     """What a kind asks of a run; see `giajax.recordings.Run`."""
 
     @property
@@ -53,7 +53,7 @@ class Content(Protocol):
     def definition(self) -> Sections: ...
 
 
-class Wording(Protocol):
+class Naming(Protocol):
     """How errors name the parts of a run: `row 5` and columns of a file, samples of arrays."""
 
     @property
@@ -110,7 +110,7 @@ class ChannelKind:
         return {"_x": "xyz", "_u": "uv"}.get(self.column[-2:], "")
 
 
-class Offer(NamedTuple):
+class SectionTemplate(NamedTuple):
     """A section in the template of a sidecar.
 
     Attributes:
@@ -124,19 +124,19 @@ class Offer(NamedTuple):
     comment: str = ""
 
 
-def _no_check(content: Content, wording: Wording) -> None:
+def _no_check(content: RecordedRun, naming: Naming) -> None:
     """For a kind whose runs are checked by their channels alone."""
 
 
-def _no_notes(content: Content, sidecar: bool) -> list[str]:
+def _no_notes(content: RecordedRun, sidecar: bool) -> list[str]:
     return []
 
 
-def _over_time(content: Content) -> str | None:
+def _over_time(content: RecordedRun) -> str | None:
     return None
 
 
-def _linear(content: Content) -> str:
+def _linear(content: RecordedRun) -> str:
     return "linear"
 
 
@@ -183,11 +183,11 @@ class Kind:
     commands: tuple[str, ...] = ()
     uncommanded: str = ""
     timed: bool = False
-    interpolation: Callable[[Content], str] = _linear
-    drawn_over: Callable[[Content], str | None] = _over_time
-    check: Callable[[Content, Wording], None] = _no_check
-    notes: Callable[[Content, bool], list[str]] = _no_notes
-    template: Callable[[Sequence[RecordedChannel]], list[Offer]] | None = None
+    interpolation: Callable[[RecordedRun], str] = _linear
+    drawn_over: Callable[[RecordedRun], str | None] = _over_time
+    check: Callable[[RecordedRun, Naming], None] = _no_check
+    notes: Callable[[RecordedRun, bool], list[str]] = _no_notes
+    template: Callable[[Sequence[RecordedChannel]], list[SectionTemplate]] | None = None
     template_heading: str = "# is assumed or unknown."
     former_parameters: frozenset[str] = frozenset()
     upgraded: Callable[[dict[str, Any]], dict[str, Any]] = _unchanged
@@ -211,12 +211,14 @@ class Kind:
         """Rows of what the model predicts, and a run measures."""
         return self.rows("output")
 
-    def offers(self, channels: Sequence[RecordedChannel]) -> list[Offer]:
+    def offers(self, channels: Sequence[RecordedChannel]) -> list[SectionTemplate]:
         """The sections that a template offers: each of the model with all of its keys, unless
         the kind chooses them by the channels of the run."""
         if self.template is not None:
             return self.template(channels)
         return [
-            Offer(name, dict.fromkeys(section.model_fields), "unless stated: what giajax assumes")
+            SectionTemplate(
+                name, dict.fromkeys(section.model_fields), "unless stated: what giajax assumes"
+            )
             for name, section in self.sections.items()
         ]

@@ -143,9 +143,6 @@ BASE = _Base("")
 POINT_MASSES = _PointMasses("point_masses")
 
 
-# The air around an arm, and what floats in it.
-
-
 class _Air(Group):
     density = Declaration(
         1.204,
@@ -229,9 +226,6 @@ class _Buoyancy(Group):
 
 AIR = _Air("air")
 BUOYANCY = _Buoyancy("buoyancy")
-
-
-# The joints of an arm, what they remember, and their state at the first sample of a run.
 
 
 class _Joints(Group):
@@ -373,9 +367,6 @@ JOINTS = _Joints("joints")
 JOINT_MEMORY = _Memory("joints.memory")
 JOINT_STOPS = _Stops("joints.stops")
 INITIAL = _Initial("initial")
-
-
-# How inflated links press against what stands around them.
 
 
 class _Contact(Group):

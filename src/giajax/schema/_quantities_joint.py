@@ -303,9 +303,6 @@ BETA = _Beta("beta")
 DRIVE = _Drive("drive")
 
 
-# Operators of hysteresis, the oscillator, and what a loop has beside its operator.
-
-
 class _Play(Group):
     thresholds = Declaration(0.0, unit="input", lower=0, doc="half-width of the backlash")
 

@@ -116,9 +116,6 @@ MARKER = _Marker("marker")
 ENCODER = _Encoder("encoder")
 
 
-# Cameras that show the world in pixels, and landmarks of the room. All of it may be left out.
-
-
 class _Pinhole(Group):
     position = Declaration(
         0.0,
@@ -190,9 +187,6 @@ class _Landmark(Group):
 
 PINHOLE = _Pinhole("camera.NAME")
 LANDMARK = _Landmark("landmark.NAME")
-
-
-# Helium, bags, ports and supply: how an arm of balloons is filled.
 
 
 class _Gas(Group):

@@ -354,9 +354,6 @@ def _suggestion(name: str, known: Iterable[str]) -> str:
     return "'giajax parameters' lists them all"
 
 
-# A model with other values of its parameters.
-
-
 def replace(model: Module, values: Mapping[str, Any]) -> Module:
     """The model with the parameters at some paths replaced; the model itself is unchanged.
 

@@ -36,7 +36,7 @@ _SHORT, _LATE = 0.05, 0.9
 _BEYOND = 1.04
 
 # Part of the tolerance that a joint has to move by in a step for its turn to count.
-_WORTH = 0.01
+_LEAST_MOVE = 0.01
 
 
 def step_size_controller(
@@ -129,7 +129,7 @@ class _Careful(diffrax.AbstractAdaptiveStepSizeController):
             t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
         )
         if self.turns:
-            least = _WORTH * jnp.maximum(self.rtol, self.atol)
+            least = _LEAST_MOVE * jnp.maximum(self.rtol, self.atol)
             end = t0 + _BEYOND * first_turn(t1 - t0, y0, y1_candidate, least) * (t1 - t0)
             # Of a step that fails by itself, too, no more than what its error allows.
             crossed = (end < t1) & (keep | (end < next_t1)) & (end - t0 > _ulps(t1))

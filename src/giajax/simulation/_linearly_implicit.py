@@ -288,9 +288,6 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
         return solve
 
 
-# Integration methods by name.
-
-
 def _of_diffrax(name: str) -> "AbstractAdaptiveSolver":
     # Slow to import, and needed only where a program is traced.
     import diffrax

@@ -75,10 +75,10 @@ def check_muscles(arm: Arm, command: Signal, pressure: Pressures | None) -> None
     if is_concrete(arm):
         check_geometry(arm.pneumatics.joint.geometry)
         _check_lever(arm.pneumatics)
-    if pressure is not None and is_concrete((pressure, arm.pneumatics.muscle.limit)):
+    if pressure is not None and is_concrete((pressure, arm.pneumatics.muscle.pressure_limit)):
         columns = np.asarray(driven, dtype=int) - 1
         given = _reached(pressure.signal)[:, np.concatenate([columns, columns + arm.count])]
-        limit = float(arm.pneumatics.muscle.limit)
+        limit = float(arm.pneumatics.muscle.pressure_limit)
         wrong = given[~((given >= 0) & (given <= limit * (1 + 1e-9)))]
         if wrong.size:
             raise InputError(

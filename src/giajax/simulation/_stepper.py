@@ -17,8 +17,6 @@ from ._motion import Inputs, State, motion
 from ._pressures import check_muscles
 from ._signal import Signal, constant
 
-# Where an arm is between two decisions.
-
 
 class Moment(eqx.Module):
     """An arm at one time of its motion.

@@ -131,9 +131,6 @@ def _over_samples(
     return jax.vmap(position, in_axes=(None, 0))(arm, angles)
 
 
-# What an arm touched in a simulation: flattening, forces and impulses.
-
-
 class Contacts(NamedTuple):
     """What the links touched, at the samples of a simulation.
 

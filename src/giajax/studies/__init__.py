@@ -62,11 +62,11 @@ from ._profile_records import (
 from ._refit import (
     Fitted as Fitted,
     StudyRecord as StudyRecord,
-    begun_as_fitted as begun_as_fitted,
-    begun_where_it_ended as begun_where_it_ended,
     fit_key as fit_key,
     optimum_of as optimum_of,
     refit as refit,
+    with_fitted_state as with_fitted_state,
+    with_fitted_states as with_fitted_states,
 )
 from ._score import alike as alike, projected as projected, score as score
 from ._sensitivity import (

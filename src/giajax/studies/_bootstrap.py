@@ -143,15 +143,8 @@ def repeated(
         ratio = spread / standard_error
         ratio_error = ratio / float(np.sqrt(2 * (count - 1)))
     covered = coverage = interval = None
-    pairs = (
-        [
-            (there, reach)
-            for there, reach in zip(values, reaches or [], strict=reaches is not None)
-            if reach is not None
-        ]
-        if reaches is not None
-        else []
-    )
+    known = [None] * count if reaches is None else reaches
+    pairs = [(there, r) for there, r in zip(values, known, strict=True) if r is not None]
     if pairs:
         covered = sum(bool(abs(there - value) <= reach) for there, reach in pairs)
         coverage = covered / len(pairs)
@@ -259,7 +252,7 @@ class Residuals:
 def block_length(
     run: Run, residuals: Float[np.ndarray, "sample channel"], noises: Sequence[ChannelNoise]
 ) -> int:
-    """Samples of a block: n^(1/3), or more where residuals have a memory.
+    """Samples of a block: n^(1/3), or more where residuals are correlated.
 
     For noise with autocovariances R(k) the best length is (3/2 (G/g)^2 n)^(1/3), with G the sum of
     |k| R(k) and g that of R(k) (Politis and White 2004, "Automatic block-length selection", for

@@ -36,7 +36,7 @@ from ..schema.parameters import Parameter, declared, elements, get, switched_on
 _INSIDE = 1e-3
 
 
-def begun_where_it_ended(result: FitResult, runs: Sequence[Run]) -> list[Run]:
+def with_fitted_states(result: FitResult, runs: Sequence[Run]) -> list[Run]:
     """The runs of a result, each with the initial state that was fitted for it.
 
     Arguments:
@@ -49,7 +49,7 @@ def begun_where_it_ended(result: FitResult, runs: Sequence[Run]) -> list[Run]:
     return [_begun_as(result, run, record) for run, record in zip(runs, result.runs, strict=True)]
 
 
-def begun_as_fitted(result: FitResult, run: Run) -> Run:
+def with_fitted_state(result: FitResult, run: Run) -> Run:
     """A run with the initial state that was fitted for it, where it was.
 
     Arguments:
@@ -159,7 +159,7 @@ def refit(
     if noise_model is not None:
         changed["noise_model"] = noise_model
     asked = settings.model_copy(update=changed)
-    setup = set_up(model, begun_where_it_ended(result, runs), asked)
+    setup = set_up(model, with_fitted_states(result, runs), asked)
     begun = {path.partition("[")[0] for path in begin}
     setup = dataclasses.replace(setup, own={
         name: {path: value for path, value in values.items() if path.partition("[")[0] not in begun}

@@ -94,7 +94,7 @@ def responses_of(
 
 
 @dataclasses.dataclass(frozen=True)
-class Moved:
+class Coordinates:
     """The coordinates of a fit: those that several runs share, and those of single runs.
 
     Attributes:
@@ -415,7 +415,7 @@ class Weighing:
         self,
         at: Sequence[Response],
         runs: Sequence[Run],
-        moved: Moved,
+        coordinates: Coordinates,
         switches: Sequence[Sequence[Array]] = (),
     ) -> list[Table]:
         """Weighted residuals and columns of each run.
@@ -423,12 +423,12 @@ class Weighing:
         Arguments:
             at: responses, the columns of the fitted parameters first.
             runs: their runs.
-            moved: what these are the coordinates of.
+            coordinates: of the fit.
             switches: of each switch, the change of the predictions of each run that it makes;
                 they are tested after the other columns.
         """
         tables = []
-        count = len(moved.places[0])
+        count = len(coordinates.places[0])
         for index, (response, run, factor) in enumerate(zip(at, runs, self.factors, strict=True)):
             rest = np.where(factor > 0, response.predicted - np.nan_to_num(response.observed), 0.0)
             changes = np.stack(
@@ -437,7 +437,7 @@ class Weighing:
                 axis=-1,
             )
             each = factor[..., None]
-            fitted, own = moved.split(index, response.columns[..., :count], response.own)
+            fitted, own = coordinates.split(index, response.columns[..., :count], response.own)
             tables.append(
                 Table(
                     residual=rest * factor,
@@ -446,7 +446,7 @@ class Weighing:
                     own=own * each,
                     asked=changes * each,
                     timed=run.times is not None,
-                    known=moved.known_of_runs[index],
+                    known=coordinates.known_of_runs[index],
                 )
             )
         return tables

@@ -11,8 +11,8 @@ from ..models import AbstractModel, capabilities
 from ..recordings import Run
 from ..runtime.text import InputError
 from ..schema.parameters import declared, elements, left_out, switched_on
-from ._refit import begun_as_fitted, refit
-from ._score import Moved, responses_of, white_noise
+from ._refit import refit, with_fitted_state
+from ._score import Coordinates, responses_of, white_noise
 from ._suspects import Suspects, all_axes, name_of, suspects, turned_back
 
 
@@ -95,7 +95,7 @@ class Measured:
         result: the fit.
         at: what it predicts for each run.
         noise: white noise, as stated or as this fit's residuals show it.
-        moved: its coordinates, and what was known of them.
+        coordinates: its coordinates, and what was known of them.
         apart: of what was held out, by run and channel: the noise that is stated, and the errors.
     """
 
@@ -104,7 +104,7 @@ class Measured:
     result: FitResult
     at: list[Response]
     noise: Noise
-    moved: Moved
+    coordinates: Coordinates
     apart: list[tuple[str, float | None, np.ndarray]]
 
     @classmethod
@@ -120,12 +120,16 @@ class Measured:
         """A fit of some runs, and what it makes of those that were held out."""
         at = responses_of(result, runs, result.model)
         noise = white_noise(result, runs, at)
-        moved = Moved.of(result)
-        return cls(suspect, removed, result, at, noise, moved, _errors(result, apart))
+        coordinates = Coordinates.of(result)
+        return cls(suspect, removed, result, at, noise, coordinates, _errors(result, apart))
 
     def step(self, noise: Noise) -> Step:
         """The fit under a noise that may be another one's."""
-        chi_square, values, loss = self.moved.squares, 0, self.result.config.get("loss", "linear")
+        chi_square, values, loss = (
+            self.coordinates.squares,
+            0,
+            self.result.config.get("loss", "linear"),
+        )
         for response, deviations in zip(self.at, noise, strict=True):
             sigma = [_deviation(deviations, name) for name in response.channels]
             rest = (response.predicted - response.observed) / np.asarray(sigma)
@@ -139,7 +143,7 @@ class Measured:
         return Step(
             suspect=self.suspect,
             chi_square=chi_square,
-            parameters=self.moved.size,
+            parameters=self.coordinates.size,
             values=values,
             held_out=float(np.sqrt(np.mean(np.concatenate(squares)))) if squares else None,
             result=self.result,
@@ -164,7 +168,7 @@ def _deviation(deviations: Mapping[str, float], name: str) -> float:
 def _errors(result: FitResult, runs: Sequence[Run]) -> list[tuple[str, float | None, np.ndarray]]:
     errors = []
     for run in runs:
-        for name, predicted in result.predict(begun_as_fitted(result, run)).items():
+        for name, predicted in result.predict(with_fitted_state(result, run)).items():
             rest = predicted - run.observations[name]
             errors.append((name, run.noise(name), rest[~np.isnan(rest)]))
     return errors
@@ -194,7 +198,7 @@ def best_step(
             continue
     if not fits:
         return None
-    noise = max((fit for fit, _, _ in fits), key=lambda fit: fit.moved.size).noise
+    noise = max((fit for fit, _, _ in fits), key=lambda fit: fit.coordinates.size).noise
     return min(fits, key=lambda one: one[0].step(noise).bic)
 
 
@@ -270,12 +274,12 @@ def ladder(
     1 the step takes a fraction of the time, and trusts the test.
 
     All fits are made and compared by one likelihood: that of the loss of the fit, with white noise
-    that is the same for both. Noise with a memory would take what is missing for noise, each fit
+    that is the same for both. Correlated noise would take what is missing for noise, each fit
     as much as it leaves over. The white noise is what the runs state, or else what second
     differences of the residuals show, those of the fit with more in it; and where the samples do
     not follow each other, what that fit took for noise. The table that comes out has the noise of
-    its last row, which is fitted once more with a memory if the first fit had looked for it: its
-    parameters and errors are those of that fit.
+    its last row, which is fitted once more with correlated noise if the first fit had looked for
+    it: its parameters and errors are those of that fit.
 
     Arguments:
         result: of `giajax.fit` or `giajax.load_result`.
@@ -338,7 +342,7 @@ def ladder(
 
 
 def _by_white_noise(result: FitResult, runs: Sequence[Run]) -> FitResult:
-    """The fit, or where its noise has a memory, that by white noise."""
+    """The fit, or where its noise is correlated, that by white noise."""
     if result.noise is not None and not result.noise.widening:
         return result
     return refit(result, runs, noise_model="white")

@@ -13,10 +13,10 @@ from ..runtime.records import json_text
 from ..runtime.text import InputError
 from ..schema.parameters import declared, replace
 from ._candidates import Candidate, Inquiry, inquiry, is_disturbed, not_neutral
-from ._refit import begun_where_it_ended
+from ._refit import with_fitted_states
 from ._score import (
     IMITATED,
-    Moved,
+    Coordinates,
     Projected,
     Score,
     Weighing,
@@ -232,7 +232,7 @@ def axes_row(
         first = replace(result.model, result.history[0].parameters)
         ties = resolved_ties(first, result.config.get("ties", {}))
         points.append([tied(first, ties)] * len(runs))
-    begun = begun_where_it_ended(result, runs)
+    begun = with_fitted_states(result, runs)
     best: tuple[float, Axes, bool] | None = None
     for number, models in enumerate(points):
         whole = [coordinates(model, run) for model, run in zip(models, begun, strict=True)]
@@ -436,11 +436,11 @@ def tested(
     weights = robust_weights(result, runs, at)
     weighing = Weighing.of(at, white_noise(result, runs, at), weights)
     switches = _switches(result, asked, runs, at)
-    moved = Moved.of(result)
-    tables = weighing.tables(at, runs, moved, list(switches.values()))
-    rest = projected(tables, moved.known)
+    of_fit = Coordinates.of(result)
+    tables = weighing.tables(at, runs, of_fit, list(switches.values()))
+    rest = projected(tables, of_fit.known)
     cells = weighing.chi_square(at, [response.predicted for response in at])
-    chi_square = cells + moved.squares
+    chi_square = cells + of_fit.squares
     rows = parameter_rows(rest, asked)
     first = len(asked.candidates)
     rows += [switch_row(rest, first + i, name) for i, name in enumerate(switches)]

@@ -22,7 +22,7 @@ from ..recordings import Channel, Run
 from ..runtime.text import InputError
 from ..schema.parameters import elements, get, switched_on
 from ._candidates import Candidate, Inquiry, inquiry
-from ._score import Moved, responses_of
+from ._score import Coordinates, responses_of
 from ._suspects import suspects
 
 FRACTION = 0.01
@@ -243,28 +243,28 @@ def _slopes(
     result: FitResult, runs: Sequence[Run], at: Sequence[Response], columns: Sequence[int]
 ) -> np.ndarray:
     """d(fitted)/d(held), shape (fitted, held); of what not all runs share, the mean."""
-    moved = Moved.of(result)
-    fitted, shared = len(result.free), len(moved.shared)
+    coordinates = Coordinates.of(result)
+    fitted, shared = len(result.free), len(coordinates.shared)
     rows, of_runs = [], []
     for number, (response, run) in enumerate(zip(at, runs, strict=True)):
-        common, own = moved.split(number, response.columns[..., :fitted], response.own)
+        common, own = coordinates.split(number, response.columns[..., :fitted], response.own)
         several = np.concatenate([common, response.columns[..., list(columns)], own], axis=-1)
         cells = _whitened(result, number, run, response, several)
         cells, own = np.split(cells, [shared + len(columns)], axis=1)
         # A prior is one more row, to which nothing that is held responds.
-        known = moved.known_of_runs[number]
+        known = coordinates.known_of_runs[number]
         cells = np.concatenate([cells, np.zeros((len(known), cells.shape[1]))])
         own = np.concatenate([own, known[:, 1:]])
         of_run = _explained(own, cells)
         rows.append(cells - own @ of_run)
         of_runs.append(of_run)
-    known = np.pad(moved.known[:, 1:], ((0, 0), (0, len(columns))))
+    known = np.pad(coordinates.known[:, 1:], ((0, 0), (0, len(columns))))
     jacobian, held = np.split(np.concatenate([*rows, known]), [shared], axis=1)
     common = -_explained(jacobian, held)
     by_path: list[list[np.ndarray]] = [[] for _ in result.free]
-    for index, slope in zip(moved.shared, common, strict=True):
+    for index, slope in zip(coordinates.shared, common, strict=True):
         by_path[index].append(slope)
-    for places, of_run in zip(moved.places, of_runs, strict=True):
+    for places, of_run in zip(coordinates.places, of_runs, strict=True):
         alone = -(of_run[:, shared:] + of_run[:, :shared] @ common)
         # The values of the run's own state, which come after, are no parameters of the model.
         mine = [index for index, place in enumerate(places) if place < 0]

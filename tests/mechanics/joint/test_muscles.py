@@ -65,7 +65,7 @@ def test_the_pressures_of_the_design():
 
 def test_the_empirical_shape_is_tied_at_its_corners():
     muscle = EmpiricalMuscle()
-    limit, largest = float(muscle.limit), float(muscle.contraction_limit)
+    limit, largest = float(muscle.pressure_limit), float(muscle.contraction_limit)
     full = float(muscle.largest_force(jnp.asarray(1.96)))
     assert float(muscle_force(muscle, limit, 0.0)) == pytest.approx(full, rel=1e-14)
     assert float(muscle.signed_force(*map(jnp.asarray, (limit, largest, 1.96)))) == pytest.approx(
@@ -99,8 +99,10 @@ def test_an_answer_out_of_range_says_why_and_comes_nearest(muscle):
     assert "push" in push.message()
     strong = muscle_pressure(muscle, 500.0, 0.1)
     assert int(strong.code) == 2
-    assert float(strong.pressure) == float(muscle.limit)
-    assert float(strong.force) == pytest.approx(float(muscle_force(muscle, muscle.limit, 0.1)))
+    assert float(strong.pressure) == float(muscle.pressure_limit)
+    assert float(strong.force) == pytest.approx(
+        float(muscle_force(muscle, muscle.pressure_limit, 0.1))
+    )
     assert "pressure limit" in strong.message()
     mixed = muscle_pressure(muscle, [-1.0, 1.0, 500.0], 0.1)
     assert mixed.reached.tolist() == [False, True, False]

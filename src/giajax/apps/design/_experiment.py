@@ -187,9 +187,6 @@ class RobustError:
         return self._seen[1]
 
 
-# What the design of an experiment says: the command, the markers and the errors to expect.
-
-
 @dataclasses.dataclass(frozen=True)
 class Expected:
     """An experiment that was not made yet, and the errors to expect of it.
@@ -270,9 +267,6 @@ class Design:
 
     def __repr__(self) -> str:
         return f"<Design: {self.criterion}-optimal for {', '.join(self.wanted)}, {self.summary()}>"
-
-
-# The errors to expect of one experiment at the present values of the parameters.
 
 
 def expected(

@@ -309,9 +309,7 @@ class Informed:
 
 
 def informed(
-    experiment: Experiment,
-    command: Command,
-    draws: Float[np.ndarray, "draw parameter"],
+    experiment: Experiment, command: Command, draws: Float[np.ndarray, "draw parameter"]
 ) -> Informed:
     """The information of an experiment with a command, and its derivatives; draws on all cores.
 

@@ -22,8 +22,6 @@ from ..control import Compensator
 from ..synthetic import Drive, RecordingErrors, with_errors
 from ._operator import Operator, PadMapping
 
-# Where a driven arm is.
-
 
 class Pose(NamedTuple):
     """Where a driven arm is: the latest, and no other.
@@ -43,9 +41,6 @@ class Pose(NamedTuple):
     wind: Float[np.ndarray, "3"]
     stopped: str | None
     lost: float
-
-
-# Commands that undo the hysteresis of joints while an arm is driven.
 
 
 class Compensation:
@@ -96,9 +91,6 @@ def _step(operator: AbstractOperator, values: Array, state: Any) -> tuple[Array,
         return inputs[0], after
 
     return jax.vmap(of_one)(values, state)
-
-
-# A drive as a run that `giajax fit` reads.
 
 
 class Record:

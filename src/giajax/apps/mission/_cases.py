@@ -11,8 +11,6 @@ from ...runtime.parallel import Tell, side_by_side
 from ...runtime.process import cores
 from ._mission import Mission
 
-# What missions in air of one speed come to.
-
 
 @dataclasses.dataclass(frozen=True)
 class Case:

@@ -69,9 +69,6 @@ def air(
     return np.stack([values[name] for name in names], axis=1)
 
 
-# One mission row by row, in one program: an arm, an operator, and the air.
-
-
 class Rows(NamedTuple):
     """What happened, row by row.
 
@@ -499,9 +496,6 @@ class Mission:
             late=round(section.operator.latency_s / _INTERVAL),
         )
         return outcome_of(self, rows, wind)
-
-
-# A mission as a motion, and as a run: what was commanded, what blew, where the tip was.
 
 
 def motion(mission: Mission, outcome: Outcome) -> Trajectory:

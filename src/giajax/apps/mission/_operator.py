@@ -23,8 +23,6 @@ from ...runtime.arrays import (
 from ...runtime.text import InputError
 from ...schema import MissionSection
 
-# The opening that a mission goes through, and where one is in it.
-
 
 class Opening(NamedTuple):
     """An opening as it is seen from the side that its wall's x points to.
@@ -85,9 +83,6 @@ def opening_of(arm: Arm, name: str | None = None) -> Opening:
     frame = jnp.stack([rotate(turn, axis) for axis in jnp.eye(3, dtype=turn.dtype)], axis=1)
     centre = wall.centre + frame[:, 0] * wall.thickness / 2
     return Opening(centre, frame, wall.opening / 2, wall.thickness)
-
-
-# Where a camera is that sees four corners of a plane.
 
 
 def posed(camera: Pinhole, opening: Opening, pixels: Float[Array, "4 2"]) -> View:

@@ -16,8 +16,6 @@ from ...schema import InitialSection
 from ...schema.parameters import default_free, get
 from ...simulation import SimulationError
 
-# What goes wrong between a motion and its file: noise, gaps and outliers, added to a run.
-
 
 @dataclasses.dataclass(frozen=True)
 class RecordingErrors:
@@ -162,9 +160,6 @@ def _stretches(
         if duration < np.min(np.diff(times)) and not len(rows):
             lost[random.integers(len(times))] = True
     return lost
-
-
-# Runs made by a model instead of an experiment, with noise and gaps.
 
 
 def synthesise(

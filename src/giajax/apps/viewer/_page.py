@@ -296,9 +296,6 @@ class Viewer:
         )
 
 
-# One scene of a single sample that is drawn anew all the time.
-
-
 class LiveStage:
     """A page of viser with an arm that somebody else moves.
 

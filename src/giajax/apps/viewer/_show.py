@@ -97,9 +97,6 @@ def frames(shows: Sequence[Show], rate: float, most: int) -> Float[np.ndarray, "
     return np.linspace(first, last, min(count, most))
 
 
-# What a file has to show: a run, a fit, or the arm of a definition.
-
-
 class Posable:
     """An arm whose joints are set by hand: no motion, only where links are.
 

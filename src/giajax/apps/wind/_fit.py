@@ -127,9 +127,6 @@ def wind_notes(
     return tuple(notes)
 
 
-# What a fit of a wind says: numbers with standard errors, spectra, and sentences.
-
-
 @dataclasses.dataclass(frozen=True)
 class WindNumber:
     """One number of a wind: its value, standard error (None where held or open), unit."""

@@ -7,6 +7,7 @@ import numpy as np
 
 from ...runtime.arrays import Array, Float, cross, dot, safe_norm, scaled
 from ._arm import Arm, lift
+from ._hysteresis import PerJoint
 from ._kinematics import Pose, Rows, angular_velocities, centre_velocities, pose
 from ._parts import Air
 
@@ -59,9 +60,6 @@ def drag_factor(
     reference = _LINE[0] + _LINE[1] * x + np.sum(_HEIGHT * np.tanh((x - _PLACE) / _WIDTH))
     reynolds = speed * diameter / air.viscosity
     return jnp.exp(np.log(10) * (_log10(reynolds) - float(reference)))
-
-
-# Drag of the bodies that links carry: a ball on a string, an instrument in the wind.
 
 
 def body_drag(arm: Arm, here: Pose, relative: Rows, omega: Rows) -> tuple[Rows, Rows] | None:
@@ -204,10 +202,7 @@ def across_link(direction: Rows, vector: Rows) -> Rows:
 
 
 def drag_force(
-    arm: Arm,
-    angles: Float[Array, " joint"],
-    rates: Float[Array, " joint"],
-    wind: Wind | None = None,
+    arm: Arm, angles: PerJoint, rates: PerJoint, wind: Wind | None = None
 ) -> Float[Array, "link 3"]:
     """Drag force of the air on each link, N.
 
@@ -236,12 +231,7 @@ class Dragged(NamedTuple):
     omega: Rows
 
 
-def drag_in_motion(
-    arm: Arm,
-    angles: Float[Array, " joint"],
-    rates: Float[Array, " joint"],
-    wind: Wind | None,
-) -> Dragged:
+def drag_in_motion(arm: Arm, angles: PerJoint, rates: PerJoint, wind: Wind | None) -> Dragged:
     """Drag in one state of motion, with the velocities of the links' centres and turns."""
     here = pose(arm, angles)
     omega = angular_velocities(here, rates)

@@ -82,9 +82,6 @@ def _level(arm: Arm, bare: Buoyancy, weights: Float[Array, " link"]) -> Float[Ar
     return place
 
 
-# The general constructor of an arm.
-
-
 def chain(
     links: int = 20,
     *,

@@ -11,6 +11,7 @@ import numpy as np
 from ...runtime.arrays import Array, Bool, Float, Int, Scalar, cross, dot, scaled
 from ..obstacles import Lines, Nearest, nearest, owners, patches, solids
 from ._arm import Arm
+from ._hysteresis import PerJoint
 from ._inverse_dynamics import load_torque
 from ._kinematics import Pose, Rows, angular_velocities, pose, sum_from_base, sum_from_tip
 from ._parts import Contact
@@ -63,9 +64,7 @@ class Meeting(NamedTuple):
         return x @ jax.nn.one_hot(self.link, links, dtype=x.dtype)
 
 
-def meeting(
-    arm: Arm, contact: Contact, here: Pose, rates: Float[Array, " joint"], pairs: Pairs
-) -> Meeting:
+def meeting(arm: Arm, contact: Contact, here: Pose, rates: PerJoint, pairs: Pairs) -> Meeting:
     """How links of an arm meet boxes in one state."""
     lines, frame = _lines(arm, contact, here, pairs)
     places, sizes = np.polynomial.legendre.leggauss(contact.points)
@@ -188,16 +187,13 @@ class Touch(NamedTuple):
         normal: force that presses each link, N.
     """
 
-    torque: Float[Array, " joint"]
+    torque: PerJoint
     slip: Rows
     normal: Float[Array, " link"]
 
 
 def touch(
-    arm: Arm,
-    angles: Float[Array, " joint"],
-    rates: Float[Array, " joint"],
-    strain: Float[Array, "3 link"] | None = None,
+    arm: Arm, angles: PerJoint, rates: PerJoint, strain: Float[Array, "3 link"] | None = None
 ) -> Touch:
     """Torques of contact, and what the states of its friction need.
 
@@ -223,7 +219,7 @@ def touch(
 
 
 def contact_energy(
-    arm: Arm, angles: Float[Array, " joint"], strain: Float[Array, "3 link"] | None = None
+    arm: Arm, angles: PerJoint, strain: Float[Array, "3 link"] | None = None
 ) -> Scalar:
     """Energy of flattened links and stretched skin, J.
 
@@ -271,11 +267,7 @@ def pressing(contact: Contact, met: Meeting) -> Numbers:
 
 
 def friction_force(
-    contact: Contact,
-    met: Meeting,
-    normal: Numbers,
-    total: Float[Array, " link"],
-    strain: Rows,
+    contact: Contact, met: Meeting, normal: Numbers, total: Float[Array, " link"], strain: Rows
 ) -> Points:
     """Forces of friction at the points of a meeting, in proportion to the normal ones, N.
 
@@ -310,14 +302,8 @@ def _touch(
     return Touch(load_torque(here, sum_from_tip(load)), slip, total)
 
 
-# What each link touches: flattening and force, by obstacle.
-
-
 def touched(
-    arm: Arm,
-    angles: Float[Array, " joint"],
-    rates: Float[Array, " joint"],
-    strain: Float[Array, "3 link"] | None = None,
+    arm: Arm, angles: PerJoint, rates: PerJoint, strain: Float[Array, "3 link"] | None = None
 ) -> tuple[Float[Array, "link obstacle"], Float[Array, "link obstacle 3"]]:
     """Flattening of each link by each obstacle, and the force of the obstacle on it.
 
@@ -349,9 +335,6 @@ def touched(
     return flattened, jnp.moveaxis(forces, 0, -1)
 
 
-# How stiff contact is, as integrators need it.
-
-
 class Stiffness(NamedTuple):
     """How the torques of contact change with the state.
 
@@ -370,10 +353,7 @@ class Stiffness(NamedTuple):
 
 
 def contact_stiffness(
-    arm: Arm,
-    angles: Float[Array, " joint"],
-    rates: Float[Array, " joint"],
-    strain: Float[Array, "3 link"] | None = None,
+    arm: Arm, angles: PerJoint, rates: PerJoint, strain: Float[Array, "3 link"] | None = None
 ) -> Stiffness:
     """How the torques of pressed contacts change, but for the turning of normals.
 

@@ -18,6 +18,7 @@ from ._air import (
 )
 from ._arm import Arm, bodies
 from ._contact import touch
+from ._hysteresis import PerJoint, States
 from ._inverse_dynamics import (
     Piece,
     carried_inertia,
@@ -34,16 +35,16 @@ from ._kinematics import Pose, pose, sum_from_tip
 
 def acceleration(
     arm: Arm,
-    angles: Float[Array, " joint"],
-    rates: Float[Array, " joint"],
-    command: Float[Array, " joint"],
+    angles: PerJoint,
+    rates: PerJoint,
+    command: PerJoint,
     wind: Wind | None = None,
     wind_rate: Wind | None = None,
-    torque: Float[Array, " joint"] | None = None,
-    memory: Float[Array, "row joint"] | None = None,
+    torque: PerJoint | None = None,
+    memory: States | None = None,
     pressures: Float[Array, "2 joint"] | None = None,
     skin: Float[Array, "3 link"] | None = None,
-) -> Float[Array, " joint"]:
+) -> PerJoint:
     """Joint accelerations of the arm under its commands, rad/s^2: its equation of motion.
 
     Arguments:
@@ -73,12 +74,12 @@ def acceleration(
 
 def joint_torque(
     arm: Arm,
-    angles: Float[Array, " joint"],
-    rates: Float[Array, " joint"],
-    command: Float[Array, " joint"],
-    memory: Float[Array, "row joint"] | None = None,
+    angles: PerJoint,
+    rates: PerJoint,
+    command: PerJoint,
+    memory: States | None = None,
     pressures: Float[Array, "2 joint"] | None = None,
-) -> Float[Array, " joint"]:
+) -> PerJoint:
     """Torque of the joints' springs or muscles, dampers, friction and hysteresis, N m.
 
     The spring of a joint pulls towards its commanded angle (paper, III.A: a spring whose
@@ -109,12 +110,12 @@ def joint_torque(
 
 def forward_dynamics(
     arm: Arm,
-    angles: Float[Array, " joint"],
-    rates: Float[Array, " joint"],
-    torques: Float[Array, " joint"],
+    angles: PerJoint,
+    rates: PerJoint,
+    torques: PerJoint,
     wind: Wind | None = None,
     wind_rate: Wind | None = None,
-) -> Float[Array, " joint"]:
+) -> PerJoint:
     """Joint accelerations under joint torques, gravity and drag, rad/s^2.
 
     Arguments:
@@ -172,9 +173,7 @@ def _eliminate_and_solve(
 # Energy of the arm, and the powers that change it.
 
 
-def kinetic_energy(
-    arm: Arm, angles: Float[Array, " joint"], rates: Float[Array, " joint"]
-) -> Scalar:
+def kinetic_energy(arm: Arm, angles: PerJoint, rates: PerJoint) -> Scalar:
     """Kinetic energy of the links, and of the air that they move where added mass is on, J.
 
     Arguments:
@@ -190,10 +189,10 @@ def kinetic_energy(
 
 def potential_energy(
     arm: Arm,
-    angles: Float[Array, " joint"],
-    command: Float[Array, " joint"],
+    angles: PerJoint,
+    command: PerJoint,
     wind: Wind | None = None,
-    memory: Float[Array, "row joint"] | None = None,
+    memory: States | None = None,
 ) -> Scalar:
     """Energy of the joints' springs, of gravity and of buoyancy, J; zero at z = 0 and rest.
 
@@ -233,12 +232,7 @@ def potential_energy(
     return energy
 
 
-def drag_power(
-    arm: Arm,
-    angles: Float[Array, " joint"],
-    rates: Float[Array, " joint"],
-    wind: Wind | None = None,
-) -> Scalar:
+def drag_power(arm: Arm, angles: PerJoint, rates: PerJoint, wind: Wind | None = None) -> Scalar:
     """Power that the air's drag delivers to the links, W; negative in still air.
 
     Arguments:
@@ -258,7 +252,7 @@ def drag_power(
     return power.sum()
 
 
-def damping_power(arm: Arm, rates: Float[Array, " joint"]) -> Scalar:
+def damping_power(arm: Arm, rates: PerJoint) -> Scalar:
     """Power that the joints' damping and friction deliver, W; never positive.
 
     Arguments:
@@ -271,12 +265,7 @@ def damping_power(arm: Arm, rates: Float[Array, " joint"]) -> Scalar:
     return -(arm.joints.resistance(rates) * rates).sum()
 
 
-def hysteresis_power(
-    arm: Arm,
-    angles: Float[Array, " joint"],
-    rates: Float[Array, " joint"],
-    memory: Float[Array, "row joint"],
-) -> Scalar:
+def hysteresis_power(arm: Arm, angles: PerJoint, rates: PerJoint, memory: States) -> Scalar:
     """Power that the joints' hysteresis takes from the motion for good, W; never positive.
 
     Arguments:
@@ -292,10 +281,7 @@ def hysteresis_power(
 
 
 def muscle_power(
-    arm: Arm,
-    angles: Float[Array, " joint"],
-    rates: Float[Array, " joint"],
-    pressures: Float[Array, "2 joint"],
+    arm: Arm, angles: PerJoint, rates: PerJoint, pressures: Float[Array, "2 joint"]
 ) -> Scalar:
     """Power that the pressures in the muscles deliver to the joints, W.
 

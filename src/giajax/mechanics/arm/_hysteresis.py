@@ -9,6 +9,9 @@ from ...schema import JOINT_MEMORY, JOINT_STOPS
 from ...schema.parameters import parameter
 from ..hysteresis import bouc_wen_rate
 
+PerJoint = Float[Array, " joint"]
+States = Float[Array, "row joint"]
+
 # Of the angles that a strain is the difference of, in units of their last place.
 _ROUNDING = 16
 
@@ -57,58 +60,40 @@ class Stops(eqx.Module):
             return jnp.zeros(())
         return jnp.sum(jnp.broadcast_to(self.strength / self.yield_angle, (self.rows,)))
 
-    def unstrained(self, angles: Float[Array, " joint"]) -> Float[Array, "row joint"]:
+    def unstrained(self, angles: PerJoint) -> States:
         """The states of a joint that was never moved from these angles (rad), rad."""
         return jnp.broadcast_to(angles, (self.rows, angles.size))
 
-    def strain(
-        self, angles: Float[Array, " joint"], slipped: Float[Array, "row joint"]
-    ) -> Float[Array, "row joint"]:
+    def strain(self, angles: PerJoint, slipped: States) -> States:
         """Strain of each over its yield angle, between -1 and 1."""
         return jnp.clip((angles[None] - slipped) / self._yield_angles, -1, 1)
 
-    def torque(
-        self, angles: Float[Array, " joint"], slipped: Float[Array, "row joint"]
-    ) -> Float[Array, " joint"]:
+    def torque(self, angles: PerJoint, slipped: States) -> PerJoint:
         """Torque against the strain, N m."""
         if self.strength is None:
             return jnp.zeros_like(angles)
         return jnp.sum(self._strengths * self.strain(angles, slipped), axis=0)
 
-    def tangent(
-        self,
-        angles: Float[Array, " joint"],
-        rates: Float[Array, " joint"],
-        slipped: Float[Array, "row joint"],
-    ) -> Float[Array, " joint"]:
+    def tangent(self, angles: PerJoint, rates: PerJoint, slipped: States) -> PerJoint:
         """Stiffness in one state: of those that do not slide on, N m/rad."""
         if self.strength is None:
             return jnp.zeros_like(angles)
         stiffness = self._strengths / self._yield_angles
         return jnp.sum(jnp.where(self._slides(angles, rates, slipped), 0, stiffness), axis=0)
 
-    def dissipation(
-        self,
-        angles: Float[Array, " joint"],
-        rates: Float[Array, " joint"],
-        slipped: Float[Array, "row joint"],
-    ) -> Float[Array, " joint"]:
+    def dissipation(self, angles: PerJoint, rates: PerJoint, slipped: States) -> PerJoint:
         """Power that becomes heat where elements slide, W."""
         if self.strength is None:
             return jnp.zeros_like(angles)
         heat = self._strengths * jnp.abs(rates)[None]
         return jnp.sum(jnp.where(self._slides(angles, rates, slipped), heat, 0), axis=0)
 
-    def return_mapped(
-        self, angles: Float[Array, " joint"], slipped: Float[Array, "row joint"]
-    ) -> Float[Array, "row joint"]:
+    def return_mapped(self, angles: PerJoint, slipped: States) -> States:
         """The states (rad) after a motion to these angles (rad) in one direction."""
         width = self._yield_angles
         return jnp.clip(slipped, angles[None] - width, angles[None] + width)
 
-    def energy(
-        self, angles: Float[Array, " joint"], slipped: Float[Array, "row joint"]
-    ) -> Float[Array, " joint"]:
+    def energy(self, angles: PerJoint, slipped: States) -> PerJoint:
         """Energy of the strain, J."""
         if self.strength is None:
             return jnp.zeros_like(angles)
@@ -135,7 +120,7 @@ class Stops(eqx.Module):
 # It depends on the way of the joint and not on its rate: after a motion to and fro the joint does
 # not come back to where it was, however slowly it moves.
 
-Each = Float[Array, ""] | Float[Array, " joint"]
+Each = Float[Array, ""] | PerJoint
 
 
 class Memory(eqx.Module):
@@ -174,17 +159,15 @@ class Memory(eqx.Module):
             return jnp.zeros(())
         return 2 * (1 - self.delta) * self.strength / self.yield_angle
 
-    def unstrained(self, angles: Float[Array, " joint"]) -> Float[Array, "row joint"]:
+    def unstrained(self, angles: PerJoint) -> States:
         """The states of a joint that was never moved."""
         return jnp.zeros((self.rows, angles.size), angles.dtype)
 
-    def torque(self, z: Float[Array, "row joint"]) -> Float[Array, " joint"]:
+    def torque(self, z: States) -> PerJoint:
         """Torque against the strain, N m."""
         return jnp.zeros(z.shape[1:], z.dtype) if self.strength is None else self.strength * z[0]
 
-    def rate(
-        self, rates: Float[Array, " joint"], z: Float[Array, "row joint"]
-    ) -> Float[Array, "row joint"]:
+    def rate(self, rates: PerJoint, z: States) -> States:
         """How fast the states change, 1/s."""
         if self.strength is None:
             return z
@@ -192,27 +175,22 @@ class Memory(eqx.Module):
         rate = bouc_wen_rate(rates, z[0], one, one, gamma, self.delta, self.nu)
         return (rate / self.yield_angle)[None]
 
-    def pull(self, z: Float[Array, "row joint"]) -> Float[Array, "row joint"]:
+    def pull(self, z: States) -> States:
         """Torque of a unit of each state, N m."""
         return z if self.strength is None else jnp.broadcast_to(self.strength, z.shape)
 
-    def energy(self, z: Float[Array, "row joint"]) -> Float[Array, " joint"]:
+    def energy(self, z: States) -> PerJoint:
         """Energy of the strain, J."""
         if self.strength is None:
             return jnp.zeros(z.shape[1:], z.dtype)
         return self.strength * self.yield_angle * z[0] ** 2 / 2
 
-    def dissipation(
-        self, rates: Float[Array, " joint"], z: Float[Array, "row joint"]
-    ) -> Float[Array, " joint"]:
+    def dissipation(self, rates: PerJoint, z: States) -> PerJoint:
         """Power that becomes heat, W: what of the torque's power is not stored."""
         if self.strength is None:
             return jnp.zeros_like(rates)
         kept = self.yield_angle * self.rate(rates, z)[0]
         return self.strength * z[0] * (rates - kept)
-
-
-# What joints remember of their way: the states of their hysteresis, in one table.
 
 
 class JointHysteresis(eqx.Module):
@@ -233,7 +211,7 @@ class JointHysteresis(eqx.Module):
         """States of each joint beside its angle and rate."""
         return self.memory.rows + self.stops.rows
 
-    def unstrained(self, angles: Float[Array, " joint"]) -> Float[Array, "row joint"]:
+    def unstrained(self, angles: PerJoint) -> States:
         """The states of joints that were never moved from these angles (rad)."""
         parts = [self.memory.unstrained(angles), self.stops.unstrained(angles)]
         return jnp.concatenate(parts)
@@ -241,30 +219,21 @@ class JointHysteresis(eqx.Module):
     def _split(self, states: Array) -> tuple[Array, Array]:
         return states[: self.memory.rows], states[self.memory.rows :]
 
-    def torque(
-        self, angles: Float[Array, " joint"], states: Float[Array, "row joint"]
-    ) -> Float[Array, " joint"]:
+    def torque(self, angles: PerJoint, states: States) -> PerJoint:
         """Torque against the motion of each joint, N m."""
         z, slipped = self._split(states)
         return self.memory.torque(z) + self.stops.torque(angles, slipped)
 
-    def rate(
-        self, rates: Float[Array, " joint"], states: Float[Array, "row joint"]
-    ) -> Float[Array, "row joint"]:
+    def rate(self, rates: PerJoint, states: States) -> States:
         """How fast the states change, 1/s; those of stops change by `return_mapped`."""
         z, slipped = self._split(states)
         return jnp.concatenate([self.memory.rate(rates, z), jnp.zeros_like(slipped)])
 
-    def tangent(
-        self,
-        angles: Float[Array, " joint"],
-        rates: Float[Array, " joint"],
-        states: Float[Array, "row joint"],
-    ) -> Float[Array, " joint"]:
+    def tangent(self, angles: PerJoint, rates: PerJoint, states: States) -> PerJoint:
         """Stiffness at constant states, N m/rad."""
         return self.stops.tangent(angles, rates, self._split(states)[1])
 
-    def pull(self, states: Float[Array, "row joint"]) -> Float[Array, "row joint"]:
+    def pull(self, states: States) -> States:
         """Torque of a unit of each state at constant angles, against the motion, N m.
 
         The state of a stop changes where it slides, and its torque does not.
@@ -272,31 +241,22 @@ class JointHysteresis(eqx.Module):
         z, slipped = self._split(states)
         return jnp.concatenate([self.memory.pull(z), jnp.zeros_like(slipped)])
 
-    def return_mapped(
-        self, angles: Float[Array, " joint"], states: Float[Array, "row joint"]
-    ) -> Float[Array, "row joint"]:
+    def return_mapped(self, angles: PerJoint, states: States) -> States:
         """The states after a motion to these angles (rad) in which no joint turned round."""
         z, slipped = self._split(states)
         return jnp.concatenate([z, self.stops.return_mapped(angles, slipped)])
 
-    def energy(
-        self, angles: Float[Array, " joint"], states: Float[Array, "row joint"]
-    ) -> Float[Array, " joint"]:
+    def energy(self, angles: PerJoint, states: States) -> PerJoint:
         """Energy that is stored and given back, J."""
         z, slipped = self._split(states)
         return self.memory.energy(z) + self.stops.energy(angles, slipped)
 
-    def dissipation(
-        self,
-        angles: Float[Array, " joint"],
-        rates: Float[Array, " joint"],
-        states: Float[Array, "row joint"],
-    ) -> Float[Array, " joint"]:
+    def dissipation(self, angles: PerJoint, rates: PerJoint, states: States) -> PerJoint:
         """Power that becomes heat, W."""
         z, slipped = self._split(states)
         return self.memory.dissipation(rates, z) + self.stops.dissipation(angles, rates, slipped)
 
     @property
-    def stiffness(self) -> Float[Array, ""] | Float[Array, " joint"]:
+    def stiffness(self) -> Float[Array, ""] | PerJoint:
         """Largest stiffness, N m/rad."""
         return self.memory.stiffness + self.stops.stiffness

@@ -20,6 +20,7 @@ from ...runtime.arrays import (
 from ...runtime.chain_loops import derivatives_once
 from ._air import Flow, Wind, added_mass, added_mass_load, drag, flow, lift_force, relative_velocity
 from ._arm import Arm, Bodies, bodies
+from ._hysteresis import PerJoint
 from ._kinematics import (
     Pose,
     Rows,
@@ -35,7 +36,7 @@ from ._kinematics import (
 # Dynamics Algorithms, ch. 6, in base coordinates).
 
 
-def mass_matrix(arm: Arm, angles: Float[Array, " joint"]) -> Float[Array, "joint joint"]:
+def mass_matrix(arm: Arm, angles: PerJoint) -> Float[Array, "joint joint"]:
     """Joint-space mass matrix M(q), kg m^2; symmetric and positive definite.
 
     Arguments:
@@ -197,8 +198,8 @@ def eliminate_and_solve(
     motion: Float[Array, "6 joint"],
     momentum: Float[Array, "6 joint"],
     armature: Array | None,
-    torque: Float[Array, " joint"],
-) -> tuple[tuple[Piece, ...], Float[Array, " joint"]]:
+    torque: PerJoint,
+) -> tuple[tuple[Piece, ...], PerJoint]:
     """The pieces from the tip to the base, and the accelerations that a torque gives the joints.
 
     Arguments:
@@ -230,9 +231,7 @@ def eliminate_and_solve(
     return tuple(pieces), _back(pieces, halves)
 
 
-def solve_eliminated(
-    pieces: tuple[Piece, ...], torque: Float[Array, " joint"]
-) -> Float[Array, " joint"]:
+def solve_eliminated(pieces: tuple[Piece, ...], torque: PerJoint) -> PerJoint:
     """The accelerations that another torque gives the joints of an arm.
 
     Arguments:
@@ -275,17 +274,14 @@ def _from_tip(count: int) -> list[tuple[int, int]]:
     return [(begin, end) for end, begin in itertools.pairwise(ends)]
 
 
-# Load of the links: the torque that a motion needs against inertia, gravity and air.
-
-
 def inverse_dynamics(
     arm: Arm,
-    angles: Float[Array, " joint"],
-    rates: Float[Array, " joint"],
-    accelerations: Float[Array, " joint"],
+    angles: PerJoint,
+    rates: PerJoint,
+    accelerations: PerJoint,
     wind: Wind | None = None,
     wind_rate: Wind | None = None,
-) -> Float[Array, " joint"]:
+) -> PerJoint:
     """Joint torques that produce accelerations against inertia, gravity and drag, N m.
 
     Springs and dampers of the joints are part of the torque, not of the load; see
@@ -307,12 +303,8 @@ def inverse_dynamics(
 
 
 def required_torque(
-    arm: Arm,
-    here: Pose,
-    rates: Float[Array, " joint"],
-    accelerations: Float[Array, " joint"],
-    wind: Flow,
-) -> Float[Array, " joint"]:
+    arm: Arm, here: Pose, rates: PerJoint, accelerations: PerJoint, wind: Flow
+) -> PerJoint:
     """Inverse dynamics."""
     carried = sum_from_tip(carried_load(arm, here, rates, accelerations, wind))
     torque = load_torque(here, carried)
@@ -321,17 +313,13 @@ def required_torque(
     return torque
 
 
-def load_torque(here: Pose, carried: Float[Array, "6 link"]) -> Float[Array, " joint"]:
+def load_torque(here: Pose, carried: Float[Array, "6 link"]) -> PerJoint:
     """Torque about each joint's axis of what is carried beyond it."""
     return dot(here.axis, carried[3:] - cross(here.joint, carried[:3]))
 
 
 def carried_load(
-    arm: Arm,
-    here: Pose,
-    rates: Float[Array, " joint"],
-    accelerations: Float[Array, " joint"] | None,
-    wind: Flow,
+    arm: Arm, here: Pose, rates: PerJoint, accelerations: PerJoint | None, wind: Flow
 ) -> Float[Array, "6 link"]:
     """Force that each link needs and its moment about the origin, to be summed from the tip.
 
@@ -390,7 +378,7 @@ def carried_load(
 
 
 def _from_rest(
-    arm: Arm, here: Pose, accelerations: Float[Array, " joint"] | None
+    arm: Arm, here: Pose, accelerations: PerJoint | None
 ) -> tuple[Rows, Rows, Rows, Rows, Rows]:
     """What moves the links without any velocity, in the order of `added_mass_load`."""
     still = jnp.zeros_like(here.direction)

@@ -23,6 +23,7 @@ from ...runtime.arrays import (
 )
 from ...runtime.chain_loops import running_sum
 from ._arm import Arm, Bodies, bodies
+from ._hysteresis import PerJoint
 from ._parts import Axis
 
 Rows = Float[Array, "3 link"]
@@ -109,7 +110,7 @@ def _orient_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[An
     return (direction, axis, left), (cross(turn, direction), cross(turn, axis), t_left)
 
 
-def pose(arm: Arm, angles: Float[Array, " joint"], *, sideways: bool = False) -> Pose:
+def pose(arm: Arm, angles: PerJoint, *, sideways: bool = False) -> Pose:
     """Forward kinematics; `sideways` asks for the links' whole frames.
 
     Arguments:
@@ -139,7 +140,7 @@ def beside_axis(body: Bodies, here: Pose) -> Rows | None:
     return scaled(body.across[0], here.left) + scaled(body.across[1], here.up)
 
 
-def angular_velocities(pose: Pose, rates: Float[Array, " joint"]) -> Rows:
+def angular_velocities(pose: Pose, rates: PerJoint) -> Rows:
     """Angular velocity of each link."""
     return sum_from_base(scaled(rates, pose.axis))
 
@@ -150,7 +151,7 @@ def centre_velocities(arm: Arm, pose: Pose, angular_velocity: Rows) -> Rows:
     return sum_from_base(span) - span / 2
 
 
-def link_centres(arm: Arm, angles: Float[Array, " joint"]) -> Float[Array, "link 3"]:
+def link_centres(arm: Arm, angles: PerJoint) -> Float[Array, "link 3"]:
     """Positions of the links' geometric centres in the base frame, m.
 
     Arguments:
@@ -163,7 +164,7 @@ def link_centres(arm: Arm, angles: Float[Array, " joint"]) -> Float[Array, "link
     return pose(arm, angles).centre.T
 
 
-def tip_position(arm: Arm, angles: Float[Array, " joint"]) -> Float[Array, "3"]:
+def tip_position(arm: Arm, angles: PerJoint) -> Float[Array, "3"]:
     """Position of the end of the last link in the base frame, m.
 
     Arguments:
@@ -176,9 +177,7 @@ def tip_position(arm: Arm, angles: Float[Array, " joint"]) -> Float[Array, "3"]:
     return scaled(arm.links.length, pose(arm, angles).direction).sum(axis=-1)
 
 
-def link_velocities(
-    arm: Arm, angles: Float[Array, " joint"], rates: Float[Array, " joint"]
-) -> Float[Array, "link 3"]:
+def link_velocities(arm: Arm, angles: PerJoint, rates: PerJoint) -> Float[Array, "link 3"]:
     """Velocities of the links' geometric centres in the base frame, m/s.
 
     Arguments:

@@ -12,7 +12,7 @@ from ...runtime.text import InputError
 from ...schema import AIR, BUOYANCY, CONTACT, JOINTS, LINKS, POINT_MASSES
 from ...schema.parameters import inline, is_concrete, parameter
 from ..obstacles import AbstractObstacle
-from ._hysteresis import JointHysteresis
+from ._hysteresis import JointHysteresis, PerJoint
 
 Axis = tuple[float, float, float]
 
@@ -129,9 +129,6 @@ def _check_choice(name: str, value: str, choices: Sequence[str]) -> None:
         raise InputError(f"{name} is {value!r}: use one of {', '.join(choices)}")
 
 
-# The rigid links of an arm: sizes, masses and moments of inertia.
-
-
 class Links(eqx.Module):
     """The rigid links, one element of each array per link."""
 
@@ -162,9 +159,6 @@ class Links(eqx.Module):
         return np.pi / 4 * self.diameter**2 * self.length * self.fullness
 
 
-# The joints of an arm: axes, springs, dampers, friction and the inertia of drives.
-
-
 class Joints(eqx.Module):
     """The joints: fixed axes, and a spring towards the commanded angle beside a damper.
 
@@ -175,10 +169,10 @@ class Joints(eqx.Module):
     axes: tuple[Axis, ...] = eqx.field(static=True)
     pitch_stiffness: Scalar = parameter(JOINTS.pitch_stiffness)
     yaw_stiffness: Scalar = parameter(JOINTS.yaw_stiffness)
-    damping: Float[Array, ""] | Float[Array, " joint"] = parameter(JOINTS.damping)
-    friction: Float[Array, ""] | Float[Array, " joint"] | None = parameter(JOINTS.friction)
+    damping: Float[Array, ""] | PerJoint = parameter(JOINTS.damping)
+    friction: Float[Array, ""] | PerJoint | None = parameter(JOINTS.friction)
     friction_rate: Scalar = parameter(JOINTS.friction_rate)
-    armature: Float[Array, ""] | Float[Array, " joint"] | None = parameter(JOINTS.armature)
+    armature: Float[Array, ""] | PerJoint | None = parameter(JOINTS.armature)
     hysteresis: JointHysteresis = inline(default_factory=JointHysteresis)
 
     def __check_init__(self) -> None:
@@ -192,11 +186,11 @@ class Joints(eqx.Module):
         return np.abs(np.asarray(self.axes))[:, 2] > np.sqrt(0.5)
 
     @property
-    def stiffness(self) -> Float[Array, " joint"]:
+    def stiffness(self) -> PerJoint:
         """Stiffness of each joint, N m/rad."""
         return jnp.where(self.is_yaw, self.yaw_stiffness, self.pitch_stiffness)
 
-    def resistance(self, rates: Float[Array, " joint"]) -> Float[Array, " joint"]:
+    def resistance(self, rates: PerJoint) -> PerJoint:
         """Torque against the motion of each joint, damping and friction, N m."""
         torque = self.damping * rates
         if self.friction is None:
@@ -204,7 +198,7 @@ class Joints(eqx.Module):
         return torque + self.friction * jnp.tanh(rates / self.friction_rate)
 
     @property
-    def stiffest_damping(self) -> Float[Array, " joint"]:
+    def stiffest_damping(self) -> PerJoint:
         """Slope of `resistance` of each joint at rest, where its laws are steepest, N m s/rad."""
         still = jnp.zeros(len(self.axes), self.damping.dtype)
         _, slope = jax.vjp(self.resistance, still)
@@ -260,9 +254,6 @@ class PointMasses(eqx.Module):
                     f"the point masses have {len(self.links)} links and a {name} of shape "
                     f"{value.shape}: give one number, or one each"
                 )
-
-
-# Contact of inflated links with obstacles: the law, and its numbers.
 
 
 class Contact(eqx.Module):

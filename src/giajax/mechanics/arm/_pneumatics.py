@@ -30,6 +30,7 @@ from ..joint import (
     resistance,
     resistance_energy,
 )
+from ._hysteresis import PerJoint
 from ._parts import Joints
 
 # How stiff muscles make a joint at most: what steps of the integration must resolve.
@@ -47,7 +48,7 @@ def stiffest_pair(pair: JointPair) -> Scalar:
         pair: the joint and its muscles.
     """
     angles = jnp.asarray(_ANGLES)
-    ahead, pressures = angles >= 0, jnp.full(2, 1.0) * pair.muscle.limit
+    ahead, pressures = angles >= 0, jnp.full(2, 1.0) * pair.muscle.pressure_limit
 
     def torques(angle: Array) -> tuple[Array, Array]:
         own = resistance(pair.joint.correction, angle, ahead)
@@ -55,9 +56,6 @@ def stiffest_pair(pair: JointPair) -> Scalar:
 
     (first, second), own = jax.jvp(torques, (angles,), (jnp.ones_like(angles),))[1]
     return jnp.max(jnp.maximum(-first, 0) + jnp.maximum(second, 0) + own)
-
-
-# What is between the pressures of muscles and the arm, beside the muscles themselves.
 
 
 class MuscleDrive(eqx.Module):
@@ -171,14 +169,12 @@ class Pneumatics(eqx.Module):
         torque = jnp.broadcast_to(self.joint.torque, angle.shape)
         return commanded(self.pair, angle, load, torque)
 
-    def commanded(self, command: Float[Array, " joint"]) -> Float[Array, "2 joint"]:
+    def commanded(self, command: PerJoint) -> Float[Array, "2 joint"]:
         """Pressures with which the controller holds commanded angles (rad), Pa."""
         pressures = self.asked(self._of(command)).pressures
         return self._in(command, jnp.moveaxis(pressures, -1, 0))
 
-    def torque(
-        self, angles: Float[Array, " joint"], pressures: Float[Array, "2 joint"]
-    ) -> Float[Array, " joint"]:
+    def torque(self, angles: PerJoint, pressures: Float[Array, "2 joint"]) -> PerJoint:
         """Torque on each joint at pressures (Pa), N m; 0 in a joint without muscles."""
         angle = self._of(angles)
         bent = self._limited(angle)
@@ -188,15 +184,13 @@ class Pneumatics(eqx.Module):
             torque = torque - self.drive.passive_stiffness * angle
         return self._in(angles, torque)
 
-    def pull(
-        self, angles: Float[Array, " joint"], pressures: Float[Array, "2 joint"]
-    ) -> Float[Array, " joint"]:
+    def pull(self, angles: PerJoint, pressures: Float[Array, "2 joint"]) -> PerJoint:
         """The part of the torque that the pressures do, N m."""
         bent = self._limited(self._of(angles))
         first, second = muscle_torques(self.pair, self._of(pressures), bent, bent >= 0)
         return self._in(angles, first - second)
 
-    def energy(self, angles: Float[Array, " joint"]) -> Float[Array, " joint"]:
+    def energy(self, angles: PerJoint) -> PerJoint:
         """Energy that joints store whatever the pressures are, J; 0 in the straight arm."""
         angle, correction = self._of(angles), self.joint.correction
         bent = self._limited(angle)
@@ -208,7 +202,7 @@ class Pneumatics(eqx.Module):
             energy = energy + self.drive.passive_stiffness * angle**2 / 2
         return self._in(angles, energy)
 
-    def stiffest(self, count: int) -> Float[Array, " joint"]:
+    def stiffest(self, count: int) -> PerJoint:
         """Bound of the stiffness that any pressures give each of so many joints, N m/rad.
 
         It is that of the range. A motion that reaches the stop is left to the control of errors.
@@ -245,9 +239,6 @@ class Pneumatics(eqx.Module):
             return jax.lax.pad(values, zero, [*around, within])
         every = jnp.zeros((*values.shape[:-1], count), values.dtype)
         return every.at[..., np.asarray(self.joints) - 1].set(values)
-
-
-# Joints with muscles, by a name or by their numbers.
 
 
 def muscles_in(muscles: str | Sequence[int], pair: JointPair | None, joints: Joints) -> Pneumatics:

@@ -12,6 +12,8 @@ from ...runtime.text import InputError
 from ...schema import PLAY, STOP
 from ...schema.parameters import is_concrete, parameter
 
+PerThreshold = Float[Array, " threshold"]
+
 
 class AbstractOperator(eqx.Module):
     """An operator whose output depends on the input now and on what it remembers.
@@ -151,8 +153,8 @@ def clip(value: Array, lower: Array, upper: Array) -> Array:
 
 def play(
     inputs: Float[Array, " sample"],
-    thresholds: Float[Array, " threshold"],
-    state: Float[Array, " threshold"] | None = None,
+    thresholds: PerThreshold,
+    state: PerThreshold | None = None,
     method: Method | None = None,
 ) -> Float[Array, "sample threshold"]:
     """Play operators of many thresholds: w_k = clip(w_{k-1}, u_k - r, u_k + r).
@@ -209,8 +211,8 @@ def _associative(inputs: Array, thresholds: Array, state: Array) -> Array:
 
 def stop(
     inputs: Float[Array, " sample"],
-    thresholds: Float[Array, " threshold"],
-    state: Float[Array, " threshold"] | None = None,
+    thresholds: PerThreshold,
+    state: PerThreshold | None = None,
     method: Method | None = None,
 ) -> Float[Array, "sample threshold"]:
     """Stop operators of many thresholds, e = u - w: what the play of the same threshold leaves.
@@ -232,25 +234,23 @@ class Play(AbstractExactOperator):
         thresholds: half-widths, not negative, in the unit of the input, shape (threshold,).
     """
 
-    thresholds: Float[Array, " threshold"] = parameter(PLAY.thresholds)
+    thresholds: PerThreshold = parameter(PLAY.thresholds)
 
     def __check_init__(self) -> None:
         check_thresholds(self.thresholds)
 
-    def reset(self) -> Float[Array, " threshold"]:
+    def reset(self) -> PerThreshold:
         """All plays at 0."""
         return jnp.zeros_like(self.thresholds)
 
-    def step(
-        self, state: Float[Array, " threshold"], value: Scalar
-    ) -> tuple[Float[Array, " threshold"], Float[Array, " threshold"]]:
+    def step(self, state: PerThreshold, value: Scalar) -> tuple[PerThreshold, PerThreshold]:
         """Plays after the input has moved."""
         state = clip(state, value - self.thresholds, value + self.thresholds)
         return state, state
 
     def history(
-        self, inputs: Float[Array, " sample"], state: Float[Array, " threshold"] | None = None
-    ) -> tuple[Float[Array, "sample threshold"], Float[Array, " threshold"]]:
+        self, inputs: Float[Array, " sample"], state: PerThreshold | None = None
+    ) -> tuple[Float[Array, "sample threshold"], PerThreshold]:
         """Plays at all samples."""
         outputs = play(inputs, self.thresholds, state)
         return outputs, outputs[-1]
@@ -263,25 +263,23 @@ class Stop(AbstractExactOperator):
         thresholds: not negative, in the unit of the input, shape (threshold,).
     """
 
-    thresholds: Float[Array, " threshold"] = parameter(STOP.thresholds)
+    thresholds: PerThreshold = parameter(STOP.thresholds)
 
     def __check_init__(self) -> None:
         check_thresholds(self.thresholds)
 
-    def reset(self) -> Float[Array, " threshold"]:
+    def reset(self) -> PerThreshold:
         """All elements unstrained."""
         return jnp.zeros_like(self.thresholds)
 
-    def step(
-        self, state: Float[Array, " threshold"], value: Scalar
-    ) -> tuple[Float[Array, " threshold"], Float[Array, " threshold"]]:
+    def step(self, state: PerThreshold, value: Scalar) -> tuple[PerThreshold, PerThreshold]:
         """Stops after the input has moved."""
         state = clip(state, value - self.thresholds, value + self.thresholds)
         return state, value - state
 
     def history(
-        self, inputs: Float[Array, " sample"], state: Float[Array, " threshold"] | None = None
-    ) -> tuple[Float[Array, "sample threshold"], Float[Array, " threshold"]]:
+        self, inputs: Float[Array, " sample"], state: PerThreshold | None = None
+    ) -> tuple[Float[Array, "sample threshold"], PerThreshold]:
         """Stops at all samples."""
         plays = play(inputs, self.thresholds, state)
         return inputs[:, None] - plays, plays[-1]

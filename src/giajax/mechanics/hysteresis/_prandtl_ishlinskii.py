@@ -15,7 +15,7 @@ from ...runtime.arrays import Array, Float, Scalar
 from ...runtime.text import InputError
 from ...schema import DEAD_ZONES, MODIFIED_PRANDTL_ISHLINSKII, PRANDTL_ISHLINSKII
 from ...schema.parameters import is_concrete, parameter
-from ._operator import AbstractExactOperator, check_thresholds, clip, play
+from ._operator import AbstractExactOperator, PerThreshold, check_thresholds, clip, play
 
 # A memoryless, monotone, piecewise linear curve: a superposition of one-sided dead zones.
 #
@@ -140,8 +140,8 @@ class PrandtlIshlinskii(AbstractExactOperator):
     """
 
     elastic: Scalar = parameter(PRANDTL_ISHLINSKII.elastic)
-    weights: Float[Array, " threshold"] = parameter(PRANDTL_ISHLINSKII.weights)
-    thresholds: Float[Array, " threshold"] = parameter(PRANDTL_ISHLINSKII.thresholds)
+    weights: PerThreshold = parameter(PRANDTL_ISHLINSKII.weights)
+    thresholds: PerThreshold = parameter(PRANDTL_ISHLINSKII.thresholds)
     elements: Elements = eqx.field(default="play", static=True)
 
     def __check_init__(self) -> None:
@@ -154,7 +154,7 @@ class PrandtlIshlinskii(AbstractExactOperator):
                 f"{self.thresholds.shape}: give one weight for each threshold"
             )
 
-    def of_plays(self) -> tuple[Scalar, Float[Array, " threshold"]]:
+    def of_plays(self) -> tuple[Scalar, PerThreshold]:
         """Elastic weight and weights of the same operator written with plays.
 
         A stop is the input less the play.
@@ -163,21 +163,19 @@ class PrandtlIshlinskii(AbstractExactOperator):
             return self.elastic, self.weights
         return self.elastic + jnp.sum(self.weights), -self.weights
 
-    def reset(self) -> Float[Array, " threshold"]:
+    def reset(self) -> PerThreshold:
         """All plays at 0."""
         return jnp.zeros_like(self.thresholds)
 
-    def step(
-        self, state: Float[Array, " threshold"], value: Scalar
-    ) -> tuple[Float[Array, " threshold"], Scalar]:
+    def step(self, state: PerThreshold, value: Scalar) -> tuple[PerThreshold, Scalar]:
         """Plays and output after the input has moved."""
         elastic, weights = self.of_plays()
         state = clip(state, value - self.thresholds, value + self.thresholds)
         return state, elastic * value + weights @ state
 
     def history(
-        self, inputs: Float[Array, " sample"], state: Float[Array, " threshold"] | None = None
-    ) -> tuple[Float[Array, " sample"], Float[Array, " threshold"]]:
+        self, inputs: Float[Array, " sample"], state: PerThreshold | None = None
+    ) -> tuple[Float[Array, " sample"], PerThreshold]:
         """Outputs at all samples."""
         elastic, weights = self.of_plays()
         plays = play(inputs, self.thresholds, state)
@@ -218,7 +216,7 @@ class PrandtlIshlinskii(AbstractExactOperator):
             elements="play",
         )
 
-    def inverse_state(self, state: Float[Array, " threshold"]) -> Float[Array, " threshold"]:
+    def inverse_state(self, state: PerThreshold) -> PerThreshold:
         """Memory of the inverse that belongs to a memory of this operator."""
         elastic, weights = self.of_plays()
         order = jnp.argsort(self.thresholds)
@@ -252,8 +250,8 @@ class ModifiedPrandtlIshlinskii(AbstractExactOperator):
     """
 
     dead_zones: DeadZones
-    weights: Float[Array, " threshold"] = parameter(MODIFIED_PRANDTL_ISHLINSKII.weights)
-    thresholds: Float[Array, " threshold"] = parameter(MODIFIED_PRANDTL_ISHLINSKII.thresholds)
+    weights: PerThreshold = parameter(MODIFIED_PRANDTL_ISHLINSKII.weights)
+    thresholds: PerThreshold = parameter(MODIFIED_PRANDTL_ISHLINSKII.thresholds)
 
     def __check_init__(self) -> None:
         check_thresholds(self.thresholds)
@@ -269,20 +267,18 @@ class ModifiedPrandtlIshlinskii(AbstractExactOperator):
         total = 1 + jnp.sum(self.weights)
         return PrandtlIshlinskii(1 / total, self.weights / total, self.thresholds)
 
-    def reset(self) -> Float[Array, " threshold"]:
+    def reset(self) -> PerThreshold:
         """All plays at 0."""
         return jnp.zeros_like(self.thresholds)
 
-    def step(
-        self, state: Float[Array, " threshold"], value: Scalar
-    ) -> tuple[Float[Array, " threshold"], Scalar]:
+    def step(self, state: PerThreshold, value: Scalar) -> tuple[PerThreshold, Scalar]:
         """Plays and output after the input has moved."""
         state, output = self.hysteresis.step(state, value)
         return state, self.dead_zones(output)
 
     def history(
-        self, inputs: Float[Array, " sample"], state: Float[Array, " threshold"] | None = None
-    ) -> tuple[Float[Array, " sample"], Float[Array, " threshold"]]:
+        self, inputs: Float[Array, " sample"], state: PerThreshold | None = None
+    ) -> tuple[Float[Array, " sample"], PerThreshold]:
         """Outputs at all samples."""
         outputs, state = self.hysteresis.history(inputs, state)
         return self.dead_zones(outputs), state
@@ -295,7 +291,7 @@ class ModifiedPrandtlIshlinskii(AbstractExactOperator):
         """
         return InverseModified(self.dead_zones.inverse(), self.hysteresis.inverse())
 
-    def inverse_state(self, state: Float[Array, " threshold"]) -> Float[Array, " threshold"]:
+    def inverse_state(self, state: PerThreshold) -> PerThreshold:
         """Memory of the inverse that belongs to a memory of this operator."""
         return self.hysteresis.inverse_state(state)
 

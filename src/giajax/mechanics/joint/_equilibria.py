@@ -22,8 +22,6 @@ from ...runtime.text import InputError
 from ._geometry import BRANCHES, LARGEST_ANGLE, branch_angles, check_geometry, muscle_path
 from ._pair import JointPair, OneSide, checked_pressures, correction_slope, side_slope, side_torque
 
-# Angles at which a pair of muscles rests, as results.
-
 
 @dataclasses.dataclass(frozen=True)
 class Equilibrium:

@@ -10,6 +10,8 @@ from ...runtime.text import InputError
 from ...schema import GEOMETRY
 from ...schema.parameters import is_concrete, parameter
 
+Shaped = Float[Array, "*shape"]
+
 # How far the joint bends (table 2), rad.
 LARGEST_ANGLE = float(np.deg2rad(60.0))
 
@@ -40,20 +42,20 @@ class JointGeometry(eqx.Module):
     wire_length: Scalar = parameter(GEOMETRY.wire_length)
     muscle_length: Scalar = parameter(GEOMETRY.muscle_length)
 
-    def anchor(self, angle: Float[Array, "*shape"]) -> Point:
+    def anchor(self, angle: Shaped) -> Point:
         """C = N: the muscle's end on the right link, in the frame of the bisector, m."""
         return turned(self.anchor_x, self.anchor_y, angle)
 
-    def wire_end(self, angle: Float[Array, "*shape"]) -> Point:
+    def wire_end(self, angle: Shaped) -> Point:
         """D: the wire's end on the right link, in the frame of the bisector, m."""
         return turned(self.wire_x, self.wire_y, angle)
 
-    def contact(self, angle: Float[Array, "*shape"]) -> Point:
+    def contact(self, angle: Shaped) -> Point:
         """Q: the balloon's shoulder on the right link, in the frame of the bisector, m."""
         return turned(self.contact_x, self.contact_y, angle)
 
 
-def turned(x: Array, y: Array, angle: Float[Array, "*shape"]) -> Point:
+def turned(x: Array, y: Array, angle: Shaped) -> Point:
     """A point of the right link in the frame of the bisector, whose y points to the muscle.
 
     Each link turns by half the bending angle.
@@ -62,7 +64,7 @@ def turned(x: Array, y: Array, angle: Float[Array, "*shape"]) -> Point:
     return x * cosine - y * sine, x * sine + y * cosine
 
 
-def taut_bush_height(geometry: JointGeometry, angle: Float[Array, "*shape"]) -> Array:
+def taut_bush_height(geometry: JointGeometry, angle: Shaped) -> Array:
     """H_y where the wire is taut (eq. 3): the outer root, m; NaN where there is none."""
     end_x, end_y = geometry.wire_end(angle)
     square = (geometry.wire_length / 2) ** 2 - end_x**2
@@ -70,13 +72,13 @@ def taut_bush_height(geometry: JointGeometry, angle: Float[Array, "*shape"]) -> 
     return end_y + jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), jnp.nan)
 
 
-def outer_bush_height(geometry: JointGeometry, angle: Float[Array, "*shape"]) -> Array:
+def outer_bush_height(geometry: JointGeometry, angle: Shaped) -> Array:
     """O_y: where the outer muscle crosses the bisector, m."""
     return jnp.maximum(geometry.anchor(angle)[1], geometry.contact(angle)[1])
 
 
 def is_possible(
-    geometry: JointGeometry, angle: Float[Array, "*shape"], inner: Bool[Array, "*shape"]
+    geometry: JointGeometry, angle: Shaped, inner: Bool[Array, "*shape"]
 ) -> Bool[Array, "*shape"]:
     """Whether a muscle has a path at bending angles (rad); may be traced.
 
@@ -125,9 +127,7 @@ def check_geometry(geometry: JointGeometry, angles: np.ndarray | None = None) ->
                 raise InputError(f"the joint cannot be built at {at:.3g} deg, where {sentence}")
 
 
-def _complaints(
-    geometry: JointGeometry, angle: Float[Array, "*shape"], *, inner: bool
-) -> list[tuple[Array, str]]:
+def _complaints(geometry: JointGeometry, angle: Shaped, *, inner: bool) -> list[tuple[Array, str]]:
     """What may be impossible on one side: where it is, and a sentence; of the outer wire first."""
     wire = geometry.wire_length
     anchor_x, anchor_y = geometry.anchor(angle)
@@ -194,20 +194,18 @@ class MusclePath(eqx.Module):
 
     inner: Bool[Array, "*shape"]
     engaged: Bool[Array, "*shape"]
-    half_length: Float[Array, "*shape"]
-    height: Float[Array, "*shape"]
-    wire_slack: Float[Array, "*shape"]
+    half_length: Shaped
+    height: Shaped
+    wire_slack: Shaped
 
     @property
-    def length(self) -> Float[Array, "*shape"]:
+    def length(self) -> Shaped:
         """Length of the path, m."""
         return 2 * self.half_length
 
 
 def muscle_path(
-    geometry: JointGeometry,
-    angle: Float[Array, "*shape"],
-    inner: Bool[Array, "*shape"] | None = None,
+    geometry: JointGeometry, angle: Shaped, inner: Bool[Array, "*shape"] | None = None
 ) -> MusclePath:
     """Path of a muscle (eqs 2, 3, 7, 8): geometry only, no force.
 

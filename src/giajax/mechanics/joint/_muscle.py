@@ -13,6 +13,7 @@ from ...runtime.text import InputError
 from ...schema import BRAIDED, EMPIRICAL, FRICTION, PISTON
 from ...schema.parameters import is_concrete, parameter
 from ..hysteresis import stop
+from ._geometry import Shaped
 
 REACHED, NEEDS_PUSH, NEEDS_PRESSURE, TOO_SHORT, PULLS_ANYWAY = range(5)
 
@@ -36,8 +37,8 @@ class PressureAnswer(eqx.Module):
             does not shorten so far at any pressure, 4 it has more force without any pressure.
     """
 
-    pressure: Float[Array, "*shape"]
-    force: Float[Array, "*shape"]
+    pressure: Shaped
+    force: Shaped
     code: Int[Array, "*shape"]
 
     @property
@@ -71,14 +72,13 @@ class AbstractMuscle(eqx.Module):
     """Sign of the recorded displacement in which it moves by itself: +1 where it shortens."""
     pushes: ClassVar[bool]
     """Whether its force may be negative; else it is slack beyond its reach."""
+    pressure_limit: eqx.AbstractVar[Scalar]
+    """Highest pressure, Pa."""
 
     @abc.abstractmethod
     def signed_force(
-        self,
-        pressure: Float[Array, "*shape"],
-        contraction: Float[Array, "*shape"],
-        length: Float[Array, ""],
-    ) -> Float[Array, "*shape"]:
+        self, pressure: Shaped, contraction: Shaped, length: Float[Array, ""]
+    ) -> Shaped:
         """Force by the law alone, N; negative beyond its reach.
 
         Arguments:
@@ -92,11 +92,8 @@ class AbstractMuscle(eqx.Module):
 
     @abc.abstractmethod
     def pressure_for(
-        self,
-        force: Float[Array, "*shape"],
-        contraction: Float[Array, "*shape"],
-        length: Float[Array, ""],
-    ) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
+        self, force: Shaped, contraction: Shaped, length: Float[Array, ""]
+    ) -> tuple[Shaped, Shaped]:
         """Pressure that the law says for a force >= 0, Pa, and the force gained per pascal.
 
         Where nothing is gained there is no such pressure, and its value means nothing.
@@ -110,17 +107,7 @@ class AbstractMuscle(eqx.Module):
             Pressure, Pa, and force gained per pascal, N/Pa.
         """
 
-    @property
-    @abc.abstractmethod
-    def limit(self) -> Float[Array, ""]:
-        """Highest pressure, Pa."""
-
-    def force(
-        self,
-        pressure: Float[Array, "*shape"],
-        contraction: Float[Array, "*shape"],
-        length: Float[Array, ""],
-    ) -> Float[Array, "*shape"]:
+    def force(self, pressure: Shaped, contraction: Shaped, length: Float[Array, ""]) -> Shaped:
         """Force, N: that of the law, or 0 where the actuator is slack.
 
         Arguments:
@@ -135,10 +122,7 @@ class AbstractMuscle(eqx.Module):
         return force if self.pushes else jnp.maximum(force, 0)
 
     def answer(
-        self,
-        force: Float[Array, "*shape"],
-        contraction: Float[Array, "*shape"],
-        length: Float[Array, ""],
+        self, force: Shaped, contraction: Shaped, length: Float[Array, ""]
     ) -> PressureAnswer:
         """Pressure for a force at a contraction; nothing is checked.
 
@@ -152,11 +136,11 @@ class AbstractMuscle(eqx.Module):
         """
         needed, gain = self.pressure_for(jnp.maximum(force, 0), contraction, length)
         able = gain > 0
-        pressure = jnp.where(able, jnp.clip(needed, 0, self.limit), self.limit)
+        pressure = jnp.where(able, jnp.clip(needed, 0, self.pressure_limit), self.pressure_limit)
         code = jnp.where(
             able,
             jnp.where(
-                needed > self.limit,
+                needed > self.pressure_limit,
                 NEEDS_PRESSURE,
                 jnp.where(needed * gain < -_NO_FORCE, PULLS_ANYWAY, REACHED),
             ),
@@ -170,9 +154,6 @@ class AbstractMuscle(eqx.Module):
             force=self.force(jnp.where(push, 0, pressure), contraction, length),
             code=jnp.where(push, NEEDS_PUSH, code),
         )
-
-
-# Friction of a muscle or a cylinder: the difference between filling and exhausting.
 
 
 class Friction(eqx.Module):
@@ -251,16 +232,11 @@ class BraidedMuscle(AbstractMuscle):
     pressure_limit: Scalar = parameter(BRAIDED.pressure_limit)
 
     @property
-    def limit(self) -> Float[Array, ""]:
-        """Highest pressure, Pa."""
-        return self.pressure_limit
-
-    @property
     def largest_contraction(self) -> Float[Array, ""]:
         """Contraction at which the force vanishes at any pressure."""
         return (1 - 1 / (jnp.sqrt(3.0) * jnp.cos(self.braid_angle))) / self.end_correction
 
-    def _per_pascal(self, contraction: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    def _per_pascal(self, contraction: Shaped) -> Shaped:
         area = jnp.pi / 4 * self.diameter**2
         # A muscle that k has used up does not pull again: the square must not grow on.
         left = jnp.maximum(1 - self.end_correction * contraction, 0)
@@ -268,26 +244,17 @@ class BraidedMuscle(AbstractMuscle):
         return self.effectiveness * area * (shrunk - 1 / jnp.sin(self.braid_angle) ** 2)
 
     def signed_force(
-        self,
-        pressure: Float[Array, "*shape"],
-        contraction: Float[Array, "*shape"],
-        length: Float[Array, ""],
-    ) -> Float[Array, "*shape"]:
+        self, pressure: Shaped, contraction: Shaped, length: Float[Array, ""]
+    ) -> Shaped:
         """Force by the law, N."""
         return jnp.maximum(pressure - self.dead_band, 0) * self._per_pascal(contraction)
 
     def pressure_for(
-        self,
-        force: Float[Array, "*shape"],
-        contraction: Float[Array, "*shape"],
-        length: Float[Array, ""],
-    ) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
+        self, force: Shaped, contraction: Shaped, length: Float[Array, ""]
+    ) -> tuple[Shaped, Shaped]:
         """Pressure for a force, Pa, and the force per pascal."""
         gain = self._per_pascal(contraction)
         return self.dead_band + force / jnp.where(gain > 0, gain, 1), gain
-
-
-# An empirical law for muscles of any length: a largest force times one normalised shape.
 
 
 class EmpiricalMuscle(AbstractMuscle):
@@ -318,46 +285,32 @@ class EmpiricalMuscle(AbstractMuscle):
     length_scale: Scalar = parameter(EMPIRICAL.length_scale)
     pressure_limit: Scalar = parameter(EMPIRICAL.pressure_limit)
 
-    @property
-    def limit(self) -> Float[Array, ""]:
-        """Highest pressure, Pa."""
-        return self.pressure_limit
-
     def largest_force(self, length: Float[Array, ""]) -> Float[Array, ""]:
         """F_max of a muscle of this length at rest (m), N."""
         reach = jnp.maximum(length - self.end_length, 0) / self.length_scale
         return self.force_limit * (2 / jnp.pi) * jnp.arctan(reach)
 
-    def _passive(self, strain: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    def _passive(self, strain: Shaped) -> Shaped:
         rise = jnp.expm1(-self.decay * strain) / jnp.expm1(-self.decay)
         return jnp.exp(-(self.bell**2)) * rise
 
     def signed_force(
-        self,
-        pressure: Float[Array, "*shape"],
-        contraction: Float[Array, "*shape"],
-        length: Float[Array, ""],
-    ) -> Float[Array, "*shape"]:
+        self, pressure: Shaped, contraction: Shaped, length: Float[Array, ""]
+    ) -> Shaped:
         """Force by the law, N; 0 or less without pressure."""
         strain = contraction / self.contraction_limit
         active = pressure / self.pressure_limit * jnp.exp(-((self.bell * strain) ** 2))
         return self.largest_force(length) * (active - self._passive(strain))
 
     def pressure_for(
-        self,
-        force: Float[Array, "*shape"],
-        contraction: Float[Array, "*shape"],
-        length: Float[Array, ""],
-    ) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
+        self, force: Shaped, contraction: Shaped, length: Float[Array, ""]
+    ) -> tuple[Shaped, Shaped]:
         """Pressure for a force, Pa, and the force per pascal."""
         strain = contraction / self.contraction_limit
         largest = self.largest_force(length)
         gain = largest * jnp.exp(-((self.bell * strain) ** 2)) / self.pressure_limit
         lacking = force + largest * self._passive(strain)
         return lacking / jnp.where(gain > 0, gain, 1), gain
-
-
-# A pneumatic cylinder: the simplest actuator, and one with a public recording.
 
 
 class Piston(AbstractMuscle):
@@ -376,43 +329,27 @@ class Piston(AbstractMuscle):
     pressure_limit: Scalar = parameter(PISTON.pressure_limit)
 
     @property
-    def limit(self) -> Float[Array, ""]:
-        """Highest pressure, Pa."""
-        return self.pressure_limit
-
-    @property
     def area(self) -> Float[Array, ""]:
         """Cross-section of the bore, m^2."""
         return jnp.pi / 4 * self.bore**2
 
     def signed_force(
-        self,
-        pressure: Float[Array, "*shape"],
-        contraction: Float[Array, "*shape"],
-        length: Float[Array, ""],
-    ) -> Float[Array, "*shape"]:
+        self, pressure: Shaped, contraction: Shaped, length: Float[Array, ""]
+    ) -> Shaped:
         """Force by the law, N."""
         return pressure * self.area + self.offset
 
     def pressure_for(
-        self,
-        force: Float[Array, "*shape"],
-        contraction: Float[Array, "*shape"],
-        length: Float[Array, ""],
-    ) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
+        self, force: Shaped, contraction: Shaped, length: Float[Array, ""]
+    ) -> tuple[Shaped, Shaped]:
         """Pressure for a force, Pa, and the force per pascal."""
         return (force - self.offset) / self.area, jnp.broadcast_to(self.area, force.shape)
 
 
-# The laws of muscles by name.
-
-MUSCLE_LAWS: dict[str, type[AbstractMuscle]] = {
+MUSCLE_LAWS: dict[str, type[BraidedMuscle | EmpiricalMuscle | Piston]] = {
     law.name: law for law in (BraidedMuscle, EmpiricalMuscle, Piston)
 }
 """The laws by the name that files give them."""
-
-
-# Force of any muscle from its pressure, and the pressure for a force, with checked arguments.
 
 
 def muscle_force(
@@ -420,7 +357,7 @@ def muscle_force(
     pressure: npt.ArrayLike | Array,
     contraction: npt.ArrayLike | Array,
     length: npt.ArrayLike | Array = 1.96,
-) -> Float[Array, "*shape"]:
+) -> Shaped:
     """Force of a muscle without friction, N.
 
     Arguments:

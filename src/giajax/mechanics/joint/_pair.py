@@ -12,7 +12,7 @@ from ...runtime.arrays import Array, Bool, Float, Scalar, polish
 from ...runtime.programs import program
 from ...runtime.text import InputError
 from ...schema.parameters import is_concrete
-from ._geometry import LARGEST_ANGLE, check_geometry
+from ._geometry import LARGEST_ANGLE, Shaped, check_geometry
 from ._muscle import AbstractMuscle, BraidedMuscle, PressureAnswer
 from ._statics import Joint, MuscleState, balanced, muscle_balance, resistance
 
@@ -49,7 +49,7 @@ class PairCommand(eqx.Module):
         first_pressure, second_pressure: their pressures, and whether they give these forces.
     """
 
-    angle: Float[Array, "*shape"]
+    angle: Shaped
     first: MuscleState
     second: MuscleState
     first_pressure: PressureAnswer
@@ -157,16 +157,13 @@ def commanded(pair: JointPair, angle: Array, load: Array, torque: Array) -> Pair
 _pair_command = program(commanded)
 
 
-# Torque of a pair of muscles at two pressures, as a function of the angle, and its slopes.
-
-
 def net_torque(
     pair: JointPair,
     pressures: Float[Array, "2 ..."],
     load: Float[Array, ""],
-    angle: Float[Array, "*shape"],
+    angle: Shaped,
     ahead: Array,
-) -> Float[Array, "*shape"]:
+) -> Shaped:
     """Torque towards positive angles that two pressures leave over, N m: 0 in equilibrium.
 
     The corrections resist the bending: alpha - beta, towards 0, whichever side is bent to.
@@ -187,10 +184,7 @@ def net_torque(
 
 
 def muscle_torques(
-    pair: JointPair,
-    pressures: Float[Array, "2 ..."],
-    angle: Float[Array, "*shape"],
-    ahead: Array,
+    pair: JointPair, pressures: Float[Array, "2 ..."], angle: Shaped, ahead: Array
 ) -> Float[Array, "2 *shape"]:
     """Torque of each muscle of a pair towards its own side, N m; arguments as of `net_torque`."""
     angles, inner = jnp.stack([angle, -angle]), jnp.stack([ahead, ~ahead])
@@ -216,18 +210,18 @@ class OneSide(NamedTuple):
     ahead: Bool[Array, ""]
 
 
-def side_torque(angle: Float[Array, "*shape"], side: OneSide) -> Float[Array, "*shape"]:
+def side_torque(angle: Shaped, side: OneSide) -> Shaped:
     """Torque on the joint at angles (rad) of one side, N m."""
     ahead = jnp.broadcast_to(side.ahead, angle.shape)
     return net_torque(side.pair, side.pressures, side.load, angle, ahead)
 
 
-def side_slope(angle: Float[Array, "*shape"], side: OneSide) -> Float[Array, "*shape"]:
+def side_slope(angle: Shaped, side: OneSide) -> Shaped:
     """Slope of the torque over the angle, N m/rad."""
     return jax.jvp(lambda a: side_torque(a, side), (angle,), (jnp.ones_like(angle),))[1]
 
 
-def correction_slope(angle: Float[Array, "*shape"], side: OneSide) -> Float[Array, "*shape"]:
+def correction_slope(angle: Shaped, side: OneSide) -> Shaped:
     """Slope of what the corrections of both muscles resist, N m/rad."""
     correction, ahead = side.pair.joint.correction, jnp.broadcast_to(side.ahead, angle.shape)
     return jax.jvp(lambda a: resistance(correction, a, ahead), (angle,), (jnp.ones_like(angle),))[1]
@@ -251,9 +245,6 @@ def checked_pressures(pressures: npt.ArrayLike | Array) -> Float[Array, "2"]:
             "finite and not negative"
         )
     return pressures
-
-
-# A pair of muscles near one equilibrium as the spring of a joint of the arm.
 
 
 class Spring(eqx.Module):

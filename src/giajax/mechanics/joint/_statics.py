@@ -9,12 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 
-from ...runtime.arrays import Array, Bool, Float, Scalar
+from ...runtime.arrays import Array, Bool, Scalar
 from ...runtime.programs import program
 from ...runtime.text import InputError
 from ...schema import ALPHA, BETA, LOAD
 from ...schema.parameters import inline, is_concrete, parameter
-from ._geometry import JointGeometry, MusclePath, Point, check_geometry, muscle_path
+from ._geometry import JointGeometry, MusclePath, Point, Shaped, check_geometry, muscle_path
 
 # An erratum. With the angle negative on the outer side, the paper prints
 #
@@ -42,7 +42,7 @@ class Alpha(eqx.Module):
     threshold: Scalar = parameter(ALPHA.threshold)
     curvature: Scalar = parameter(ALPHA.curvature)
 
-    def __call__(self, angle: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    def __call__(self, angle: Shaped) -> Shaped:
         """Alpha at bending angles (rad), N m."""
         return self.offset + self.curvature * _beyond(angle, self.threshold) ** 2
 
@@ -59,13 +59,13 @@ class Beta(eqx.Module):
     threshold: Scalar = parameter(BETA.threshold)
     curvature: Scalar = parameter(BETA.curvature)
 
-    def __call__(self, angle: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    def __call__(self, angle: Shaped) -> Shaped:
         """Beta at bending angles (rad, of either sign), N m, in the continuous reading."""
         size = jnp.abs(angle)
         wedge = self.offset * jnp.maximum(1 - size / self.width, 0)
         return wedge - self.curvature * _beyond(size, self.threshold) ** 2
 
-    def printed(self, angle: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    def printed(self, angle: Shaped) -> Shaped:
         """Beta as the paper prints it, for angles <= 0 (rad), N m; 0 where it says nothing."""
         wedge = self.offset * (1 - angle / self.width)
         fall = -self.curvature * (angle - self.threshold) ** 2
@@ -101,9 +101,7 @@ class Correction(eqx.Module):
                 "half-width of 0 to 30 deg"
             )
 
-    def __call__(
-        self, angle: Float[Array, "*shape"], inner: Bool[Array, "*shape"]
-    ) -> Float[Array, "*shape"]:
+    def __call__(self, angle: Shaped, inner: Bool[Array, "*shape"]) -> Shaped:
         """Correction of a muscle's balanced torque, N m.
 
         Arguments:
@@ -118,7 +116,7 @@ class Correction(eqx.Module):
             return correction
         return jnp.where(jnp.abs(angle) < self.blend, self._bridge(angle), correction)
 
-    def _bridge(self, angle: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    def _bridge(self, angle: Shaped) -> Shaped:
         width = jnp.asarray(self.blend, dtype=angle.dtype)
         start, start_slope = eqx.filter_jvp(self.beta, (-width,), (jnp.ones_like(width),))
         end, end_slope = eqx.filter_jvp(self.alpha, (width,), (jnp.ones_like(width),))
@@ -140,9 +138,7 @@ def _beyond(angle: Array, threshold: Array) -> Array:
 _POINTS = (0.5 - np.sqrt(1 / 12), 0.5 + np.sqrt(1 / 12))
 
 
-def resistance(
-    correction: Correction, angle: Float[Array, "*shape"], ahead: Bool[Array, "*shape"]
-) -> Float[Array, "*shape"]:
+def resistance(correction: Correction, angle: Shaped, ahead: Bool[Array, "*shape"]) -> Shaped:
     """Torque with which the corrections of both muscles resist, towards 0, N m.
 
     Arguments:
@@ -153,9 +149,7 @@ def resistance(
     return correction(angle, ahead) - correction(-angle, ~ahead)
 
 
-def resistance_energy(
-    correction: Correction, angle: Float[Array, "*shape"]
-) -> Float[Array, "*shape"]:
+def resistance_energy(correction: Correction, angle: Shaped) -> Shaped:
     """Energy that bending stores against `resistance`, J; 0 in the straight joint.
 
     Between two kinks the resistance is a cubic of the angle, so that the sum over the pieces is
@@ -199,15 +193,15 @@ class MuscleState(eqx.Module):
             where it touches no balloon.
     """
 
-    angle: Float[Array, "*shape"]
-    torque: Float[Array, "*shape"]
+    angle: Shaped
+    torque: Shaped
     path: MusclePath
-    contraction: Float[Array, "*shape"]
-    lever: Float[Array, "*shape"]
-    force: Float[Array, "*shape"]
-    wire_tension: Float[Array, "*shape"]
-    push_x: Float[Array, "*shape"]
-    push_y: Float[Array, "*shape"]
+    contraction: Shaped
+    lever: Shaped
+    force: Shaped
+    wire_tension: Shaped
+    push_x: Shaped
+    push_y: Shaped
 
     @property
     def branch(self) -> Array:
@@ -218,8 +212,8 @@ class MuscleState(eqx.Module):
 
 def muscle_balance(
     geometry: JointGeometry,
-    angle: Float[Array, "*shape"],
-    torque: Float[Array, "*shape"],
+    angle: Shaped,
+    torque: Shaped,
     inner: Bool[Array, "*shape"] | None = None,
 ) -> MuscleState:
     """Forces that balance a torque, the correction already in it (eqs 4 to 6, 9 to 11).
@@ -299,9 +293,6 @@ def _nothing(like: Array) -> Point:
 
 def _where(condition: Array, a: Point, b: Point) -> Point:
     return jnp.where(condition, a[0], b[0]), jnp.where(condition, a[1], b[1])
-
-
-# One joint at rest: its parameters, and the state of a muscle on either side of it.
 
 
 class Joint(eqx.Module):

@@ -14,7 +14,7 @@ from ...models import capabilities
 from ...recordings import Run
 from ...runtime.records import plain_data
 from ...runtime.text import InputError, format_estimate
-from ...studies import LEVEL, begun_where_it_ended, promising
+from ...studies import LEVEL, promising, with_fitted_states
 from ...tasks import repeatable
 from .. import SUSPECT_HEADINGS, first_suspects, systematic_table
 from .._records import sections
@@ -249,7 +249,7 @@ def report_page(
     """As of `giajax.report.report_page`."""
     runs = matching_runs(result.runs, runs, whole=True)
     # What is predicted here, the bands and the arm with it, begins where the fitted values do.
-    runs = begun_where_it_ended(result, runs)
+    runs = with_fitted_states(result, runs)
     predictions = result.predictions or [result.predict(run) for run in runs]
     bands = can_have_bands(result)
     parts = _run_parts(result, runs, predictions, held_out, bands=bands)
