@@ -54,7 +54,7 @@ CLASSES: dict[str, tuple[str, str | None]] = {
         "obstacles pressure shape_factor damping friction friction_stiffness points",
     ),
     "arm/_hysteresis:JointHysteresis": (
-        "giajax.mechanics.arm._memory:JointHysteresis",
+        "giajax.mechanics.arm._hysteresis:JointHysteresis",
         "memory stops",
     ),
     "arm/_joints:Joints": (
@@ -73,7 +73,10 @@ CLASSES: dict[str, tuple[str, str | None]] = {
         "giajax.mechanics.arm._parts:PointMasses",
         "links mass position left up drag_area",
     ),
-    "arm/_memory:Memory": ("giajax.mechanics.arm._memory:Memory", "strength yield_angle nu delta"),
+    "arm/_memory:Memory": (
+        "giajax.mechanics.arm._hysteresis:Memory",
+        "strength yield_angle nu delta",
+    ),
     "arm/_muscle_drive:MuscleDrive": (
         "giajax.mechanics.arm._pneumatics:MuscleDrive",
         "lag passive_stiffness stop_stiffness",
@@ -82,7 +85,7 @@ CLASSES: dict[str, tuple[str, str | None]] = {
         "giajax.mechanics.arm._pneumatics:Pneumatics",
         "joints joint muscle drive",
     ),
-    "arm/_stops:Stops": ("giajax.mechanics.arm._memory:Stops", "strength yield_angle"),
+    "arm/_stops:Stops": ("giajax.mechanics.arm._hysteresis:Stops", "strength yield_angle"),
     "fitting/_integration:IntegrationFit": (
         "giajax.fitting._result:IntegrationFit",
         "solver tolerance chosen",
