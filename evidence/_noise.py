@@ -140,7 +140,7 @@ def _ours(
     covariance = np.linalg.inv(gram[:-1, :-1])
     off = np.abs(start + covariance @ gram[:-1, -1])
     spread = small_sample(problem, cells, covariance, stated)
-    reach = _quantile(spread.freedom) * np.sqrt(np.diag(spread.covariance))
+    reach = _quantile(spread.degrees_of_freedom) * np.sqrt(np.diag(spread.covariance))
     longest = max(noise.time_s for noise in problem.noise.values())
     short = longest > 0 and np.ptp(times) < 20 * longest
     return {"within": int(np.sum(off < reach)), "seen_as_short": int(short)}

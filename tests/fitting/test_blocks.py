@@ -19,7 +19,7 @@ from giajax.fitting import (
     Layout,
     Noise,
     Problem,
-    build_groups,
+    build_batches,
     curvature_ratio,
     linearise,
     own_start,
@@ -80,12 +80,12 @@ def recording(index, *, free=True, samples=40):
 def problem_of(runs, loss="linear"):
     model = OwnHeights()
     layout = Layout.of(["decay"], {}, len(runs))
-    groups = build_groups(model, runs, Noise.of(runs, "correlated", per_run=False), layout)
-    own = own_start(groups)
+    batches = build_batches(model, runs, Noise.of(runs, "correlated", per_run=False), layout)
+    own = own_start(batches)
     bijector = Bijector.of(
         (0.0, *(-np.inf for _ in own)), (9.0, *(np.inf for _ in own)), (1.5, *own)
     )
-    problem = Problem(model, groups, bijector, ("decay",), loss)
+    problem = Problem(model, batches, bijector, ("decay",), loss)
     coordinate = jnp.asarray(bijector.inverse(np.array([1.5, *own])))
     return problem, coordinate
 
@@ -96,8 +96,8 @@ def bends(problem, row):
     if problem.loss == "linear":
         return np.ones(len(row))
     ratios, first = [], 0
-    for group in problem.groups:
-        for weight in np.asarray(group.weight):
+    for batch in problem.batches:
+        for weight in np.asarray(batch.weight):
             part = row[first : first + weight.size]
             measured = (weight.ravel() > 0).astype(float)
             ratios.append(np.asarray(curvature_ratio(problem.loss, part, measured)))
@@ -109,7 +109,7 @@ def bends(problem, row):
 @pytest.mark.slow
 @pytest.mark.parametrize("loss", ["linear", "huber"])
 def test_blocks_are_the_whole_jacobian(loss):
-    """Two groups (one run has a fixed state, one is shorter), against jacfwd of the residual."""
+    """Two batches (one run has a fixed state, one is shorter), against jacfwd of the residual."""
     runs = [recording(0)[0], recording(1, free=False)[0], recording(2, samples=25)[0]]
     problem, coordinate = problem_of(runs, loss)
     assert problem.size == 1 + 2 * 3

@@ -61,7 +61,7 @@ def after(factors, recorded=None, *, accepted=True, sound=True, **start):
         Iteration(number, factor * state.cost, 0.1, accepted, {})
         for number, factor in enumerate(factors)
     )
-    inner = eqx.tree_at(lambda inner: inner.sound, state.inner, jnp.asarray(sound))
+    inner = eqx.tree_at(lambda inner: inner.finite, state.inner, jnp.asarray(sound))
     state = dataclasses.replace(state, inner=inner, history=history, done=False, converged=False)
     stopped = stopped_by(state)
     # Where noise or tolerance has changed, nothing is known yet.

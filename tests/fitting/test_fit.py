@@ -11,7 +11,7 @@ import pytest
 
 import giajax
 from giajax import InputError, Run
-from giajax.fitting import _checks, _descend, _fit, begin, fit, set_up, step, trial
+from giajax.fitting import _checks, _fit, _loop, begin, fit, set_up, step, trial
 from giajax.models import Integration
 from giajax.report import summary
 from toy_model import TRUTH, Decay, height, run
@@ -244,7 +244,7 @@ def test_of_many_rows_the_gradient_is_checked_where_it_is_known(monkeypatch, mod
         return evaluate(*args, **options)
 
     evaluate = _checks.evaluate
-    monkeypatch.setattr("giajax.fitting._transitions._MANY_ROWS", 10)
+    monkeypatch.setattr("giajax.fitting._steps._MANY_ROWS", 10)
     monkeypatch.setattr(_checks, "evaluate", counted)
     check = fit(Integrated(), run(), max_iterations=3, tolerance=1e-5).gradient_check
     assert (check.relative_difference > 0.1) == wrong
@@ -338,7 +338,7 @@ def test_an_interrupted_fit_keeps_the_best():
 
 
 def test_an_interrupted_step_keeps_the_state_before_it(monkeypatch):
-    step, seen = _descend.trial, []
+    step, seen = _loop.trial, []
 
     def interrupted(state):
         if len(seen) == 2:
@@ -346,7 +346,7 @@ def test_an_interrupted_step_keeps_the_state_before_it(monkeypatch):
         seen.append(step(state))
         return seen[-1]
 
-    monkeypatch.setattr(_descend, "trial", interrupted)
+    monkeypatch.setattr(_loop, "trial", interrupted)
     result = fit(Decay(), run(), start=START)
     assert (result.status, result.iterations) == ("interrupted", 2)
     assert result.cost == seen[-1].cost

@@ -10,7 +10,7 @@ import pytest
 
 from damage import damages
 from giajax import InputError
-from giajax.fitting import Budget, _descend, _fit, fit, set_up, solve
+from giajax.fitting import Budget, _fit, _loop, fit, set_up, solve
 from giajax.studies import _multi_start, multi_start, solve_from_starts
 from giajax.tasks import JOURNAL, Journal, read_journal
 from toy_model import Decay, run
@@ -92,11 +92,11 @@ def test_the_cases_are_what_they_say():
     """Several rounds of noise, which the journal must have been through, and a way off a bound."""
     kept = {}
     for case in ("estimated noise", "off its bound"):
-        lines = kept[case] = []
+        written = kept[case] = []
 
         class Kept:
-            kept = ()
-            append = lines.append
+            lines = ()
+            append = written.append
 
         recorded, asked = FITS[case]
         solve(set_up(Decay(), recorded, **asked), journal=Kept())
@@ -229,14 +229,14 @@ def test_a_budget_ends_before_a_step_that_it_has_no_time_for(monkeypatch):
     """Steps of 2 s by a clock of our own, and 7 s for them: three and the one that compiles."""
     clock = [100.0]
     monkeypatch.setattr(time, "monotonic", lambda: clock[0])
-    trial = _descend.trial
+    trial = _loop.trial
 
     def timed(state):
         clock[0] += 2.0
         after = trial(state)
         return dataclasses.replace(after, step_seconds=(*state.step_seconds, 2.0))
 
-    monkeypatch.setattr(_descend, "trial", timed)
+    monkeypatch.setattr(_loop, "trial", timed)
     result = solve(set_up(Decay(), run(), start=START), budget=Budget(7.0))
     assert result.iterations == 3
     assert "the budget of 7 s ended the fit after 3 iterations" in result.message
@@ -266,7 +266,7 @@ def test_a_budget_ends_several_starts(monkeypatch, ended_at):
 @pytest.mark.parametrize("cores", ["1", "2"])
 def test_a_start_that_the_budget_ends_is_the_last(monkeypatch, cores):
     """Some of the budget is left, but too little for a step; no start is taken for interrupted."""
-    limit, begun = _descend._limit, []
+    limit, begun = _loop._limit, []
     monkeypatch.setenv("GIAJAX_CORES", cores)
 
     def limited(state, most, budget):
@@ -274,7 +274,7 @@ def test_a_start_that_the_budget_ends_is_the_last(monkeypatch, cores):
             return f"{budget.ended_it} after {state.trials} iterations", "budget"
         return limit(state, most, budget)
 
-    monkeypatch.setattr(_descend, "_limit", limited)
+    monkeypatch.setattr(_loop, "_limit", limited)
     result = multi_start(
         Decay(),
         run(),

@@ -129,7 +129,7 @@ def test_an_optimum_at_a_bound_stays_there():
 
 def test_many_rows_ask_for_less_and_say_the_same(monkeypatch):
     few = fit(Approximate(bias=8.0), run(), start=BEGIN)
-    monkeypatch.setattr("giajax.fitting._transitions._MANY_ROWS", 5)
+    monkeypatch.setattr("giajax.fitting._steps._MANY_ROWS", 5)
     many = fit(Approximate(bias=8.0), run(), start=BEGIN)
     assert off(many, few) < 0.005
     # They begin at 3e-6 and 1e-5, which is nearly one step of a root of ten.
@@ -142,7 +142,7 @@ def test_many_rows_ask_for_less_and_say_the_same(monkeypatch):
 
 def test_a_fit_of_many_rows_begins_at_a_finer_tolerance(monkeypatch):
     few = fit(Approximate(bias=1.0), run(), start=BEGIN)
-    monkeypatch.setattr("giajax.fitting._transitions._MANY_ROWS", 5)
+    monkeypatch.setattr("giajax.fitting._steps._MANY_ROWS", 5)
     many = fit(Approximate(bias=1.0), run(), start=BEGIN)
     assert (few.integration.tolerance, many.integration.tolerance) == (1e-5, 3e-6)
 

@@ -10,7 +10,7 @@ import pytest
 
 import giajax
 from giajax import InputError, Run
-from giajax.fitting import Bijector, Layout, Noise, Problem, build_groups, fit, residual
+from giajax.fitting import Bijector, Layout, Noise, Problem, build_batches, fit, residual
 from giajax.models import ArmModel, arm_to_definition, build_model, model_for, parameter_values
 
 TIMES = np.linspace(0.0, 6.0, 61)
@@ -150,7 +150,7 @@ def test_the_residual_differentiates_as_differences_say(run):
     noise = Noise.of([run], "white", per_run=False)
     problem = Problem(
         model,
-        build_groups(model, [run], noise, Layout.of(tuple(START), {}, 1)),
+        build_batches(model, [run], noise, Layout.of(tuple(START), {}, 1)),
         bijector,
         tuple(START),
         "soft_l1",
@@ -180,8 +180,8 @@ def test_padding_a_run_changes_nothing(run):
     )
     model = truth_model()
     noise = Noise.of([run, cut], "white", per_run=False)
-    (group,) = build_groups(model, [run, cut], noise, Layout.of((), {}, 2))
-    stacked = jax.vmap(lambda inputs: model.predict(inputs, group.channels)[0])(group.inputs)
+    (batch,) = build_batches(model, [run, cut], noise, Layout.of((), {}, 2))
+    stacked = jax.vmap(lambda inputs: model.predict(inputs, batch.channels)[0])(batch.inputs)
     alone = giajax.predict(model, cut)
     for name in alone:
         np.testing.assert_allclose(stacked[name][1, :40], alone[name], atol=1e-9)

@@ -167,7 +167,7 @@ def test_of_white_noise_the_degrees_of_freedom_are_those_of_students_t():
     assert size**2 == pytest.approx(np.sum(cells.residual**2) / 13, rel=1e-4)
     covariance = size**2 * np.linalg.inv(columns.T @ columns)
     spread = small_sample(problem, [cells], covariance, {"x": Stated()})
-    assert_allclose(spread.freedom, 13, rtol=0.01)
+    assert_allclose(spread.degrees_of_freedom, 13, rtol=0.01)
     assert_allclose(spread.covariance, covariance, rtol=0.01)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from giajax import InputError, Run
-from giajax.recordings import Parted, hold_out, observing, parted, windows
+from giajax.recordings import SplitRun, hold_out, observing, split_run, windows
 
 pytestmark = pytest.mark.quick
 
@@ -104,8 +104,10 @@ def test_several_names_add_up():
 
 def test_the_parts_are_found_again_by_the_first_cell_that_is_held():
     (part,) = hold_out([swing()], ["last", "joint02_rate"])
-    again = parted(part.whole, {"joint02_rate": 0, **dict.fromkeys(part.fitted.observations, 33)})
-    assert isinstance(again, Parted)
+    again = split_run(
+        part.whole, {"joint02_rate": 0, **dict.fromkeys(part.fitted.observations, 33)}
+    )
+    assert isinstance(again, SplitRun)
     assert cells(again.fitted) == cells(part.fitted)
     assert cells(again.held) == cells(part.held)
 

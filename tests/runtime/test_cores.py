@@ -12,7 +12,7 @@ import pytest
 from threadpoolctl import ThreadpoolController
 
 from giajax import InputError, fit, map_on_cores
-from giajax.fitting import begin, evaluate, in_a_share, residuals, set_up
+from giajax.fitting import begin, chunk_size, evaluate, residuals, set_up
 from giajax.runtime.parallel import Batch, dealt, on_all_cores, side_by_side
 from giajax.runtime.process import cgroup_quota, cores, enable_x64, one_blas_thread
 from toy_model import Decay, run
@@ -27,7 +27,7 @@ def test_shares_are_of_equal_length_and_the_most_work_comes_first():
 
 @pytest.mark.parametrize("count", [1, 2, 7, 16, 22, 31, 32, 33, 48, 64, 101, 102])
 def test_no_run_is_left_over_where_a_fit_deals_them_out(count):
-    length = in_a_share(count)
+    length = chunk_size(count)
     assert length == {32: 2, 48: 3, 64: 4, 102: 3}.get(count, 1)
     assert count % length == 0
     assert length == 1 or count // length >= 16
@@ -206,7 +206,7 @@ def test_items_without_a_common_axis_are_refused(items):
 
 def test_a_fit_of_several_runs_has_the_same_numbers_on_any_number_of_cores(monkeypatch):
     """Of unequal length, and with residuals that are asked for alone."""
-    monkeypatch.setattr("giajax.fitting._transitions._LONG_STEP", 0.0)
+    monkeypatch.setattr("giajax.fitting._steps._LONG_STEP", 0.0)
     runs = [run(seed=seed, samples=count) for seed, count in enumerate((20, 31, 24))]
     ends = []
     for count in ("1", "2", "3"):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from giajax import FitTask, InputError, Run, fit, read_runs, write_result
-from giajax.fitting import Beginning, load_result, set_up, solve
+from giajax.fitting import WarmStart, load_result, set_up, solve
 from giajax.tasks import JOURNAL, compared, read_journal, stored_result, version_note
 from small_arm import START, TRUTH, make_run, small_run
 from small_loops import write_task
@@ -191,18 +191,18 @@ def test_a_journal_of_a_fit_that_was_cut_off_is_not_written_over(path):
         if iteration.number == 2:
             raise CrashError
 
-    with pytest.raises(CrashError), ready.kept_in(_folder(ready)) as journal:
+    with pytest.raises(CrashError), ready.open_journal(_folder(ready)) as journal:
         ready.run(crash, journal=journal.of)
     assert len(read_journal(_folder(ready)).lines_of(1)) == 3
     with (
         pytest.raises(InputError, match="cut off: go on with giajax fit --resume"),
-        ready.kept_in(_folder(ready)),
+        ready.open_journal(_folder(ready)),
     ):
         pass
-    with ready.kept_in(_folder(ready), force=True) as journal:
+    with ready.open_journal(_folder(ready), force=True) as journal:
         assert not journal.is_begun
     # Nothing was written, so the one before is still there.
-    with ready.kept_in(_folder(ready), resume=True) as journal:
+    with ready.open_journal(_folder(ready), resume=True) as journal:
         assert journal.is_begun
 
 
@@ -213,11 +213,11 @@ def _folder(ready):
 def test_one_fit_at_a_time_in_a_folder(path):
     ready = FitTask.load(path).prepare()
     folder = _folder(ready)
-    with ready.kept_in(folder):
+    with ready.open_journal(folder):
         assert os.listdir(folder) == ["fit.lock"]
         words = f"process {os.getpid()} on "
         with pytest.raises(InputError, match=rf"another fit is writing .*\({words}"):
-            ready.kept_in(folder).__enter__()
+            ready.open_journal(folder).__enter__()
         assert os.listdir(folder) == ["fit.lock"]
     # What was made for it is gone, because nothing was computed.
     assert not folder.exists()
@@ -225,7 +225,7 @@ def test_one_fit_at_a_time_in_a_folder(path):
     # What a killed process leaves is no lock, whatever its number.
     folder.mkdir(parents=True)
     (folder / "fit.lock").write_text(f"process {os.getppid()} on elsewhere\n")
-    with ready.kept_in(folder):
+    with ready.open_journal(folder):
         assert "elsewhere" not in (folder / "fit.lock").read_text()
     assert os.listdir(folder) == []
 
@@ -238,10 +238,10 @@ def test_nothing_is_written_through_a_planted_link(path, tmp_path):
     target.write_text("precious")
     (folder / "fit.lock").symlink_to(target)
     with pytest.raises(InputError, match=r"fit.lock cannot be written"):
-        ready.kept_in(folder).__enter__()
+        ready.open_journal(folder).__enter__()
     (folder / "fit.lock").unlink()
     (folder / JOURNAL).symlink_to(tmp_path / "other")
-    with ready.kept_in(folder) as journal:
+    with ready.open_journal(folder) as journal:
         ready.run(check=False, journal=journal.of)
     assert target.read_text() == "precious"
     assert not (tmp_path / "other").exists()
@@ -290,7 +290,7 @@ def test_a_fit_of_another_kind_is_no_beginning():
     earlier = Path(__file__).parents[1] / "fitting" / "earlier"
     begin = FitTask.of("any.csv").on_top(begin=earlier).begin
     with pytest.raises(InputError, match="is of the hysteresis model and the runs are of the dec"):
-        set_up(Decay(), [run()], begin=Beginning(**begin))
+        set_up(Decay(), [run()], begin=WarmStart(**begin))
 
 
 def test_an_end_on_a_bound_can_be_begun_from():
@@ -300,21 +300,21 @@ def test_an_end_on_a_bound_can_be_begun_from():
         times, {"tip_z": rising}, noise={"position": 0.01}, definition={"free_motion": True}
     )
     values = {"amplitude": 2.0, "decay": 0.0, "offset": 0.1}
-    setup = set_up(Decay(), recording, begin=Beginning("decay", values))
+    setup = set_up(Decay(), recording, begin=WarmStart("decay", values))
     assert 0 < float(setup.model.decay) < 1e-6
     assert float(setup.model.amplitude) == 2.0
     assert solve(setup, check=False).cost is not None
     # One that is held stays on it.
-    held = set_up(Decay(), recording, free=["amplitude"], begin=Beginning("decay", values))
+    held = set_up(Decay(), recording, free=["amplitude"], begin=WarmStart("decay", values))
     assert float(held.model.decay) == 0.0
     with pytest.raises(InputError, match="other parameters: there is no parameter 'mass'"):
-        set_up(Decay(), recording, begin=Beginning("decay", {"mass": 1.0}))
+        set_up(Decay(), recording, begin=WarmStart("decay", {"mass": 1.0}))
 
 
 def test_a_fit_from_an_end_is_sooner_there():
     first = fit(Decay(), run(), start=START_OF_DECAY, check=False)
     values = {path: estimate.value for path, estimate in first.free.items()}
-    again = solve(set_up(Decay(), run(), begin=Beginning("decay", values)), check=False)
+    again = solve(set_up(Decay(), run(), begin=WarmStart("decay", values)), check=False)
     assert again.history[0].parameters == pytest.approx(values, rel=1e-12)
     assert again.iterations < first.iterations
 
@@ -340,7 +340,7 @@ def test_initial_states_of_runs_are_begun_from_by_name(tmp_path):
         before, after = first.parameters[path], second.parameters[path]
         assert abs(after.value - before.value) < 0.1 * before.standard_error
     other = small_run(tmp_path, "other", seed=3)
-    fresh = set_up(setup.model, [other], begin=Beginning(**again.begin))
+    fresh = set_up(setup.model, [other], begin=WarmStart(**again.begin))
     assert solve(fresh, check=False, max_iterations=1).cost is not None
 
 

@@ -54,12 +54,12 @@ class TimeLeft:
         self._began = self._before = time.monotonic()
         self._said = -float("inf")
         self._steps: list[float] = []
-        self._begun: list[float] = []
+        self._start_times: list[float] = []
 
     def start(self) -> None:
         """One of several starts begins now."""
         self._before = time.monotonic()
-        self._begun.append(self._before)
+        self._start_times.append(self._before)
 
     def after(self, number: int) -> str | None:
         """What to say after a step, if anything.
@@ -84,12 +84,12 @@ class TimeLeft:
 
     def _estimate(self, number: int, now: float) -> tuple[float, str]:
         """Seconds, and a sentence for them."""
-        if len(self._begun) > 1:
-            each = (self._begun[-1] - self._begun[0]) / (len(self._begun) - 1)
-            whole = each * (self.starts - len(self._begun) + 1)
+        if len(self._start_times) > 1:
+            each = (self._start_times[-1] - self._start_times[0]) / (len(self._start_times) - 1)
+            whole = each * (self.starts - len(self._start_times) + 1)
             sentence = f"about {{left}} left for the starts up to {self.starts}, at the pace of "
             sentence += "those before"
-            return max(whole - (now - self._begun[-1]), 0.0), sentence
+            return max(whole - (now - self._start_times[-1]), 0.0), sentence
         steps = self.most - number + self.most * (self.starts - 1)
         each = statistics.median(self._steps)
         sentence = f"at most {{left}} left: {steps} steps of {time_in_words(each)}, of which most "
@@ -328,9 +328,11 @@ def run_fit(
         write_result,
     )
     from ..studies import choice_hint
-    from ..tasks import begun, compared, stored_result, version_note
+    from ..tasks import compared, stored_result, version_note, with_warm_start
 
-    task = begun(task, *((lambda _: stop_if_asked,) if quiet else (in_windows, of_windows)))
+    task = with_warm_start(
+        task, *((lambda _: stop_if_asked,) if quiet else (in_windows, of_windows))
+    )
     ready = task.prepare()
     check_figures(ready.setup.model, task.definition)
     check_folder(task.out, ready.runs, ready.setup.config, force=force)
@@ -339,7 +341,7 @@ def run_fit(
     before = None if again is None or task.resolved is None else stored_result(again)[1]
     starts = task.definition.fit.starts
     with (
-        ready.kept_in(task.out, resume=resume, force=force, complain=_complain) as journal,
+        ready.open_journal(task.out, resume=resume, force=force, complain=_complain) as journal,
         workers_of_starts(workers, scheduler, starts, task.out) as others,
     ):
         versions = journal.head["versions"] if before is None else before["versions"]

@@ -22,7 +22,6 @@ from ._derived import (
     units_in_si as units_in_si,
     units_note as units_note,
 )
-from ._descend import Budget as Budget, descend as descend, stopped_by as stopped_by
 from ._estimates import Finding as Finding, student_reach as student_reach
 from ._fit import (
     Refit as Refit,
@@ -32,8 +31,8 @@ from ._fit import (
     versions as versions,
 )
 from ._free import (
-    Beginning as Beginning,
     Tie as Tie,
+    WarmStart as WarmStart,
     between as between,
     resolved_ties as resolved_ties,
     tied as tied,
@@ -51,6 +50,7 @@ from ._linearise import (
     linearise as linearise,
     residuals as residuals,
 )
+from ._loop import Budget as Budget, descend as descend, stopped_by as stopped_by
 from ._optimum import (
     CellEquations as CellEquations,
     Equations as Equations,
@@ -61,8 +61,8 @@ from ._optimum import (
 from ._problem import (
     Problem as Problem,
     Recorded as Recorded,
-    build_groups as build_groups,
-    in_a_share as in_a_share,
+    build_batches as build_batches,
+    chunk_size as chunk_size,
     own_start as own_start,
     prepared_with as prepared_with,
     residual as residual,
@@ -104,7 +104,7 @@ from ._run_records import (
 )
 from ._solver import Marquardt as Marquardt, boxed_step as boxed_step
 from ._statistics import Statistics as Statistics, combinations as combinations
-from ._transitions import (
+from ._steps import (
     FitJournal as FitJournal,
     begin as begin,
     evaluate as evaluate,

@@ -11,7 +11,7 @@ from ..runtime.records import finite_or_none
 from ._records import GradientCheck, Shift, ToleranceEffect
 from ._state import FitState
 from ._statistics import Statistics
-from ._transitions import (
+from ._steps import (
     at_tolerance,
     evaluate,
     has_many_rows,
@@ -143,7 +143,7 @@ _SINGULAR = 1e-8
 _ROUGH = 0.01
 
 
-def resolved(state: FitState) -> FitState:
+def with_suitable_tolerance(state: FitState) -> FitState:
     """The same point with a tolerance that moves nothing by more than the data tell.
 
     Arguments:
@@ -175,7 +175,7 @@ def resolved(state: FitState) -> FitState:
     return state
 
 
-def smoothed(state: FitState, *, surely: bool = False) -> FitState | None:
+def with_finer_tolerance(state: FitState, *, surely: bool = False) -> FitState | None:
     """The point at which no step lowers the cost, where that may be the tolerance's fault.
 
     Steps of the integrator come and go as the parameters change, by which residuals jump. Near the
@@ -196,10 +196,10 @@ def smoothed(state: FitState, *, surely: bool = False) -> FitState | None:
     residuals = np.asarray(state.inner.residual)
     change = residual_change(state)
     roughness = abs(residuals @ change + change @ change / 2)
-    return _tightened(state) if roughness > _ROUGH * state.promised() else None
+    return _tightened(state) if roughness > _ROUGH * state.predicted_decrease() else None
 
 
-def is_promising(state: FitState) -> bool:
+def can_improve(state: FitState) -> bool:
     """Whether a step from an optimum would move it by more than the tolerance may.
 
     A fit that chooses its tolerance ends as near to the optimum as that asks for, unless the last
@@ -207,7 +207,7 @@ def is_promising(state: FitState) -> bool:
     """
     if not (state.setup.chooses_tolerance and bool(state.inner.accepted)):
         return False
-    return bool(np.sqrt(2 * state.promised()) > _allowed(state))
+    return bool(np.sqrt(2 * state.predicted_decrease()) > _allowed(state))
 
 
 def finer_factor(state: FitState) -> float:
@@ -250,7 +250,7 @@ def _tightened(
 
 def _allowed(state: FitState) -> float:
     """What may change along a unit direction: residuals larger than the noise widen the errors."""
-    return _ALLOWED * max(1.0, state.shown_noise())
+    return _ALLOWED * max(1.0, state.residual_scale())
 
 
 def _explained(state: FitState, row: np.ndarray) -> Float[np.ndarray, " direction"]:

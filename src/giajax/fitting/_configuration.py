@@ -13,7 +13,7 @@ from ..runtime.text import InputError
 from ..schema import Prior
 from ..schema.parameters import Parameter, get, replace
 from ._coordinates import Layout, sharing
-from ._free import Beginning, Free, Tie, between, resolve, tied
+from ._free import Free, Tie, WarmStart, between, resolve, tied
 from ._weights import prior_of
 
 
@@ -96,7 +96,7 @@ def set_up(
     runs: Run | Sequence[Run],
     settings: FitSettings | None = None,
     *,
-    begin: Beginning | None = None,
+    begin: WarmStart | None = None,
     **keywords: Unpack[StartsKeywords],
 ) -> Setup:
     """Check and resolve what a fit is asked, without evaluating the model.
@@ -148,7 +148,7 @@ def _config(
     asked: Free,
     runs: Sequence[Run],
     groups: Mapping[str, Sequence[Sequence[str]]],
-    begin: Beginning | None,
+    begin: WarmStart | None,
 ) -> dict[str, Any]:
     """The settings as they were resolved, as plain data: `config` of the result."""
     integration = capabilities.integration(asked.model)

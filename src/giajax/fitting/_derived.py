@@ -24,7 +24,7 @@ from ..runtime.text import InputError
 from ..schema import QUANTITIES, Declaration
 from ..schema.parameters import declared, find, get, left_out, replace
 from ._free import Tie, tied
-from ._problem import Problem, in_a_share, prepared_with, sharing_a_program, stacked
+from ._problem import Problem, batch_members, chunk_size, prepared_with, stacked
 from ._records import Estimate
 from ._statistics import Statistics
 from ._uncertainty import COLLINEAR
@@ -374,7 +374,7 @@ def responses(
     place = np.argsort(np.asarray(order, dtype=int))
     paths = tuple(directions[index].path for index in order)
     steps = tuple(jnp.asarray(directions[index].step, jnp.result_type(float)) for index in order)
-    for members in sharing_a_program(model, runs):
+    for members in batch_members(model, runs):
         like = runs[members[0]]
         channels = tuple(like.observations)
         free = capabilities.free_inputs(model, like)
@@ -383,7 +383,7 @@ def responses(
         varied, rows = _varied(values, members)
         shared = (model, paths, steps, channels, sizes, varied, tuple(ties))
         lengths = np.asarray([len(runs[i].observations[channels[0]]) for i in members])
-        batch = Batch(_respond, (inputs, rows), shared, lengths, in_a_share(len(members)))
+        batch = Batch(_respond, (inputs, rows), shared, lengths, chunk_size(len(members)))
         (answer,) = on_all_cores([batch])
         tables, blocks, successful = answer
         if not np.all(successful):

@@ -261,7 +261,7 @@ def _free(
         standard_error=finite_or_none(statistics.standard_errors.get(index)),
         remark=_remark(state, statistics, index),
         interval=interval(statistics, index, parameter),
-        freedom=finite_or_none(statistics.freedom.get(index)),
+        freedom=finite_or_none(statistics.degrees_of_freedom.get(index)),
         sandwich_error=finite_or_none(statistics.sandwich.get(index)),
         prior_share=finite_or_none(statistics.prior_shares.get(index)),
         sources=statistics.sources.get(index, {}),
@@ -297,7 +297,7 @@ def interval(
     error = finite_or_none(statistics.standard_errors.get(index))
     if error is None:
         return None
-    reach = student_reach(statistics.freedom[index]) * error
+    reach = student_reach(statistics.degrees_of_freedom[index]) * error
     value = float(statistics.values[index])
     declaration = parameter.declaration
     return max(value - reach, declaration.lower), min(value + reach, declaration.upper)
@@ -316,9 +316,9 @@ def own_estimates(state: FitState, statistics: Statistics) -> list[dict[str, Own
     problem = state.problem
     varied = [index for index, places in enumerate(problem.positions) if len(places) > 1]
     estimates: list[dict[str, OwnEstimate]] = [{} for _ in state.setup.runs]
-    for group in problem.groups:
-        names = [*(problem.paths[index] for index in varied), *group.own_labels()]
-        for member, columns in zip(group.members, group.columns(), strict=True):
+    for batch in problem.batches:
+        names = [*(problem.paths[index] for index in varied), *batch.own_labels()]
+        for member, columns in zip(batch.members, batch.columns(), strict=True):
             own = [*columns[varied], *columns[len(problem.paths) :]]
             for name, column in zip(names, map(int, own), strict=True):
                 error = finite_or_none(statistics.standard_errors.get(column))

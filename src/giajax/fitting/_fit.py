@@ -20,8 +20,8 @@ from ..runtime.text import InputError
 from ._checks import Checks, checks
 from ._configuration import Setup, set_up
 from ._derived import derived_estimates, with_tied
-from ._descend import Budget, advance_alone, descend
 from ._estimates import estimates, findings, own_estimates
+from ._loop import Budget, advance_alone, descend
 from ._noise import verdict
 from ._problem import Problem, predictions_by_run
 from ._records import Correlation, Iteration, NoiseFit, Seconds
@@ -29,7 +29,7 @@ from ._result import FitResult, integration_of
 from ._run_records import ChannelFit, OwnEstimate, RunFit
 from ._state import FitState, Reason
 from ._statistics import Statistics, statistics
-from ._transitions import CHANGED, FitJournal, begin, keeper, restored
+from ._steps import CHANGED, FitJournal, begin, journal_writer, restored
 
 # From the last state of a fit to its result.
 
@@ -80,7 +80,7 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
         parameters=with_tied(estimates(state, known, model), derived, problem.ties),
         noise=_noise(state, known),
         integration=integration_of(state),
-        verdict=verdict(state, status, known.prior_freedom),
+        verdict=verdict(state, status, known.prior_degrees_of_freedom),
         derived=derived,
         findings=findings(state, known, done.curvatures, _lengths(state)),
         correlation=_correlation(known, problem),
@@ -319,7 +319,7 @@ def solve(
     if journal is not None:
         state, before = _gone_on(state, journal)
         began -= before
-        keep = keeper(state, journal, lambda: time.perf_counter() - began)
+        keep = journal_writer(state, journal, lambda: time.perf_counter() - began)
     state = descend(state, max_iterations, progress, budget=budget, keep=keep)
     # Checking takes a few evaluations, for which there is no time left.
     check = check and (budget is None or budget.left() > 0)

@@ -164,7 +164,7 @@ def within_bounds(model: eqx.Module, ties: Sequence[Tie]) -> Bool[Array, ""]:
 
 
 @dataclasses.dataclass(frozen=True)
-class Beginning:
+class WarmStart:
     """What a fit takes from where another one ended.
 
     Attributes:

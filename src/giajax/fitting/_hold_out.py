@@ -37,17 +37,17 @@ from ..noise import (
     satterthwaite,
     tail,
 )
-from ..recordings import FitSettings, Parted, Run, hold_out
+from ..recordings import FitSettings, Run, SplitRun, hold_out
 from ..runtime.arrays import Bool, Float
 from ..runtime.text import InputError
 from ._configuration import Setup, set_up
-from ._free import Beginning, between
+from ._free import WarmStart, between
 from ._noise import TOLERANCE, prior_gram, residual_cells, series_of, shared_and_own
 from ._problem import predictions_by_run
 from ._result import FitResult
 from ._run_records import HeldChannel, HeldOut
 from ._state import FitState
-from ._transitions import at_tolerance, begin, move, reweight, step
+from ._steps import at_tolerance, begin, move, reweight, step
 from ._weights import Noise
 
 Groups = dict[str, list[list[str]]]
@@ -65,7 +65,7 @@ class HoldOut:
         whole: the setup of the fit, were nothing held out.
     """
 
-    parts: tuple[Parted, ...]
+    parts: tuple[SplitRun, ...]
     whole: Setup
 
     def judge(self, result: FitResult) -> FitResult:
@@ -123,7 +123,7 @@ class HoldOut:
 
 
 def set_up_with_hold_out(
-    settings: FitSettings, runs: Sequence[Run], begin: Beginning | None
+    settings: FitSettings, runs: Sequence[Run], begin: WarmStart | None
 ) -> tuple[Setup, HoldOut | None]:
     """What a fit is asked, and what of its runs is held out.
 
@@ -220,7 +220,7 @@ def _record(
 _STEPS = 10
 
 
-def state_at_end(result: FitResult, setup: Setup, parts: Sequence[Parted]) -> FitState:
+def state_at_end(result: FitResult, setup: Setup, parts: Sequence[SplitRun]) -> FitState:
     """The state of a fit of the whole runs where that of the fitted parts ended, evaluated.
 
     What no fitted cell responds to is where the held cells want it.
@@ -262,20 +262,20 @@ def state_at_end(result: FitResult, setup: Setup, parts: Sequence[Parted]) -> Fi
     return dataclasses.replace(state, active=everything)
 
 
-def _at_own_values(state: FitState, result: FitResult, parts: Sequence[Parted]) -> FitState:
+def _at_own_values(state: FitState, result: FitResult, parts: Sequence[SplitRun]) -> FitState:
     """The state where each fitted run has its own values, also where others have its name."""
     start = state.start.copy()
     records = iter(result.runs)
     known = [next(records).parameters if part.fitted is not None else {} for part in parts]
-    for group in state.problem.groups:
-        for member, columns in zip(group.members, group.own_columns().tolist(), strict=True):
-            for label, column in zip(group.own_labels(), columns, strict=True):
+    for batch in state.problem.batches:
+        for member, columns in zip(batch.members, batch.own_columns().tolist(), strict=True):
+            for label, column in zip(batch.own_labels(), columns, strict=True):
                 if label in known[member]:
                     start[column] = known[member][label].value
     return move(state, state.problem.bijector.inverse(start))
 
 
-def _noise(result: FitResult, noise: Noise, parts: Sequence[Parted]) -> Noise:
+def _noise(result: FitResult, noise: Noise, parts: Sequence[SplitRun]) -> Noise:
     """The noise that the fit ended with; of what it did not have, what is stated or guessed."""
     by_key = noise.by_key()
     records = iter(result.runs)
@@ -290,11 +290,11 @@ def _noise(result: FitResult, noise: Noise, parts: Sequence[Parted]) -> Noise:
     return noise.with_values(by_key)
 
 
-def _known_to_held(state: FitState, parts: Sequence[Parted]) -> np.ndarray:
+def _known_to_held(state: FitState, parts: Sequence[SplitRun]) -> np.ndarray:
     """The coordinates that no fitted cell responds to, shape (parameter,)."""
     alone = np.ones(state.problem.size, bool)
-    for group in state.problem.groups:
-        for member, columns in zip(group.members, group.columns(), strict=True):
+    for batch in state.problem.batches:
+        for member, columns in zip(batch.members, batch.columns(), strict=True):
             if parts[member].fitted is not None:
                 alone[columns] = False
     shared, _ = shared_and_own(state)
@@ -305,7 +305,7 @@ def _known_to_held(state: FitState, parts: Sequence[Parted]) -> np.ndarray:
     return alone
 
 
-def held_cells(part: Parted, name: str) -> np.ndarray:
+def held_cells(part: SplitRun, name: str) -> np.ndarray:
     """Which of the measured cells of a channel are held out, shape (cell,).
 
     Arguments:
@@ -318,7 +318,7 @@ def held_cells(part: Parted, name: str) -> np.ndarray:
     return ~np.isnan(part.held.observations[name][measured])
 
 
-def _judged(state: FitState, parts: Sequence[Parted]) -> tuple[Sizes, Reason | None]:
+def _judged(state: FitState, parts: Sequence[SplitRun]) -> tuple[Sizes, Reason | None]:
     """How far off the held cells of each channel of each run are, and what speaks against it."""
     channels, sizes = [], Sizes()
     for (number, name), cells in residual_cells(state).items():

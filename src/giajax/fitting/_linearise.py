@@ -14,16 +14,16 @@ from ..runtime.arrays import Array, Float
 from ..runtime.parallel import Batch, on_all_cores
 from ..runtime.programs import program
 from ._problem import (
-    Group,
     Prediction,
     Problem,
-    in_a_sample,
-    in_a_share,
+    RunBatch,
+    chunk_size,
     joined,
-    of_group,
+    over_batch,
     over_runs,
     residual,
     run_residual,
+    sample_size,
     whitened,
     whitened_run,
 )
@@ -51,11 +51,11 @@ class BlockJacobian:
 
     @classmethod
     def of(cls, problem: Problem, blocks: Sequence[object]) -> Self:
-        """The Jacobian from the blocks of each group of runs, and the slopes of the priors."""
+        """The Jacobian from the blocks of each batch of runs, and the slopes of the priors."""
         *stacks, slopes = blocks
         rows, columns = [], []
-        for group, stacked in zip(problem.groups, stacks, strict=True):
-            for block, own in zip(np.asarray(stacked), group.columns(), strict=True):
+        for batch, stacked in zip(problem.batches, stacks, strict=True):
+            for block, own in zip(np.asarray(stacked), batch.columns(), strict=True):
                 rows.append(np.asarray(block, dtype=float))
                 columns.append(own)
         if len(problem.priors):
@@ -125,7 +125,7 @@ def linearise(coordinate: Float[Array, " parameter"], problem: Problem) -> Linea
 def linearise_run(
     values: Array,
     problem: Problem,
-    group: Group,
+    batch: RunBatch,
     inputs: Any,
     observed: Array,
     weight: Array,
@@ -138,13 +138,13 @@ def linearise_run(
 
     Arguments:
         values: the coordinates that the run responds to, shape (shared + own,).
-        problem, group: what it is a part of.
-        inputs, observed, weight, whitening: those of the group for this run.
+        problem, batch: what it is a part of.
+        inputs, observed, weight, whitening: those of the batch for this run.
     """
 
     def push(tangent: Array) -> tuple[Array, Array, Any]:
         return jax.jvp(
-            lambda v: run_residual(v, problem, group, inputs, observed, weight),
+            lambda v: run_residual(v, problem, batch, inputs, observed, weight),
             (values,),
             (tangent,),
             has_aux=True,
@@ -171,18 +171,18 @@ def assembled(parts: Sequence[tuple[Any, ...]], coordinate: Array, problem: Prob
     The triangles together are reduced to R: an orthogonal reduction, as QR of the whole.
 
     Arguments:
-        parts: of each group, what `linearise_run` gives, with a leading run axis.
+        parts: of each batch, what `linearise_run` gives, with a leading run axis.
         coordinate: where that is, shape (parameter,).
         problem: what is minimised.
 
     Returns:
-        residual of shape (residual,); blocks of each group, shape (run, row, shared + own), and the
+        residual of shape (residual,); blocks of each batch, shape (run, row, shared + own), and the
         derivatives of the priors' rows, shape (prior,), each by its own coordinate; R of shape
         (parameter, parameter); Q^T r; predictions.
     """
     rows, blocks, triangles, tables, successes = zip(*parts, strict=True)
     known, slopes = problem.priors.rows(coordinate, problem.bijector)
-    placed = [_placed(t, g, problem) for t, g in zip(triangles, problem.groups, strict=True)]
+    placed = [_placed(t, g, problem) for t, g in zip(triangles, problem.batches, strict=True)]
     whole = jnp.concatenate([*placed, _placed_priors(known, slopes, problem)])
     if whole.shape[0] > whole.shape[1]:
         whole = jnp.linalg.qr(whole, mode="r")
@@ -191,13 +191,13 @@ def assembled(parts: Sequence[tuple[Any, ...]], coordinate: Array, problem: Prob
     return row, (*blocks, slopes), whole[:-1, :-1], whole[:-1, -1], prediction
 
 
-def _placed(triangles: Float[Array, "run row column"], group: Group, problem: Problem) -> Array:
-    """Triangles of a group's runs, with their columns where they belong in the whole."""
+def _placed(triangles: Float[Array, "run row column"], batch: RunBatch, problem: Problem) -> Array:
+    """Triangles of a batch's runs, with their columns where they belong in the whole."""
     runs, count, _ = triangles.shape
     whole = jnp.zeros((runs, count, problem.size + 1), triangles.dtype)
     whole = whole.at[:, :, -1].set(triangles[:, :, -1])
     at = np.ix_(np.arange(runs), np.arange(count))
-    columns = group.columns()[:, None, :]
+    columns = batch.columns()[:, None, :]
     whole = whole.at[at[0][..., None], at[1][..., None], columns].set(triangles[:, :, :-1])
     return whole.reshape(runs * count, -1)
 
@@ -270,10 +270,10 @@ def judge(
     return _ended(solver, coordinate, problem, state, options)
 
 
-def _linearised_like(runs: tuple[Array, Group], problem: Problem) -> tuple[Any, ...]:
-    values, group = runs
+def _linearised_like(runs: tuple[Array, RunBatch], problem: Problem) -> tuple[Any, ...]:
+    values, batch = runs
     count, columns = values.shape
-    rows = group.observed.size // count
+    rows = batch.observed.size // count
     row, table, successful = _predicted_like(runs, problem)
     block = jax.ShapeDtypeStruct((count, rows, columns), values.dtype)
     triangle = jax.ShapeDtypeStruct((count, columns + 1, columns + 1), values.dtype)
@@ -281,27 +281,27 @@ def _linearised_like(runs: tuple[Array, Group], problem: Problem) -> tuple[Any, 
 
 
 @functools.partial(program, like=_linearised_like)
-def linearised(runs: tuple[Array, Group], problem: Problem) -> tuple[Array, ...]:
-    values, group = runs
-    return of_group(linearise_run, values, group, problem)
+def linearised(runs: tuple[Array, RunBatch], problem: Problem) -> tuple[Array, ...]:
+    values, batch = runs
+    return over_batch(linearise_run, values, batch, problem)
 
 
-def _predicted_like(runs: tuple[Array, Group], problem: Problem) -> tuple[Any, ...]:
-    values, group = runs
+def _predicted_like(runs: tuple[Array, RunBatch], problem: Problem) -> tuple[Any, ...]:
+    values, batch = runs
     count = values.shape[0]
-    row = jax.ShapeDtypeStruct((count, group.observed.size // count), values.dtype)
-    table = jax.ShapeDtypeStruct(group.observed.shape, values.dtype)
+    row = jax.ShapeDtypeStruct((count, batch.observed.size // count), values.dtype)
+    table = jax.ShapeDtypeStruct(batch.observed.shape, values.dtype)
     return row, table, jax.ShapeDtypeStruct((count,), bool)
 
 
 @functools.partial(program, like=_predicted_like)
-def predicted(runs: tuple[Array, Group], problem: Problem) -> tuple[Array, ...]:
-    values, group = runs
-    return of_group(whitened_run, values, group, problem)
+def predicted(runs: tuple[Array, RunBatch], problem: Problem) -> tuple[Array, ...]:
+    values, batch = runs
+    return over_batch(whitened_run, values, batch, problem)
 
 
 def result_row(coordinate: Array, problem: Problem) -> Any:
-    count = sum(group.observed.size for group in problem.groups) + len(problem.priors)
+    count = sum(batch.observed.size for batch in problem.batches) + len(problem.priors)
     return jax.ShapeDtypeStruct((count,), coordinate.dtype)
 
 
@@ -385,16 +385,16 @@ def residuals(
 
 def blank(solver: Marquardt, problem: Problem, coordinate: Array) -> MarquardtState:
     """The solver's state before its first evaluation."""
-    groups, dtype = problem.groups, coordinate.dtype
+    batches, dtype = problem.batches, coordinate.dtype
     prediction = Prediction(
-        tuple(jax.ShapeDtypeStruct(group.observed.shape, dtype) for group in groups),
+        tuple(jax.ShapeDtypeStruct(batch.observed.shape, dtype) for batch in batches),
         jax.ShapeDtypeStruct((), bool),
     )
     shape = result_row(coordinate, problem)
     # By numpy, as in the solver: each operation of JAX here would be a program of its own.
     blocks = tuple(
         np.zeros((len(g.members), g.observed.size // len(g.members), g.columns().shape[1]), dtype)
-        for g in groups
+        for g in batches
     )
     options = {"jacobian": (*blocks, np.zeros(len(problem.priors), dtype))}
     return solver.init(residual, coordinate, problem, options, shape, prediction, frozenset())
@@ -402,25 +402,25 @@ def blank(solver: Marquardt, problem: Problem, coordinate: Array) -> MarquardtSt
 
 def _several(problem: Problem) -> bool:
     """Whether there are runs to deal out: another device than a CPU takes them as one program."""
-    return jax.default_backend() == "cpu" and sum(len(g.members) for g in problem.groups) > 1
+    return jax.default_backend() == "cpu" and sum(len(g.members) for g in problem.batches) > 1
 
 
 def _of_runs(
     call: Callable[..., tuple[Array, ...]], coordinate: Array, problem: Problem, sample: bool
 ) -> Iterable[tuple[np.ndarray, ...]]:
-    """What a program gives of the runs of each group, with a leading run axis."""
+    """What a program gives of the runs of each batch, with a leading run axis."""
     whole = np.asarray(coordinate)
-    # The runs come with the group that they are in, and only those of a share.
-    common = dataclasses.replace(problem, groups=())
+    # The runs come with the batch that they are in, and only those of a share.
+    common = dataclasses.replace(problem, batches=())
     batches, places = [], []
-    for group in problem.groups:
-        measured = np.count_nonzero(np.any(np.asarray(group.weight) > 0, axis=-1), axis=-1)
-        length = in_a_share(len(measured))
-        runs = dataclasses.replace(group, members=(), first=0, shared=())
-        items = whole[group.columns()], runs
+    for batch in problem.batches:
+        measured = np.count_nonzero(np.any(np.asarray(batch.weight) > 0, axis=-1), axis=-1)
+        length = chunk_size(len(measured))
+        runs = dataclasses.replace(batch, members=(), first=0, shared=())
+        items = whole[batch.columns()], runs
         if sample:
             # Those that tell most, as few as check a derivative.
-            place = np.argsort(-measured, kind="stable")[: in_a_sample(len(measured))]
+            place = np.argsort(-measured, kind="stable")[: sample_size(len(measured))]
             places.append((place, len(measured)))
             items = jax.tree.map(lambda leaf, at=place: np.asarray(leaf)[at], items)
             measured = measured[place]

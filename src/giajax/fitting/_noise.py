@@ -47,14 +47,14 @@ def residual_cells(state: FitState, *, together: bool = False) -> dict[tuple[int
         common, mine = shared_and_own(state)
     cells = {}
     at_block = iter(zip(jacobian.blocks, jacobian.columns, strict=True))
-    for group, tables in zip(state.problem.groups, state.inner.aux.channels, strict=True):
-        for row, member in enumerate(group.members):
+    for batch, tables in zip(state.problem.batches, state.inner.aux.channels, strict=True):
+        for row, member in enumerate(batch.members):
             block, columns = next(at_block)
-            weight = np.asarray(group.weight, dtype=float)[row]
+            weight = np.asarray(batch.weight, dtype=float)[row]
             predicted = np.asarray(tables, dtype=float)[row]
-            difference = predicted - np.asarray(group.observed)[row]
-            if group.whitening is not None:
-                block = group.whitening.of_run(row).undone(block)
+            difference = predicted - np.asarray(batch.observed)[row]
+            if batch.whitening is not None:
+                block = batch.whitening.of_run(row).undone(block)
             slope = scores(state.problem.loss, (difference * weight).ravel())[2]
             with np.errstate(divide="ignore", invalid="ignore"):
                 block = (block / (slope * weight.ravel())[:, None]).reshape(*weight.shape, -1)
@@ -62,7 +62,7 @@ def residual_cells(state: FitState, *, together: bool = False) -> dict[tuple[int
             own = [where[c] for c in sorted(mine & set(where)) if active[c]]
             shared = [where.get(c, -1) for c in common]
             run = state.setup.runs[member]
-            for at, name in enumerate(group.channels):
+            for at, name in enumerate(batch.channels):
                 measured = weight[:, at] > 0
                 # A last column of zeros stands for what the run does not respond to.
                 columns_at = np.pad(block[measured, at], ((0, 0), (0, 1)))
@@ -226,13 +226,13 @@ def _weighted(
 # The verdict on a fit: its residuals as they are, whatever they were weighted with.
 
 
-def verdict(state: FitState, status: Status, prior_freedom: float) -> Verdict:
+def verdict(state: FitState, status: Status, prior_degrees_of_freedom: float) -> Verdict:
     """Whether the model describes the data, at the end of a fit.
 
     Arguments:
         state: the last one.
         status: how the fit ended; a fit that never reached an optimum is not judged.
-        prior_freedom: degrees of freedom of the parameters that their priors know.
+        prior_degrees_of_freedom: degrees of freedom of the parameters that their priors know.
     """
     ended = {"not_converged": "did not converge", "interrupted": "was interrupted"}.get(status, "")
     early = Verdict("not evaluated", (Reason("end", f"the fit {ended}", 1.0, 1.0),))
@@ -240,19 +240,19 @@ def verdict(state: FitState, status: Status, prior_freedom: float) -> Verdict:
     anew = status == "not_converged" and state.rounds_left < FitState.rounds_left
     if ended and not anew:
         return early
-    series = residual_series(state, prior_freedom)
+    series = residual_series(state, prior_degrees_of_freedom)
     if not series:
         return Verdict("adequate")
     found = judge(series, robust=state.setup.settings.loss != "linear")
     return early if ended and found.status != "inadequate" else found
 
 
-def residual_series(state: FitState, prior_freedom: float) -> list[Series]:
+def residual_series(state: FitState, prior_degrees_of_freedom: float) -> list[Series]:
     """The residuals of each channel of each run; those of a perfect description are left out."""
     runs = state.setup.runs
     predictions = predictions_by_run(state.problem, state.inner.aux, runs)
     cells = sum(int(np.sum(~np.isnan(v))) for run in runs for v in run.observations.values())
-    lost = float(np.sum(np.asarray(state.active))) - prior_freedom
+    lost = float(np.sum(np.asarray(state.active))) - prior_degrees_of_freedom
     share = lost / max(cells, 1)
     series = []
     for number, (run, predicted) in enumerate(zip(runs, predictions, strict=True)):

@@ -17,15 +17,15 @@ from ..runtime.arrays import Bool, Float, on_device
 from ..runtime.text import InputError
 from ._configuration import Setup
 from ._derived import derived_quantity
-from ._descend import moving
 from ._fit import Refit, refitted
 from ._linearise import BlockJacobian
+from ._loop import with_active
 from ._noise import reestimate, residual_cells
 from ._problem import Recorded, predictions_by_run, with_recorded
 from ._run_records import RunFit
 from ._state import FitState, labels
 from ._statistics import Statistics, statistics
-from ._transitions import begin, evaluate, move, reweight, step
+from ._steps import begin, evaluate, move, reweight, step
 from ._uncertainty import dense_cells, prior_rows, responds, weighted_cells
 from ._weights import Noise, scores
 
@@ -174,8 +174,8 @@ class Optimum:
         values = np.clip(values, lower, upper)
         problem = state.problem
         if recorded is not None:
-            groups = with_recorded(problem.groups, state.setup.runs, state.noise, recorded)
-            problem = dataclasses.replace(problem, groups=groups)
+            batches = with_recorded(problem.batches, state.setup.runs, state.noise, recorded)
+            problem = dataclasses.replace(problem, batches=batches)
         if centres is not None:
             known = on_device(centres, problem.priors.centre.dtype)
             priors = dataclasses.replace(problem.priors, centre=known)
@@ -229,7 +229,7 @@ def _evaluated(begun: FitState, noise: Noise) -> FitState:
     state = step(reweight(begun, noise))
     if not state.evaluated:
         raise InputError("the model cannot be evaluated where the fit ended")
-    return moving(state, responds(state.natural_jacobian().norms(), state.sizes))
+    return with_active(state, responds(state.natural_jacobian().norms(), state.sizes))
 
 
 def _noise_of(noise: Noise, setup: Setup, records: Sequence[RunFit]) -> dict[str, ChannelNoise]:

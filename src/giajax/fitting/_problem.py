@@ -44,17 +44,17 @@ def stacked(trees: Sequence[Any]) -> Any:
 # Runs as a model prepares them, with values that a fit found for each.
 
 
-def sharing_a_program(model: AbstractModel, runs: Sequence[Run]) -> list[list[int]]:
+def batch_members(model: AbstractModel, runs: Sequence[Run]) -> list[list[int]]:
     """Positions of the runs that share a program: of the same channels, and prepared alike."""
-    groups: dict[Any, list[int]] = {}
+    members: dict[Any, list[int]] = {}
     for index, run in enumerate(runs):
         structure = jax.tree.structure(model.prepare(run))
         key = tuple(run.observations), structure, capabilities.free_inputs(model, run)
-        groups.setdefault(key, []).append(index)
-    return list(groups.values())
+        members.setdefault(key, []).append(index)
+    return list(members.values())
 
 
-def in_a_share(count: int) -> int:
+def chunk_size(count: int) -> int:
     """How many of some runs that share a program a core takes at once.
 
     Several of many, because to begin costs half a millisecond; a divisor, so that none is left
@@ -64,7 +64,7 @@ def in_a_share(count: int) -> int:
     return next(n for n in (4, 3, 2, 1) if n == 1 or (count % n == 0 and count >= 16 * n))
 
 
-def in_a_sample(count: int) -> int:
+def sample_size(count: int) -> int:
     """How many of some runs that share a program say whether its derivatives are right."""
     return min(4, max(1, count // 8))
 
@@ -100,13 +100,13 @@ def recorded_cells(
     channels: Sequence[str],
     recorded: Recorded,
 ) -> tuple[Array, Array, Whitening | None]:
-    """What the runs of a group recorded, padded to the longest of them.
+    """What the runs of a batch recorded, padded to the longest of them.
 
     Arguments:
         runs: all that is fitted to.
         noise: of their channels.
-        indices: positions of the runs of the group.
-        channels: of the group.
+        indices: positions of the runs of the batch.
+        channels: of the batch.
         recorded: of each of all runs, values by channel.
 
     Returns:
@@ -145,7 +145,7 @@ def _whitening(
     length: int,
     recorded: Recorded,
 ) -> Whitening | None:
-    """That of the runs of a group, stacked; None where noise is white for sure."""
+    """That of the runs of a batch, stacked; None where noise is white for sure."""
     if not noise.correlated:
         return None
     parts = []
@@ -174,7 +174,7 @@ def _padded(arrays: Sequence[np.ndarray], length: int) -> Array:
 # Runs as arrays: those with the same channels stacked, so that they share a program.
 
 
-class Group(eqx.Module):
+class RunBatch(eqx.Module):
     """Runs with the same channels, stacked along a first axis so that they share a program.
 
     Attributes:
@@ -222,9 +222,9 @@ class Group(eqx.Module):
         ]
 
 
-def build_groups(
+def build_batches(
     model: AbstractModel, runs: Sequence[Run], noise: Noise, layout: Layout
-) -> tuple[Group, ...]:
+) -> tuple[RunBatch, ...]:
     """Prepare runs and stack those with the same channels, padded to the longest of them.
 
     Arguments:
@@ -234,7 +234,7 @@ def build_groups(
         layout: of the free parameters of the model itself.
 
     Returns:
-        The groups, in the order of their first runs.
+        The batches, in the order of their first runs.
     """
     members: dict[Any, list[int]] = {}
     prepared = [model.prepare(run) for run in runs]
@@ -246,12 +246,12 @@ def build_groups(
         structure = jax.tree.structure(prepared[index])
         key = (tuple(run.observations), structure, owns[index])
         members.setdefault(key, []).append(index)
-    groups = []
+    batches = []
     first = layout.size
     recorded = [run.observations for run in runs]
     for (channels, _, own), indices in members.items():
         observed, weight, whitening = recorded_cells(runs, noise, indices, channels, recorded)
-        group = Group(
+        batch = RunBatch(
             inputs=stacked([prepared[i] for i in indices]),
             observed=observed,
             weight=weight,
@@ -262,59 +262,59 @@ def build_groups(
             first=first,
             shared=tuple(layout.of_runs[i] for i in indices),
         )
-        first += len(indices) * group.width
-        groups.append(group)
-    return tuple(groups)
+        first += len(indices) * batch.width
+        batches.append(batch)
+    return tuple(batches)
 
 
 def with_recorded(
-    groups: Sequence[Group], runs: Sequence[Run], noise: Noise, recorded: Recorded
-) -> tuple[Group, ...]:
-    """Groups with other recorded values or another noise; what was prepared of the runs stays.
+    batches: Sequence[RunBatch], runs: Sequence[Run], noise: Noise, recorded: Recorded
+) -> tuple[RunBatch, ...]:
+    """Batches with other recorded values or another noise; what was prepared of the runs stays.
 
     Arguments:
-        groups: of the runs.
+        batches: of the runs.
         runs: what is fitted to.
         noise: of the channels.
         recorded: of each run, values by channel, SI; NaN where a cell does not count.
     """
     others = []
-    for group in groups:
-        cells = recorded_cells(runs, noise, group.members, group.channels, recorded)
+    for batch in batches:
+        cells = recorded_cells(runs, noise, batch.members, batch.channels, recorded)
         observed, weight, whitening = cells
         others.append(
-            dataclasses.replace(group, observed=observed, weight=weight, whitening=whitening)
+            dataclasses.replace(batch, observed=observed, weight=weight, whitening=whitening)
         )
     return tuple(others)
 
 
-def own_start(groups: Sequence[Group]) -> np.ndarray:
+def own_start(batches: Sequence[RunBatch]) -> np.ndarray:
     """Where the coordinates of the single runs start: as their runs were prepared."""
     values = [
-        np.asarray(get(group.inputs, path)[row], dtype=float).ravel()
-        for group in groups
-        for row in range(len(group.members))
-        for path, _ in group.own
+        np.asarray(get(batch.inputs, path)[row], dtype=float).ravel()
+        for batch in batches
+        for row in range(len(batch.members))
+        for path, _ in batch.own
     ]
     return np.concatenate([np.empty(0), *values])
 
 
-def own_begun(
-    groups: Sequence[Group], runs: Sequence[Run], begun: Mapping[str, Mapping[str, float]]
+def own_values(
+    batches: Sequence[RunBatch], runs: Sequence[Run], begun: Mapping[str, Mapping[str, float]]
 ) -> np.ndarray:
     """As `own_start`, apart from those that begin elsewhere.
 
     Arguments:
-        groups: of the runs.
+        batches: of the runs.
         runs: what is fitted to.
         begun: their values, by the run's name and the name of the coordinate.
     """
-    own = own_start(groups)
-    shared = groups[0].first
-    for group in groups:
-        for member, columns in zip(group.members, group.own_columns(), strict=True):
+    own = own_start(batches)
+    shared = batches[0].first
+    for batch in batches:
+        for member, columns in zip(batch.members, batch.own_columns(), strict=True):
             values = begun.get(runs[member].name, {})
-            for label, column in zip(group.own_labels(), columns.tolist(), strict=True):
+            for label, column in zip(batch.own_labels(), columns.tolist(), strict=True):
                 own[column - shared] = values.get(label, own[column - shared])
     return own
 
@@ -329,7 +329,7 @@ class Problem(eqx.Module):
 
     Attributes:
         model: with what is not free.
-        groups: of runs that share a program.
+        batches: of runs that share a program.
         bijector: of the whole coordinate.
         paths: of the model's free parameters.
         loss: how a large residual counts.
@@ -340,7 +340,7 @@ class Problem(eqx.Module):
     """
 
     model: AbstractModel
-    groups: tuple[Group, ...]
+    batches: tuple[RunBatch, ...]
     bijector: Bijector
     paths: tuple[str, ...] = eqx.field(static=True)
     loss: str = eqx.field(static=True)
@@ -351,7 +351,7 @@ class Problem(eqx.Module):
     @property
     def size(self) -> int:
         """Number of free coordinates."""
-        return self.shared + sum(len(g.members) * g.width for g in self.groups)
+        return self.shared + sum(len(g.members) * g.width for g in self.batches)
 
     @property
     def positions(self) -> tuple[tuple[int, ...], ...]:
@@ -380,17 +380,17 @@ class Problem(eqx.Module):
             return np.asarray(means)
         return jnp.stack(means) if means else jnp.zeros(0)
 
-    def free_paths(self, group: Group) -> tuple[str, ...]:
-        """Paths of all that the predictions of a group's runs are differentiated by."""
+    def free_paths(self, batch: RunBatch) -> tuple[str, ...]:
+        """Paths of all that the predictions of a batch's runs are differentiated by."""
         following = (tie.path for tie in self.ties)
-        return (*self.paths, *following, *(path for path, _ in group.own))
+        return (*self.paths, *following, *(path for path, _ in batch.own))
 
 
 class Prediction(eqx.Module):
     """What comes out beside the residual.
 
     Attributes:
-        channels: predictions of each group (SI), shape (run, sample, channel).
+        channels: predictions of each batch (SI), shape (run, sample, channel).
         successful: whether all simulations succeeded.
     """
 
@@ -403,33 +403,33 @@ def predictions_by_run(
 ) -> list[dict[str, np.ndarray]]:
     """Predicted channels (SI) of each run, without the padding."""
     by_run: list[dict[str, np.ndarray]] = [{} for _ in runs]
-    for group, predicted in zip(problem.groups, prediction.channels, strict=True):
+    for batch, predicted in zip(problem.batches, prediction.channels, strict=True):
         table = np.asarray(predicted)
-        for row, member in enumerate(group.members):
+        for row, member in enumerate(batch.members):
             count = len(next(iter(runs[member].observations.values())))
             by_run[member] = {
-                name: table[row, :count, column] for column, name in enumerate(group.channels)
+                name: table[row, :count, column] for column, name in enumerate(batch.channels)
             }
     return by_run
 
 
-# Residuals of the runs of a problem: one run, those of a group one after the other, and all.
+# Residuals of the runs of a problem: one run, those of a batch one after the other, and all.
 
 
 def run_residual(
     shared_and_own: Float[Array, " own"],
     problem: Problem,
-    group: Group,
+    batch: RunBatch,
     inputs: Any,
     observed: Array,
     weight: Array,
 ) -> tuple[Float[Array, " residual"], tuple[Array, Array]]:
     """Residual of one run, not whitened; beside it its prediction and whether that succeeded."""
     count = len(problem.paths)
-    inputs = _with_own(inputs, group, shared_and_own[count:])
-    model = capabilities.for_derivatives(problem.at(shared_and_own), problem.free_paths(group))
-    predicted, successful = model.predict(inputs, group.channels)
-    table = jnp.stack([predicted[name] for name in group.channels], axis=-1)
+    inputs = _with_own(inputs, batch, shared_and_own[count:])
+    model = capabilities.for_derivatives(problem.at(shared_and_own), problem.free_paths(batch))
+    predicted, successful = model.predict(inputs, batch.channels)
+    table = jnp.stack([predicted[name] for name in batch.channels], axis=-1)
     if problem.ties:
         # A step that leads a tied parameter beyond its bounds is rejected.
         successful = successful & within_bounds(model, problem.ties)
@@ -444,9 +444,9 @@ def whitened(columns: Float[Array, "residual column"], whitening: Whitening | No
     return columns if whitening is None else whitening.apply(columns)
 
 
-def _with_own(inputs: Any, group: Group, values: Float[Array, " own"]) -> Any:
+def _with_own(inputs: Any, batch: RunBatch, values: Float[Array, " own"]) -> Any:
     start = 0
-    for path, size in group.own:
+    for path, size in batch.own:
         shape = get(inputs, path).shape
         inputs = replace(inputs, {path: values[start : start + size].reshape(shape)})
         start += size
@@ -466,21 +466,21 @@ def residual(
 def whitened_run(
     values: Array,
     problem: Problem,
-    group: Group,
+    batch: RunBatch,
     inputs: Any,
     observed: Array,
     weight: Array,
     whitening: Any,
 ) -> tuple[Array, ...]:
-    """A run's residual, its prediction, and whether that succeeded; arguments as `of_group` has."""
-    row, (table, successful) = run_residual(values, problem, group, inputs, observed, weight)
+    """A run's residual, its prediction, and whether that succeeded; as `over_batch` calls it."""
+    row, (table, successful) = run_residual(values, problem, batch, inputs, observed, weight)
     return whitened(row[:, None], whitening)[:, 0], table, successful
 
 
 def joined(
     parts: Sequence[tuple[Any, ...]], coordinate: Array, problem: Problem
 ) -> tuple[Float[Array, " residual"], Prediction]:
-    """As `residual`, from what `whitened_run` gives of each group, with a leading run axis."""
+    """As `residual`, from what `whitened_run` gives of each batch, with a leading run axis."""
     rows, tables, successes = zip(*parts, strict=True)
     known, _ = problem.priors.rows(coordinate, problem.bijector)
     row = jnp.concatenate([*(part.ravel() for part in rows), known])
@@ -490,30 +490,30 @@ def joined(
 def over_runs(
     one: Callable[..., tuple[Array, ...]], coordinate: Array, problem: Problem
 ) -> list[tuple[Array, ...]]:
-    """Results of `one` for each group, with a leading run axis."""
-    return [of_group(one, coordinate[g.columns()], g, problem) for g in problem.groups]
+    """Results of `one` for each batch, with a leading run axis."""
+    return [over_batch(one, coordinate[g.columns()], g, problem) for g in problem.batches]
 
 
-def of_group(
+def over_batch(
     one: Callable[..., tuple[Array, ...]],
     values: Float[Array, "run own"],
-    group: Group,
+    batch: RunBatch,
     problem: Problem,
 ) -> tuple[Array, ...]:
-    """Results of a function for the runs of a group, with a leading run axis.
+    """Results of a function for the runs of a batch, with a leading run axis.
 
     Arguments:
-        one: of a run's coordinates, the problem, the group, and the run's inputs, observed values,
+        one: of a run's coordinates, the problem, the batch, and the run's inputs, observed values,
             weights and whitening.
         values: coordinates that each run responds to.
-        group: of these runs.
-        problem: what they are a part of; its own groups do not count.
+        batch: of these runs.
+        problem: what they are a part of; its own batches do not count.
     """
-    rows = (values, group.inputs, group.observed, group.weight, group.whitening)
+    rows = (values, batch.inputs, batch.observed, batch.weight, batch.whitening)
 
     def each(row: Any) -> tuple[Array, ...]:
         own, *rest = row
-        return one(own, problem, group, *rest)
+        return one(own, problem, batch, *rest)
 
     if values.shape[0] == 1:
         result = each(jax.tree.map(lambda leaf: leaf[0], rows))

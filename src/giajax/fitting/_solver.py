@@ -38,7 +38,7 @@ class MarquardtState(eqx.Module):
         step: last accepted or rejected step.
         accepted: whether the last step was accepted.
         detour: the step to try next in place of a shorter one; 0 where there is none.
-        sound: whether everything was finite where it led to.
+        finite: whether everything was finite where it led to.
         aux: auxiliary output at the accepted point.
         evaluations: how often value and Jacobian were computed.
     """
@@ -54,12 +54,12 @@ class MarquardtState(eqx.Module):
     step: Float[Array, " parameter"]
     accepted: Bool[Array, ""]
     detour: Float[Array, " parameter"]
-    sound: Bool[Array, ""]
+    finite: Bool[Array, ""]
     aux: Any
     evaluations: Array
 
 
-def shown_noise(state: MarquardtState) -> Any:
+def residual_scale(state: MarquardtState) -> Any:
     """The root of the reduced chi-square: the noise that the residual itself shows."""
     size = state.residual.shape[0] - state.projected.shape[0]
     return (2 * state.cost / max(size, 1)) ** 0.5
@@ -218,7 +218,7 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
             "step": zeros(size),
             "accepted": np.zeros((), bool),
             "detour": zeros(size),
-            "sound": np.zeros((), bool),
+            "finite": np.zeros((), bool),
             "aux": jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), aux_struct),
             "evaluations": np.zeros((), jnp.result_type(int)),
         }
@@ -312,10 +312,10 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         step = trial - y
         factor = jnp.where(active[None], factor, 0)
         cost = jnp.sum(residual**2) / 2
-        finite = [jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(jacobian)]
+        leaves = [jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(jacobian)]
         # Derivatives may be finite and yet so large that their squares are not.
-        sound = jnp.isfinite(cost) & jnp.all(jnp.stack(finite))
-        sound = sound & jnp.isfinite(jnp.sum(factor**2))
+        finite = jnp.isfinite(cost) & jnp.all(jnp.stack(leaves))
+        finite = finite & jnp.isfinite(jnp.sum(factor**2))
 
         linear = state.projected + state.factor @ step
         expected = (jnp.sum(state.projected**2) - jnp.sum(linear**2)) / 2
@@ -324,11 +324,11 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         ratio = jnp.where(first, 1, gain / jnp.where(expected > 0, expected, jnp.inf))
         # Of a detour only a lower cost counts: the linear model does not hold so far.
         roundabout = jnp.any(state.detour != 0)
-        accepted = sound & (gain > 0) & ((ratio > 1e-4) | (expected <= 0) | roundabout)
+        accepted = finite & (gain > 0) & ((ratio > 1e-4) | (expected <= 0) | roundabout)
 
         # Nielsen's rule: a good step lowers the damping smoothly, failures raise it ever faster.
         # Where they just did, a little: they would only come again.
-        least = jnp.where(state.accepted | ~state.sound, *_SHRINKS)
+        least = jnp.where(state.accepted | ~state.finite, *_SHRINKS)
         shrink = jnp.clip(1 - (2 * ratio - 1) ** 3, least, 2.0)
         moved = MarquardtState(
             residual=residual,
@@ -342,16 +342,16 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
             step=step,
             accepted=jnp.asarray(True),
             detour=jnp.zeros_like(step),
-            sound=sound,
+            finite=finite,
             aux=aux,
             evaluations=state.evaluations + 1,
         )
         # A step along a valley that bends leaves its floor. Before a shorter one it is tried
         # whether the linear model where it led goes on to a cost that is lower than at first.
         onward = self._step_from(trial, options, state, factor, projected)
-        detours = sound & ~roundabout & ~first & (state.growth == 4)
+        detours = finite & ~roundabout & ~first & (state.growth == 4)
         stayed = eqx.tree_at(
-            lambda s: (s.damping, s.growth, s.step, s.accepted, s.detour, s.sound, s.evaluations),
+            lambda s: (s.damping, s.growth, s.step, s.accepted, s.detour, s.finite, s.evaluations),
             state,
             (
                 jnp.where(detours, state.damping, jnp.maximum(state.damping, 1e-8) * state.growth),
@@ -359,7 +359,7 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
                 step,
                 jnp.asarray(False),
                 jnp.where(detours, step + onward, 0),
-                sound,
+                finite,
                 state.evaluations + 1,
             ),
         )
@@ -376,7 +376,7 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         tags: frozenset[object],
     ) -> tuple[Bool[Array, ""], optx.RESULTS]:
         """Converged, stuck, or neither."""
-        near = self.explicable(y, options, state) <= self.distance * shown_noise(state)
+        near = self.explainable_norm(y, options, state) <= self.distance * residual_scale(state)
         # Data without noise: nothing is left that a step could lower.
         perfect = state.cost <= self.floor
         tiny = jnp.all(jnp.abs(state.step) <= self.atol + self.rtol * jnp.abs(y))
@@ -391,7 +391,7 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         )
         return converged | stuck, result
 
-    def explicable(
+    def explainable_norm(
         self, y: Any, options: dict[str, Any], state: MarquardtState, maths: Any = jnp
     ) -> Any:
         """Norm of the part of the residual that the parameters could still explain, to first order.
@@ -410,7 +410,7 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         outwards = ((y <= lower) & (uphill > 0)) | ((y >= upper) & (uphill < 0))
         scale = maths.where(state.scale > 0, state.scale, 1)
         norms = maths.linalg.norm(state.factor, axis=0)
-        moves = (norms > self.distance * shown_noise(state)) & ~outwards
+        moves = (norms > self.distance * residual_scale(state)) & ~outwards
         scaled = maths.where(moves[None], state.factor / scale[None], 0)
         left, singular, _ = maths.linalg.svd(scaled)
         along = left.T @ state.projected

@@ -13,7 +13,7 @@ from ._coordinates import names_of
 from ._linearise import BlockJacobian
 from ._problem import Problem
 from ._records import Iteration, Status
-from ._solver import Marquardt, MarquardtState, shown_noise
+from ._solver import Marquardt, MarquardtState, residual_scale
 from ._weights import Noise
 
 # Names of the free coordinates of a fit.
@@ -25,9 +25,9 @@ def coordinate_paths(problem: Problem) -> list[str]:
     for path, places in zip(problem.paths, problem.positions, strict=True):
         for place in places:
             names[place] = path
-    for group in problem.groups:
-        for columns in group.own_columns():
-            for label, column in zip(group.own_labels(), columns.tolist(), strict=True):
+    for batch in problem.batches:
+        for columns in batch.own_columns():
+            for label, column in zip(batch.own_labels(), columns.tolist(), strict=True):
                 names[column] = label
     return names
 
@@ -40,8 +40,8 @@ def labels(problem: Problem, runs: Sequence[Run]) -> list[str]:
         runs: what is fitted to.
     """
     sharing: dict[int, list[int]] = {}
-    for group in problem.groups:
-        for member, columns in zip(group.members, group.columns(), strict=True):
+    for batch in problem.batches:
+        for member, columns in zip(batch.members, batch.columns(), strict=True):
             for column in columns.tolist():
                 sharing.setdefault(column, []).append(member)
     common = {places[0] for places in problem.positions if len(places) == 1}
@@ -157,7 +157,7 @@ class FitState:
         slope = self.problem.bijector.slope(np.asarray(self.coordinate))
         return self.jacobian().scaled(1 / np.maximum(slope, 1e-300))
 
-    def promised(self) -> float:
+    def predicted_decrease(self) -> float:
         """By how much the linear model would lower the cost with its best step within the bounds.
 
         A fit has converged where that is little, and this is how little it is.
@@ -167,13 +167,13 @@ class FitState:
         inner = dataclasses.replace(self.inner, **parts)
         lower, upper = (np.asarray(each) for each in self.problem.bijector.ends())
         options, coordinate = {"lower": lower, "upper": upper}, np.asarray(self.coordinate)
-        return float(self.solver.explicable(coordinate, options, inner, maths=np)) ** 2 / 2
+        return float(self.solver.explainable_norm(coordinate, options, inner, maths=np)) ** 2 / 2
 
-    def shown_noise(self) -> float:
+    def residual_scale(self) -> float:
         """The size of the residuals in units of their noise: the root of the reduced chi-square."""
         # By numpy: each operation of JAX here would be a program of its own.
         cost: Any = np.asarray(self.inner.cost)
-        return float(shown_noise(dataclasses.replace(self.inner, cost=cost)))
+        return float(residual_scale(dataclasses.replace(self.inner, cost=cost)))
 
     def recorded(self, *, accepted: bool) -> Self:
         """With the present point as the last entry of the history."""

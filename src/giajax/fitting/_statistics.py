@@ -40,7 +40,7 @@ class Statistics:
         together: groups of which only a combination is determined.
         determined: those that have a standard error of their own.
         standard_errors: of each determined one.
-        freedom: degrees of freedom of Student's t for its interval, likewise.
+        degrees_of_freedom: degrees of freedom of Student's t for its interval, likewise.
         sandwich: standard error that does not trust the noise model, likewise; empty where none.
         widening: its error over that with white noise of the same size; empty where it is white.
         correlation: of the determined ones, in their order.
@@ -49,8 +49,8 @@ class Statistics:
         reduced_chi_square: sum of squared weighted residuals per degree of freedom.
         scale: factor on the covariance, 1 unless the residuals exceed the noise.
         bounds: of the parameters that ended at one: "lower" or "upper".
-        prior_freedom: how many degrees of freedom of the parameters their priors know, and the
-            measured values do not lose: they lose the trace of the hat matrix.
+        prior_degrees_of_freedom: of the parameters, those that their priors know and the measured
+            values do not lose: they lose the trace of the hat matrix.
         prior_shares: how much of what is known of a parameter is its prior's: the variance of the
             estimate, were the noise as stated, over that of the prior.
         sources: what each recording is worth, by parameter; see `_sources`.
@@ -64,7 +64,7 @@ class Statistics:
     together: tuple[tuple[int, ...], ...]
     determined: tuple[int, ...]
     standard_errors: dict[int, float]
-    freedom: dict[int, float]
+    degrees_of_freedom: dict[int, float]
     sandwich: dict[int, float]
     widening: dict[int, float]
     correlation: np.ndarray
@@ -73,7 +73,7 @@ class Statistics:
     reduced_chi_square: float
     scale: float
     bounds: dict[int, str]
-    prior_freedom: float
+    prior_degrees_of_freedom: float
     prior_shares: dict[int, float] = dataclasses.field(default_factory=dict)
     sources: dict[int, dict[str, float | None]] = dataclasses.field(default_factory=dict)
     bread: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
@@ -116,7 +116,7 @@ def statistics(state: FitState) -> Statistics:
         together=together,
         determined=determined,
         standard_errors=standard_errors,
-        freedom=_of_each(determined, rows, by_noise.freedom),
+        degrees_of_freedom=_of_each(determined, rows, by_noise.degrees_of_freedom),
         sandwich=_of_each(determined, rows, by_noise.sandwich),
         widening=_of_each(determined, rows, by_noise.widening),
         correlation=correlation_matrix(covariance),
@@ -130,7 +130,7 @@ def statistics(state: FitState) -> Statistics:
         ),
         scale=spread.scale,
         bounds=_at_bounds(state, standard_errors),
-        prior_freedom=known,
+        prior_degrees_of_freedom=known,
         prior_shares=shares,
         sources=sources(state, jacobian, alive),
         bread=spread.bread,
@@ -149,15 +149,15 @@ def _against_stated(state: FitState) -> np.ndarray:
     """The deviation in use over that which is stated, where one is; shape (residual,)."""
     noise = state.noise
     parts = []
-    for group in state.problem.groups:
-        for member in group.members:
+    for batch in state.problem.batches:
+        for member in batch.members:
             ratios = [
                 noise.values[member][name].deviation / stated
                 if (stated := noise.stated[member][name].deviation) is not None
                 else 1.0
-                for name in group.channels
+                for name in batch.channels
             ]
-            parts.append(np.tile(ratios, group.observed.shape[1]))
+            parts.append(np.tile(ratios, batch.observed.shape[1]))
     return np.concatenate([*parts, np.ones(len(state.problem.priors))])
 
 
@@ -166,9 +166,9 @@ def weighted_residuals(state: FitState) -> tuple[np.ndarray, np.ndarray]:
 
     The rows of priors come last, and count as measured.
     """
-    groups = state.problem.groups
-    weights = np.concatenate([np.asarray(g.weight).ravel() for g in groups])
-    observed = np.concatenate([np.asarray(g.observed).ravel() for g in groups])
+    batches = state.problem.batches
+    weights = np.concatenate([np.asarray(batch.weight).ravel() for batch in batches])
+    observed = np.concatenate([np.asarray(batch.observed).ravel() for batch in batches])
     predicted = np.concatenate([np.asarray(p).ravel() for p in state.inner.aux.channels])
     measured = weights > 0
     known = np.asarray(state.inner.residual)[len(measured) :]

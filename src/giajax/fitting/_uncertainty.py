@@ -134,8 +134,8 @@ def uncertainty(
     data = np.arange(len(residual)) < len(residual) - priors
     count, size = int(np.sum(measured & data)), len(columns)
     # How far a prior is off says nothing of the noise.
-    freedom = max(count - (size - known), 1)
-    reduced = float(np.sum(residual[measured & data] ** 2) / freedom)
+    degrees_of_freedom = max(count - (size - known), 1)
+    reduced = float(np.sum(residual[measured & data] ** 2) / degrees_of_freedom)
     psi, curvature, slope = scores(loss, residual)
 
     def root_of_gram(weights: np.ndarray | float) -> np.ndarray:
@@ -154,7 +154,7 @@ def uncertainty(
         return Uncertainty(bread @ (root.T @ root) @ bread, scale, bread, bread)
     # A residual beyond the corner of the loss has no curvature; the mean keeps A positive.
     bread = inverse_gram(root_of_gram(np.sqrt(mean_curvature)))
-    root = root_of_gram(psi * np.sqrt(count / freedom))
+    root = root_of_gram(psi * np.sqrt(count / degrees_of_freedom))
     covariance = bread @ (root.T @ root) @ bread
     return Uncertainty(covariance, 1.0, covariance, bread)
 
@@ -174,8 +174,8 @@ def reduced_chi_square(
         parameters: number of fitted ones, less what priors know of them.
     """
     psi = scores(loss, residual[measured])[0]
-    freedom = max(int(np.sum(measured)) - parameters, 1)
-    return float(np.sum(psi**2) / freedom / mean_square_of_influence(loss))
+    degrees_of_freedom = max(int(np.sum(measured)) - parameters, 1)
+    return float(np.sum(psi**2) / degrees_of_freedom / mean_square_of_influence(loss))
 
 
 def correlation_matrix(covariance: np.ndarray) -> np.ndarray:
@@ -215,13 +215,13 @@ class NoiseStatistics(NamedTuple):
 
     Attributes:
         covariance: with what the errors of the noise add.
-        freedom: of Student's t, shape (parameter,).
+        degrees_of_freedom: of Student's t, shape (parameter,).
         sandwich: standard errors that hold whatever the noise model leaves out.
         widening: standard errors over those of white noise of the same size.
     """
 
     covariance: Float[np.ndarray, "parameter parameter"]
-    freedom: Float[np.ndarray, " parameter"]
+    degrees_of_freedom: Float[np.ndarray, " parameter"]
     sandwich: Float[np.ndarray, " parameter"] | None
     widening: Float[np.ndarray, " parameter"] | None
 
@@ -261,13 +261,13 @@ def noise_statistics(state: FitState, alive: np.ndarray, spread: Uncertainty) ->
     scores = score_covariance(dense, by_key, covariance)
     sandwich = np.sqrt(np.diag(scores + covariance @ prior.T @ prior @ covariance))
     if noise.is_white:
-        return NoiseStatistics(larger, small.freedom, sandwich, None)
+        return NoiseStatistics(larger, small.degrees_of_freedom, sandwich, None)
     rows = [each.shared / by_key[each.key].deviation for each in dense]
     triangle = np.asarray(np.linalg.qr(np.concatenate([*rows, prior]), mode="r"))
     white = np.sqrt(np.diag(inverse_gram(triangle)))
     with np.errstate(divide="ignore", invalid="ignore"):
         widening = np.sqrt(np.diag(larger)) / white
-    return NoiseStatistics(larger, small.freedom, sandwich, widening)
+    return NoiseStatistics(larger, small.degrees_of_freedom, sandwich, widening)
 
 
 def prior_rows(
@@ -288,9 +288,9 @@ def weighted_cells(state: FitState, at: tuple[int, str], cells: Cells) -> Cells:
     run, name = at
     weights = state.noise.weights[run][name]
     # As in `residual_cells`: a problem may leave out what its runs recorded.
-    group = next(group for group in state.problem.groups if run in group.members)
-    row, column = group.members.index(run), group.channels.index(name)
-    counts = np.asarray(group.weight)[row, : len(weights), column] > 0
+    batch = next(each for each in state.problem.batches if run in each.members)
+    row, column = batch.members.index(run), batch.channels.index(name)
+    counts = np.asarray(batch.weight)[row, : len(weights), column] > 0
     return dataclasses.replace(cells, weights=weights[counts])
 
 
@@ -323,7 +323,7 @@ def sources(
         one recording.
     """
     problem = state.problem
-    members = [member for group in problem.groups for member in group.members]
+    members = [member for batch in problem.batches for member in batch.members]
     names = _names([state.setup.runs[member] for member in members])
     if len(set(names)) < 2:
         return {}

@@ -32,11 +32,11 @@ class Spread(NamedTuple):
 
     Attributes:
         covariance: shape (parameter, parameter).
-        freedom: of Student's t, infinite where the noise is known; shape (parameter,).
+        degrees_of_freedom: of Student's t, infinite where the noise is known; shape (parameter,).
     """
 
     covariance: Float[np.ndarray, "parameter parameter"]
-    freedom: Float[np.ndarray, " parameter"]
+    degrees_of_freedom: Float[np.ndarray, " parameter"]
 
 
 def small_sample(
@@ -84,11 +84,11 @@ def small_sample(
         added += np.einsum("ij,ijab->ab", weight, second / 2 - through)
     plain = np.diag(covariance)
     with np.errstate(divide="ignore", invalid="ignore"):
-        freedom = np.where(variances > 0, 2 * plain**2 / variances, np.inf)
+        degrees_of_freedom = np.where(variances > 0, 2 * plain**2 / variances, np.inf)
         larger = np.diag(covariance + 2 * covariance @ added @ covariance) / plain
     # A correction of second order may widen an interval, and never to more than double.
     factor = np.sqrt(np.clip(np.nan_to_num(larger, nan=1.0), 1.0, 4.0))
-    return Spread(covariance * np.outer(factor, factor), np.maximum(freedom, 1.0))
+    return Spread(covariance * np.outer(factor, factor), np.maximum(degrees_of_freedom, 1.0))
 
 
 class _Family:

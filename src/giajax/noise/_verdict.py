@@ -51,7 +51,7 @@ class Series:
         return len(self.residual)
 
     @property
-    def freedom(self) -> float:
+    def degrees_of_freedom(self) -> float:
         """Degrees of freedom."""
         return max(len(self) - self.lost, 1.0)
 
@@ -62,7 +62,7 @@ class Series:
         return max(stated, self.from_differences)
 
     @property
-    def white_freedom(self) -> float:
+    def white_degrees_of_freedom(self) -> float:
         """Degrees of freedom of `white`; infinite where it is stated."""
         known = self.stated is not None and self.stated.deviation >= self.from_differences
         return np.inf if known else DIFFERENCES * len(self)
@@ -190,11 +190,11 @@ def beyond_stated(series: Sequence[Series]) -> Reason | None:
         for names in groups:
             chosen = [(each, size) for each, size in known if each.channel in names]
             total = sum(float(np.sum((each.residual / size) ** 2)) for each, size in chosen)
-            freedom = sum(each.freedom for each, _ in chosen)
-            size = float(np.sqrt(total / freedom))
+            degrees_of_freedom = sum(each.degrees_of_freedom for each, _ in chosen)
+            size = float(np.sqrt(total / degrees_of_freedom))
             where = "" if names == groups[0] else f" in {', '.join(names)}"
             sentence = f"the residuals are {size:.3g} times the stated noise{where}"
-            yield Reason("noise", sentence, float(chdtrc(freedom, total)), size, names)
+            yield Reason("noise", sentence, float(chdtrc(degrees_of_freedom, total)), size, names)
 
     return largest(looked_at(), len(groups))
 
@@ -243,13 +243,13 @@ def beyond_differences(series: Sequence[Series]) -> Reason | None:
             chosen = [each for each in unknown if each.channel == name]
             # Each over its own: runs may differ in length and in noise.
             total = sum(float(np.sum((e.residual / e.from_differences) ** 2)) for e in chosen)
-            freedom = sum(each.freedom for each in chosen)
-            size = float(np.sqrt(total / freedom))
+            degrees_of_freedom = sum(each.degrees_of_freedom for each in chosen)
+            size = float(np.sqrt(total / degrees_of_freedom))
             sentence = (
                 f"the noise adopted for {name} is {size:.3g} times what its residuals differ by "
                 "from sample to sample"
             )
-            p = tail(freedom, _together(chosen), size**2)
+            p = tail(degrees_of_freedom, _together(chosen), size**2)
             yield Reason("differences", sentence, p, size, (name,))
 
     return largest(looked_at(), len(channels))
@@ -270,7 +270,7 @@ def drift(series: Sequence[Series]) -> Reason | None:
                 f"{z / norm * float(np.ptp(times)):.2g} times its noise"
             )
             size = float(np.sqrt(1 + max(z**2 - 1, 0.0) / len(each)))
-            p = tail(1, each.white_freedom, z**2)
+            p = tail(1, each.white_degrees_of_freedom, z**2)
             yield Reason("drift", sentence, p, size, (each.channel,))
 
     return largest(looked_at(), len(usable))
@@ -290,14 +290,14 @@ def runs_disagree(series: Sequence[Series]) -> Reason | None:
             theirs = sum(float(np.sum(other.residual**2)) for other in others)
             if not theirs:
                 continue
-            freedom = sum(other.freedom for other in others)
-            ratio = float(np.mean(each.residual**2)) / (theirs / freedom)
+            degrees_of_freedom = sum(other.degrees_of_freedom for other in others)
+            ratio = float(np.mean(each.residual**2)) / (theirs / degrees_of_freedom)
             size = float(np.sqrt(ratio))
             sentence = (
                 f"the runs disagree: the residuals of {each.channel} are {size:.3g} times as "
                 f"large in {each.run} as in the others"
             )
-            p = tail(len(each), freedom, ratio)
+            p = tail(len(each), degrees_of_freedom, ratio)
             yield Reason("runs", sentence, p, size, (each.channel,))
 
     return largest(looked_at(), len(pairs))
@@ -321,13 +321,15 @@ def alone_and_together(series: Sequence[Series]) -> list[tuple[str, ...]]:
 
 def _together(series: Sequence[Series]) -> float:
     """Degrees of freedom of the white noise of several series."""
-    return satterthwaite([len(each) for each in series], [each.white_freedom for each in series])
+    return satterthwaite(
+        [len(each) for each in series], [each.white_degrees_of_freedom for each in series]
+    )
 
 
-def satterthwaite(counts: Sequence[int], freedoms: Sequence[float]) -> float:
+def satterthwaite(counts: Sequence[int], each_known_with: Sequence[float]) -> float:
     """Degrees of freedom of the mean of several variances, each known by its own."""
     sizes = np.array(counts, dtype=float)
-    below = float(np.sum(sizes**2 / np.array(freedoms)))
+    below = float(np.sum(sizes**2 / np.array(each_known_with)))
     return float(np.sum(sizes)) ** 2 / below if below else np.inf
 
 

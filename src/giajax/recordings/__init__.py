@@ -26,7 +26,7 @@ from ._fit_sections import (
     deviation_of as deviation_of,
     seconds_of as seconds_of,
 )
-from ._hold_out import Parted as Parted, hold_out as hold_out, parted as parted
+from ._hold_out import SplitRun as SplitRun, hold_out as hold_out, split_run as split_run
 from ._read import (
     observing as observing,
     parse_rename as parse_rename,

@@ -21,7 +21,7 @@ _NUMBER = re.compile(r"[0-9]*\.?[0-9]+")
 
 
 @dataclasses.dataclass(frozen=True)
-class Parted:
+class SplitRun:
     """A run with the part of it that is fitted and the part that is held out.
 
     Both parts have the times and the inputs of the whole, NaN for the cells of the other part, and
@@ -38,7 +38,7 @@ class Parted:
     held: Run | None
 
 
-def hold_out(runs: Sequence[Run], names: Sequence[str]) -> tuple[Parted, ...]:
+def hold_out(runs: Sequence[Run], names: Sequence[str]) -> tuple[SplitRun, ...]:
     """Take what is named out of runs.
 
     Arguments:
@@ -56,14 +56,14 @@ def hold_out(runs: Sequence[Run], names: Sequence[str]) -> tuple[Parted, ...]:
     held_from: list[dict[str, int]] = [{} for _ in runs]
     for name in names:
         rows = _first_rows(name.strip(), runs)
-        parts = [parted(run, first) for run, first in zip(runs, rows, strict=True)]
+        parts = [split_run(run, first) for run, first in zip(runs, rows, strict=True)]
         if all(part.held is None for part in parts):
             raise InputError(
                 f"'{name}' holds out no measured value: hold out more, or leave it out"
             )
         for known, first in zip(held_from, rows, strict=True):
             known |= {channel: min(row, known.get(channel, row)) for channel, row in first.items()}
-    parts = [parted(run, first) for run, first in zip(runs, held_from, strict=True)]
+    parts = [split_run(run, first) for run, first in zip(runs, held_from, strict=True)]
     if all(part.fitted is None for part in parts):
         raise InputError(
             f"{', '.join(names)} is all that was measured, and nothing is left to fit: hold out "
@@ -72,7 +72,7 @@ def hold_out(runs: Sequence[Run], names: Sequence[str]) -> tuple[Parted, ...]:
     return tuple(parts)
 
 
-def parted(run: Run, held_from: Mapping[str, int]) -> Parted:
+def split_run(run: Run, held_from: Mapping[str, int]) -> SplitRun:
     """A run in two parts.
 
     Arguments:
@@ -84,7 +84,7 @@ def parted(run: Run, held_from: Mapping[str, int]) -> Parted:
         name: np.arange(len(values)) >= held_from.get(name, len(values))
         for name, values in run.observations.items()
     }
-    return Parted(
+    return SplitRun(
         run,
         fitted=_cells(run, {name: ~held for name, held in masks.items()}),
         held=_cells(run, masks),

@@ -67,7 +67,7 @@ class StoredConfig:
 
 
 @dataclasses.dataclass(frozen=True)
-class _Beginning:
+class _WarmStart:
     model: str
     values: dict[str, Numbers]
     own: dict[str, dict[str, float]] = dataclasses.field(default_factory=dict)
@@ -84,7 +84,7 @@ class StoredTask:
     rename: dict[str, str]
     source: str | None
     out: str
-    begin: _Beginning | None
+    begin: _WarmStart | None
     inputs: dict[str, str | None]
 
 

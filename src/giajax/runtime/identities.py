@@ -73,7 +73,10 @@ CLASSES: dict[str, tuple[str, str | None]] = {
         "giajax.mechanics.arm._parts:PointMasses",
         "links mass position left up drag_area",
     ),
-    "arm/_memory:Memory": ("giajax.mechanics.arm._hysteresis:Memory", "strength yield_angle nu delta"),
+    "arm/_memory:Memory": (
+        "giajax.mechanics.arm._hysteresis:Memory",
+        "strength yield_angle nu delta",
+    ),
     "arm/_muscle_drive:MuscleDrive": (
         "giajax.mechanics.arm._pneumatics:MuscleDrive",
         "lag passive_stiffness stop_stiffness",

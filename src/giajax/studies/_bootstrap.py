@@ -429,7 +429,7 @@ def _found(result: FitResult, optimum: Optimum, statistics: Statistics) -> dict[
     reach = [
         None
         if (error := statistics.standard_errors.get(place)) is None
-        else student_reach(statistics.freedom[place]) * error
+        else student_reach(statistics.degrees_of_freedom[place]) * error
         for place in range(len(values))
     ]
     model = optimum.model(values)

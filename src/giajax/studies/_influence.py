@@ -342,7 +342,7 @@ def _own(optimum: Optimum, part: Part) -> set[int]:
     if part.kind != "run":
         return set()
     mine, others = set[int](), set[int]()
-    for group in optimum.state.problem.groups:
+    for group in optimum.state.problem.batches:
         for member, columns in zip(group.members, group.columns().tolist(), strict=True):
             (mine if member in part.runs else others).update(columns)
     return mine - others

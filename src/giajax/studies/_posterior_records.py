@@ -234,7 +234,7 @@ def _linear(optimum: Optimum, index: int) -> tuple[float, float] | None:
     error = statistics.standard_errors.get(index)
     if error is None or not np.isfinite(error):
         return None
-    reach = student_reach(statistics.freedom.get(index, np.inf)) * error
+    reach = student_reach(statistics.degrees_of_freedom.get(index, np.inf)) * error
     value, lower, upper = optimum.values[index], *(each[index] for each in optimum.bounds)
     return float(max(value - reach, lower)), float(min(value + reach, upper))
 

@@ -342,7 +342,7 @@ def profiled_of(result: FitResult, optimum: Optimum, name: str) -> Profiled:
         unit=unit,
         value=float(optimum.values[index]),
         error=error,
-        freedom=statistics.freedom.get(index, np.inf),
+        freedom=statistics.degrees_of_freedom.get(index, np.inf),
         factor=factor,
         lower=lower,
         upper=upper,
@@ -361,7 +361,7 @@ def _derived(result: FitResult, optimum: Optimum, name: str) -> Profiled:
     if error is not None:
         factor = (error / _spread(optimum, gradient)) ** 2
     # As few degrees of freedom as any parameter that it follows from.
-    known = [statistics.freedom.get(int(i), np.inf) for i in np.flatnonzero(gradient)]
+    known = [statistics.degrees_of_freedom.get(int(i), np.inf) for i in np.flatnonzero(gradient)]
     return Profiled(
         name=name,
         unit=estimate.unit,

@@ -1,7 +1,7 @@
 """What `giajax fit` does, from Python: a fit with data, settings and journal; and sweeps."""
 
 from ..recordings import stored_result as stored_result
-from ._fit_task import FitTask as FitTask, begun as begun
+from ._fit_task import FitTask as FitTask, with_warm_start as with_warm_start
 from ._journal import (
     JOURNAL as JOURNAL,
     Journal as Journal,

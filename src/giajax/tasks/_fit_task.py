@@ -116,7 +116,7 @@ if TYPE_CHECKING:
 _FIRST = " 0 s"
 
 
-def begun(
+def with_warm_start(
     task: "FitTask",
     watch: "Watch | None" = None,
     told: "Callable[[FitResult], object] | None" = None,
@@ -175,7 +175,7 @@ class FitTask:
         validation: files of the runs that the result must predict and is not fitted to.
         rename: the files' column name -> the name it has in the column table.
         source: the fit definition; None where there is none.
-        begin: where another fit ended, as plain data (`fitting.Beginning`); None for a start as
+        begin: where another fit ended, as plain data (`fitting.WarmStart`); None for a start as
             the settings say.
         resolved: `config` of the result whose numbers are to come again; None for a new fit.
         earlier: its folder, if at most the number of starts is changed: its own are kept.
@@ -350,7 +350,7 @@ class FitTask:
         """
         if not self.data:
             raise InputError("the task has no data: give at least one run")
-        if (task := begun(self)) is not self:
+        if (task := with_warm_start(self)) is not self:
             return task.prepare()
         runs = read_runs(self.data, self.definition, rename=self.rename)
         validation = read_runs(self.validation, self.definition, rename=self.rename, beside=runs)
@@ -395,5 +395,5 @@ class FitTask:
         if journal is None:
             return ready.run(progress, announce, check=check)
         folder = Path(journal)
-        with ready.kept_in(folder, resume=read_journal(folder) is not None) as steps:
+        with ready.open_journal(folder, resume=read_journal(folder) is not None) as steps:
             return ready.run(progress, announce, check=check, journal=steps.of)

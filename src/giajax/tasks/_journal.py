@@ -243,13 +243,13 @@ class Part:
 
     def __init__(self, journal: Journal, number: int) -> None:
         self.journal, self.number = journal, number
-        self.kept: Sequence[Line] = journal.lines_of(number)
+        self.lines: Sequence[Line] = journal.lines_of(number)
 
     def append(self, line: Line) -> None:
         """Keep one more line."""
         self.journal.append({"fit": self.number, **line})
 
-    def other_bits(self) -> None:
+    def bits_differ(self) -> None:
         """Say that this machine computes other bits."""
         self.journal.warn(
             "this machine or its libraries compute other last digits than those of the journal: "

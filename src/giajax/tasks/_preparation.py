@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from ..fitting import (
-    Beginning,
     FitJournal,
     FitResult,
     HoldOut,
     Iteration,
     PredictionErrors,
     Setup,
+    WarmStart,
     load_result,
     prediction_errors,
     set_up_with_hold_out,
@@ -45,7 +45,7 @@ def warn(sentence: str) -> None:
 
 
 @contextlib.contextmanager
-def kept(
+def opened(
     record: Mapping[str, Any],
     config: Mapping[str, Any],
     folder: Path,
@@ -54,7 +54,7 @@ def kept(
     force: bool,
     complain: Callable[[str], None],
 ) -> Iterator[Journal]:
-    """The journal of a fit in a folder; see `Preparation.kept_in`.
+    """The journal of a fit in a folder; see `Preparation.open_journal`.
 
     Arguments:
         record: of the task.
@@ -125,7 +125,7 @@ class Preparation:
         parts = () if self.held_out is None else self.held_out.parts
         return tuple(part.held for part in parts if part.held is not None)
 
-    def kept_in(
+    def open_journal(
         self,
         folder: Path,
         *,
@@ -145,7 +145,7 @@ class Preparation:
             InputError: another fit is writing there, the journal cannot be read or is of another
                 fit, or (without `resume` and `force`) is that of a fit that was cut off.
         """
-        return kept(
+        return opened(
             self.record, self.setup.config, folder, resume=resume, force=force, complain=complain
         )
 
@@ -247,7 +247,7 @@ def prepare(
     Raises:
         InputError: as `giajax.fit`, apart from a start that cannot be evaluated.
     """
-    begin = None if record["begin"] is None else Beginning(**record["begin"])
+    begin = None if record["begin"] is None else WarmStart(**record["begin"])
     setup, held_out = set_up_with_hold_out(definition.fit, runs, begin)
     free = [parameter.path for parameter in setup.parameters]
     check_uncertainty(setup.model, free, definition.fit.uncertainty, setup.config.get("ties"))

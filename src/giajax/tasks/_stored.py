@@ -8,13 +8,13 @@ import numpy as np
 
 from ..recordings import (
     Definition,
-    Parted,
     Run,
+    SplitRun,
     observing,
-    parted,
     read_run,
     rows_of,
     run_keys,
+    split_run,
     stored_result,
 )
 from ..runtime.records import plain_data
@@ -102,7 +102,7 @@ def compared(result: "FitResult", before: Mapping[str, Any]) -> str:
 
 
 def reached_by(result: "str | Path | FitResult") -> dict[str, Any]:
-    """Where a fit ended, as another one begins: `giajax.fitting.Beginning` as plain data.
+    """Where a fit ended, as another one begins: `giajax.fitting.WarmStart` as plain data.
 
     Arguments:
         result: a result, its file or its folder.
@@ -216,7 +216,7 @@ def _read_again(
     several: "Sequence[tuple[RunFit | HeldOut, Mapping[str, Any]]]",
     data: Sequence[str | Path],
     rename: Mapping[str, str] | None,
-) -> list[Parted]:
+) -> list[SplitRun]:
     """The runs of some records, each with what the configuration of the fit says of it."""
     read: dict[tuple[str, str], Run] = {}
     renamed = dict(rename or {})
@@ -241,7 +241,7 @@ def _read_again(
                 "again or give the file that was"
             )
         whole = _rows_as_before(run, record.name, about)
-        parts.append(parted(whole, about.get("held_from", {})))
+        parts.append(split_run(whole, about.get("held_from", {})))
     return parts
 
 

@@ -19,7 +19,7 @@ from ..runtime.records import from_plain
 from ._configuration import Setup
 from ._coordinates import Bijector
 from ._linearise import blank, residuals, stepped
-from ._problem import Group, Problem, build_groups, own_begun, with_recorded
+from ._problem import Problem, RunBatch, build_batches, own_values, with_recorded
 from ._records import Iteration, Status
 from ._solver import Marquardt, MarquardtState
 from ._state import FitState, Reason, coordinate_paths
@@ -46,13 +46,13 @@ def begin(setup: Setup) -> FitState:
     setup = setup.at_start()
     model, parameters, layout = setup.model, setup.parameters, setup.layout
     noise = Noise.of(setup.runs, setup.settings.noise_model, per_run=setup.settings.noise_per_run)
-    groups = build_groups(model, setup.runs, noise, layout)
+    batches = build_batches(model, setup.runs, noise, layout)
     if setup.chooses_tolerance:
-        coarsest = _COARSEST_OF_MANY if _have_many_rows(groups) else _COARSEST
+        coarsest = _COARSEST_OF_MANY if _have_many_rows(batches) else _COARSEST
         model = capabilities.with_integration(
             model, solver=None, tolerance=setup.suited or coarsest
         )
-    own = own_begun(groups, setup.runs, setup.own)
+    own = own_values(batches, setup.runs, setup.own)
     # Each value of a parameter, of which there is one for all runs or one for each group of them.
     each = [p for p, places in zip(parameters, layout.places, strict=True) for _ in places]
     start = np.asarray([*setup.starts(), *own])
@@ -70,7 +70,7 @@ def begin(setup: Setup) -> FitState:
     )
     problem = Problem(
         model=model,
-        groups=groups,
+        batches=batches,
         bijector=bijector,
         paths=tuple(p.path for p in parameters),
         loss=setup.settings.loss,
@@ -136,10 +136,10 @@ def move(state: FitState, coordinate: Any) -> FitState:
 def reweight(state: FitState, noise: Noise) -> FitState:
     """Go on from the same point with another noise; not evaluated yet."""
     runs = state.setup.runs
-    groups = with_recorded(state.problem.groups, runs, noise, [run.observations for run in runs])
+    batches = with_recorded(state.problem.batches, runs, noise, [run.observations for run in runs])
     # Weights of cells take the place of a robust loss: whitened residuals are no single cells.
     loss = state.setup.settings.loss if noise.weights is None else "linear"
-    problem = dataclasses.replace(state.problem, groups=groups, loss=loss)
+    problem = dataclasses.replace(state.problem, batches=batches, loss=loss)
     moved = move(dataclasses.replace(state, problem=problem, noise=noise), state.coordinate)
     # The valley is nearly the same one: a fit that knew it keeps its long steps.
     before, anew = state.inner.damping, moved.inner.damping
@@ -216,11 +216,11 @@ def residuals_at(
 
 def has_many_rows(state: FitState) -> bool:
     """Whether one of the recordings is so long that each evaluation counts."""
-    return _have_many_rows(state.problem.groups)
+    return _have_many_rows(state.problem.batches)
 
 
-def _have_many_rows(groups: Iterable[Group]) -> bool:
-    return any(group.observed.shape[1] > _MANY_ROWS for group in groups)
+def _have_many_rows(batches: Iterable[RunBatch]) -> bool:
+    return any(batch.observed.shape[1] > _MANY_ROWS for batch in batches)
 
 
 # A state of a fit as plain data, from which the fit goes on bit for bit.
@@ -229,7 +229,10 @@ def _have_many_rows(groups: Iterable[Group]) -> bool:
 # same point. Python's JSON gives every float back as it was.
 
 # The numbers of the solver that its next step depends on, apart from what is evaluated anew.
-_SOLVER = ("damping", "growth", "scale", "step", "accepted", "detour", "sound", "evaluations")
+_SOLVER = ("damping", "growth", "scale", "step", "accepted", "detour", "finite", "evaluations")
+
+# Their names in a journal, where they are others.
+_STORED = {"finite": "sound"}
 
 
 CHANGED = "the journal is not that of this fit, or a line of it was changed"
@@ -270,16 +273,16 @@ class FitJournal(Protocol):
     """Where a fit writes what it has reached, and finds what it reached before.
 
     Attributes:
-        kept: the lines of this fit so far, oldest first.
+        lines: those of this fit so far, oldest first.
     """
 
     @property
-    def kept(self) -> Sequence[Mapping[str, Any]]: ...
+    def lines(self) -> Sequence[Mapping[str, Any]]: ...
 
     def append(self, line: Mapping[str, Any]) -> None:
         """Keep one more line; it must not fail, because a fit does not end for that."""
 
-    def other_bits(self) -> None:
+    def bits_differ(self) -> None:
         """Called where a kept point has another cost now: the end may differ in its last digits."""
 
 
@@ -297,9 +300,9 @@ def restored(begun: FitState, journal: FitJournal) -> tuple[FitState, float]:
         InputError: a line does not have what `KeptState` says.
         ValueError, LookupError, TypeError: a line is not of this fit.
     """
-    if not journal.kept:
+    if not journal.lines:
         return begun, 0.0
-    lines = [_kept(line) for line in journal.kept]
+    lines = [_kept(line) for line in journal.lines]
     last = lines[-1]
     coordinate, active = np.asarray(last.coordinate, dtype=float), np.asarray(last.active)
     if coordinate.shape != begun.coordinate.shape or active.shape != coordinate.shape:
@@ -312,7 +315,7 @@ def restored(begun: FitState, journal: FitJournal) -> tuple[FitState, float]:
     )
     there = step(there)
     if there.cost != last.cost:
-        journal.other_bits()
+        journal.bits_differ()
     state = dataclasses.replace(
         there,
         inner=_with_solver(there.inner, last.solver),
@@ -333,7 +336,7 @@ def _kept(line: Mapping[str, Any]) -> KeptState:
     return from_plain(KeptState, record, CHANGED, "begin again without it")
 
 
-def keeper(state: FitState, journal: FitJournal, elapsed: Callable[[], float]) -> Callable:
+def journal_writer(state: FitState, journal: FitJournal, elapsed: Callable[[], float]) -> Callable:
     """A function that writes each state that a fit reaches into its journal.
 
     Arguments:
@@ -351,7 +354,7 @@ def keeper(state: FitState, journal: FitJournal, elapsed: Callable[[], float]) -
             cost=reached.cost,
             coordinate=np.asarray(reached.coordinate).tolist(),
             active=np.asarray(reached.active).tolist(),
-            solver={name: np.asarray(getattr(inner, name)).tolist() for name in _SOLVER},
+            solver={_STORED.get(k, k): np.asarray(getattr(inner, k)).tolist() for k in _SOLVER},
             done=reached.done,
             converged=reached.converged,
             rounds_left=reached.rounds_left,
@@ -374,7 +377,7 @@ def _with_solver(inner: MarquardtState, stored: Mapping[str, Any]) -> MarquardtS
     values = []
     for name in _SOLVER:
         before = getattr(inner, name)
-        value = jnp.asarray(stored[name], dtype=before.dtype)
+        value = jnp.asarray(stored[_STORED.get(name, name)], dtype=before.dtype)
         if value.shape != before.shape:
             raise ValueError(f"{name} has another shape")
         values.append(value)

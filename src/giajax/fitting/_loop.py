@@ -9,11 +9,11 @@ import numpy as np
 
 from ..runtime.arrays import on_device
 from ..runtime.text import InputError, time_in_words
-from ._checks import is_promising, resolved, smoothed
+from ._checks import can_improve, with_finer_tolerance, with_suitable_tolerance
 from ._noise import reestimate
 from ._records import Iteration
 from ._state import FitState, Reason
-from ._transitions import reweight, step, tolerance_of, trial
+from ._steps import reweight, step, tolerance_of, trial
 from ._uncertainty import responds
 from ._weights import transform
 
@@ -69,7 +69,7 @@ _MISFIT = 4.0
 _NEAR, _LINEAR = 0.1, 1.0
 
 # Refused steps in a row that are no accident there.
-_MISLED = 3
+_REFUSED = 3
 
 
 def stopped_by(state: FitState) -> tuple[Reason, str] | None:
@@ -87,7 +87,7 @@ def stopped_by(state: FitState) -> tuple[Reason, str] | None:
         return None
     costs = np.asarray([step.cost for step in steps])
     # Where the linear model promises little, the fit is about to end by itself.
-    hopeful = state.promised() < _LITTLE * state.cost or _travels(state, steps[-_LAST:])
+    hopeful = state.predicted_decrease() < _LITTLE * state.cost or _travels(state, steps[-_LAST:])
     # The cost of a constant is that of cells which are independent of each other.
     hopeful = hopeful or not state.noise.is_white
     if len(costs) > _FEW and not hopeful and 2 * state.cost > _MISFIT * len(state.inner.residual):
@@ -104,9 +104,9 @@ def stopped_by(state: FitState) -> tuple[Reason, str] | None:
             )
     if len(costs) > _STEPS:
         gain = costs[-1 - _STEPS] - costs[-1]
-        little = min(_CRAWL * costs[-1], _STEPS * state.shown_noise() ** 2)
-        if gain < little and gain < state.promised():
-            if not bool(state.inner.sound):
+        little = min(_CRAWL * costs[-1], _STEPS * state.residual_scale() ** 2)
+        if gain < little and gain < state.predicted_decrease():
+            if not bool(state.inner.finite):
                 return _stuck(state)
             return "crawl", (
                 f"the last {_STEPS} iterations lowered the cost by {gain / costs[-1]:.1g} of it, "
@@ -115,24 +115,24 @@ def stopped_by(state: FitState) -> tuple[Reason, str] | None:
     return None
 
 
-def nearly(state: FitState) -> bool:
+def near_optimum(state: FitState) -> bool:
     """Whether the optimum is so near that a cost which is not smooth hides the rest of the way."""
-    return bool(np.sqrt(2 * state.promised()) <= _NEAR * state.shown_noise())
+    return bool(np.sqrt(2 * state.predicted_decrease()) <= _NEAR * state.residual_scale())
 
 
-def misled(state: FitState) -> bool:
+def refused_near_optimum(state: FitState) -> bool:
     """Whether steps within a standard error are refused, so that derivatives are no slopes."""
-    near = np.sqrt(2 * state.promised()) <= _LINEAR * state.shown_noise()
+    near = np.sqrt(2 * state.predicted_decrease()) <= _LINEAR * state.residual_scale()
     # Beyond a wall they are refused, too.
     refused = _rejected_in_a_row(state.history[state.round_began :])
-    return bool(state.inner.sound) and bool(near) and refused >= _MISLED
+    return bool(state.inner.finite) and bool(near) and refused >= _REFUSED
 
 
 def constant_cost(state: FitState) -> float:
     """The cost of the best constant for each channel of each run."""
     total = 0.0
-    for group in state.problem.groups:
-        weights, observed = np.asarray(group.weight), np.asarray(group.observed)
+    for batch in state.problem.batches:
+        weights, observed = np.asarray(batch.weight), np.asarray(batch.observed)
         squares = weights**2
         mean = np.sum(squares * observed, axis=1) / np.maximum(np.sum(squares, axis=1), 1e-300)
         left = (observed - mean[:, None]) * weights
@@ -158,7 +158,7 @@ def _rejected_in_a_row(steps: Sequence[Iteration]) -> int:
 
 def _stuck(state: FitState) -> tuple[Reason, str]:
     """No step is accepted any more: the model fails beyond, or its cost is not smooth."""
-    if not bool(state.inner.sound):
+    if not bool(state.inner.finite):
         return "wall", (
             "the model cannot be evaluated beyond where the fit is, and the optimum is not "
             "reached: start elsewhere, or bound what runs away"
@@ -202,7 +202,7 @@ def advance_alone(state: FitState) -> FitState:
             return state.ended("not_converged", "the model cannot be evaluated there", "wall")
         # What was not left out may leave some without a response.
         moves = responds(state.natural_jacobian().norms(), state.sizes)
-        state = moving(state, moves & np.asarray(state.active))
+        state = with_active(state, moves & np.asarray(state.active))
         state = dataclasses.replace(state, done=False, converged=False)
         return state.recorded(accepted=True)
     if state.done:
@@ -211,7 +211,7 @@ def advance_alone(state: FitState) -> FitState:
     reason, sentence = stopped_by(state) or ("", "")
     if not reason:
         return state
-    at_optimum = reason in ("rough", "crawl") and nearly(state)
+    at_optimum = reason in ("rough", "crawl") and near_optimum(state)
     return state.ended("converged" if at_optimum else "not_converged", sentence, reason)
 
 
@@ -301,10 +301,10 @@ def _at_start(state: FitState) -> FitState:
             "choose others, for an arm softer or less damped joints, or a shorter run"
         )
     moves = responds(state.natural_jacobian().norms(), state.sizes)
-    state = moving(state, moves)
+    state = with_active(state, moves)
     if np.any(moves):
         if state.setup.suited is None:
-            state = resolved(state)
+            state = with_suitable_tolerance(state)
         return dataclasses.replace(state, done=False, converged=False).recorded(accepted=True)
     state = state.recorded(accepted=True)
     return state.ended(
@@ -312,7 +312,7 @@ def _at_start(state: FitState) -> FitState:
     )
 
 
-def moving(state: FitState, moves: np.ndarray) -> FitState:
+def with_active(state: FitState, moves: np.ndarray) -> FitState:
     """An evaluated point at which only some parameters may move.
 
     Arguments:
@@ -330,11 +330,11 @@ def _after(tried: FitState) -> FitState:
     reason, sentence = stopped_by(tried) or ("", "")
     # A step that is refused so near to an optimum may be so for what the cost jumps by.
     refused = not (tried.done or bool(tried.inner.accepted))
-    lost = refused and misled(tried)
-    rough = lost or (refused and nearly(tried)) or reason in ("rough", "crawl")
-    if rough and (smoother := smoothed(tried, surely=lost)) is not None:
+    lost = refused and refused_near_optimum(tried)
+    rough = lost or (refused and near_optimum(tried)) or reason in ("rough", "crawl")
+    if rough and (smoother := with_finer_tolerance(tried, surely=lost)) is not None:
         return smoother
-    if reason == "rough" and nearly(tried):
+    if reason == "rough" and near_optimum(tried):
         return dataclasses.replace(tried, done=True, converged=True)
     return tried.ended("not_converged", sentence, reason) if reason else tried
 
@@ -356,12 +356,12 @@ def _next_round(state: FitState) -> FitState:
 
 def _settled(state: FitState) -> FitState:
     """The end at an optimum; one step more where a step would move it."""
-    finer = resolved(state)
+    finer = with_suitable_tolerance(state)
     if tolerance_of(finer) != tolerance_of(state):
         # The optimum has followed it; where no step is left, the noise may have done so, too.
         finer = finer.recorded(accepted=True)
-        return dataclasses.replace(finer, done=not is_promising(finer), converged=True)
-    if is_promising(finer):
+        return dataclasses.replace(finer, done=not can_improve(finer), converged=True)
+    if can_improve(finer):
         # So near to the optimum the noise is settled: it is not estimated once more.
         return dataclasses.replace(finer, done=False, converged=True, rounds_left=0)
     return _converged(finer)
