@@ -168,9 +168,9 @@ def test_the_last_steps_keep_to_the_limits_of_the_fit():
     most = free.iterations
     ends = [
         fit(Approximate(bias=300.0), run(), start=BEGIN, check=False, max_iterations=count)
-        for count in range(most)
+        for count in range(1, most)
     ]
-    assert [each.iterations for each in ends] == list(range(most))
+    assert [each.iterations for each in ends] == list(range(1, most))
     # An optimum is one, also where a step nearer to it was left to try.
     assert {each.status for each in ends} == {"converged", "not_converged"}
 
