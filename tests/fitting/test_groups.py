@@ -186,7 +186,7 @@ def test_bounds_of_a_fit_hold():
     [
         ({"bounds": {"decay": (0.0, 10.0)}}, "the bounds 0 and 10 of 'decay' are not within"),
         ({"bounds": {"decay": (2.0, 1.0)}}, "must be two numbers, the lower one first"),
-        ({"bounds": {"decay": (1.0,)}}, "must be two numbers, the lower one first"),
+        ({"bounds": {"decay": (1.0,)}}, "must be a list of two numbers"),
         ({"bounds": {"decay": (2.0, 3.0)}}, "decay = 1 1/s is outside its bounds: choose"),
         ({"bounds": {"idle": (2.0, 3.0)}}, "'idle' has bounds and is not free: free it"),
         ({"bounds": {"ilde": (2.0, 3.0)}}, "no parameter 'ilde': did you mean 'idle'?"),

@@ -117,7 +117,7 @@ def test_runs_that_state_another_memory_do_not_share_it():
 
 
 def test_an_unknown_noise_model_is_refused():
-    with pytest.raises(InputError, match="use one of: correlated, white"):
+    with pytest.raises(InputError, match='must be "correlated" or "white"'):
         fit(Decay(), run(), noise_model="pink")
 
 

@@ -3,7 +3,8 @@
 import pytest
 
 from giajax import FitTask, InputError, Prior
-from giajax.recordings import Definition
+from giajax.cli import main
+from giajax.recordings import Definition, FitSettings, TaskKeywords
 
 DEFINITION = """
 [fit]
@@ -118,3 +119,15 @@ def test_what_is_wrong_in_a_file_is_one_sentence(tmp_path, text, sentence):
     with pytest.raises(InputError, match=sentence) as caught:
         FitTask.load(tmp_path / "fit.toml")
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.quick
+def test_each_setting_is_a_keyword_and_an_option(capsys):
+    """But the files, which tasks and the command have by other arguments."""
+    files = {"data", "validation", "out"}
+    assert set(TaskKeywords.__annotations__) | files == set(FitSettings.model_fields)
+    assert main(["fit", "--help"]) == 0
+    shown = capsys.readouterr().out
+    for name, field in FitSettings.model_fields.items():
+        option = field.json_schema_extra["option"] or f"--{name.replace('_', '-')}"
+        assert (option.partition("/")[0] in shown) or name in files, option

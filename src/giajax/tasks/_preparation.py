@@ -5,7 +5,6 @@ import dataclasses
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -42,38 +41,6 @@ from ._stored import check_config
 def warn(sentence: str) -> None:
     """What becomes of complaints where nobody says otherwise: warnings of Python."""
     warnings.warn(sentence, stacklevel=2)
-
-
-@contextlib.contextmanager
-def opened(
-    record: Mapping[str, Any],
-    config: Mapping[str, Any],
-    folder: Path,
-    *,
-    resume: bool,
-    force: bool,
-    complain: Callable[[str], None],
-) -> Iterator[Journal]:
-    """The journal of a fit in a folder; see `Preparation.open_journal`.
-
-    Arguments:
-        record: of the task.
-        config: the settings as they were resolved.
-        folder, resume, force, complain: as there.
-    """
-    with locked(folder):
-        if resume:
-            journal = _continued(record, config, folder)
-        else:
-            if not force:
-                _check_none_is_lost(folder)
-            head = {"versions": versions(), "task": dict(record), "config": dict(config)}
-            journal = Journal(folder / JOURNAL, head)
-        journal.complain = complain
-        try:
-            yield journal
-        finally:
-            journal.close()
 
 
 def _check_none_is_lost(folder: Path) -> None:
@@ -125,6 +92,7 @@ class Preparation:
         parts = () if self.held_out is None else self.held_out.parts
         return tuple(part.held for part in parts if part.held is not None)
 
+    @contextlib.contextmanager
     def open_journal(
         self,
         folder: Path,
@@ -132,7 +100,7 @@ class Preparation:
         resume: bool = False,
         force: bool = False,
         complain: Callable[[str], None] = warn,
-    ) -> AbstractContextManager[Journal]:
+    ) -> Iterator[Journal]:
         """The journal of this fit in a folder, which no other fit may write to meanwhile.
 
         Arguments:
@@ -145,9 +113,19 @@ class Preparation:
             InputError: another fit is writing there, the journal cannot be read or is of another
                 fit, or (without `resume` and `force`) is that of a fit that was cut off.
         """
-        return opened(
-            self.record, self.setup.config, folder, resume=resume, force=force, complain=complain
-        )
+        with locked(folder):
+            if resume:
+                journal = _continued(self.record, self.setup.config, folder)
+            else:
+                if not force:
+                    _check_none_is_lost(folder)
+                head = {"task": dict(self.record), "config": dict(self.setup.config)}
+                journal = Journal(folder / JOURNAL, {"versions": versions(), **head})
+            journal.complain = complain
+            try:
+                yield journal
+            finally:
+                journal.close()
 
     def run(
         self,

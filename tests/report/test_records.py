@@ -1,0 +1,46 @@
+"""Records of studies: each type says its file, is read again, and is shown by the view it has."""
+
+import dataclasses
+
+import pytest
+
+from giajax import InputError
+from giajax.report import Section, Table, View, register, view_of
+from giajax.studies import Bootstrap, Influence, PosteriorSummary, Profiles, StudyRecord
+
+pytestmark = pytest.mark.quick
+
+
+@dataclasses.dataclass(frozen=True)
+class Weighed(StudyRecord, file="weighed.json", head={"version": 2}, remedy="weigh it again"):
+    """A record of an application."""
+
+    masses: tuple[float, ...]
+
+
+def test_an_application_registers_the_view_of_its_record():
+    found = Weighed((0.5, 1.5))
+    with pytest.raises(KeyError):
+        view_of(found)
+    table = Table(["kg"], [["0.5"], ["1.5"]])
+    view = View(
+        record=Weighed,
+        table=lambda found, result, most: table,
+        sentences=lambda found, most: [],
+        section=lambda found, result, folder: Section(id="w", name="W", heading="W", table=table),
+    )
+    register(view)
+    assert view_of(found) is view
+
+
+def test_a_record_is_read_again_or_refused_in_a_sentence():
+    found = Weighed((0.5, 1.5))
+    assert Weighed.of_json(found.to_json()) == found
+    for text in ("[]", '{"version": 1, "masses": []}', '{"version": 2, "mass": []}'):
+        with pytest.raises(InputError, match=r"no weighed\.json of this version.*: weigh it again"):
+            Weighed.of_json(text)
+
+
+def test_each_record_of_a_study_has_its_own_file():
+    files = [kind.file for kind in (Bootstrap, Influence, PosteriorSummary, Profiles)]
+    assert len(set(files)) == len(files)
