@@ -13,16 +13,16 @@ from threadpoolctl import ThreadpoolController
 
 from giajax import InputError, fit, map_on_cores
 from giajax.fitting import begin, chunk_size, evaluate, residuals, set_up
-from giajax.runtime.parallel import Batch, dealt, on_all_cores, side_by_side
+from giajax.runtime.parallel import Batch, run_in_threads, run_on_all_cores, split_evenly
 from giajax.runtime.process import cgroup_quota, cores, enable_x64, one_blas_thread
 from toy_model import Decay, run
 
 
 def test_shares_are_of_equal_length_and_the_most_work_comes_first():
     sizes = np.asarray([1.0, 9.0, 2.0, 8.0, 3.0, 7.0, 4.0])
-    assert [each.tolist() for each in dealt(sizes, 3)] == [[1, 3, 5], [6, 4, 2], [0, 0, 0]]
-    assert [each.tolist() for each in dealt(sizes[:2], 1)] == [[1], [0]]
-    assert [each.tolist() for each in dealt(sizes[:2], 5)] == [[1, 0, 0, 0, 0]]
+    assert [each.tolist() for each in split_evenly(sizes, 3)] == [[1, 3, 5], [6, 4, 2], [0, 0, 0]]
+    assert [each.tolist() for each in split_evenly(sizes[:2], 1)] == [[1], [0]]
+    assert [each.tolist() for each in split_evenly(sizes[:2], 5)] == [[1, 0, 0, 0, 0]]
 
 
 @pytest.mark.parametrize("count", [1, 2, 7, 16, 22, 31, 32, 33, 48, 64, 101, 102])
@@ -66,7 +66,7 @@ def test_items_come_back_in_their_order_and_once(most):
         Batch(call, {"x": np.arange(7.0)}, (2.0,), random.uniform(size=7), 2),
         Batch(call, {"x": np.arange(3.0)}, (5.0,), random.uniform(size=3), 1),
     ]
-    first, second = on_all_cores(batches, most)
+    first, second = run_on_all_cores(batches, most)
     np.testing.assert_array_equal(first["y"], 2 * np.arange(7.0))
     np.testing.assert_array_equal(first["z"], np.stack([np.arange(7.0)] * 2, axis=1))
     np.testing.assert_array_equal(second["y"], 5 * np.arange(3.0))
@@ -103,7 +103,7 @@ def test_threads_compute_with_the_precision_of_the_caller():
 
     for wide in (True, False):
         with enable_x64(wide):
-            (thirds,) = on_all_cores([Batch(call, jnp.ones(4), (), np.ones(4), 1)], 2)
+            (thirds,) = run_on_all_cores([Batch(call, jnp.ones(4), (), np.ones(4), 1)], 2)
         assert thirds.dtype == (np.float64 if wide else np.float32)
 
 
@@ -132,7 +132,7 @@ def test_what_jobs_tell_comes_in_their_order_and_in_one_thread():
         done.set()
         return cores()
 
-    results = side_by_side([slow, quick], 2, until=lambda result: False)
+    results = run_in_threads([slow, quick], 2, until=lambda result: False)
     here = threading.current_thread().name
     assert told == [("slow", here), ("quick", here)]
     # Each has its part of the cores.
@@ -158,7 +158,7 @@ def test_an_interruption_stops_the_jobs_that_run_and_begins_no_other():
     def interrupt():
         raise KeyboardInterrupt
 
-    results = side_by_side([job(0), job(1), job(2)], 2, until=lambda result: False)
+    results = run_in_threads([job(0), job(1), job(2)], 2, until=lambda result: False)
     assert sorted(begun) == [0, 1]
     assert results == ["stopped", "stopped", None]
 
@@ -178,10 +178,10 @@ def test_a_result_may_end_the_others_and_an_error_does():
 
     for jobs in ([runs_on, fails], [fails, runs_on]):
         with pytest.raises(ValueError, match="of the job"):
-            side_by_side(jobs, 2, until=lambda result: False)
+            run_in_threads(jobs, 2, until=lambda result: False)
     assert set(ended) <= {"stopped"}
     for most in (1, 2):
-        results = side_by_side([lambda tell: "end"] * 9, most, until=lambda result: True)
+        results = run_in_threads([lambda tell: "end"] * 9, most, until=lambda result: True)
         assert results[0] == "end"
         assert results[-1] is None
 
@@ -243,10 +243,10 @@ import jax, jax.numpy as jnp, numpy as np
 jax.config.update("jax_enable_x64", True)
 from giajax.runtime import parallel as _shares
 from giajax import map_on_cores
-from giajax.runtime.parallel import over_devices
+from giajax.runtime.parallel import map_over_devices
 
 used = []
-_shares.over_devices = lambda *words: used.append(words) or over_devices(*words)
+_shares.map_over_devices = lambda *words: used.append(words) or map_over_devices(*words)
 
 def steps(item, factor, name):
     # Each item as many steps as it says, which those of other devices do not wait for.
@@ -254,7 +254,7 @@ def steps(item, factor, name):
     return {name: factor * item["x"], "n": counted}
 
 items = {"x": np.arange(10.0).reshape(5, 2), "n": np.arange(5)}
-lying = over_devices(steps, items, (jnp.float64(3), "y"), None)
+lying = map_over_devices(steps, items, (jnp.float64(3), "y"), None)
 assert lying["y"].shape == (6, 2)
 assert {shard.data.shape for shard in lying["y"].addressable_shards} == {(3, 2)}
 assert len(lying["y"].sharding.device_set) == len(jax.devices()) == 2

@@ -7,7 +7,13 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import giajax.runtime.programs
-from giajax.runtime.programs import KeptProgram, NoStructureError, keep_programs, program, structure
+from giajax.runtime.programs import (
+    CachedProgram,
+    NoStructureError,
+    cache_programs,
+    program,
+    structure,
+)
 
 TRACED = []
 
@@ -39,13 +45,13 @@ def narrower(spring, angle):
 def folder(tmp_path, monkeypatch):
     monkeypatch.setattr(giajax.runtime.programs, "_folder", None)
     TRACED.clear()
-    keep_programs(tmp_path / "programs")
+    cache_programs(tmp_path / "programs")
     return tmp_path / "programs"
 
 
 def in_a_process(spring, angle, *, like=as_pulled):
     """What a process that starts now computes, and whether it kept the program."""
-    call = KeptProgram(pulled, like, {}).ready((spring, angle))
+    call = CachedProgram(pulled, like, {}).ready((spring, angle))
     return None if call is None else call(spring, angle)
 
 
@@ -128,7 +134,7 @@ def test_what_has_no_name_is_not_kept():
 
 def test_where_nothing_can_be_written_it_is_used_all_the_same(tmp_path):
     (tmp_path / "file").write_text("")
-    keep_programs(tmp_path / "file" / "programs")
+    cache_programs(tmp_path / "file" / "programs")
     assert_array_equal(in_a_process(SPRING, ANGLE)[1], [2.0, 4.0, 6.0])
 
 

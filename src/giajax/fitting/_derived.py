@@ -17,7 +17,7 @@ import numpy as np
 from ..models import AbstractModel, capabilities
 from ..recordings import Channel, Run, parse_column
 from ..runtime.arrays import Array, on_device
-from ..runtime.parallel import Batch, on_all_cores
+from ..runtime.parallel import Batch, run_on_all_cores
 from ..runtime.programs import program
 from ..runtime.records import finite_or_none
 from ..runtime.text import InputError
@@ -384,7 +384,7 @@ def responses(
         shared = (model, paths, steps, channels, sizes, varied, tuple(ties))
         lengths = np.asarray([len(runs[i].observations[channels[0]]) for i in members])
         batch = Batch(_respond, (inputs, rows), shared, lengths, chunk_size(len(members)))
-        (answer,) = on_all_cores([batch])
+        (answer,) = run_on_all_cores([batch])
         tables, blocks, successful = answer
         if not np.all(successful):
             first = jax.tree.map(lambda leaf: leaf[0], inputs)

@@ -11,7 +11,7 @@ import numpy as np
 import optimistix as optx
 
 from ..runtime.arrays import Array, Float
-from ..runtime.parallel import Batch, on_all_cores
+from ..runtime.parallel import Batch, run_on_all_cores
 from ..runtime.programs import program
 from ._problem import (
     Prediction,
@@ -425,7 +425,7 @@ def _of_runs(
             items = jax.tree.map(lambda leaf, at=place: np.asarray(leaf)[at], items)
             measured = measured[place]
         batches.append(Batch(call, items, (common,), measured, length))
-    found = on_all_cores(batches)
+    found = run_on_all_cores(batches)
     if not sample:
         return found
     return [_among(part, *at) for part, at in zip(found, places, strict=True)]

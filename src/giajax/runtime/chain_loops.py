@@ -132,7 +132,7 @@ lower_by_platform(_running_sum_p, _sum_on_cpu, _product)
 # kernels are made.
 
 
-def derivatives_once(x: Float[Array, "*row n"]) -> Float[Array, "*row n"]:
+def derivative_barrier(x: Float[Array, "*row n"]) -> Float[Array, "*row n"]:
     """The same, with derivatives (in forward mode) that are computed apart from what uses them.
 
     Arguments:

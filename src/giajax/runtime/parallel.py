@@ -31,7 +31,7 @@ class Tell(Protocol):
         """
 
 
-def side_by_side(
+def run_in_threads(
     jobs: Sequence[Callable[[Tell], Result]], most: int, *, until: Callable[[Result], bool]
 ) -> list[Result | None]:
     """Results of jobs, of which some run at once.
@@ -135,7 +135,7 @@ def _receive(
 _AXIS = "item"
 
 
-def over_devices(
+def map_over_devices(
     function: Callable[..., Any], items: Any, shared: tuple[Any, ...], batch_size: int | None
 ) -> Any:
     """As `giajax.map_on_cores`, over all devices of this process.
@@ -200,7 +200,7 @@ class Batch:
     length: int
 
 
-def on_all_cores(batches: Sequence[Batch], most: int | None = None) -> list[Any]:
+def run_on_all_cores(batches: Sequence[Batch], most: int | None = None) -> list[Any]:
     """What programs make of batches of items.
 
     Arguments:
@@ -257,13 +257,13 @@ def map_on_cores(
             "axis is that of the items"
         )
     if len(jax.local_devices()) > 1:
-        several = over_devices(function, items, shared, batch_size)
+        several = map_over_devices(function, items, shared, batch_size)
         return jax.tree.map(lambda leaf: np.asarray(leaf)[:count], several)
     # Some shares for each core: one that others keep busy takes fewer.
     least, together = -(-count // (4 * cores())), batch_size or 1
     length = max(1, -(-least // together) * together)
     batch = Batch(_mapped, items, (function, batch_size, shared), np.ones(count), length)
-    return on_all_cores([batch])[0]
+    return run_on_all_cores([batch])[0]
 
 
 @program
@@ -273,7 +273,7 @@ def _mapped(
     return jax.lax.map(lambda item: function(item, *shared), items, batch_size=batch_size)
 
 
-def dealt(sizes: Float[np.ndarray, " item"], length: int) -> list[np.ndarray]:
+def split_evenly(sizes: Float[np.ndarray, " item"], length: int) -> list[np.ndarray]:
     """Positions of items in shares of equal length, those with the most work first.
 
     Arguments:
@@ -307,7 +307,7 @@ def _shares_of(batch: Batch) -> list[_Share]:
     # A view, where the device is the CPU: to take a share is then NumPy's work, not JAX's.
     items = jax.tree.map(np.asarray, batch.items)
     shares = []
-    for rows in dealt(batch.sizes, batch.length):
+    for rows in split_evenly(batch.sizes, batch.length):
         own = jax.tree.map(lambda leaf, rows=rows: leaf[rows], items)
         leaves, tree = jax.tree.flatten((own, batch.shared))
         key = (id(batch.call), tree, tuple(map(_kind, leaves)))

@@ -57,9 +57,9 @@ def configure() -> None:
         return
     # JAX itself may keep what it compiles at an address of a network.
     if _own_process and "://" not in os.environ.get("JAX_COMPILATION_CACHE_DIR", ""):
-        from .programs import keep_programs
+        from .programs import cache_programs
 
-        keep_programs(directory / PROGRAMS)
+        cache_programs(directory / PROGRAMS)
     if stated:
         return
     jax.config.update("jax_compilation_cache_dir", str(directory))

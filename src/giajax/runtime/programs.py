@@ -238,7 +238,7 @@ _folder: Path | None = None
 Call = Callable[..., Any]
 
 
-def keep_programs(folder: Path) -> None:
+def cache_programs(folder: Path) -> None:
     """From now on, keep programs in a folder, and use those that are there.
 
     To be called by a process that nobody changes while it runs: what a test or a notebook patches
@@ -252,13 +252,13 @@ def keep_programs(folder: Path) -> None:
     origin()
 
 
-def keeps_programs() -> bool:
+def caches_programs() -> bool:
     """Whether programs are kept; not where JAX is to look into them."""
     looking = ("jax_disable_jit", "jax_debug_nans", "jax_debug_infs")
     return _folder is not None and not any(getattr(jax.config, name) for name in looking)
 
 
-class KeptProgram:
+class CachedProgram:
     """A function whose programs are kept; see `giajax.runtime.programs.program`.
 
     Arguments:
@@ -411,16 +411,16 @@ def program(function: Function, *, like: Callable[..., Any] | None = None) -> Fu
     """
     part = eqx.filter_jit(function)
     whole: Callable[..., Any] | None = None
-    kept: KeptProgram | None = None
+    kept: CachedProgram | None = None
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
         nonlocal whole, kept
         if _is_traced((args, kwargs)):
             return part(*args, **kwargs)
-        if like is not None and keeps_programs() and not kwargs:
+        if like is not None and caches_programs() and not kwargs:
             if kept is None:
-                kept = KeptProgram(function, like, _options())
+                kept = CachedProgram(function, like, _options())
             if (known := kept.ready(args)) is not None:
                 return known(*args)
         if whole is None:

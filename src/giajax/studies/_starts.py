@@ -30,7 +30,7 @@ from ..models import AbstractModel, capabilities
 from ..recordings import FitSettings, Run
 from ..runtime.arrays import sobol_points
 from ..runtime.execution import prepared, run_tasks
-from ..runtime.parallel import Tell, directly, side_by_side
+from ..runtime.parallel import Tell, directly, run_in_threads
 from ..runtime.programs import content
 from ..runtime.tasks import Outcome, Task
 from ..runtime.text import InputError
@@ -110,7 +110,7 @@ def in_threads(one: One, most: int) -> Others:
 
     def others(numbers: Sequence[int], earlier: Sequence[FitResult]) -> list[End]:
         jobs = [functools.partial(one, number, earlier) for number in numbers]
-        ends = side_by_side(jobs, min(most, len(jobs)), until=interrupts)
+        ends = run_in_threads(jobs, min(most, len(jobs)), until=interrupts)
         return [end for end in ends if end is not None]
 
     return others

@@ -20,7 +20,7 @@ from ...fitting import Tie, tied
 from ...models import ArmModel
 from ...runtime.arrays import Array, Float
 from ...runtime.limits import ANGLE_DEG
-from ...runtime.parallel import Batch, on_all_cores
+from ...runtime.parallel import Batch, run_on_all_cores
 from ...runtime.programs import program
 from ...runtime.text import InputError
 from ...schema.parameters import get, replace
@@ -336,7 +336,7 @@ def informed(
         (experiment.paths, experiment.own, experiment.ties, experiment.channels),
     )
     batch = Batch(_informed, np.asarray(draws, dtype), shared, np.ones(len(draws)), 1)
-    (answer,) = on_all_cores([batch])
+    (answer,) = run_on_all_cores([batch])
     return Informed(*answer)
 
 

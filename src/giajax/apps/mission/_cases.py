@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from ...runtime.parallel import Tell, side_by_side
+from ...runtime.parallel import Tell, run_in_threads
 from ...runtime.process import cores
 from ._mission import Mission
 
@@ -170,6 +170,6 @@ def fly_cases(
         return fly
 
     jobs = [job(*each) for each in todo]
-    flown = side_by_side(jobs, cores(), until=lambda case: case is None)
+    flown = run_in_threads(jobs, cores(), until=lambda case: case is None)
     cases = tuple(case for case in flown if case is not None)
     return Cases(cases, float(np.mean(took)) if took else 0.0)

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from ...fitting import Marquardt
 from ...report import BLUE, GREY, INK, VERMILLION, new_figure, plain
 from ...runtime.arrays import Float
-from ...runtime.parallel import Tell, side_by_side
+from ...runtime.parallel import Tell, run_in_threads
 from ...runtime.process import cores
 from ._arm_figures import (
     PRINTED,
@@ -122,7 +122,7 @@ def search(
         functools.partial(_descend, reading, number, start, iterations, say)
         for number, start in enumerate(chosen, 1)
     ]
-    ends = side_by_side(jobs, min(cores(), len(jobs)), until=lambda end: end.why == "interrupted")
+    ends = run_in_threads(jobs, min(cores(), len(jobs)), until=lambda end: end.why == "interrupted")
     return [end for end in ends if end is not None]
 
 

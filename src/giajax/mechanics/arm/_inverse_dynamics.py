@@ -17,7 +17,7 @@ from ...runtime.arrays import (
     solve_lower,
     solve_upper,
 )
-from ...runtime.chain_loops import derivatives_once
+from ...runtime.chain_loops import derivative_barrier
 from ._air import Flow, Wind, added_mass, added_mass_load, drag, flow, lift_force, relative_velocity
 from ._arm import Arm, Bodies, bodies
 from ._hysteresis import PerJoint
@@ -371,7 +371,7 @@ def carried_load(
             arm, rod, here, relative, leaning, omega, alpha, centre_acceleration, wind
         )
         force, spin = force + push, spin - couple
-    both = derivatives_once(jnp.concatenate([inertial, force]))
+    both = derivative_barrier(jnp.concatenate([inertial, force]))
     inertial, force = both[:3], both[3:]
     moment = spin + cross(here.mass_centre, inertial) - cross(here.centre, force)
     return jnp.concatenate([inertial - force, moment])
