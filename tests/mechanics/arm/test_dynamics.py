@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import giajax.mechanics.arm
 from giajax.mechanics.arm import chain, takeichi_20m
-from giajax.schema.parameters import get, replace
+from giajax.schema.parameters import get, replace, switched_on
 from peers.arms import general_arm, random_states
 from peers.scipy_chain import ScipyChain
 
@@ -302,3 +302,12 @@ def test_a_change_of_numbers_compiles_nothing_again():
     program(replace(arm, {"links.mass[1]": np.float32(0.1), "gravity": 1}), angles)
     program(chain(3, mass=1, gravity=3), angles)
     assert len(traced) == 1
+
+
+def test_the_bound_on_damping_follows_from_the_law():
+    """By hand: friction is steepest at rest, 0.3 / 0.1 N m s/rad, beside the damping."""
+    values = {"joints.damping": [1.0, 2.0], "joints.friction": 0.3, "joints.friction_rate": 0.1}
+    joints = replace(switched_on(takeichi_20m(2), list(values)), values).joints
+    assert_allclose(joints.stiffest_damping, [4.0, 5.0], rtol=1e-14)
+    small = jnp.full(2, 1e-7)
+    assert_allclose(joints.resistance(small) / small, joints.stiffest_damping, rtol=1e-9)
