@@ -1,6 +1,6 @@
 """The commands of `giajax`.
 
-A command lives in its own file and imports what is heavy inside its function: `giajax --help`
+A command registers itself, and imports what is heavy inside its function: `giajax --help`
 and `giajax check` start without JAX.
 """
 
@@ -130,8 +130,11 @@ def _app_for(words: Sequence[str]) -> typer.Typer:
     app.callback(invoke_without_command=True)(_giajax)
     for name in command_names():
         function, examples, complete = COMMANDS[name]
-        full = complete(function) if name in words else _without_options(function)
-        app.command(name, epilog=examples, cls=command_of(full))(full)
+        if name in words:
+            full = complete(function)
+            app.command(name, epilog=examples, cls=command_of(full))(full)
+        else:
+            app.command(name, epilog=examples)(_without_options(function))
     return app
 
 
