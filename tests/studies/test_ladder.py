@@ -9,7 +9,7 @@ from test_suspects import FREE, fitted
 
 from giajax import InputError, fit, ladder, suspects
 from giajax.noise import by_second_differences
-from giajax.recordings import parted
+from giajax.recordings import split_run
 from giajax.studies import Step, all_axes, best_step, name_of, refit, turned_back
 from giajax.studies._stepwise import _spare
 
@@ -72,7 +72,7 @@ def test_a_choice_is_made_the_other_way_and_axes_are_exchanged():
     wrong = dataclasses.replace(recording, values=swapped)
     start = {"amplitude": 1.9, "decay": 0.75}
     # What was held out has been recorded in the same wrong axes.
-    late = parted(wrong, dict.fromkeys(wrong.observations, 90))
+    late = split_run(wrong, dict.fromkeys(wrong.observations, 90))
     steps = ladder(fitted(late.fitted, start=start), late.fitted, held_out=[late.held])
     added = [step.suspect.path for step in steps.steps[1:]]
     assert added[0] == "axes: y and z swapped"
