@@ -3,6 +3,7 @@
 import importlib
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import pytest
@@ -50,7 +51,10 @@ def test_it_is_found_as_an_attribute_and_by_its_names(monkeypatch):
 
 @pytest.mark.parametrize("room", RENAMED)
 def test_a_name_that_has_moved_or_changed_warns(room):
-    module = importlib.import_module(f"giajax.{room}")
+    with warnings.catch_warnings():
+        # Of a module that has moved itself.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        module = importlib.import_module(f"giajax.{room}".rstrip("."))
     for before, now in RENAMED[room].items():
         with pytest.warns(DeprecationWarning, match=f"{room}.{before} is giajax.{now}"):
             found = getattr(module, before)
@@ -64,7 +68,7 @@ def test_the_page_has_all_of_them():
         assert f"| `giajax.{name}` | {', '.join(f'`giajax.{place}`' for place in places)} |" in PAGE
     for room, names in RENAMED.items():
         for before, now in names.items():
-            assert f"`giajax.{room}.{before}`" in PAGE, before
+            assert f"`giajax.{room}.{before}`".replace("..", ".") in PAGE, before
             assert now.rpartition(".")[2] in PAGE
 
 

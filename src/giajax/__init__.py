@@ -10,12 +10,15 @@ from typing import Any
 
 import lazy_loader
 
-from .runtime.aliases import MOVED, install
+from .runtime.aliases import MOVED, RENAMED, earlier, install
 
 _current, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_earlier = earlier(__name__)
 install()
 
 
 def __getattr__(name: str) -> Any:
     """A public name, imported when it is first used."""
-    return importlib.import_module(f"{__name__}.{name}") if name in MOVED else _current(name)
+    if name in MOVED:
+        return importlib.import_module(f"{__name__}.{name}")
+    return _earlier(name) if name in RENAMED[""] else _current(name)

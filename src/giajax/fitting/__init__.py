@@ -1,5 +1,8 @@
 """Least squares over chosen parameters of any model that predicts channels."""
 
+from typing import TYPE_CHECKING
+
+from ..runtime.aliases import earlier as _earlier
 from ._configuration import Setup as Setup, set_up as set_up
 from ._coordinates import (
     Bijector as Bijector,
@@ -131,3 +134,7 @@ from ._weights import (
     scores as scores,
     transform as transform,
 )
+
+# Type checkers are to complain of what is not there.
+if not TYPE_CHECKING:
+    __getattr__ = _earlier(__name__)

@@ -1,5 +1,8 @@
 """What predicts channels for a run."""
 
+from typing import TYPE_CHECKING
+
+from ..runtime.aliases import earlier as _earlier
 from . import capabilities as capabilities
 from ._arm import ArmInputs as ArmInputs, ArmModel as ArmModel
 from ._arm_conditions import SCALE as SCALE, arm_variants as arm_variants
@@ -51,3 +54,7 @@ from ._scenes import (
 )
 from ._several import SeveralModels as SeveralModels
 from .capabilities import Derived as Derived, Integration as Integration
+
+# Type checkers are to complain of what is not there.
+if not TYPE_CHECKING:
+    __getattr__ = _earlier(__name__)

@@ -56,9 +56,40 @@ _REPORTS = {
 }
 
 RENAMED: dict[str, dict[str, str]] = {
-    "report": {name: f"{app}.{name}" for app, names in _REPORTS.items() for name in names.split()},
+    "report": {
+        **{name: f"{app}.{name}" for app, names in _REPORTS.items() for name in names.split()},
+        "ladder_table": "report.stepwise_table",
+    },
+    "fitting": {
+        "Beginning": "fitting.WarmStart",
+        "NoiseModel": "recordings.NoiseModel",
+    },
+    "": {"AbstractDirectModel": "models.AbstractModel"},
+    "kinds": {
+        "Content": "schema.RecordedRun",
+        "Offer": "schema.SectionTemplate",
+        "Wording": "schema.Naming",
+    },
+    "models": {"AbstractDirectModel": "models.AbstractModel"},
+    "tasks": {"begun": "tasks.with_warm_start"},
+    "diagnosis": {"Ladder": "studies.StepwiseSelection", "Rung": "studies.Step"},
+    "runs": {
+        "Fit": "recordings.FitSettings",
+        "Parted": "recordings.SplitRun",
+        "parted": "recordings.split_run",
+    },
+    "study": {
+        "Valley": "studies.DistinctOptimum",
+        "begun_as_fitted": "studies.with_fitted_state",
+        "begun_where_it_ended": "studies.with_fitted_states",
+        "valleys": "studies.distinct_optima",
+    },
+    "verdict": {
+        "Foretold": "fitting.PredictedChannel",
+        "Predictions": "fitting.PredictionTest",
+    },
 }
-"""By room, where a public name that it had is now; all of it within `giajax`."""
+"""By room of before, "" for `giajax`, where a public name is now; all of it within `giajax`."""
 
 
 def earlier(room: str) -> Callable[[str], Any]:
@@ -67,7 +98,7 @@ def earlier(room: str) -> Callable[[str], Any]:
     Arguments:
         room: its `__name__`.
     """
-    names = RENAMED[room.removeprefix("giajax.")]
+    names = RENAMED[room.partition(".")[2]]
 
     def get(name: str) -> Any:
         if name not in names:
@@ -101,7 +132,11 @@ class _Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         places = [f"{package}.{place}" for place in MOVED[name]]
         _warn(module.__name__, " and ".join(places))
 
+        renamed = earlier(module.__name__) if name in RENAMED else None
+
         def get(attribute: str) -> Any:
+            if renamed is not None and attribute in RENAMED[name]:
+                return renamed(attribute)
             if not attribute.startswith("__"):
                 for place in places:
                     room = importlib.import_module(place)

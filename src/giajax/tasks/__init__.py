@@ -1,6 +1,9 @@
 """What `giajax fit` does, from Python: a fit with data, settings and journal; and sweeps."""
 
+from typing import TYPE_CHECKING
+
 from ..recordings import stored_result as stored_result
+from ..runtime.aliases import earlier as _earlier
 from ._fit_task import FitTask as FitTask, with_warm_start as with_warm_start
 from ._journal import (
     JOURNAL as JOURNAL,
@@ -17,3 +20,7 @@ from ._stored import (
     repeatable as repeatable,
 )
 from ._sweep import FITS as FITS, TABLE as TABLE, sweep as sweep
+
+# Type checkers are to complain of what is not there.
+if not TYPE_CHECKING:
+    __getattr__ = _earlier(__name__)
