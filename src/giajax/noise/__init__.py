@@ -7,11 +7,6 @@ from ._estimate import (
     outlier_weights as outlier_weights,
     robust_deviation as robust_deviation,
 )
-from ._intervals import (
-    Spread as Spread,
-    score_covariance as score_covariance,
-    small_sample as small_sample,
-)
 from ._model import (
     ChannelNoise as ChannelNoise,
     Stated as Stated,
@@ -22,8 +17,11 @@ from ._model import (
 from ._restricted import (
     Cells as Cells,
     Restricted as Restricted,
+    Spread as Spread,
     grams as grams,
     orthonormal as orthonormal,
+    score_covariance as score_covariance,
+    small_sample as small_sample,
 )
 from ._verdict import (
     DIFFERENCES as DIFFERENCES,

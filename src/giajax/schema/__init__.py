@@ -22,12 +22,19 @@ from ._declaration import (
     QUANTITIES as QUANTITIES,
     QUANTITY_OF_SUFFIX as QUANTITY_OF_SUFFIX,
     Declaration as Declaration,
+    Finite as Finite,
     Group as Group,
     Key as Key,
+    Name as Name,
+    Positive as Positive,
     Prior as Prior,
     Quantity as Quantity,
+    Section as Section,
+    flat as flat,
+    key as key,
     key_factor as key_factor,
     si_factor as si_factor,
+    with_keys as with_keys,
 )
 from ._expression import Expression as Expression
 from ._joint import (
@@ -94,15 +101,6 @@ from ._quantities_sensors import (
     PORTS as PORTS,
     SKIN as SKIN,
     SUPPLY as SUPPLY,
-)
-from ._section import (
-    Finite as Finite,
-    Name as Name,
-    Positive as Positive,
-    Section as Section,
-    flat as flat,
-    key as key,
-    with_keys as with_keys,
 )
 
 KINDS: dict[str, Kind] = {kind.name: kind for kind in vars().values() if isinstance(kind, Kind)}

@@ -7,6 +7,18 @@ from pydantic import Field, field_validator, model_validator
 
 from ..runtime.limits import LINKS as MOST_LINKS
 from ..runtime.text import shown
+from ._declaration import (
+    Count,
+    Finite,
+    Name,
+    Positive,
+    Section,
+    Vector,
+    each_of,
+    flat,
+    key,
+    with_keys,
+)
 from ._quantities_arm import (
     AIR,
     BASE,
@@ -21,7 +33,6 @@ from ._quantities_arm import (
 )
 from ._quantities_joint import ALPHA, BETA, BRAIDED, DRIVE, EMPIRICAL, GEOMETRY, LOAD, PISTON
 from ._quantities_sensors import CAMERA, ENCODER, GAS, MARKER, PORTS, SKIN, SUPPLY
-from ._section import Count, Finite, Name, Positive, Section, Vector, each_of, flat, key, with_keys
 
 
 @with_keys(INITIAL)

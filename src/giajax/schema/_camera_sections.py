@@ -7,9 +7,9 @@ from typing import Annotated, Any, ClassVar
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from ..runtime.limits import LINKS as MOST_LINKS
+from ._declaration import Section, key, with_keys
 from ._kind import CAMERA_NAME
 from ._quantities_sensors import CAMERA, LANDMARK, PINHOLE
-from ._section import Section, key, with_keys
 
 _PLACES = re.compile("room|tip|link([0-9]{2,})")
 _MOST_PIXELS = 1_000_000

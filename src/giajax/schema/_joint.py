@@ -8,6 +8,7 @@ from pydantic import Field, field_validator
 
 from ..runtime.limits import ELEMENTS
 from ..runtime.text import InputError
+from ._declaration import COUNT, Count, Finite, NotNegative, Positive, Section, key, with_keys
 from ._kind import ChannelKind, Kind, Naming, RecordedRun
 from ._quantities_joint import (
     ALPHA,
@@ -20,7 +21,6 @@ from ._quantities_joint import (
     LOAD,
     PISTON,
 )
-from ._section import COUNT, Count, Finite, NotNegative, Positive, Section, key, with_keys
 
 
 @with_keys(LOAD, GEOMETRY, ALPHA, BETA)

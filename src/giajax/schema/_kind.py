@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple, Protocol, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from ._section import Section
+from ._declaration import Section
 
 S = TypeVar("S", bound=Section)
 

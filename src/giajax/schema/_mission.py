@@ -5,7 +5,7 @@ from typing import Annotated
 from pydantic import Field, field_validator, model_validator
 
 from ..runtime.limits import ELEMENTS
-from ._section import Count, Finite, Name, NotNegative, Positive, Section, key
+from ._declaration import Count, Finite, Name, NotNegative, Positive, Section, key
 
 _Share = Annotated[float, Field(gt=0, le=1, allow_inf_nan=False)]
 _JOINTS = Annotated[list[Count], Field(min_length=1, max_length=ELEMENTS)]
