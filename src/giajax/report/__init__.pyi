@@ -9,6 +9,7 @@ from ._files import (
     write_result as write_result,
 )
 from ._pages import (
+    PAGE as PAGE,
     check_page as check_page,
     compare_page as compare_page,
     report_page as report_page,
@@ -57,7 +58,6 @@ from ._style import (
     INK as INK,
     LIGHT as LIGHT,
     MINUS as MINUS,
-    PAGE as PAGE,
     VERMILLION as VERMILLION,
     draw_blocks as draw_blocks,
     draw_scene as draw_scene,

@@ -10,7 +10,12 @@ from ..runtime.files import read_bytes
 from ..runtime.limits import RESULT_BYTES
 from ..runtime.text import InputError
 from ..studies import Contrast
-from ._style import SIGNATURE
+
+RESULT = "result.json"
+PAGE = "report.html"
+
+# Written into each picture and page: how a later fit knows one of an earlier from a person's.
+SIGNATURE = "giajax fit"
 
 _NEEDED = ("bokeh", "jinja2")
 

@@ -12,13 +12,7 @@ from scipy.spatial import ConvexHull
 
 from ..fitting import FitResult
 from ..models import Block, Scene
-
-RESULT = "result.json"
-PAGE = "report.html"
-
-# Written into each picture and page: how a later fit knows one of an earlier from a person's.
-SIGNATURE = "giajax fit"
-
+from ._pages import SIGNATURE
 
 # Okabe and Ito's colours, which people who see red and green alike can tell apart.
 BLUE, VERMILLION, GREEN = "#0072B2", "#D55E00", "#009E73"
