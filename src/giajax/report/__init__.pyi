@@ -9,7 +9,6 @@ from ._files import (
     write_result as write_result,
 )
 from ._pages import (
-    PAGE as PAGE,
     check_page as check_page,
     compare_page as compare_page,
     report_page as report_page,
@@ -76,5 +75,5 @@ from ._suspects import (
     suspect_summary as suspect_summary,
     systematic_table as systematic_table,
 )
-from ._text import parameter_table as parameter_table, summary as summary
+from ._text import PAGE as PAGE, parameter_table as parameter_table, summary as summary
 from ._views import Section as Section, Table as Table, View as View

@@ -26,7 +26,7 @@ from ..runtime.records import plain_data
 from ..runtime.text import InputError, format_estimate
 from ..schema.parameters import find, switched_on
 from ..studies import with_fitted_states
-from ._pages import PAGE, RESULT, SIGNATURE
+from ._text import PAGE, RESULT, SIGNATURE
 
 # What makes two fits the same fit; the iterations allowed and the folder do not.
 _SAME = (

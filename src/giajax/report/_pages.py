@@ -10,12 +10,7 @@ from ..runtime.files import read_bytes
 from ..runtime.limits import RESULT_BYTES
 from ..runtime.text import InputError
 from ..studies import Contrast
-
-RESULT = "result.json"
-PAGE = "report.html"
-
-# Written into each picture and page: how a later fit knows one of an earlier from a person's.
-SIGNATURE = "giajax fit"
+from ._text import SIGNATURE
 
 _NEEDED = ("bokeh", "jinja2")
 

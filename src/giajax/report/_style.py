@@ -12,7 +12,7 @@ from scipy.spatial import ConvexHull
 
 from ..fitting import FitResult
 from ..models import Block, Scene
-from ._pages import SIGNATURE
+from ._text import SIGNATURE
 
 # Okabe and Ito's colours, which people who see red and green alike can tell apart.
 BLUE, VERMILLION, GREEN = "#0072B2", "#D55E00", "#009E73"

@@ -18,6 +18,12 @@ from ..models import capabilities
 from ..runtime.text import format_number, wrapped
 from ..studies import SAME_END, distinct_optima, lost_starts, misfit
 
+RESULT = "result.json"
+PAGE = "report.html"
+
+# Written into each picture and page: how a later fit knows one of an earlier from a person's.
+SIGNATURE = "giajax fit"
+
 MOST_RUNS = 6
 """How many are drawn: a picture takes a second, and nobody looks at twenty of them."""
 
