@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 
 from giajax import InputError
-from giajax.report import Section, Table, View, register, view_of
+from giajax.report import PageSection, RecordView, Table, register, view_of
 from giajax.studies import Bootstrap, Influence, PosteriorSummary, Profiles, StudyRecord
 
 pytestmark = pytest.mark.quick
@@ -23,11 +23,13 @@ def test_an_application_registers_the_view_of_its_record():
     with pytest.raises(KeyError):
         view_of(found)
     table = Table(["kg"], [["0.5"], ["1.5"]])
-    view = View(
+    view = RecordView(
         record=Weighed,
         table=lambda found, result, most: table,
         sentences=lambda found, most: [],
-        section=lambda found, result, folder: Section(id="w", name="W", heading="W", table=table),
+        section=lambda found, result, folder: PageSection(
+            id="w", name="W", heading="W", table=table
+        ),
     )
     register(view)
     assert view_of(found) is view

@@ -1,7 +1,7 @@
 """The frame of commands on a result: what all of them are given, and what they do with a record.
 
 Such a command has its own options, calls its study and hands over the record; how that is shown
-is known by its type (`giajax.report.View`).
+is known by its type (`giajax.report.RecordView`).
 """
 
 import dataclasses

@@ -76,4 +76,4 @@ from ._suspects import (
     systematic_table as systematic_table,
 )
 from ._text import PAGE as PAGE, parameter_table as parameter_table, summary as summary
-from ._views import Section as Section, Table as Table, View as View
+from ._views import PageSection as PageSection, RecordView as RecordView, Table as Table

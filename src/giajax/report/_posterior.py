@@ -21,7 +21,7 @@ from ..runtime.text import InputError, format_number, format_range
 from ..studies import Band, Marginal, Posterior, PosteriorSummary
 from ._pictures import channel_label, sample_times, time_label
 from ._style import BLUE, GREY, INK, VERMILLION, new_figure, plain, to_csv, to_png, unfinished
-from ._views import Section, Table, View
+from ._views import PageSection, RecordView, Table
 
 # More parameters than this are too small to see: those least like the linear interval stay.
 _MOST_PARAMETERS = 8
@@ -329,7 +329,7 @@ def _sentences(summary: PosteriorSummary, most: int | None) -> list[str]:
     return [_chains(summary), *held, *(f"warning: {doubt}" for doubt in summary.warnings)]
 
 
-def _section(summary: PosteriorSummary, result: FitResult, folder: Path) -> Section:
+def _section(summary: PosteriorSummary, result: FitResult, folder: Path) -> PageSection:
     note = f"{_chains(summary)}; the noise is held as it was fitted"
     if summary.held:
         note += f", and so is what no channel responds to ({', '.join(summary.held)})"
@@ -349,7 +349,7 @@ def _section(summary: PosteriorSummary, result: FitResult, folder: Path) -> Sect
             f" Of the recorded values, those within the band of 95 %: {least:.1%} in the channel "
             f"with the fewest, {where}."
         )
-    return Section(
+    return PageSection(
         id="posterior",
         name="Posterior",
         heading="Posterior",
@@ -372,7 +372,7 @@ def _picture(path: Path) -> str | None:
     return "data:image/png;base64," + base64.b64encode(content).decode()
 
 
-POSTERIOR_VIEW = View(
+POSTERIOR_VIEW = RecordView(
     record=PosteriorSummary,
     table=_table,
     sentences=_sentences,

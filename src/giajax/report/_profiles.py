@@ -14,7 +14,7 @@ from ..models import AbstractModel
 from ..runtime.text import format_estimate, format_range
 from ..studies import Profile, Profiles
 from ._style import BLUE, GREY, LIGHT, VERMILLION, new_figure, new_plot, plain, small
-from ._views import Section, Table, View
+from ._views import PageSection, RecordView, Table
 
 PROFILE_HEADINGS = ("quantity", "value", "error", "unit", "by the error", "by profile", "remark")
 
@@ -179,9 +179,9 @@ def _table(found: Profiles, result: FitResult, most: int | None = None) -> Table
     return Table(list(PROFILE_HEADINGS), profile_rows(found, result)[:most])
 
 
-def _section(found: Profiles, result: FitResult, folder: Path) -> Section:
+def _section(found: Profiles, result: FitResult, folder: Path) -> PageSection:
     curves = profile_curves(found, result)[:_MOST_ON_PAGE]
-    return Section(
+    return PageSection(
         id="profiles",
         name="Profiles",
         heading="Profiles",
@@ -225,7 +225,7 @@ def _title(result: FitResult) -> str:
     return f"{', '.join(record.name for record in result.runs[:3])}: profiles"
 
 
-PROFILE_VIEW = View(
+PROFILE_VIEW = RecordView(
     record=Profiles,
     table=_table,
     sentences=lambda found, most: [

@@ -14,13 +14,13 @@ from ..runtime.text import InputError
 from ._posterior import POSTERIOR_VIEW
 from ._profiles import PROFILE_VIEW
 from ._repetitions import BOOTSTRAP_VIEW, INFLUENCE_VIEW
-from ._views import R, Section, View
+from ._views import PageSection, R, RecordView
 
 # In the order of the sections of a page.
-_VIEWS: dict[type[Any], View[Any]] = {}
+_VIEWS: dict[type[Any], RecordView[Any]] = {}
 
 
-def register(view: View[Any]) -> None:
+def register(view: RecordView[Any]) -> None:
     """Show records of a type by this view, in commands and on pages."""
     _VIEWS[view.record] = view
 
@@ -29,12 +29,12 @@ for _view in (PROFILE_VIEW, BOOTSTRAP_VIEW, INFLUENCE_VIEW, POSTERIOR_VIEW):
     register(_view)
 
 
-def view_of(record: R) -> View[R]:
+def view_of(record: R) -> RecordView[R]:
     """How a record is shown."""
     return _VIEWS[type(record)]
 
 
-def sections(result: FitResult, source: Path | None) -> list[Section]:
+def sections(result: FitResult, source: Path | None) -> list[PageSection]:
     """The sections of a page on the records that lie beside a result.
 
     Arguments:

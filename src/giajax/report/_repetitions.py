@@ -11,7 +11,7 @@ from ..fitting import FitResult
 from ..runtime.text import format_estimate, format_number
 from ..studies import Bootstrap, Influence, LeftOut, Repeated
 from ._style import BLUE, GREY, INK, LIGHT, VERMILLION, new_figure, new_plot, plain
-from ._views import Section, Table, View
+from ._views import PageSection, RecordView, Table
 
 BOOTSTRAP, INFLUENCE = "bootstrap.json", "influence.json"
 """Names of the files beside a `result.json`."""
@@ -142,10 +142,10 @@ def _coverage(one: Repeated) -> str:
     return f"{100 * one.coverage:.1f} % ({100 * low:.1f} .. {100 * high:.1f})"
 
 
-def _bootstrap_section(found: Bootstrap, result: FitResult, folder: Path) -> Section:
+def _bootstrap_section(found: Bootstrap, result: FitResult, folder: Path) -> PageSection:
     first, *others = bootstrap_summary(found)
     drawn = [(path, one) for path, one in found.parameters.items() if len(one.values) > 1]
-    return Section(
+    return PageSection(
         id="repetitions",
         name="Repeated",
         heading="The fit repeated",
@@ -182,7 +182,7 @@ def _histogram(one: Repeated) -> str:
     return json.dumps(json_item(plot))
 
 
-BOOTSTRAP_VIEW = View(
+BOOTSTRAP_VIEW = RecordView(
     record=Bootstrap,
     table=lambda found, result, most: Table(*bootstrap_table(found)),
     sentences=lambda found, most: bootstrap_summary(found),
@@ -299,12 +299,12 @@ def _influence_sentences(found: Influence, most: int | None) -> list[str]:
     return [*left_out, *influence_summary(found)]
 
 
-INFLUENCE_VIEW = View(
+INFLUENCE_VIEW = RecordView(
     record=Influence,
     table=lambda found, result, most: Table(*influence_table(found, most), 2),
     sentences=_influence_sentences,
     figure=lambda found, result: influence_figure(found),
-    section=lambda found, result, folder: Section(
+    section=lambda found, result, folder: PageSection(
         id="influence",
         name="Influence",
         heading="What each part of the data does",

@@ -22,7 +22,7 @@ class Table(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Section:
+class PageSection:
     """A section of a page, from top to bottom.
 
     Attributes:
@@ -53,7 +53,7 @@ class Section:
 
 
 @dataclass(frozen=True, kw_only=True)
-class View(Generic[R]):
+class RecordView(Generic[R]):
     """How records of one type are shown.
 
     Attributes:
@@ -67,5 +67,5 @@ class View(Generic[R]):
     record: type[R]
     table: Callable[[R, FitResult, int | None], Table]
     sentences: Callable[[R, int | None], list[str]]
-    section: Callable[[R, FitResult, Path], Section]
+    section: Callable[[R, FitResult, Path], PageSection]
     figure: Callable[[R, FitResult], Figure] | None = None
