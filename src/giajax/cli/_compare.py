@@ -36,8 +36,7 @@ def compare(
     """
     if len(results) < 2:
         raise typer.BadParameter("one result has nothing to be compared with: give two or more")
-    from ..recordings import check_output_files, write_files
-    from ..tasks import stored_result
+    from ..recordings import check_output_files, stored_result, write_files
 
     # What is no result is refused before JAX is imported, which takes seconds.
     for path in results:

@@ -1,4 +1,4 @@
-"""`giajax check`: what a recording holds."""
+"""`giajax check`, `init`, `import`, `examples` and `cache`: recordings and files."""
 
 from collections.abc import Iterator
 from pathlib import Path

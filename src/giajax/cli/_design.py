@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from ..models import ArmModel
     from ..recordings import FitSettings
 
-
 # Of a file, beside the arm.
 _KEPT = ("initial", "wind", "noise")
 
@@ -228,7 +227,7 @@ def design(
     moving = _numbers(joints)
     check_output_folder(out, _FILES, force=force)
     if source is not None and is_result(source):
-        from ..tasks import stored_result
+        from ..recordings import stored_result
 
         # What is no result is refused before JAX is imported, which takes seconds.
         stored_result(source)

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from ..models import ArmModel
     from ..recordings import Definition
 
-
 # Of gusts, s; then they begin again. And how often their rows are.
 _GUSTY, _GUST_RATE = 1800.0, 10.0
 
@@ -50,7 +49,7 @@ def driven_arm(
     if links is not None:
         raise InputError("--links is of an arm from a file, and this one was fitted: leave it out")
     from ..fitting import load_result
-    from ..tasks import stored_result
+    from ..recordings import stored_result
 
     stored_result(what)
     model = load_result(what).model
@@ -93,7 +92,7 @@ def compensation_of(result: Path | None, joints: int) -> "Compensation | None":
     from ..apps.control import compensator_for_model
     from ..apps.driving import Compensation
     from ..fitting import load_result
-    from ..tasks import stored_result
+    from ..recordings import stored_result
 
     stored_result(result)
     return Compensation(compensator_for_model(load_result(result).model), joints)

@@ -266,7 +266,8 @@ def finished(folder: Path, as_json: bool, quiet: bool) -> int | None:
     Returns:
         The status with which it ended; None where there is a journal, or no such result.
     """
-    from ..tasks import read_journal, stored_result
+    from ..recordings import stored_result
+    from ..tasks import read_journal
 
     path = folder / "result.json"
     if read_journal(folder) is not None or not path.exists():
@@ -317,7 +318,7 @@ def run_fit(
 
     configure()
     from ..fitting import column_factors
-    from ..recordings import write_files
+    from ..recordings import stored_result, write_files
     from ..report import (
         PAGE,
         check_figures,
@@ -328,7 +329,7 @@ def run_fit(
         write_result,
     )
     from ..studies import choice_hint
-    from ..tasks import compared, stored_result, version_note, with_warm_start
+    from ..tasks import compared, version_note, with_warm_start
 
     task = with_warm_start(
         task, *((lambda _: stop_if_asked,) if quiet else (in_windows, of_windows))

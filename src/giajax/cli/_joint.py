@@ -1,4 +1,4 @@
-"""`giajax joint`: one joint at rest, in pictures and numbers."""
+"""`giajax joint` and `compensate`: one joint at rest, and commands that undo its hysteresis."""
 
 import dataclasses
 import math

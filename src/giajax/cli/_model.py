@@ -1,4 +1,4 @@
-"""What `--model` names, in every command alike: a fit, or a file that states a model."""
+"""`giajax parameters` and `predict`, and what `--model` names in every command alike."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -37,7 +37,7 @@ def definition_of(path: Path | None) -> "Definition":
     if path is None:
         return Definition()
     if is_result(path):
-        from ..tasks import stored_result
+        from ..recordings import stored_result
 
         # What is no result is refused before JAX is imported, which takes seconds.
         stored_result(path)

@@ -59,7 +59,7 @@ class OnResult:
     @functools.cached_property
     def home(self) -> Path:
         """The folder of the result; where there is none, JAX is not imported to refuse it."""
-        from ..tasks import stored_result
+        from ..recordings import stored_result
 
         return stored_result(self.result)[0]
 

@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..runtime.process import (
-    CORES_VARIABLE,
-)
+from ..runtime.process import CORES_VARIABLE
 from ..runtime.signals import is_stopped, stopped_status
 from ..runtime.text import InputError, time_in_words
 

@@ -1,4 +1,4 @@
-"""`giajax paper`: the paper's figures and tables, made again."""
+"""`giajax paper` and `hysteresis`: the paper's figures, tables and 1-link experiment."""
 
 import math
 from collections.abc import Iterable, Sequence

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from ..models import ArmModel
     from ..recordings import Definition, Run
 
-
 _GUSTS = re.compile(rf"(?P<intensity>{NUMBER}(?:,{NUMBER},{NUMBER})?):(?P<length>{NUMBER})")
 
 

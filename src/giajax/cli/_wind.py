@@ -77,12 +77,7 @@ def wind(
     Spectra and mean of its channels are compared with those of the arm, linearised about its
     rest, in von Karman's gusts; the gusts themselves stay unknown.
     """
-    from ..recordings import (
-        Definition,
-        check_output_folder,
-        parse_rename,
-        read_run,
-    )
+    from ..recordings import Definition, check_output_folder, parse_rename, read_run
 
     if out is not None:
         check_output_folder(out, _FILES, force=force)

@@ -71,11 +71,18 @@ from ._problem import (
     residual as residual,
 )
 from ._records import (
+    ChannelErrors as ChannelErrors,
+    ChannelFit as ChannelFit,
     Correlation as Correlation,
     Estimate as Estimate,
     GradientCheck as GradientCheck,
+    HeldChannel as HeldChannel,
+    HeldOut as HeldOut,
     Iteration as Iteration,
     NoiseFit as NoiseFit,
+    OwnEstimate as OwnEstimate,
+    PredictionErrors as PredictionErrors,
+    RunFit as RunFit,
     Seconds as Seconds,
     Shift as Shift,
     Start as Start,
@@ -84,6 +91,8 @@ from ._records import (
     SystematicError as SystematicError,
     ToleranceEffect as ToleranceEffect,
     estimate_table as estimate_table,
+    layout_of as layout_of,
+    matching_runs as matching_runs,
 )
 from ._result import (
     FitResult as FitResult,
@@ -93,17 +102,6 @@ from ._result import (
     parse_result as parse_result,
     predict as predict,
     prediction_errors as prediction_errors,
-)
-from ._run_records import (
-    ChannelErrors as ChannelErrors,
-    ChannelFit as ChannelFit,
-    HeldChannel as HeldChannel,
-    HeldOut as HeldOut,
-    OwnEstimate as OwnEstimate,
-    PredictionErrors as PredictionErrors,
-    RunFit as RunFit,
-    layout_of as layout_of,
-    matching_runs as matching_runs,
 )
 from ._solver import Marquardt as Marquardt, boxed_step as boxed_step
 from ._statistics import Statistics as Statistics, combinations as combinations

@@ -11,15 +11,7 @@ from ..runtime.records import finite_or_none
 from ._records import GradientCheck, Shift, ToleranceEffect
 from ._state import FitState
 from ._statistics import Statistics
-from ._steps import (
-    at_tolerance,
-    evaluate,
-    has_many_rows,
-    move,
-    residuals_at,
-    step,
-    tolerance_of,
-)
+from ._steps import at_tolerance, evaluate, has_many_rows, move, residuals_at, step, tolerance_of
 from ._uncertainty import inverse_gram
 
 # Whether a standard error says how far the data let a parameter go: second derivatives.

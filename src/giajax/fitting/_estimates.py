@@ -12,8 +12,7 @@ from ..runtime.records import finite_or_none
 from ..runtime.text import one_of
 from ..schema.parameters import Parameter, declared
 from ._checks import Curvature
-from ._records import Estimate
-from ._run_records import OwnEstimate
+from ._records import Estimate, OwnEstimate
 from ._state import FitState
 from ._statistics import Statistics, combinations
 from ._uncertainty import largest_correlations

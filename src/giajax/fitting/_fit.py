@@ -1,4 +1,4 @@
-"""Fit a model to runs: a host loop around one jitted trust-region step."""
+"""Fit a model to runs: the public functions, and the result of the last state."""
 
 import dataclasses
 import functools
@@ -24,9 +24,8 @@ from ._estimates import estimates, findings, own_estimates
 from ._loop import Budget, advance_alone, descend
 from ._noise import verdict
 from ._problem import Problem, predictions_by_run
-from ._records import Correlation, Iteration, NoiseFit, Seconds
+from ._records import ChannelFit, Correlation, Iteration, NoiseFit, OwnEstimate, RunFit, Seconds
 from ._result import FitResult, integration_of
-from ._run_records import ChannelFit, OwnEstimate, RunFit
 from ._state import FitState, Reason
 from ._statistics import Statistics, statistics
 from ._steps import CHANGED, FitJournal, begin, journal_writer, restored

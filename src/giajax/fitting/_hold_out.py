@@ -44,8 +44,8 @@ from ._configuration import Setup, set_up
 from ._free import WarmStart, between
 from ._noise import TOLERANCE, prior_gram, residual_cells, series_of, shared_and_own
 from ._problem import predictions_by_run
+from ._records import HeldChannel, HeldOut
 from ._result import FitResult
-from ._run_records import HeldChannel, HeldOut
 from ._state import FitState
 from ._steps import at_tolerance, begin, move, reweight, step
 from ._weights import Noise

@@ -1,4 +1,4 @@
-"""The host loop of a fit: steps until the optimum, and why it ends."""
+"""The host loop of a fit: steps until the optimum, and every rule that stops it."""
 
 import dataclasses
 import time

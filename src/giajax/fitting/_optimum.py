@@ -22,7 +22,7 @@ from ._linearise import BlockJacobian
 from ._loop import with_active
 from ._noise import reestimate, residual_cells
 from ._problem import Recorded, predictions_by_run, with_recorded
-from ._run_records import RunFit
+from ._records import RunFit
 from ._state import FitState, labels
 from ._statistics import Statistics, statistics
 from ._steps import begin, evaluate, move, reweight, step

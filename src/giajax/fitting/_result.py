@@ -19,11 +19,15 @@ from ..runtime.text import InputError
 from ._derived import in_column_units
 from ._estimates import Finding
 from ._records import (
+    ChannelErrors,
     Correlation,
     Estimate,
     GradientCheck,
+    HeldOut,
     Iteration,
     NoiseFit,
+    PredictionErrors,
+    RunFit,
     Seconds,
     Start,
     Status,
@@ -32,12 +36,6 @@ from ._records import (
     ToleranceEffect,
     estimate_html,
     estimate_table,
-)
-from ._run_records import (
-    ChannelErrors,
-    HeldOut,
-    PredictionErrors,
-    RunFit,
     model_of_run,
     rows_of_runs,
 )

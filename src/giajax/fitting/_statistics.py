@@ -1,4 +1,4 @@
-"""Standard errors and correlations of what was fitted, and which of it the data determine."""
+"""What the data determine: parameters, combinations of them, and their statistics together."""
 
 import dataclasses
 from collections.abc import Sequence

@@ -28,6 +28,10 @@ from ._fit_sections import (
 )
 from ._hold_out import SplitRun as SplitRun, hold_out as hold_out, split_run as split_run
 from ._read import (
+    check_output_files as check_output_files,
+    check_output_folder as check_output_folder,
+    check_output_run as check_output_run,
+    make_folder as make_folder,
     observing as observing,
     parse_rename as parse_rename,
     read_run as read_run,
@@ -36,6 +40,8 @@ from ._read import (
     rows_of as rows_of,
     sidecar_path as sidecar_path,
     windows as windows,
+    write_files as write_files,
+    write_run as write_run,
 )
 from ._run import Run as Run, unique_names as unique_names
 from ._stored import (
@@ -53,12 +59,4 @@ from ._tracked import (
     read_beside as read_beside,
     read_deeplabcut as read_deeplabcut,
     read_kinovea as read_kinovea,
-)
-from ._write import (
-    check_output_files as check_output_files,
-    check_output_folder as check_output_folder,
-    check_output_run as check_output_run,
-    make_folder as make_folder,
-    write_files as write_files,
-    write_run as write_run,
 )

@@ -96,15 +96,15 @@ CLASSES: dict[str, tuple[str, str | None]] = {
         "prior_share sources",
     ),
     "fitting/_run_records:ChannelFit": (
-        "giajax.fitting._run_records:ChannelFit",
+        "giajax.fitting._records:ChannelFit",
         "unit rmse n noise correlated correlation_time_s innovation",
     ),
     "fitting/_run_records:OwnEstimate": (
-        "giajax.fitting._run_records:OwnEstimate",
+        "giajax.fitting._records:OwnEstimate",
         "value standard_error remark",
     ),
     "fitting/_run_records:RunFit": (
-        "giajax.fitting._run_records:RunFit",
+        "giajax.fitting._records:RunFit",
         "name path sha256 channels parameters",
     ),
     "hysteresis/_bouc_wen:BoucWen": (

@@ -4,18 +4,16 @@ from ._arm import ARM as ARM, DEFAULT_PRESET as DEFAULT_PRESET, check_obstacles 
 from ._arm_sections import (
     MUSCLE_KEYS as MUSCLE_KEYS,
     ArmSection as ArmSection,
+    CamerasSection as CamerasSection,
     CommandSection as CommandSection,
     FillingSection as FillingSection,
     InitialSection as InitialSection,
+    LandmarksSection as LandmarksSection,
     Obstacle as Obstacle,
+    PinholeSection as PinholeSection,
     PointMass as PointMass,
     SensorsSection as SensorsSection,
     WindSection as WindSection,
-)
-from ._camera_sections import (
-    CamerasSection as CamerasSection,
-    LandmarksSection as LandmarksSection,
-    PinholeSection as PinholeSection,
     sections_of_cameras as sections_of_cameras,
 )
 from ._declaration import (

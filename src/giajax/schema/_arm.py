@@ -5,8 +5,17 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from ..runtime.text import InputError
-from ._arm_sections import ArmSection, CommandSection, InitialSection, SensorsSection, WindSection
-from ._camera_sections import CamerasSection, LandmarkSection, LandmarksSection, PinholeSection
+from ._arm_sections import (
+    ArmSection,
+    CamerasSection,
+    CommandSection,
+    InitialSection,
+    LandmarkSection,
+    LandmarksSection,
+    PinholeSection,
+    SensorsSection,
+    WindSection,
+)
 from ._kind import ChannelKind, Kind, Naming, RecordedChannel, RecordedRun, SectionTemplate
 from ._quantities_arm import CONTACT
 

@@ -1,4 +1,4 @@
-"""`springs5`, a linearly implicit additive Runge-Kutta method of order 5 for stiff joints.
+"""`springs5`, a linearly implicit additive Runge-Kutta method of order 5, and all methods by name.
 
 One more factorisation a step, and no iteration: between two accurate steps of an explicit method
 stiff springs force many that are merely stable. Here the springs and dampers of the joints and what

@@ -8,11 +8,12 @@ from ._fit_task import FitTask as FitTask, with_warm_start as with_warm_start
 from ._journal import (
     JOURNAL as JOURNAL,
     Journal as Journal,
+    checksums_of as checksums_of,
     locked as locked,
     read_journal as read_journal,
+    version_note as version_note,
 )
 from ._plan import Plan as Plan
-from ._record import checksums_of as checksums_of, version_note as version_note
 from ._stored import (
     compared as compared,
     fitted_runs as fitted_runs,

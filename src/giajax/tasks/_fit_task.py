@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any, Self, Unpack
 from ..recordings import Definition, FitSettings, TaskKeywords, fit_settings, read_runs
 from ..runtime.records import plain_data
 from ..runtime.text import InputError
-from ._journal import read_journal
-from ._record import checksums_of, differences, unchanged
+from ._journal import checksums_of, differences, read_journal, unchanged
 from ._stored import check_config, reached_by, repeatable, without
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from ..runtime.tasks import Task
 from ..runtime.text import InputError, one_of, shown
 from ..schema import flat
 from ._fit_task import FitTask
-from ._record import checksums_of
+from ._journal import checksums_of
 
 # The columns of a plan: keys of `[fit]`, those of its tables by their paths. Imports no JAX.
 

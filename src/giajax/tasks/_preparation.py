@@ -31,8 +31,7 @@ from ..studies import (
     with_suspects,
     with_systematic_errors,
 )
-from ._journal import JOURNAL, Journal, locked, read_journal
-from ._record import check_again
+from ._journal import JOURNAL, Journal, check_again, locked, read_journal
 from ._stored import check_config
 
 # A fit with its journal: begun, or gone on with, in a folder of its own.

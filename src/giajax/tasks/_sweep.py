@@ -17,9 +17,8 @@ from ..runtime.files import keep
 from ..runtime.tasks import Outcome
 from ..runtime.text import InputError
 from ._fit_task import FitTask
-from ._journal import locked
+from ._journal import checksums_of, locked
 from ._plan import Case, Plan
-from ._record import checksums_of
 
 if TYPE_CHECKING:
     from ..fitting import FitResult, HeldOut, PredictionErrors, RunFit

@@ -1,4 +1,4 @@
-"""Fig. 6: the controller of a joint, in the whole arm: pressures against springs."""
+"""Figs 6, 9, 10 and 12 of the paper: one joint, its muscles and its hysteresis."""
 
 import dataclasses
 from collections.abc import Callable

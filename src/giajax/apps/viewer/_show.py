@@ -20,11 +20,11 @@ from ...models import (
     recorded_markers,
     sensors_from_definition,
 )
-from ...recordings import Definition, Run, read_run
+from ...recordings import Definition, Run, read_run, stored_result
 from ...runtime.arrays import Float
 from ...runtime.text import InputError
 from ...simulation import SimulationError, at_rest
-from ...tasks import fitted_runs, stored_result
+from ...tasks import fitted_runs
 
 
 @dataclasses.dataclass(frozen=True)

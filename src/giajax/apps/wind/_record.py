@@ -1,4 +1,4 @@
-"""Spectra of a record by sine tapers, in bands that share no frequency.
+"""A record of an arm at rest in a wind, and its spectra by sine tapers.
 
 The tapers are Riedel and Sidorenko's (Minimum bias multiple taper spectral estimation, IEEE
 Transactions on Signal Processing 43, 1995, p. 188). The k-th is a window at half a bin's distance

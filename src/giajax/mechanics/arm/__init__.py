@@ -1,11 +1,14 @@
 """The multibody arm: chain, presets, kinematics, dynamics, air, buoyancy and energy."""
 
 from ._air import cylinder_drag_coefficient as cylinder_drag_coefficient, drag_force as drag_force
-from ._arm import Arm as Arm, Bodies as Bodies, bodies as bodies, lift as lift
-from ._build import (
+from ._arm import (
     PRESETS as PRESETS,
     STANDARD_GRAVITY as STANDARD_GRAVITY,
+    Arm as Arm,
+    Bodies as Bodies,
+    bodies as bodies,
     chain as chain,
+    lift as lift,
     net_lift as net_lift,
     pendulum as pendulum,
     preset as preset,

@@ -1,5 +1,8 @@
-"""The arm, and the rigid body that each of its links is with everything that moves with it."""
+"""The arm, the rigid bodies that its links are, and how arms are made: trim and presets."""
 
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from inspect import signature
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -8,10 +11,19 @@ import numpy as np
 
 from ...runtime.arrays import Array, Float, Scalar
 from ...runtime.text import InputError
-from ...schema import BASE
-from ...schema.parameters import inline, parameter
-from ._parts import Air, Buoyancy, Contact, Joints, Links, PointMasses
-from ._pneumatics import Pneumatics
+from ...schema import AIR, BASE, BUOYANCY, LINKS, POINT_MASSES
+from ...schema.parameters import (
+    checked,
+    declaration,
+    find,
+    inline,
+    is_concrete,
+    parameter,
+    switched_on,
+)
+from ..joint import JointPair
+from ._parts import Air, Buoyancy, Contact, Joints, Links, PointMasses, named_axes
+from ._pneumatics import Pneumatics, muscles_in, without_idle_springs
 
 # Frame: x along the straight arm away from the base, z up, y to the left; the origin is joint 1.
 # Joint i precedes link i. Angles are in radians and everything is SI.
@@ -211,3 +223,350 @@ def lift(arm: Arm) -> PerLink | None:
     if arm.buoyancy.imbalance is not None:
         upwards = upwards + arm.buoyancy.imbalance
     return upwards
+
+
+# How arms are made: the general constructor, the weights that trim links, and presets.
+
+
+def net_lift(arm: Arm) -> Float[Array, " link"]:
+    """Mass that each link could still carry: displaced air less all that moves with it, kg.
+
+    Arguments:
+        arm: an arm with buoyancy.
+
+    Returns:
+        Mass, kg, shape (link,); negative where a link is too heavy to float.
+
+    Raises:
+        InputError: the arm leaves buoyancy out.
+    """
+    if arm.buoyancy is None:
+        raise InputError("this arm leaves buoyancy out: build it with buoyancy=True")
+    return arm.air.density * arm.links.volume - bodies(arm).mass
+
+
+def trimmed(arm: Arm, *, level: bool = False) -> Arm:
+    """The arm with the trim weights that make each link float.
+
+    Arguments:
+        arm: an arm with buoyancy; its trim weights are replaced.
+        level: also hang them where each link floats level: its centre of mass is then at the
+            same distance along the link as its lift. Otherwise they hang where they are.
+
+    Returns:
+        The arm with other trim weights and, if it shall float level, other trim positions.
+
+    Raises:
+        InputError: it leaves buoyancy out, a link is too heavy to float, or its weight would
+            hang beyond its ends.
+    """
+    if arm.buoyancy is None:
+        raise InputError("this arm leaves buoyancy out: build it with buoyancy=True")
+    bare = dataclasses.replace(arm.buoyancy, trim_mass=jnp.zeros_like(arm.links.mass))
+    weights = net_lift(dataclasses.replace(arm, buoyancy=bare))
+    if is_concrete(weights) and np.any(np.asarray(weights) < 0):
+        link = int(np.argmin(np.asarray(weights))) + 1
+        raise InputError(
+            f"link {link} is {-float(weights[link - 1]):.3g} kg too heavy to float, so no trim "
+            "weight balances it: make it lighter or larger"
+        )
+    held = dataclasses.replace(bare, trim_mass=weights)
+    if level:
+        held = dataclasses.replace(held, trim_position=_level(arm, bare, weights))
+    return dataclasses.replace(arm, buoyancy=held)
+
+
+def _level(arm: Arm, bare: Buoyancy, weights: Float[Array, " link"]) -> Float[Array, " link"]:
+    """Where the weights hang, so that mass and displaced air balance about every point."""
+    length = arm.links.length
+    other = bodies(dataclasses.replace(arm, buoyancy=bare))
+    moment = other.mass * (length / 2 - other.along)
+    # Without a weight there is no place for it, and no moment that it could balance.
+    place = length / 2 + moment / jnp.where(weights > 0, weights, jnp.inf)
+    if is_concrete(place) and np.any(np.asarray((place < 0) | (place > length))):
+        link = int(np.argmax(np.asarray(abs(place - length / 2) - length / 2))) + 1
+        raise InputError(
+            f"link {link} floats level only with its trim weight {float(place[link - 1]):.3g} m "
+            f"along a link of {float(length[link - 1]):.3g} m: give buoyancy.trim_position"
+        )
+    return place
+
+
+def chain(
+    links: int = 20,
+    *,
+    length: Any = None,
+    diameter: Any = None,
+    mass: Any = None,
+    centre_of_mass: Any = None,
+    inertia_transverse: Any = None,
+    inertia_axial: Any = None,
+    joint_axes: str | Sequence[str | Sequence[float]] = "pitch_yaw",
+    base_rotation: Any = (0.0, 0.0, 0.0),
+    gravity: Any = 0.0,
+    air_density: Any = None,
+    drag: str = "centre",
+    strip_points: int = 3,
+    drag_curve: str = "constant",
+    added_mass: str = "kirchhoff",
+    buoyancy: bool = False,
+    trim: bool = False,
+    point_masses: PointMasses | None = None,
+    muscles: str | Sequence[int] | None = None,
+    pair: JointPair | None = None,
+    contact: Contact | None = None,
+    parameters: Mapping[str, Any] | None = None,
+) -> Arm:
+    """Build an arm; by default that of the paper (`takeichi_20m`).
+
+    Arguments:
+        links: number of links.
+        length, diameter: of a link, m; a number for all links or one per link.
+        mass: of a link, kg; likewise.
+        centre_of_mass: from the link's joint along the link, m; half the length by default.
+        inertia_transverse, inertia_axial: about the centre of mass, kg m^2; those of a
+            thin-walled tube of the link's mass, length and diameter by default.
+        joint_axes: "pitch_yaw", or for each joint "pitch", "yaw" or a vector.
+        base_rotation: rotation vector of the straight arm, rad, shape (3,).
+        gravity: along -z, m/s^2.
+        air_density: kg/m^3.
+        drag: "centre" (eq. 1) or "strip" (cross flow along the link, by `strip_points` points).
+        strip_points: Gauss points of strip drag.
+        drag_curve: "constant", or "cylinder": C_D follows the Reynolds number.
+        added_mass: "kirchhoff", or "inertia": without the products of velocities.
+        buoyancy: whether displaced air, helium and trim weights count; without gravity only
+            their masses do.
+        trim: hang the trim weights that make each link float, and float level unless
+            `buoyancy.trim_position` is among `parameters`.
+        point_masses: bodies fixed to links, such as a camera at the tip.
+        muscles: joints that pairs of muscles drive in place of springs: "pitch", "all" or their
+            numbers from 1 on; none by default.
+        pair: the joint and the law of its muscles, the same in each; by default braided muscles,
+            with corrections that are blended over 1 deg about 0.
+        contact: obstacles around the arm, and how links press against them; none by default.
+        parameters: values of any parameters by path, SI (`giajax parameters` lists them); one
+            that is left out by default, such as `air.added_mass_coefficient`, is switched on.
+
+    Returns:
+        The arm, with the default stiffnesses, damping and drag coefficient.
+
+    Raises:
+        InputError: a pair without joints, a list whose length is not the number of links, a number
+            that is not finite or, where physics needs it, not positive, an unknown path or choice,
+            a link that is too heavy to float.
+
+    Example:
+        >>> import giajax
+        >>> arm = giajax.chain(
+        ...     3, length=[1.0, 0.8, 0.6], parameters={"air.added_mass_coefficient": 1.0}
+        ... )
+    """
+    if pair is not None and muscles is None:
+        raise InputError('a pair of muscles is in no joint: give muscles="pitch" as well')
+    if links < 1:
+        raise InputError(f"an arm of {links} links cannot be built: give at least 1")
+
+    def per_link(name: str, value: Any, fallback: Any = None) -> Any:
+        declared = declaration(Links, name)
+        if value is None:
+            value = declared.default if fallback is None else fallback
+        array = np.asarray(value, dtype=float)
+        if array.shape not in ((), (1,), (links,)):
+            raise InputError(
+                f"{name} has {array.size} values for {links} links: give one number or {links}"
+            )
+        if not np.all(np.isfinite(array)) or not np.all(array > declared.lower):
+            raise InputError(
+                f"{name} is out of bounds: "
+                f"give finite numbers greater than {declared.lower:g} {declared.unit}"
+            )
+        return np.broadcast_to(array, (links,))
+
+    length = per_link("length", length)
+    diameter = per_link("diameter", diameter)
+    mass = per_link("mass", mass)
+    axial = mass * (diameter / 2) ** 2
+    air = {} if air_density is None else {"density": air_density}
+    joints = Joints(axes=named_axes(joint_axes, links))
+    pneumatics = None if muscles is None else muscles_in(muscles, pair, joints)
+    arm = Arm(
+        links=Links(
+            length=length,
+            diameter=diameter,
+            mass=mass,
+            centre_of_mass=per_link("centre_of_mass", centre_of_mass, length / 2),
+            inertia_transverse=per_link(
+                "inertia_transverse", inertia_transverse, axial / 2 + mass * length**2 / 12
+            ),
+            inertia_axial=per_link("inertia_axial", inertia_axial, axial),
+            **{name: per_link(name, None) for name in _OTHERS},
+        ),
+        joints=joints,
+        air=Air(
+            drag=drag,
+            strip_points=strip_points,
+            drag_curve=drag_curve,
+            added_mass=added_mass,
+            **air,
+        ),
+        buoyancy=Buoyancy(trim_position=length / 2) if buoyancy or trim else None,
+        point_masses=point_masses,
+        pneumatics=pneumatics,
+        contact=contact,
+        base_rotation=base_rotation,
+        gravity=gravity,
+    )
+    values = dict(parameters or {})
+    if trim and "buoyancy.trim_mass" in values:
+        raise InputError(
+            "trim computes buoyancy.trim_mass, which is among the parameters, too: leave one out"
+        )
+    arm = _with_parameters(arm, values)
+    if pneumatics is not None:
+        idle = without_idle_springs(arm.joints, pneumatics)
+        arm = dataclasses.replace(arm, joints=idle)
+    return trimmed(arm, level="buoyancy.trim_position" not in values) if trim else arm
+
+
+# What of a link has no argument of its own.
+_OTHERS = [name for name in Links.__dataclass_fields__ if name not in signature(chain).parameters]
+
+
+def _with_parameters(arm: Arm, values: Mapping[str, Any]) -> Arm:
+    for path, value in values.items():
+        array = np.asarray(value, dtype=float)
+        arm = switched_on(arm, [path])
+        parameter = find(arm, path)
+        allowed = [(), parameter.value(arm).shape]
+        if parameter.declaration.each and not path.startswith("point_masses."):
+            counted = parameter.any_number and array.ndim == 1
+            allowed.append(array.shape if counted else (arm.count,))
+        if array.shape not in allowed or not np.all(np.isfinite(array)):
+            raise InputError(
+                f"'{path}' has {array.size} values: give one finite number"
+                + (f", or {allowed[-1][0]} of them" if allowed[-1] else "")
+            )
+        arm = parameter.set(arm, array)
+    # Numbers of elements came one after the other.
+    return checked(arm)
+
+
+# Ready-made arms.
+
+STANDARD_GRAVITY = 9.80665
+
+
+def takeichi_20m(links: int = 20, **changes: Any) -> Arm:
+    """The 20 m, 20-link helium-balloon arm of Takeichi, Suzumori, Endo and Nabae.
+
+    Alternating pitch and yaw joints, links of 0.99 m, 0.30 m and 0.047 kg (table 2), drag by
+    eq. (1), no gravity because trim weights balance the buoyancy. Stiffnesses, damping and C_D
+    are assumed: the paper gives none, and finding them is a fit's job.
+
+    Arguments:
+        links: number of links; the paper's arm has 20.
+        changes: arguments of `chain`.
+
+    Returns:
+        The arm.
+
+    Example:
+        >>> import giajax
+        >>> giajax.takeichi_20m().count
+        20
+    """
+    return chain(links, **changes)
+
+
+def takeichi_20m_full(links: int = 20, **changes: Any) -> Arm:
+    """The same arm with the air that the paper leaves out.
+
+    Cross-flow drag along the links with C_D by Reynolds number, added mass, gravity and
+    buoyancy, trim weights that make each link float level and hang 0.15 m below its axis, and
+    the camera of 3 g at the tip.
+
+    Arguments:
+        links: number of links.
+        changes: arguments of `chain`.
+
+    Returns:
+        The arm.
+    """
+    extras = {AIR.added_mass_coefficient.path: AIR.added_mass_coefficient.default}
+    if changes.get("drag", "strip") == "strip":
+        extras[AIR.axial_coefficient.path] = AIR.axial_coefficient.default
+    floats = changes.get("buoyancy", True)
+    if floats:
+        extras[BUOYANCY.trim_depth.path] = BUOYANCY.trim_depth.default
+    length = changes.get("length")
+    tip = LINKS.length.default if length is None else float(np.ravel(length)[-1])
+    mass = POINT_MASSES.mass.default
+    camera = PointMasses((links,), mass=jnp.full(1, mass), position=jnp.full(1, tip))
+    defaults = {
+        "gravity": STANDARD_GRAVITY,
+        "drag": "strip",
+        "drag_curve": "cylinder",
+        "buoyancy": floats,
+        "trim": floats,
+        "point_masses": camera,
+    }
+    parameters = {**extras, **(changes.pop("parameters", None) or {})}
+    return chain(links, **{**defaults, **changes}, parameters=parameters)
+
+
+def pendulum(links: int = 1, **changes: Any) -> Arm:
+    """A pendulum of thin rods that hang down, in a plane, without springs, damping and air.
+
+    Rods of 1 m, 2 cm and 1 kg; all joints have the same axis, and all angles are 0 where the
+    pendulum hangs at rest. Free the damping, or give what is known of it.
+
+    Arguments:
+        links: number of links.
+        changes: arguments of `chain`.
+
+    Returns:
+        The pendulum.
+
+    Example:
+        >>> import giajax
+        >>> double = giajax.pendulum(2, length=[0.3, 0.2], parameters={"joints.damping": 1e-3})
+    """
+    absent = ("joints.pitch_stiffness", "joints.yaw_stiffness", "joints.damping")
+    none = dict.fromkeys((*absent, "air.drag_coefficient"), 0.0)
+    defaults = {
+        "length": 1.0,
+        "diameter": 0.02,
+        "mass": 1.0,
+        "joint_axes": ["pitch"] * links,
+        "gravity": STANDARD_GRAVITY,
+        "base_rotation": (0.0, np.pi / 2, 0.0),
+    }
+    parameters = {**none, **(changes.pop("parameters", None) or {})}
+    return chain(links, **{**defaults, **changes}, parameters=parameters)
+
+
+PRESETS: dict[str, Callable[..., Arm]] = {
+    "takeichi_20m": takeichi_20m,
+    "takeichi_20m_full": takeichi_20m_full,
+    "pendulum": pendulum,
+}
+"""Presets by name; each takes the number of links and the arguments of `chain`."""
+
+
+def preset(name: str, links: int | None = None, **changes: Any) -> Arm:
+    """The preset of a name, changed by arguments of `chain`.
+
+    Arguments:
+        name: a key of `PRESETS`.
+        links: number of links; by default that of the preset.
+        changes: arguments of `chain`.
+
+    Returns:
+        The arm.
+
+    Raises:
+        InputError: there is no such preset.
+    """
+    if name not in PRESETS:
+        raise InputError(f"there is no arm preset '{name}': use one of {', '.join(PRESETS)}")
+    return PRESETS[name](**changes) if links is None else PRESETS[name](links, **changes)

@@ -16,10 +16,8 @@ from ...runtime.records import plain_data
 from ...runtime.text import InputError, format_estimate
 from ...studies import LEVEL, promising, with_fitted_states
 from ...tasks import repeatable
-from .. import SUSPECT_HEADINGS, first_suspects, systematic_table
-from .._records import sections
+from .. import SUSPECT_HEADINGS, Table, first_suspects, sections, systematic_table
 from .._text import WRONG_DERIVATIVES, summary_rows, worth_drawing
-from .._views import Table
 from ._plots import (
     Panel,
     can_have_bands,

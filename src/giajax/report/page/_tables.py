@@ -17,7 +17,7 @@ from ...fitting import (
 )
 from ...runtime.text import format_bounds, format_estimate, format_number, format_range
 from ...studies import distinct_optima, lost_starts, together
-from .._views import Table
+from .. import Table
 
 # A correlation's colour is mixed of white and one of these.
 _POSITIVE, _NEGATIVE = (213, 94, 0), (0, 114, 178)
