@@ -1,4 +1,4 @@
-"""`giajax simulate`: a run made by the model."""
+"""`giajax simulate` and `synth`: a run made by the model, or recorded again."""
 
 import math
 import re
