@@ -44,8 +44,9 @@ def test_it_is_found_as_an_attribute_and_by_its_names(monkeypatch):
         monkeypatch.delattr(giajax, name, raising=False)
     with pytest.warns(DeprecationWarning, match=r"giajax\.study is giajax\.studies"):
         assert giajax.study.profile is giajax.profile
-    with pytest.warns(DeprecationWarning, match="recordings now"):
+    with pytest.warns(DeprecationWarning, match="recordings now") as told:
         from giajax.runs import read_run
+    assert told[0].filename == __file__
     assert read_run is giajax.read_run
 
 
@@ -56,8 +57,9 @@ def test_a_name_that_has_moved_or_changed_warns(room):
         warnings.simplefilter("ignore", DeprecationWarning)
         module = importlib.import_module(f"giajax.{room}".rstrip("."))
     for before, now in RENAMED[room].items():
-        with pytest.warns(DeprecationWarning, match=f"{room}.{before} is giajax.{now}"):
+        with pytest.warns(DeprecationWarning, match=f"{room}.{before} is giajax.{now}") as told:
             found = getattr(module, before)
+        assert told[0].filename == __file__
         where, _, name = now.rpartition(".")
         assert found is getattr(importlib.import_module(f"giajax.{where}"), name)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from giajax import Definition, FitTask, load_result, read_run
+from giajax import Definition, FitTask, InputError, load_result, read_run
 from giajax.report import summary
 
 EARLIER = Path(__file__).parent / "earlier"
@@ -74,3 +74,45 @@ def test_results_predict_as_they_did(kind):
     values = {path: estimate["value"] for path, estimate in again["parameters"].items()}
     before = json.loads((EARLIER / kind / "result.json").read_text())["parameters"]
     assert values == {path: estimate["value"] for path, estimate in before.items()}
+
+
+@pytest.fixture
+def changed(tmp_path):
+    """A function that changes a stored result, and reads it."""
+
+    def read(change):
+        record = json.loads((EARLIER / "muscle" / "result.json").read_text())
+        change(record)
+        (tmp_path / "result.json").write_text(json.dumps(record))
+        return load_result(tmp_path)
+
+    return read
+
+
+def test_a_result_with_a_prior_by_a_factor_is_read(changed):
+    (path, *_) = json.loads((EARLIER / "muscle" / "result.json").read_text())["parameters"]
+
+    def change(record):
+        record["config"]["priors"] = {path: {"value": 1.0, "factor": 1.5}}
+
+    assert changed(change).config["priors"][path]["factor"] == 1.5
+
+
+def test_a_parameter_that_follows_from_others_needs_no_start(changed):
+    """It has a standard error, and starts have the free parameters alone."""
+
+    def change(record):
+        first, second = list(record["parameters"])[:2]
+        for path, one in record["parameters"].items():
+            one.update(free=path == first, standard_error=1e-3)
+        values = {first: record["parameters"][first]["value"]}
+        start = {"start": values, "parameters": values, "misfit": 1.0, "status": "converged"}
+        record["starts"] = [start]
+        assert second not in values
+
+    assert changed(change).starts[0].misfit == 1.0
+
+
+def test_another_version_is_named_before_what_differs(changed):
+    with pytest.raises(InputError, match="written by another version of giajax"):
+        changed(lambda record: record.update(schema_version=99, runs=3))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from giajax import FitTask, model_for
+from giajax.models import capabilities
 from giajax.recordings import Definition
 from giajax.report import reached
 from giajax.schema.parameters import elements, switched_on
@@ -48,7 +49,7 @@ def test_it_states_the_truth_and_starts_away_from_it(path):
     model = switched_on(model_for(runs), definition.fit.free)
     freed = {element.path for path in definition.fit.free for element in elements(model, path)}
     # Of parameters that are determined only together, what is determined has a figure too.
-    derived = set(definition.figures) & set(model.derived())
+    derived = set(definition.figures) & set(capabilities.derived(model))
     assert set(definition.figures) == freed | derived
     truths = [run.definition.truth for run in runs]
     if len({run.model for run in runs}) > 1:

@@ -13,7 +13,7 @@ import lazy_loader
 from .runtime.aliases import MOVED, RENAMED, earlier, install
 
 _current, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
-_earlier = earlier(__name__)
+_earlier = earlier(__name__, 4)
 install()
 
 

@@ -104,7 +104,6 @@ def test_a_bad_definition_is_one_sentence(case, tmp_path, capsys):
     refused(capsys, [path], sentence)
 
 
-@pytest.mark.quick
 def test_bad_options_are_one_sentence(tmp_path, capsys):
     refused(capsys, [tmp_path / "none.toml"], "does not exist: give the path of a TOML file")
     refused(capsys, ["--minutes", "0"], "--minutes is 0: give a positive number")

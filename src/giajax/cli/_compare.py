@@ -190,10 +190,10 @@ def report(given: OnResult) -> None:
 
     page = given.home / "report.html" if given.out is None else given.out
     check_output_files([page], force=given.force)
-    fitted = given.fitted
     from ..report import check_page, report_page
 
     check_page()
+    fitted = given.fitted
     held_out = []
     if fitted.held_out:
         held_out = held_out_runs(fitted, given.data or [], rename=given.renamed)

@@ -2,7 +2,6 @@
 
 import shlex
 import sys
-import webbrowser
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
@@ -118,6 +117,7 @@ def replay_table(session: "Session", table: "Mapping[str, np.ndarray]") -> None:
 def serve(session: "Session", camera: "TipCamera", *, host: str, port: int, browser: bool) -> None:
     """Serve the page until Ctrl-C."""
     from ..apps.driving import Cockpit
+    from ..apps.viewer import open_in_browser
 
     cockpit = Cockpit(session, camera, host=host, port=port)
     try:
@@ -126,7 +126,7 @@ def serve(session: "Session", camera: "TipCamera", *, host: str, port: int, brow
             typer.echo("whoever has this address drives the arm, from other machines, too")
         typer.echo("Ctrl-C ends the drive and saves it")
         if browser:
-            webbrowser.open(cockpit.address)
+            open_in_browser(cockpit.address)
         while not cockpit.wait(1.0):
             pass
         raise InputError(cockpit.error or "the drive is over")

@@ -1,7 +1,6 @@
 """`giajax view`: an arm in three dimensions, in a browser."""
 
 import time
-import webbrowser
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -112,7 +111,7 @@ def _write(
 def _serve(
     found: "list[Show | Posable]", *, overlay: bool, host: str, port: int, browser: bool
 ) -> None:
-    from ..apps.viewer import Viewer
+    from ..apps.viewer import Viewer, open_in_browser
 
     viewer = Viewer(found, overlay=overlay, host=host, port=port)
     try:
@@ -121,7 +120,7 @@ def _serve(
             typer.echo("whoever has this address sees the page, from other machines, too")
         typer.echo("Ctrl-C ends it")
         if browser:
-            webbrowser.open(viewer.address)
+            open_in_browser(viewer.address)
         while True:
             time.sleep(3600)
     except KeyboardInterrupt:

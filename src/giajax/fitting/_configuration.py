@@ -113,7 +113,7 @@ def set_up(
     Raises:
         InputError: as `fit`, apart from a start that cannot be evaluated.
     """
-    settings = fit_settings(keywords) if settings is None else settings
+    settings = fit_settings(keywords, settings=settings)
     runs = (runs,) if isinstance(runs, Run) else tuple(runs)
     if not runs:
         raise InputError("there is no run: give at least one")

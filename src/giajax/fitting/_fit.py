@@ -262,7 +262,7 @@ def fit(
         >>> result = giajax.fit(giajax.model_for([run]), run)  # doctest: +SKIP
         >>> result.parameters["air.drag_coefficient"].value  # doctest: +SKIP
     """
-    settings = fit_settings(keywords) if settings is None else settings
+    settings = fit_settings(keywords, settings=settings)
     check_effect(settings, FitKeywords, "giajax.fit")
     return solve(set_up(model, runs, settings), progress=progress, check=check)
 

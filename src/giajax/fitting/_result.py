@@ -336,7 +336,12 @@ def _fields(record: dict[str, Any], what: str) -> Mapping[str, Any]:
     """The fields of a stored result, which earlier versions lack some of; without its model."""
     del record["schema_version"]
     fields = vars(from_plain(_STORED, record, what, _REMEDY))
-    known = [path for path, one in fields["parameters"].items() if one.standard_error is not None]
+    # A parameter that follows from others has a standard error, and no start of its own.
+    known = [
+        path
+        for path, one in fields["parameters"].items()
+        if one.free and one.standard_error is not None
+    ]
     for number, start in enumerate(fields["starts"]):
         for path in known if start.misfit is not None else ():
             if (start.parameters or {}).get(path) is None:

@@ -361,18 +361,35 @@ class Definition(_Sections):
         return to_toml({"schema_version": self.schema_version, **self.contents()})
 
 
-def fit_settings(keywords: Mapping[str, Any], source: str = "the arguments") -> FitSettings:
-    """The settings of a fit that keywords state.
+def fit_settings(
+    keywords: Mapping[str, Any],
+    source: str = "the arguments",
+    settings: FitSettings | None = None,
+) -> FitSettings:
+    """The settings of a fit that keywords state, or those that were given in their place.
 
     Arguments:
         keywords: as of `FitKeywords`; None for what is not said.
         source: what errors call them.
+        settings: in place of keywords.
 
     Raises:
-        InputError: as `Definition.parse`.
+        InputError: as `Definition.parse`; there are settings and keywords.
     """
+    names = [name for name, value in keywords.items() if value is not None]
+    if settings is not None:
+        if names:
+            raise InputError(
+                f"{source} have settings and {', '.join(names)} beside them: say all of it in one "
+                "of the two ways"
+            )
+        return settings
     said = {name: _as_in_file(value) for name, value in keywords.items() if value is not None}
+    if "free" in said and not isinstance(free := keywords["free"], str):
+        said["free"] = list(free)
     if isinstance(budget := said.get("budget"), float | int):
+        if not 0 < budget < math.inf:
+            raise InputError(f"the budget is {budget:g} s: give a positive number of seconds")
         said["budget"] = f"{budget:.9f}s"
     return Definition.parse({"fit": said}, source).fit
 

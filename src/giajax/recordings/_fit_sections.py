@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, ClassVar, Literal, Self, TypedDict
 
 import numpy.typing as npt
-from pydantic import ConfigDict, Field, field_validator, model_validator
+from pydantic import ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from ..runtime.limits import STARTS
 from ..runtime.text import InputError
@@ -331,7 +331,11 @@ class FitSettings(Section):
             config: of the result of that fit.
         """
         names = ("priors", "bounds", "ties", "groups", "loss", "noise_model", "noise_per_run")
-        return cls.model_validate({name: config[name] for name in names if name in config})
+        try:
+            return cls.model_validate({name: config[name] for name in names if name in config})
+        except ValidationError as error:
+            where = ".".join(map(str, error.errors()[0]["loc"]))
+            raise InputError(f"the stored fit has no usable {where}: fit its data anew") from None
 
     @field_validator(
         *("start", "fix", "uncertainty", "priors", "bounds", "ties", "groups"), mode="before"

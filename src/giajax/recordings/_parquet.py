@@ -16,10 +16,12 @@ from ..runtime.limits import CELL_BYTES, DEPTH, PARQUET_BYTES, PARQUET_FOOTER_BY
 from ..runtime.text import InputError
 
 # Pages, and bytes before each: more than any program makes of a file within the limits.
-_PAGES, _PAGE_HEAD = 100_000, 1 << 16
+_PAGES, _PAGE_HEAD, _PAGE_HEADS = 100_000, 1 << 16, 1 << 24
 
-# Fields of a page: it has values, is a dictionary, or has values of the second version.
-_KINDS = (5, 7, 8)
+# Fields of a page (it has values, is a dictionary, or has values of the second version), and that
+# of the encoding in each. Of texts by the prefix that they share with the one before, a page of a
+# few bytes may hold any size.
+_KINDS, _PREFIXED = {5: 2, 7: 2, 8: 4}, 7
 
 # Of a cell in memory: a number, and what Python needs for a text.
 _NUMBER_BYTES, _TEXT_BYTES = 8, 64
@@ -50,7 +52,14 @@ def split_parquet(data: bytes, path: Path) -> tuple[list[str], list[pl.Series], 
         ) from None
     for series in frame:
         if series.dtype in (pl.String, pl.Categorical):
-            longest = cast("int | None", series.cast(pl.String).str.len_bytes().max()) or 0
+            # Of categories each text is there once, until the column is made of texts.
+            texts = series.str if series.dtype == pl.String else series.cat
+            longest = cast("int | None", texts.len_bytes().max()) or 0
+            if longest <= CELL_BYTES and len(series) * (_TEXT_BYTES + longest) > PARQUET_BYTES:
+                raise InputError(
+                    f"{path}: the texts of column {series.name!r} may have {PARQUET_BYTES:,} bytes "
+                    "at most: shorten them"
+                )
             if longest > CELL_BYTES:
                 raise InputError(
                     f"{path}: a cell of column {series.name!r} has {longest:,} bytes, but may "
@@ -82,26 +91,46 @@ def _rows(data: bytes) -> tuple[int, int]:
         ValueError: it is not such a file.
     """
     length = int.from_bytes(data[-8:-4], "little")
-    if data[-4:] != b"PAR1" or not 0 < length <= len(data) - 12:
+    if data[-4:] != b"PAR1" or data[:4] != b"PAR1" or not 0 < length <= len(data) - 12:
         raise ValueError("no footer")
     try:
         footer, _ = _table(data[-8 - length : -8], 0, DEPTH)
         # Room is made for as many cells as any of these says, and a negative number is a huge one.
+        # Polars reads groups of columns by recursion: a deep one would end the process.
+        open_groups: list[int] = []
+        for element in footer[2]:
+            open_groups.append(element.get(5) or 0)
+            while open_groups and open_groups[-1] == 0:
+                open_groups.pop()
+                if open_groups:
+                    open_groups[-1] -= 1
+            if len(open_groups) > DEPTH:
+                raise ValueError("too deep groups of columns")
         counts, sizes = [footer[3], sum(group[3] for group in footer[4])], [0]
+        heads = 0
         for group in footer[4]:
             counts.append(group[3])
             for column in group[1]:
                 about = column[3]
                 counts.append(about[5])
-                at = about.get(11) or about[9]
+                at = about[9] if about.get(11) is None else about[11]
                 end = at + about[7]
+                if at < 4:
+                    raise ValueError("pages before the file begins")
                 while at < end:
                     page, head = _table(data[at : at + _PAGE_HEAD], 0, DEPTH)
-                    counts += [page[kind][1] for kind in _KINDS if kind in page]
+                    for kind, encoding in _KINDS.items():
+                        if kind in page:
+                            counts.append(page[kind][1])
+                            if page[kind][encoding] == _PREFIXED:
+                                raise ValueError("texts that repeat those before them")
                     sizes.append(page[2])
                     at += head + page[3]
-                    if page[3] < 0 or len(sizes) > _PAGES:
+                    heads += head
+                    if page[3] < 0 or len(sizes) > _PAGES or heads > _PAGE_HEADS:
                         raise ValueError("no pages")
+                if at != end:
+                    raise ValueError("pages beyond their end")
         if min(*counts, *sizes) < 0:
             raise ValueError("a negative size")
         return max(counts), sum(sizes)

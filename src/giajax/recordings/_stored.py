@@ -35,7 +35,8 @@ class _Run:
 @dataclasses.dataclass(frozen=True)
 class _Prior:
     value: float
-    deviation: float
+    deviation: float | None = None
+    factor: float | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -148,9 +149,9 @@ def stored_result(path: str | Path) -> tuple[Path, dict[str, Any]]:
         raise
     except (OSError, ValueError):
         raise InputError(f"{what}: {remedy}") from None
-    from_plain(_Result, record, what, remedy)
-    if record.get("schema_version") != SCHEMA_VERSION:
+    if isinstance(record, dict) and record.get("schema_version", SCHEMA_VERSION) != SCHEMA_VERSION:
         raise InputError(f"{path} was written by another version of giajax: run the fit again")
+    from_plain(_Result, record, what, remedy)
     if record.get("task"):
         from_plain(StoredTask, record["task"], f"{path} has a damaged task", "fit its data anew")
     return path.parent, record

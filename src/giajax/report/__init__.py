@@ -11,7 +11,7 @@ import lazy_loader
 from ..runtime.aliases import RENAMED, earlier
 
 _current, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
-_earlier = earlier(__name__)
+_earlier = earlier(__name__, 4)
 
 
 def __getattr__(name: str) -> Any:

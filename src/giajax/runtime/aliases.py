@@ -1,6 +1,6 @@
 """Names of earlier versions: they work on with a warning until a stated date.
 
-`docs/migration.md` lists them. A module that has moved is found by an importer at the end of
+`docs/migration.md` lists them. A module that has moved is found by an importer in
 `sys.meta_path`, so that none of it is a file, and what it had is looked up where it is now.
 """
 
@@ -92,11 +92,12 @@ RENAMED: dict[str, dict[str, str]] = {
 """By room of before, "" for `giajax`, where a public name is now; all of it within `giajax`."""
 
 
-def earlier(room: str) -> Callable[[str], Any]:
+def earlier(room: str, level: int = 3) -> Callable[[str], Any]:
     """The `__getattr__` of a room of giajax for names that have moved or changed.
 
     Arguments:
         room: its `__name__`.
+        level: how far up the stack a warning points; one more where a function calls this one.
     """
     names = RENAMED[room.partition(".")[2]]
 
@@ -104,7 +105,7 @@ def earlier(room: str) -> Callable[[str], Any]:
         if name not in names:
             raise AttributeError(f"module {room!r} has no attribute {name!r}")
         where, _, now = names[name].rpartition(".")
-        _warn(f"{room}.{name}", f"giajax.{where}.{now}")
+        _warn(f"{room}.{name}", f"giajax.{where}.{now}", level)
         return getattr(importlib.import_module(f"giajax.{where}"), now)
 
     return get
@@ -113,7 +114,8 @@ def earlier(room: str) -> Callable[[str], Any]:
 def install() -> None:
     """Have the earlier modules found; called once, where `giajax` is imported."""
     if not any(isinstance(finder, _Finder) for finder in sys.meta_path):
-        sys.meta_path.append(_Finder())
+        # Before all others: folders that an earlier version has left are packages to Python's own.
+        sys.meta_path.insert(0, _Finder())
 
 
 class _Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
@@ -130,9 +132,9 @@ class _Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
     def exec_module(self, module: ModuleType) -> None:
         package, _, name = module.__name__.rpartition(".")
         places = [f"{package}.{place}" for place in MOVED[name]]
-        _warn(module.__name__, " and ".join(places))
+        _warn(module.__name__, " and ".join(places), 3)
 
-        renamed = earlier(module.__name__) if name in RENAMED else None
+        renamed = earlier(module.__name__, 4) if name in RENAMED else None
 
         def get(attribute: str) -> Any:
             if renamed is not None and attribute in RENAMED[name]:
@@ -147,9 +149,14 @@ class _Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         vars(module)["__getattr__"] = get
 
 
-def _warn(before: str, now: str) -> None:
+def warn_of_name(before: str, now: str) -> None:
+    """Say that an attribute has another name now; called by the property of the earlier name."""
+    _warn(before, now, 4)
+
+
+def _warn(before: str, now: str, level: int) -> None:
     warnings.warn(
         f"{before} is {now} now: change the name, which works until {UNTIL}",
         DeprecationWarning,
-        stacklevel=4,
+        stacklevel=level,
     )

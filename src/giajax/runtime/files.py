@@ -62,15 +62,18 @@ def read_bytes(path: Path, most: int) -> bytes:
         OSError: there is no such file, or it cannot be read.
     """
     check_path(path)
-    state = path.stat()
-    device = _DEVICES.get(stat.S_IFMT(state.st_mode))
-    if device is not None:
-        raise InputError(f"{path} is {device}, but must be a file: write its content to one")
-    if state.st_size > most:
-        raise InputError(
-            f"{path} has {state.st_size:,} bytes, but may have {most:,} at most: shorten it"
-        )
-    return path.read_bytes()
+    # Without waiting for who writes into a pipe; on Windows there is none.
+    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    with open(handle, "rb") as file:
+        state = os.fstat(handle)
+        device = _DEVICES.get(stat.S_IFMT(state.st_mode))
+        if device is not None:
+            raise InputError(f"{path} is {device}, but must be a file: write its content to one")
+        # A file may grow, and those of the system say no size.
+        data = b"" if state.st_size > most else file.read(most + 1)
+    if (size := max(state.st_size, len(data))) > most:
+        raise InputError(f"{path} has {size:,} bytes, but may have {most:,} at most: shorten it")
+    return data
 
 
 def keep(path: Path, data: bytes) -> None:

@@ -1,5 +1,6 @@
 """Compiled programs: the options of XLA, and the cache of traced programs between processes."""
 
+import abc
 import copyreg
 import dataclasses
 import enum
@@ -13,7 +14,7 @@ from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path, PurePath
 from types import FunctionType
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import equinox as eqx
 import jax
@@ -64,10 +65,14 @@ def content(tree: Any) -> str:
     return "".join(_Kept().parts(tree))
 
 
-class _Traced:
-    """The text in pieces: of what is no part of the program, without the numbers of the arrays."""
+class _Description:
+    """The text of a tree in pieces."""
+
+    kept: ClassVar[bool]
+    """Whether the text is of what is kept: with the numbers of all arrays."""
 
     def parts(self, value: Any, *, whole: bool = False) -> Iterator[str]:
+        whole = whole or self.kept
         if isinstance(value, (jax.Array, np.ndarray, np.generic, jax.ShapeDtypeStruct)):
             weak = "~" if getattr(value, "weak_type", False) else ""
             yield f"{value.dtype}{weak}{list(value.shape)}"
@@ -103,6 +108,24 @@ class _Traced:
             yield ","
         yield ")"
 
+    @abc.abstractmethod
+    def fields(self, value: Any, *, whole: bool) -> Iterator[str]:
+        """Of a dataclass."""
+
+    @abc.abstractmethod
+    def name(self, value: Any) -> str:
+        """Of a class or a function."""
+
+    @abc.abstractmethod
+    def other(self, value: Any) -> Iterator[str]:
+        """Of what is none of these."""
+
+
+class _Traced(_Description):
+    """Of what decides how a tree is traced: numbers only of what is a part of the program."""
+
+    kept = False
+
     def fields(self, value: Any, *, whole: bool) -> Iterator[str]:
         for field in dataclasses.fields(value):
             static = whole or bool(field.metadata.get("static"))
@@ -117,11 +140,10 @@ class _Traced:
         raise NoStructureError(f"there is no description of {type(value)}")
 
 
-class _Kept(_Traced):
-    """The text of what is kept: with all numbers, and by names that stay."""
+class _Kept(_Description):
+    """Of what is kept: with all numbers, and by names that stay."""
 
-    def parts(self, value: Any, *, whole: bool = True) -> Iterator[str]:
-        return super().parts(value, whole=True)
+    kept = True
 
     def fields(self, value: Any, *, whole: bool) -> Iterator[str]:
         for name, item, default in fields_of(value):

@@ -157,8 +157,9 @@ def multi_start(
     Raises:
         InputError: as `giajax.fit`; of the starts, the first one must be evaluable.
     """
-    if settings is None:
-        settings = fit_settings({"starts": STARTS, **keywords})
+    settings = fit_settings(keywords, settings=settings)
+    if "starts" not in settings.model_fields_set:
+        settings = settings.model_copy(update={"starts": STARTS})
     check_effect(settings, StartsKeywords, "giajax.multi_start")
     return solve_from_starts(
         set_up(model, runs, settings),

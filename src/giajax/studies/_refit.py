@@ -1,5 +1,6 @@
 """A fit again, changed a little: from where another one ended."""
 
+import abc
 import dataclasses
 import functools
 import hashlib
@@ -309,7 +310,7 @@ class StudyRecord:
     """What a study of a fit found, as a file beside its `result.json`.
 
     A study derives a frozen dataclass from it, with the keywords below, and says by `is_of` whose
-    it is. How it is shown is its `giajax.report.View`.
+    it is. How it is shown is its `giajax.report.RecordView`.
 
     Attributes:
         file: name of the file.
@@ -328,6 +329,7 @@ class StudyRecord:
     ) -> None:
         cls.file, cls.head, cls.remedy, cls.indent = file, head, remedy, indent
 
+    @abc.abstractmethod
     def is_of(self, result: FitResult) -> bool:
         """Whether it is of this fit, and not of another one that was in its place."""
         raise NotImplementedError

@@ -9,6 +9,7 @@ import numpy as np
 from ..fitting import FitResult, Response, Suspect, matching_runs, rho
 from ..models import AbstractModel, capabilities
 from ..recordings import Run
+from ..runtime.aliases import warn_of_name
 from ..runtime.text import InputError
 from ..schema.parameters import declared, elements, left_out, switched_on
 from ._refit import refit, with_fitted_state
@@ -76,6 +77,12 @@ class StepwiseSelection:
     def result(self) -> FitResult:
         """The last fit."""
         return self.steps[-1].result
+
+    @property
+    def rungs(self) -> tuple[Step, ...]:
+        """The steps by their earlier name."""
+        warn_of_name("StepwiseSelection.rungs", "steps")
+        return self.steps
 
 
 Noise = Sequence[Mapping[str, float]]

@@ -313,9 +313,10 @@ class FitTask:
         if keywords.get("budget") == "":
             del keywords["budget"]
             below = below.model_copy(update={"budget": None})
-        if settings is None:
-            settings = fit_settings({**keywords, "out": None if out is None else str(out)}, origin)
-        together = merged(below, settings, origin)
+        said = fit_settings(keywords, origin, settings)
+        together = merged(below, said, origin)
+        if out is not None:
+            together = together.model_copy(update={"out": str(out)})
         reached = self.begin if begin is None else reached_by(begin)
         task = dataclasses.replace(
             self,
@@ -323,7 +324,7 @@ class FitTask:
             data=self.data if data is None else paths_of(data),
             validation=self.validation if validation is None else paths_of(validation),
             rename=self.rename if rename is None else dict(rename),
-            begin=reached and without(reached, (*settings.start, *settings.fix)),
+            begin=reached and without(reached, (*said.start, *said.fix)),
         )
         changed = differences(plain_of(self), plain_of(task))
         same = None if changed else self.resolved

@@ -480,7 +480,7 @@ def _parsed(text: bytes, number: int, path: Path) -> Line:
         raise InputError(
             f"{path} was written by another version of giajax: go on with that one, or fit anew"
         )
-    if not known.get("written"):
+    if number == 1 or not known.get("written"):
         from_plain(_Head if number == 1 else _State, line, what, remedy)
     return dict(line)
 

@@ -259,7 +259,6 @@ def test_a_filling_that_cannot_be_is_refused(case):
         Filling(arm=chain(3), **about)
 
 
-@pytest.mark.quick
 def test_bad_numbers_are_refused():
     with pytest.raises(InputError, match="no supply 'pump': use one of flow, regulator, bottle"):
         Supply(kind="pump")

@@ -1,5 +1,6 @@
 """An arm that is driven: commands from an operator, steps in time with a clock, and a record."""
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -474,6 +475,8 @@ def replay(
     times = pad["time_s"] - pad["time_s"][0]
     end = float(times[-1]) if until is None else until
     check_length(end, session.interval)
+    if len(times) > POSES:
+        raise InputError(f"there are {len(times):,} rows: give {POSES:,} at most")
     rows, heard = 0, -np.inf
     while session.time + 0.5 * session.interval < end:
         now = session.time
@@ -502,8 +505,7 @@ def _message(pad: Mapping[str, Float[np.ndarray, " row"]], row: int) -> dict[str
 
 def _place(column: str, kind: str | None = None) -> int | None:
     """Which axis or button a column is of; None where it is of none."""
-    for prefix in ("axis", "button") if kind is None else (kind,):
-        number = column.removeprefix(prefix)
-        if column.startswith(prefix) and number.isdigit() and int(number) < 256:
-            return int(number)
-    return None
+    found = re.fullmatch(r"(axis|button)(0|[1-9][0-9]{0,2})", column)
+    if found is None or kind not in (None, found[1]) or int(found[2]) > 255:
+        return None
+    return int(found[2])

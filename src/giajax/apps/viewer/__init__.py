@@ -5,6 +5,7 @@ from ._gate import (
     Gate as Gate,
     PrivateSocket as PrivateSocket,
     bound as bound,
+    open_in_browser as open_in_browser,
 )
 from ._page import (
     SPEEDS as SPEEDS,

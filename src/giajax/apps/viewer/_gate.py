@@ -7,14 +7,18 @@ WebSocket.
 """
 
 import asyncio
+import atexit
+import html
 import ipaddress
 import logging
 import os
 import re
 import secrets
+import shutil
 import socket
 import tempfile
 import threading
+import webbrowser
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -58,6 +62,23 @@ class PrivateSocket:
     def close(self) -> None:
         """Remove it."""
         self._folder.cleanup()
+
+
+def open_in_browser(address: str) -> None:
+    """Open a page in the browser of this account.
+
+    Other accounts see the words that a browser is started with, so that these are the name of a
+    file which only this account may read, and which leads to the address.
+    """
+    folder = tempfile.mkdtemp(prefix="giajax-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    page = Path(folder, "open.html")
+    target = html.escape(address)
+    page.write_text(
+        f'<!doctype html><meta http-equiv="refresh" content="0; url={target}">'
+        f'<a href="{target}">open the page</a>\n'
+    )
+    webbrowser.open(page.as_uri())
 
 
 LOOPBACK = "127.0.0.1"

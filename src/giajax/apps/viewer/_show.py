@@ -1,6 +1,7 @@
 """What is shown: a scene with its recorded markers, and several of them on one clock."""
 
 import dataclasses
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -213,7 +214,9 @@ def words(show: Show, sample: int, colour: str) -> str:
         sample: the sample.
         colour: of its bodies.
     """
-    said = [f"**{show.name}** ({colour})"]
+    # Whoever named the file may have written Markdown or HTML, which the page would show as such.
+    name = re.sub(r"([!-/:-@\[-`{-~])", r"\\\1", " ".join(show.name.split()))
+    said = [f"**{name}** ({colour})"]
     if show.scene.times is not None and show.samples > 1:
         said.append(f"time {show.clock[sample]:.2f} s")
     if (tip := show.scene.markers.get("tip")) is not None and np.all(np.isfinite(tip[sample])):
