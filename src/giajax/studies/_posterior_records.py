@@ -168,7 +168,8 @@ class Marginal:
     Attributes:
         unit: SI unit.
         fitted: where the fit ended.
-        mean, deviation: of the draws.
+        mean: of the draws.
+        deviation: of the draws.
         interval: from 2.5 to 97.5 % of them.
         linear: the interval of the fit, from its Jacobian alone; None where it has none.
         r_hat: 1 where the chains agree; None where all draws are equal.

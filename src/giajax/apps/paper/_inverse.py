@@ -55,7 +55,8 @@ class SearchEnd:
         why: "reached", "minimum" (converged beside the printed cells), "stuck" (no minimum, but no
             step along these slopes helps), "iterations", "failed" or "interrupted".
         iterations: steps that were tried.
-        start, end: values of `UNKNOWNS` there, SI, shape (unknown,).
+        start: values of `UNKNOWNS` there, SI, shape (unknown,).
+        end: likewise.
         out: what comes out at the end; all NaN where nothing was evaluated, as what follows.
         jacobian: of the cells by the logarithms of what is free, % a unit, shape (8, free).
         checked: the same by differences of the cells.
