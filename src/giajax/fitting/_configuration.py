@@ -81,7 +81,7 @@ class Setup:
         return self.reopened or integration.tolerance is None
 
     def at_start(self) -> Self:
-        """With the model where the fit may start (`AbstractModel.at_start`)."""
+        """With the model where the fit may start (`giajax.models.capabilities.at_start`)."""
         model = tied(capabilities.at_start(self.model, self.runs, self.unstarted), self.ties)
         return dataclasses.replace(self, model=model, unstarted=())
 

@@ -160,12 +160,14 @@ def with_integration(
         raise InputError(
             f"the {model.kind} model has neither a solver nor a tolerance: leave both out"
         )
-    if (solver, tolerance) != (None, None) and not hasattr(model, "with_integration"):
+    unchanged = model if (solver, tolerance) == (None, None) else None
+    changed = _asked(model, "with_integration", unchanged, solver=solver, tolerance=tolerance)
+    if changed is None:
         raise InputError(
             f"the {model.kind} model cannot be given another solver or tolerance: leave both out, "
             "or write its with_integration"
         )
-    return _asked(model, "with_integration", model, solver=solver, tolerance=tolerance)
+    return changed
 
 
 def for_derivatives(model: AbstractModel, paths: Sequence[str]) -> AbstractModel:
