@@ -14,7 +14,7 @@ from .runtime.aliases import MOVED, RENAMED, earlier, install
 
 _current, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 _earlier = earlier(__name__, 4)
-install()
+install(__path__)
 
 
 def __getattr__(name: str) -> Any:

@@ -437,14 +437,15 @@ def small_sample(
         def gram(
             x: np.ndarray, those: Sequence[Cells] = those, family: _Family = family
         ) -> np.ndarray:
-            return np.sum([each.gram(family.at(x))[0][:-1, :-1] for each in those], axis=0)
+            noise = family.at(x)
+            return np.sum([each.gram(noise)[0][:-1, :-1] for each in those], axis=0)
 
         def target(x: np.ndarray, key: str = key, family: _Family = family) -> np.ndarray:
             return np.asarray(problem.value(key, family.at(x)))
 
         count = len(family.variances)
-        weight = _inverse(_second(target, count) / 2)
-        first, second = _first(gram, count), _second(gram, count)
+        weight = _inverse(_differences(target, count)[1] / 2)
+        first, second = _differences(gram, count)
         slopes = np.array([-np.diag(covariance @ each @ covariance) for each in first])
         variances += np.einsum("ia,ij,ja->a", slopes, weight, slopes)
         # Second differences by variances, not by their logarithms: the covariance is linear there.
@@ -512,24 +513,21 @@ def _inverse(information: Float[np.ndarray, "c c"]) -> Float[np.ndarray, "c c"]:
     return (vectors / np.maximum(values, _LEAST)) @ vectors.T / np.outer(sizes, sizes)
 
 
-def _first(function: Callable[[np.ndarray], np.ndarray], count: int) -> np.ndarray:
-    """First central differences about zero, shape (coordinate, ...)."""
-    steps = _STEP * np.eye(count)
-    return np.array([(function(step) - function(-step)) / (2 * _STEP) for step in steps])
-
-
-def _second(function: Callable[[np.ndarray], np.ndarray], count: int) -> np.ndarray:
-    """Second central differences about zero, shape (coordinate, coordinate, ...)."""
+def _differences(
+    function: Callable[[np.ndarray], np.ndarray], count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Central differences about zero: first, (coordinate, ...), and second, with one axis more."""
     steps = _STEP * np.eye(count)
     centre = function(np.zeros(count))
+    sides = [(function(step), function(-step)) for step in steps]
     result = np.zeros((count, count, *centre.shape))
-    for i in range(count):
-        result[i, i] = (function(steps[i]) - 2 * centre + function(-steps[i])) / _STEP**2
+    for i, (up, down) in enumerate(sides):
+        result[i, i] = (up - 2 * centre + down) / _STEP**2
         for j in range(i):
             ahead = function(steps[i] + steps[j]) + function(-steps[i] - steps[j])
             across = function(steps[i] - steps[j]) + function(steps[j] - steps[i])
             result[i, j] = result[j, i] = (ahead - across) / (4 * _STEP**2)
-    return result
+    return np.array([(up - down) / (2 * _STEP) for up, down in sides]), result
 
 
 def score_covariance(

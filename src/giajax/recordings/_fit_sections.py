@@ -153,28 +153,6 @@ Values = dict[Name, Finite | list[Finite]]
 """Numbers by path, SI: one for a whole parameter, or one for each of its elements."""
 
 
-def setting(
-    must: str,
-    meaning: str,
-    metavar: str = "",
-    *,
-    default: Any = None,
-    entry: str = "",
-    option: str = "",
-) -> Any:
-    """Declare a setting of a fit, once for files, for Python and for the command.
-
-    Arguments:
-        must, default, entry: as of `key`.
-        meaning: what it means, as the help of the command has it.
-        metavar: what the command calls its value; "" for a switch, and without an option.
-        option: its option, where that is not as its name; "-" for none.
-    """
-    field = key(must, meaning, default=default, entry=entry)
-    field.json_schema_extra |= {"metavar": metavar, "option": option}
-    return field
-
-
 class FitSettings(Section):
     """All settings of a fit: `[fit]` of a definition, keywords of Python, options of the command.
 
@@ -182,25 +160,25 @@ class FitSettings(Section):
     whole. `fit_settings` makes one of keywords.
     """
 
-    data: list[Name] = setting(
+    data: list[Name] = key(
         "a list of file names", "Runs, relative to this file.", default=[], option="-"
     )
-    free: list[Name] | None = setting(
+    free: list[Name] | None = key(
         "a list of parameter paths", "Fit it, and not the default list. Repeatable.", "PATH"
     )
-    start: Values = setting(
+    start: Values = key(
         "a table of parameter paths and numbers",
         "Start a parameter at a value. Repeatable.",
         "PATH=VALUE",
         default={},
     )
-    fix: Values = setting(
+    fix: Values = key(
         "a table of parameter paths and numbers",
         "Hold a parameter at a value. Repeatable.",
         "PATH=VALUE",
         default={},
     )
-    priors: dict[Name, PriorEntry] = setting(
+    priors: dict[Name, PriorEntry] = key(
         "a table of parameter paths, each with a value and a deviation or factor",
         "What is known of it before; PATH=VALUEx/FACTOR is log-normal. Repeatable.",
         "PATH=VALUE+-DEVIATION",
@@ -208,14 +186,14 @@ class FitSettings(Section):
         entry="a table such as { value = 1.1, deviation = 0.2 }",
         option="--prior",
     )
-    bounds: dict[Name, Annotated[list[Finite], Field(min_length=2, max_length=2)]] = setting(
+    bounds: dict[Name, Annotated[list[Finite], Field(min_length=2, max_length=2)]] = key(
         "a table of parameter paths and lists of two numbers, [low, high]",
         "Bounds of a parameter, within those that it has. Repeatable.",
         "PATH=LOW,HIGH",
         default={},
         entry="a list of two numbers, [low, high]",
     )
-    ties: dict[Name, Name] = setting(
+    ties: dict[Name, Name] = key(
         "a table of parameter paths and expressions in quotes",
         "Let a parameter follow from others, as in links.mass=links.mass[0]. Repeatable.",
         "PATH=EXPRESSION",
@@ -223,11 +201,11 @@ class FitSettings(Section):
         entry='an expression in quotes, such as "1.5 * joints.pitch_stiffness"',
         option="--tie",
     )
-    per_run: list[Name] = setting(
+    per_run: list[Name] = key(
         "a list of parameter paths", "Fit a value of it for each run. Repeatable.", "PATH",
         default=[],
     )  # fmt: skip
-    groups: dict[Name, list[list[Name]]] = setting(
+    groups: dict[Name, list[list[Name]]] = key(
         "a table of parameter paths and lists of lists of run names",
         "Fit a value that these share. Repeatable.",
         "PATH=RUN,RUN",
@@ -235,83 +213,83 @@ class FitSettings(Section):
         entry='a list of lists of run names, such as [["a", "b"], ["c"]]',
         option="--group",
     )
-    uncertainty: Values = setting(
+    uncertainty: Values = key(
         "a table of parameter paths and positive numbers",
         "Standard deviation of a held parameter. Repeatable.",
         "PATH=VALUE",
         default={},
     )
-    channels: list[Name] | None = setting(
+    channels: list[Name] | None = key(
         "a list of channel names, without unit",
         "Fit this channel only, without its unit: link20_z. Repeatable.",
         "NAME",
     )
-    hold_out: list[Name] = setting(
+    hold_out: list[Name] = key(
         "a list of runs, channels, or last",
         "Judge by this and do not fit it: a run, a channel, or last (fifth). Repeatable.",
         "NAME",
         default=[],
     )
-    window_s: Positive | None = setting(
+    window_s: Positive | None = key(
         "a positive number", "Cut runs into windows, each with its own start.", "S",
         option="--window",
     )  # fmt: skip
-    windows_first_s: Positive | None = setting(
+    windows_first_s: Positive | None = key(
         "a positive number", "Fit such windows first, and whole runs from there.", "S",
         option="--windows-first",
     )  # fmt: skip
-    starts: Annotated[int, Field(ge=1, le=STARTS)] = setting(
+    starts: Annotated[int, Field(ge=1, le=STARTS)] = key(
         f"a whole number from 1 to {STARTS}",
         "Fit from so many starts and keep the best end.",
         "N",
         default=1,
     )
-    spread: Positive = setting(
+    spread: Positive = key(
         "a positive number", "How far the other starts are away; 0.3 is 30 percent.", "X",
         default=0.3,
     )  # fmt: skip
-    seed: Annotated[int, Field(ge=0)] = setting(
+    seed: Annotated[int, Field(ge=0)] = key(
         "zero or a positive whole number", "Of the other starts.", "N", default=0
     )
-    validation: list[Name] = setting(
+    validation: list[Name] = key(
         "a list of file names",
         "Runs that the result must predict and is not fitted to.",
         default=[],
         option="-",
     )
-    loss: Loss = setting(
+    loss: Loss = key(
         '"linear", "huber" or "soft_l1"',
         "How a large residual counts: linear, or huber or soft_l1 for outliers.",
         "NAME",
         default="linear",
     )
-    noise_model: NoiseModel = setting(
+    noise_model: NoiseModel = key(
         '"correlated" or "white"',
         "correlated, which looks for correlated noise, or white.",
         "NAME",
         default="correlated",
     )
-    noise_per_run: bool = setting(
+    noise_per_run: bool = key(
         "true or false",
         "Estimate the noise in each run by itself, or (default) in all together.",
         default=False,
         option="--noise-per-run/--noise-pooled",
     )
-    solver: Name | None = setting(
+    solver: Name | None = key(
         "the name of a solver", "Integration method (springs5), such as tsit5.", "NAME"
     )
-    tolerance: Positive | None = setting(
+    tolerance: Positive | None = key(
         "a positive number", "Tolerance of the integration (chosen by what it moves).", "TOL"
     )
-    max_iterations: Annotated[int, Field(ge=1)] = setting(
+    max_iterations: Annotated[int, Field(ge=1)] = key(
         "a whole number of at least 1", "Trial steps before the fit gives up.", "N", default=50
     )
-    budget: Annotated[str, Field(pattern=DURATION)] | None = setting(
+    budget: Annotated[str, Field(pattern=DURATION)] | None = key(
         'a time such as "90s", "10m" or "2h"',
         "End with the best so far when it is over: 90s, 10m, 2h.",
         "TIME",
     )
-    out: Name | None = setting("the name of a folder", "Where the result goes.", option="-")
+    out: Name | None = key("the name of a folder", "Where the result goes.", option="-")
 
     @property
     def known(self) -> dict[str, Prior]:

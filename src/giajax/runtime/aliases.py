@@ -1,7 +1,7 @@
 """Names of earlier versions: they work on with a warning until a stated date.
 
-`docs/migration.md` lists them. A module that has moved is found by an importer in
-`sys.meta_path`, so that none of it is a file, and what it had is looked up where it is now.
+`docs/migration.md` lists them. A module that has moved is found by the first entry of the path of
+`giajax`, which is no folder, and what it had is looked up where it is now.
 """
 
 import importlib
@@ -9,7 +9,8 @@ import importlib.abc
 import importlib.machinery
 import sys
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -111,23 +112,29 @@ def earlier(room: str, level: int = 3) -> Callable[[str], Any]:
     return get
 
 
-def install() -> None:
-    """Have the earlier modules found; called once, where `giajax` is imported."""
-    if not any(isinstance(finder, _Finder) for finder in sys.meta_path):
-        # Before all others: folders that an earlier version has left are packages to Python's own.
-        sys.meta_path.insert(0, _Finder())
+_PLACE = str(Path(__file__).parent / "earlier modules")
 
 
-class _Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+def install(path: list[str]) -> None:
+    """Have the earlier modules found; called once, where `giajax` is imported, with its path."""
+    if _Finder not in sys.path_hooks:
+        sys.path_hooks.append(_Finder)
+    # Before all others: folders that an earlier version has left are packages to Python's own.
+    path.insert(0, _PLACE)
+
+
+class _Finder(importlib.abc.PathEntryFinder, importlib.abc.Loader):
     """Finds the earlier modules, and fills them with what looks their names up."""
 
+    def __init__(self, entry: str) -> None:
+        if entry != _PLACE:
+            raise ImportError("not the place of the earlier modules", path=entry)
+
     def find_spec(
-        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+        self, fullname: str, target: ModuleType | None = None
     ) -> importlib.machinery.ModuleSpec | None:
-        package, _, name = fullname.rpartition(".")
-        if package != "giajax" or name not in MOVED:
-            return None
-        return importlib.machinery.ModuleSpec(fullname, self)
+        known = fullname.rpartition(".")[2] in MOVED
+        return importlib.machinery.ModuleSpec(fullname, self) if known else None
 
     def exec_module(self, module: ModuleType) -> None:
         package, _, name = module.__name__.rpartition(".")

@@ -1,6 +1,7 @@
 """The declaration of a quantity, once: unit, bounds, prior and meaning, for models and files."""
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
@@ -69,6 +70,7 @@ _IN_SI = {
 _OF_KEYS = {"m^3": {"l": 1e-3}, "m^3/s": {"l_per_min": 1e-3 / 60}}
 
 
+@functools.cache
 def si_factor(quantity: str, suffix: str) -> float:
     """How many SI units one unit of `suffix` is: 0.01 for `cm`, pi/180 for `deg`.
 
@@ -296,24 +298,30 @@ COUNT = f"a whole number from 1 to {ELEMENTS}"
 def key(
     must: str,
     meaning: str,
+    metavar: str = "",
     *,
     preset: Any = None,
     default: Any = None,
     example: Any = None,
     entry: str = "",
+    option: str = "",
 ) -> Any:
-    """Declare a key, once for errors and templates.
+    """Declare a key, once for errors, templates and, where it is a setting of a fit, the command.
 
     Arguments:
         must: what its value must be, for errors.
-        meaning: what it means, for the template of a sidecar.
+        meaning: what it means, for the template of a sidecar and for the help of the command.
+        metavar: what the command calls its value; "" for a switch, and without an option.
         preset: the value that a model takes where a file leaves it out, for the template.
         default: the value of the field where a file leaves it out.
         example: what the template shows where there is no preset.
         entry: what an entry of a table must be, where that is not a number or a list of them.
+        option: of the command, where that is not as its name; "-" for none.
     """
     extra = {
         "must": must,
+        "metavar": metavar,
+        "option": option,
         "preset": preset,
         "example": preset if example is None else example,
         **({"entry": entry} if entry else {}),

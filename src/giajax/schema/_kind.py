@@ -1,5 +1,6 @@
 """What a kind of model declares of itself, without JAX; `giajax.schema.KINDS` lists the kinds."""
 
+import functools
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -104,7 +105,7 @@ class ChannelKind:
             return rf"(?:(?P<camera>{CAMERA_NAME})\.)?{numbered[:-1]}(?P<component>[uv])"
         return re.sub("_x$", "_(?P<component>[xyz])", numbered)
 
-    @property
+    @functools.cached_property
     def components(self) -> str:
         """What the last letter of a channel may be: one for each component; empty without any."""
         return {"_x": "xyz", "_u": "uv"}.get(self.column[-2:], "")
@@ -201,12 +202,12 @@ class Kind:
         """Names of the rows of the column table that play one of these parts."""
         return tuple(row.name for row in self.channels if row.part in parts)
 
-    @property
+    @functools.cached_property
     def inputs(self) -> tuple[str, ...]:
         """Rows of what the model is driven by, apart from its surroundings."""
         return self.rows("input")
 
-    @property
+    @functools.cached_property
     def outputs(self) -> tuple[str, ...]:
         """Rows of what the model predicts, and a run measures."""
         return self.rows("output")

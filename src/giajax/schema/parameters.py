@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..runtime.arrays import Array, on_device
+from ..runtime.arrays import Array
 from ..runtime.text import InputError
 from ._declaration import Declaration
 
@@ -80,7 +80,7 @@ def _converter(declaration: Declaration) -> Callable[[Any], Any]:
         dtype = jnp.result_type(float)
         if not any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(value)):
             # By numpy: JAX would compile a program to convert a list, or integers.
-            value = on_device(np.array(value, dtype))
+            value = jax.device_put(np.array(value, dtype))
         array = jnp.asarray(value, dtype=dtype)
         shape = declaration.shape
         return jnp.broadcast_to(array, shape) if shape and array.ndim == 0 else array
