@@ -127,7 +127,11 @@ def test_each_setting_is_a_keyword_and_an_option(capsys):
     files = {"data", "validation", "out"}
     assert set(TaskKeywords.__annotations__) | files == set(FitSettings.model_fields)
     assert main(["fit", "--help"]) == 0
-    shown = capsys.readouterr().out
+    shown = " ".join(capsys.readouterr().out.split())
+    called = {"priors": "prior", "ties": "tie", "groups": "group"}
     for name, field in FitSettings.model_fields.items():
-        option = field.json_schema_extra["option"] or f"--{name.replace('_', '-')}"
-        assert (option.partition("/")[0] in shown) or name in files, option
+        option = f" --{called.get(name, name).removesuffix('_s').replace('_', '-')} "
+        assert option in shown or name in files, option
+        if field.default not in (None, False, [], {}):
+            about = shown.rpartition(option)[0] if name in files else shown.partition(option)[2]
+            assert f"({field.default})." in about.partition(" --")[0], option

@@ -31,7 +31,7 @@ from . import (
     _view as _view,
     _wind as _wind,
 )
-from ._commands import COMMANDS, Commands, command_of, run
+from ._commands import COMMANDS, Commands, command_of, run, with_options
 
 _EXAMPLES = """\b
 Examples:
@@ -129,9 +129,9 @@ def _app_for(words: Sequence[str]) -> typer.Typer:
     )
     app.callback(invoke_without_command=True)(_giajax)
     for name in command_names():
-        function, examples, complete = COMMANDS[name]
+        function, examples, settings_after = COMMANDS[name]
         if name in words:
-            full = complete(function)
+            full = with_options(function, settings_after)
             app.command(name, epilog=examples, cls=command_of(full))(full)
         else:
             app.command(name, epilog=examples)(_without_options(function))

@@ -1,13 +1,15 @@
 """What every command is made of: its registration, its words, and how it ends."""
 
 import contextlib
+import functools
 import inspect
 import os
 import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from inspect import Parameter
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -18,27 +20,85 @@ from ..runtime.text import InputError, abridged, shown
 from ._values import number
 
 Function = Callable[..., None]
+Texts = list[str] | None
+Paths = list[Path] | None
 
-COMMANDS: dict[str, tuple[Function, str, Callable[[Function], Function]]] = {}
-"""Functions, their examples and what adds further options, by the name of the command."""
+COMMANDS: dict[str, tuple[Function, str, str]] = {}
+"""Functions, their examples and `settings_after`, by the name of the command."""
 
 
-def command(
-    examples: str, complete: Callable[[Function], Function] = lambda function: function
-) -> Callable[[Function], Function]:
+def command(examples: str, *, settings_after: str = "") -> Callable[[Function], Function]:
     """Make a function a command of `giajax`, whose help ends with examples.
+
+    A parameter is an option by its annotation: `Annotated[type, metavar, help]`, and without the
+    metavar a switch. Words such as "--set" follow where the option is not called as its parameter,
+    numbers are the least and the greatest value, and what is a list may be repeated. Of keywords,
+    `**settings: Unpack[Settings]`, each item of the `TypedDict` is one.
 
     Arguments:
         examples: how it is called.
-        complete: adds options that are declared elsewhere, once this command is asked for.
+        settings_after: the parameter behind which such items stand in the help.
     """
 
     def register(function: Function) -> Function:
         # `import` is a word of Python: its function is called import_.
-        COMMANDS[function.__name__.rstrip("_")] = (function, examples, complete)
+        COMMANDS[function.__name__.rstrip("_")] = (function, examples, settings_after)
         return function
 
     return register
+
+
+def argument(metavar: str, text: str) -> Any:
+    """An argument, which has a place and no name: what the help calls it, and says of it."""
+    return typer.Argument(metavar=metavar, help=text)
+
+
+def with_options(function: Function, settings_after: str = "") -> Function:
+    """The function of a command as typer reads it, with an option for each parameter."""
+    parameters: list[Parameter] = []
+    for each in inspect.signature(function, eval_str=True).parameters.values():
+        if each.kind is Parameter.VAR_KEYWORD:
+            (settings,) = get_args(each.annotation)
+            place = [one.name for one in parameters].index(settings_after) + 1
+            parameters[place:place] = [
+                Parameter(name, Parameter.KEYWORD_ONLY, default=None, annotation=hint)
+                for name, hint in get_type_hints(settings, include_extras=True).items()
+            ]
+        else:
+            parameters.append(each.replace(kind=Parameter.KEYWORD_ONLY))
+
+    @functools.wraps(function)
+    def whole(**given: Any) -> None:
+        function(**given)
+
+    return with_signature(whole, [_with_option(each) for each in parameters])
+
+
+def with_signature(function: Function, parameters: Sequence[Parameter]) -> Function:
+    """The function, which says that it has these parameters."""
+    function.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    function.__annotations__ = {each.name: each.annotation for each in parameters}
+    return function
+
+
+def _with_option(parameter: Parameter) -> Parameter:
+    """A parameter whose annotation has the option that its words describe."""
+    kind, *about = get_args(parameter.annotation) or [None]
+    words = [each for each in about if isinstance(each, str)]
+    if not words:
+        return parameter
+    least, greatest = [*(each for each in about if not isinstance(each, str)), None, None][:2]
+    names = [each for each in words if each.startswith("--")]
+    *metavar, text = [each for each in words if each not in names]
+    if any(get_origin(each) is list for each in (kind, *get_args(kind))):
+        text = re.sub(r"(?= \[[^]]*\]$)|$", " Repeatable.", text, count=1)
+    if not (metavar or names):
+        name = parameter.name.replace("_", "-")
+        names = [f"--{name}/--no-{name}" if parameter.default is True else f"--{name}"]
+    option = typer.Option(
+        *names, metavar="".join(metavar) or None, help=text, min=least, max=greatest
+    )
+    return parameter.replace(annotation=Annotated[kind, option])
 
 
 # What was typed for a number or a path, looked at before it is converted.

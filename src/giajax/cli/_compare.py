@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from ._commands import command
+from ._commands import Paths, Texts, argument, command
 from ._on_result import OnResult, on_result
 from ._options import ForceFile, Json, Renamed, print_table
 
@@ -21,13 +21,9 @@ RESULT is the folder of a fit, or its result.json. Differences are from the firs
 result, in joint standard errors. BIC is shown where all were fitted to the same
 values with the same noise and loss; where not, a line says so.""")
 def compare(
-    results: Annotated[
-        list[Path], typer.Argument(metavar="RESULT...", help="At least two fits; see below.")
-    ],
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
-    out: Annotated[
-        Path | None, typer.Option(metavar="FILE.html", help="Write a page for a browser there.")
-    ] = None,
+    results: Annotated[list[Path], argument("RESULT...", "At least two fits; see below.")],
+    as_json: Annotated[bool, "--json", "Print JSON instead of tables."] = False,
+    out: Annotated[Path | None, "FILE.html", "Write a page for a browser there."] = None,
     force: ForceFile = False,
 ) -> None:
     """Show what several fits say of the same parameters.
@@ -96,23 +92,13 @@ whatever their errors. AIC and BIC are of the fitted part, each less
 that of the best; a large difference on the held-out part and a small one here means a model that
 describes what it saw and no more.""")
 def choose(
-    data: Annotated[
-        list[Path], typer.Option(metavar="RUN.csv", help="A run to fit to. Repeatable.")
-    ],
-    held_out: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="RUN.csv", help="A run to judge by. Repeatable."),
-    ] = None,
-    fraction: Annotated[
-        float,
-        typer.Option(metavar="F", help="Without --held-out: last part of each run to judge by."),
-    ] = 0.3,
-    only: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="Compare only these. Repeatable.")
-    ] = None,
+    data: Annotated[list[Path], "RUN.csv", "A run to fit to."],
+    held_out: Annotated[Paths, "RUN.csv", "A run to judge by."] = None,
+    fraction: Annotated[float, "F", "Without --held-out: last part of each run to judge by."] = 0.3,
+    only: Annotated[Texts, "NAME", "Compare only these."] = None,
     rename: Renamed = None,
     as_json: Json = False,
-    quiet: Annotated[bool, typer.Option("--quiet", help="No progress.")] = False,
+    quiet: Annotated[bool, "No progress."] = False,
 ) -> None:
     """Fit several hysteresis models and compare them on loops that they were not fitted to."""
     from ..recordings import parse_rename, read_run

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from ..runtime.text import InputError
-from ._commands import command
+from ._commands import Texts, argument, command
 from ._options import Force, ForceRun, Renamed, print_table
 
 
@@ -17,9 +17,9 @@ Examples:
   giajax check camera.csv --rename t=time_s --rename "z 6"=link06_z_m
   giajax check run.csv --json""")
 def check(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="The run, a .csv or .parquet file.")],
+    run: Annotated[Path, argument("RUN", "The run, a .csv or .parquet file.")],
     rename: Renamed = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+    as_json: Annotated[bool, "--json", "Print JSON instead of tables."] = False,
 ) -> None:
     """Say what a run holds.
 
@@ -96,9 +96,9 @@ def _row(channel: dict[str, Any]) -> list[Any]:
 Example:
   giajax init run.csv       writes run.toml; then edit it, and: giajax check run.csv""")
 def init(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="The run, a .csv or .parquet file.")],
+    run: Annotated[Path, argument("RUN", "The run, a .csv or .parquet file.")],
     rename: Renamed = None,
-    force: Annotated[bool, typer.Option("--force", help="Write over a sidecar.")] = False,
+    force: Annotated[bool, "Write over a sidecar."] = False,
 ) -> None:
     """Write a sidecar to fill in.
 
@@ -121,44 +121,25 @@ Examples:
          --point "Marker 1"=link03
 Then: giajax init run.csv, which offers the camera's section, and giajax fit --data run.csv.""")
 def import_(
-    tracked: Annotated[
-        Path, typer.Argument(metavar="FILE", help="A CSV file of DeepLabCut or of Kinovea.")
-    ],
-    out: Annotated[Path, typer.Option(metavar="FILE", help="The run to write, a .csv file.")],
-    point: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=PART", help="What a tracked point is: link06, tip or mark01. Repeatable."
-        ),
-    ] = None,
-    camera: Annotated[
-        str | None, typer.Option(metavar="NAME", help="The camera; needed where there are several.")
-    ] = None,
-    rate: Annotated[
-        float | None, typer.Option(metavar="HZ", help="DeepLabCut: pictures a second of the film.")
-    ] = None,
+    tracked: Annotated[Path, argument("FILE", "A CSV file of DeepLabCut or of Kinovea.")],
+    out: Annotated[Path, "FILE", "The run to write, a .csv file."],
+    point: Annotated[Texts, "NAME=PART", "What a tracked point is: link06, tip or mark01."] = None,
+    camera: Annotated[str | None, "NAME", "The camera; needed where there are several."] = None,
+    rate: Annotated[float | None, "HZ", "DeepLabCut: pictures a second of the film."] = None,
     likelihood: Annotated[
-        float,
-        typer.Option(metavar="P", help="DeepLabCut: a point that is less likely is left empty."),
+        float, "P", "DeepLabCut: a point that is less likely is left empty."
     ] = 0.6,
     kinovea_origin: Annotated[
         str | None,
-        typer.Option(
-            metavar="U,V",
-            help="Kinovea: where the origin of its coordinates is in the picture, px, from the "
-            "upper left corner.",
-        ),
+        "U,V",
+        "Kinovea: where the origin of its coordinates is in the picture, px, from the "
+        "upper left corner.",
     ] = None,
-    time_unit: Annotated[
-        str, typer.Option(metavar="UNIT", help="Kinovea: unit of its times, s or ms.")
-    ] = "s",
+    time_unit: Annotated[str, "UNIT", "Kinovea: unit of its times, s or ms."] = "s",
     commands: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="A run with the commands, on the film's clock, or with the points of another "
-            "camera.",
-        ),
+        "FILE",
+        "A run with the commands, on the film's clock, or with the points of another camera.",
     ] = None,
     force: ForceRun = False,
 ) -> None:
@@ -226,9 +207,7 @@ Examples:
   giajax examples --copy work
   giajax fit work/fits/base_step.toml""")
 def examples(
-    copy: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Copy them all to this folder.")
-    ] = None,
+    copy: Annotated[Path | None, "DIR", "Copy them all to this folder."] = None,
     force: Force = False,
 ) -> None:
     """List the runs, fits and missions that ship with giajax, or copy them to start from."""
@@ -333,7 +312,7 @@ Examples:
   giajax cache              where it is, how many programs it holds, and their size
   giajax cache --clear      removes them; the next fit traces and compiles again""")
 def cache(
-    clear: Annotated[bool, typer.Option("--clear", help="Remove what is there.")] = False,
+    clear: Annotated[bool, "Remove what is there."] = False,
 ) -> None:
     """Show or clear the programs that are kept between commands.
 

@@ -10,7 +10,7 @@ import typer
 
 from ..runtime.signals import is_stopped, stopped_status
 from ..runtime.text import InputError
-from ._commands import command
+from ._commands import Texts, argument, command
 from ._model import is_result
 from ._options import (
     Force,
@@ -138,78 +138,45 @@ SOURCE is the folder of a fit or its result.json, a fit definition, or a TOML fi
 [arm] states an arm; without it the preset. Writes command.csv, which an operator can
 run, with its sidecar, design.json and design.png.""")
 def design(
-    wanted: Annotated[
-        list[str], typer.Option("--for", metavar="PATH", help="A parameter to find. Repeatable.")
-    ],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the files.")],
+    wanted: Annotated[list[str], "PATH", "A parameter to find.", "--for"],
+    out: Annotated[Path, "DIR", "Folder for the files."],
     source: Annotated[
-        Path | None, typer.Argument(metavar="[SOURCE]", help="The arm, or a fit of it; see below.")
+        Path | None, argument("[SOURCE]", "The arm, or a fit of it; see below.")
     ] = None,
     links: Links = None,
     pairs: Settings = None,
-    free: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="PATH", help="What a fit will have free, too. Repeatable. [as the source's]"
-        ),
-    ] = None,
+    free: Annotated[Texts, "PATH", "What a fit will have free, too. [as the source's]"] = None,
     criterion: Annotated[
-        str | None,
-        typer.Option(
-            metavar="c|A|D", help="Error of one, of all by the trace, or the determinant. [c, or A]"
-        ),
+        str | None, "c|A|D", "Error of one, of all by the trace, or the determinant. [c, or A]"
     ] = None,
-    joints: Annotated[str, typer.Option(metavar="N,N", help="Joints that may be commanded.")] = "1",
-    angle: Annotated[float, typer.Option(metavar="DEG", help="Largest angle of a joint.")] = 30.0,
-    angle_rate: Annotated[
-        float, typer.Option(metavar="DEG/S", help="Largest rate of a joint.")
-    ] = 30.0,
-    duration: Annotated[float, typer.Option(metavar="S", help="Length of the run, s.")] = 25.0,
-    rate: Annotated[float, typer.Option(metavar="HZ", help="Samples per second.")] = 10.0,
+    joints: Annotated[str, "N,N", "Joints that may be commanded."] = "1",
+    angle: Annotated[float, "DEG", "Largest angle of a joint."] = 30.0,
+    angle_rate: Annotated[float, "DEG/S", "Largest rate of a joint."] = 30.0,
+    duration: Annotated[float, "S", "Length of the run, s."] = 25.0,
+    rate: Annotated[float, "HZ", "Samples per second."] = 10.0,
     channels: Annotated[
-        list[str] | None,
-        typer.Option(metavar="CHANNELS", help="What may be recorded: link06, tip, link20_z. [all]"),
+        Texts, "CHANNELS", "What may be recorded: link06, tip, link20_z. [all]"
     ] = None,
-    markers: Annotated[
-        int | None, typer.Option(metavar="N", help="How many links may be filmed. [all of them]")
-    ] = None,
+    markers: Annotated[int | None, "N", "How many links may be filmed. [all of them]"] = None,
     noise: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="KEY=VALUE",
-            help="Standard deviation, by a key of [noise]. Repeatable. "
-            "[the fit's, or position_m=0.01, angle_deg=0.5, pixel_px=2]",
-        ),
+        Texts,
+        "KEY=VALUE",
+        "Standard deviation, by a key of [noise]. [the fit's, or "
+        "position_m=0.01, angle_deg=0.5, pixel_px=2]",
     ] = None,
     uncertainty: Annotated[
-        float | None,
-        typer.Option(
-            metavar="SHARE",
-            help="How uncertain what is free is, over its value. [the fit's, or 0.2]",
-        ),
+        float | None, "SHARE", "How uncertain what is free is, over its value. [the fit's, or 0.2]"
     ] = None,
-    draws: Annotated[
-        int, typer.Option(metavar="N", min=1, help="Values of what is uncertain to be robust over.")
-    ] = 4,
-    worst: Annotated[
-        bool, typer.Option("--worst", help="Lower the error of the worst draw, not the mean.")
-    ] = False,
-    knots: Annotated[
-        int | None, typer.Option(metavar="N", help="Turns of each joint. [15, or 30 for all]")
-    ] = None,
-    starts: Annotated[
-        int, typer.Option(metavar="N", min=1, help="Commands that are compared first.")
-    ] = 6,
-    follow: Annotated[
-        int, typer.Option(metavar="N", min=1, help="How many of them are followed.")
-    ] = 2,
-    iterations: Annotated[
-        int, typer.Option(metavar="N", min=1, help="Steps of the optimiser, from each.")
-    ] = 25,
+    draws: Annotated[int, "N", "Values of what is uncertain to be robust over.", 1] = 4,
+    worst: Annotated[bool, "Lower the error of the worst draw, not the mean."] = False,
+    knots: Annotated[int | None, "N", "Turns of each joint. [15, or 30 for all]"] = None,
+    starts: Annotated[int, "N", "Commands that are compared first.", 1] = 6,
+    follow: Annotated[int, "N", "How many of them are followed.", 1] = 2,
+    iterations: Annotated[int, "N", "Steps of the optimiser, from each.", 1] = 25,
     solver: Solver = "springs5",
     tolerance: Tolerance = 1e-6,
     as_json: Json = False,
-    quiet: Annotated[bool, typer.Option("--quiet", help="No progress.")] = False,
+    quiet: Annotated[bool, "No progress."] = False,
     force: Force = False,
 ) -> None:
     """Find the command of the next experiment, and what to film of it.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from ..runtime.text import InputError
-from ._commands import command
+from ._commands import Texts, argument, command
 from ._model import is_result
 from ._options import Browser, ForceRun, Host, Links, Port, origin
 from ._simulate import channel_names, definition_from_options, gusts_of
@@ -194,55 +194,29 @@ A table of a pad has the columns time_s, axis0, axis1, ..., button0, ...; a row
 holds until the next one.""")
 def drive(
     context: typer.Context,
-    what: Annotated[Path | None, typer.Argument(metavar="WHAT", help="See below.")] = None,
-    pad: Annotated[
-        Path | None, typer.Option(metavar="FILE.toml", help="What the pad does; see below.")
-    ] = None,
-    replay: Annotated[
-        Path | None, typer.Option(metavar="PAD.csv", help="Drive by a table, without a page.")
-    ] = None,
+    what: Annotated[Path | None, argument("WHAT", "See below.")] = None,
+    pad: Annotated[Path | None, "FILE.toml", "What the pad does; see below."] = None,
+    replay: Annotated[Path | None, "PAD.csv", "Drive by a table, without a page."] = None,
     links: Links = None,
-    pairs: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="PATH=VALUE", help="A parameter. Repeatable."),
-    ] = None,
-    wind: Annotated[
-        str | None, typer.Option(metavar="X,Y,Z", help="Mean velocity of the air, m/s.")
-    ] = None,
+    pairs: Annotated[Texts, "PATH=VALUE", "A parameter.", "--set"] = None,
+    wind: Annotated[str | None, "X,Y,Z", "Mean velocity of the air, m/s."] = None,
     gusts: Annotated[
-        str | None,
-        typer.Option(metavar="I:L", help="Gusts about --wind: intensity, and length scale, m."),
+        str | None, "I:L", "Gusts about --wind: intensity, and length scale, m."
     ] = None,
     compensate: Annotated[
-        Path | None,
-        typer.Option(metavar="RESULT", help="A fit of a joint's hysteresis, to be undone."),
+        Path | None, "RESULT", "A fit of a joint's hysteresis, to be undone."
     ] = None,
-    no_memory: Annotated[
-        bool, typer.Option("--no-memory", help="Leave out what joints remember.")
-    ] = False,
-    latency: Annotated[
-        float, typer.Option(metavar="S", help="Of the picture of the camera at the tip.")
-    ] = 0.2,
-    rate: Annotated[float, typer.Option(metavar="HZ", help="Poses a second.")] = 30.0,
-    steps: Annotated[
-        int, typer.Option(metavar="N", min=1, help="Steps of the integrator in each.")
-    ] = 1,
+    no_memory: Annotated[bool, "Leave out what joints remember."] = False,
+    latency: Annotated[float, "S", "Of the picture of the camera at the tip."] = 0.2,
+    rate: Annotated[float, "HZ", "Poses a second."] = 30.0,
+    steps: Annotated[int, "N", "Steps of the integrator in each.", 1] = 1,
     out: Annotated[
-        Path | None,
-        typer.Option(metavar="RUN.csv", help="The run to write. [default: drive-1.csv, or -2 ...]"),
+        Path | None, "RUN.csv", "The run to write. [default: drive-1.csv, or -2 ...]"
     ] = None,
-    channels: Annotated[
-        list[str] | None,
-        typer.Option(metavar="CHANNELS", help="What is recorded, as of simulate. Repeatable."),
-    ] = None,
-    noise: Annotated[
-        list[str] | None,
-        typer.Option(metavar="KEY=VALUE", help="Standard deviation, by a key of [noise]."),
-    ] = None,
-    every: Annotated[
-        int, typer.Option(metavar="N", min=1, help="One row in so many is recorded.")
-    ] = 3,
-    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Of noise and gusts.")] = 0,
+    channels: Annotated[Texts, "CHANNELS", "What is recorded, as of simulate."] = None,
+    noise: Annotated[Texts, "KEY=VALUE", "Standard deviation, by a key of [noise]."] = None,
+    every: Annotated[int, "N", "One row in so many is recorded.", 1] = 3,
+    seed: Annotated[int, "N", "Of noise and gusts.", 0] = 0,
     host: Host = "127.0.0.1",
     port: Port = 0,
     browser: Browser = True,

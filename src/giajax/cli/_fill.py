@@ -7,7 +7,7 @@ import typer
 
 from ..runtime.limits import FILLING_S
 from ..runtime.text import InputError
-from ._commands import command
+from ._commands import Texts, argument, command
 from ._options import Force, Json, print_table, say_written, write_folder
 from ._values import settings, with_settings
 
@@ -39,21 +39,12 @@ A definition is a TOML file with an [arm] and a [filling], such as
   shared = [[1, 2], [3, 4]]  # links that are not welded apart""")
 def fill(
     definition: Annotated[
-        Path | None,
-        typer.Argument(metavar="DEFINITION", help="[arm] and [filling] to use."),
+        Path | None, argument("DEFINITION", "[arm] and [filling] to use.")
     ] = None,
-    pairs: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="PATH=VALUE", help="A parameter, SI. Repeatable."),
-    ] = None,
-    minutes: Annotated[
-        float,
-        typer.Option(metavar="MIN", help="How long filling takes on the curve of ports."),
-    ] = 23.0,
-    no_curve: Annotated[bool, typer.Option("--no-curve", help="Leave that curve out.")] = False,
-    out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Write tables and pictures there.")
-    ] = None,
+    pairs: Annotated[Texts, "PATH=VALUE", "A parameter, SI.", "--set"] = None,
+    minutes: Annotated[float, "MIN", "How long filling takes on the curve of ports."] = 23.0,
+    no_curve: Annotated[bool, "Leave that curve out."] = False,
+    out: Annotated[Path | None, "DIR", "Write tables and pictures there."] = None,
     as_json: Json = False,
     force: Force = False,
 ) -> None:

@@ -1,16 +1,15 @@
 """`giajax fit`: parameters of a model from recordings of it."""
 
-import functools
-import inspect
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, cast, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, TypedDict, Unpack, cast
 
 import typer
 
 from ..runtime.process import CORES_VARIABLE
-from ._commands import command
+from ._commands import Paths, Texts, argument, command
 from ._fit_run import finished, run_fit
 from ._options import Cores, Renamed, Scheduler, Workers
 from ._values import bounds, groups, plain_settings, priors, ties
@@ -19,103 +18,88 @@ if TYPE_CHECKING:
     from ..recordings import TaskKeywords
     from ..tasks import FitTask
 
-# The options of settings: one for each that is declared to have one.
-
-_READ: dict[str, Callable[[list[str]], Any]] = {
-    "PATH=VALUE+-DEVIATION": priors,
-    "PATH=LOW,HIGH": bounds,
-    "PATH=EXPRESSION": ties,
-    "PATH=RUN,RUN": groups,
+_NUMBERS = ("start", "fix", "uncertainty")
+_READERS: dict[str, Callable[[list[str]], Any]] = {
+    **{
+        name: partial(plain_settings, option=f"--{name}")
+        for name in ("start", "fix", "uncertainty")
+    },
+    **{"prior": priors, "bounds": bounds, "tie": ties, "group": groups},
 }
-"""What reads the values of an option, by what its help calls them."""
+"""What reads the words of an option, where they are not the value itself."""
+
+_SETTINGS = {
+    "prior": "priors",
+    "tie": "ties",
+    "group": "groups",
+    "window": "window_s",
+    "windows_first": "windows_first_s",
+}
+"""Names of settings whose option is called otherwise."""
 
 
-class _Option(NamedTuple):
-    """The option of a setting: of which, its words, its kind of value, and its help."""
+class _Settings(TypedDict):
+    """The options of `giajax.recordings.FitSettings`, which would take pydantic to import."""
 
-    setting: str
-    words: str
-    metavar: str
-    kind: Any
-    least: int | None
-    help: str
-
-
-def _kind(annotation: Any) -> Any:
-    """What typer reads for a field: the type of a number or a switch, else words."""
-    if annotation in (bool, int, float):
-        return annotation
-    if get_origin(annotation) in (list, dict):
-        return list[str]
-    parts = [] if get_origin(annotation) is Literal else get_args(annotation)
-    return _kind(parts[0]) if parts else str
-
-
-def _options() -> dict[str, _Option]:
-    """The options by the name of the argument that they are of a command's function."""
-    from ..recordings import FitSettings
-
-    options = {}
-    for name, field in FitSettings.model_fields.items():
-        about: Any = field.json_schema_extra
-        words = about["option"] or f"--{name.replace('_', '-')}"
-        if words == "-":
-            continue
-        default, kind = field.default, _kind(field.annotation)
-        options[words.partition("/")[0][2:].replace("-", "_")] = _Option(
-            setting=name,
-            words=words,
-            metavar=about["metavar"],
-            kind=kind,
-            least=next((item.ge for item in field.metadata if hasattr(item, "ge")), None),
-            help=str(field.description)
-            if kind is bool or default in (None, [], {})
-            else f"{str(field.description)[:-1]} ({default}).",
-        )
-    return options
-
-
-def with_settings(function: Callable[..., None]) -> Callable[..., None]:
-    """A command whose other arguments are settings of a fit, with an option for each of these."""
-
-    @functools.wraps(function)
-    def whole(**given: Any) -> None:
-        function(**given)
-
-    named = [
-        parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
-        for parameter in inspect.signature(function).parameters.values()
-        if parameter.kind is not inspect.Parameter.VAR_KEYWORD
+    free: Annotated[Texts, "PATH", "Fit it, and not the default list."]
+    start: Annotated[Texts, "PATH=VALUE", "Start a parameter at a value."]
+    fix: Annotated[Texts, "PATH=VALUE", "Hold a parameter at a value."]
+    prior: Annotated[
+        Texts,
+        "PATH=VALUE+-DEVIATION",
+        "What is known of it before; PATH=VALUEx/FACTOR is log-normal.",
     ]
-    # Behind what is fitted, before what is done with the result.
-    after = next(i for i, parameter in enumerate(named) if parameter.name == "rename")
-    for argument, option in reversed(_options().items()):
-        about = typer.Option(
-            option.words,
-            metavar=option.metavar or None,
-            min=option.least,
-            help=option.help,
-            show_default=False,
-        )
-        kind: Any = Annotated[option.kind | None, about]
-        place = inspect.Parameter(argument, named[0].kind, default=None, annotation=kind)
-        named.insert(after, place)
-    whole.__signature__ = inspect.Signature(named)  # type: ignore[attr-defined]
-    whole.__annotations__ = {parameter.name: parameter.annotation for parameter in named}
-    return whole
+    bounds: Annotated[Texts, "PATH=LOW,HIGH", "Bounds of a parameter, within those that it has."]
+    tie: Annotated[
+        Texts,
+        "PATH=EXPRESSION",
+        "Let a parameter follow from others, as in links.mass=links.mass[0].",
+    ]
+    per_run: Annotated[Texts, "PATH", "Fit a value of it for each run."]
+    group: Annotated[Texts, "PATH=RUN,RUN", "Fit a value that these share."]
+    uncertainty: Annotated[Texts, "PATH=VALUE", "Standard deviation of a held parameter."]
+    channels: Annotated[Texts, "NAME", "Fit this channel only, without its unit: link20_z."]
+    hold_out: Annotated[
+        Texts, "NAME", "Judge by this and do not fit it: a run, a channel, or last (fifth)."
+    ]
+    window: Annotated[float | None, "S", "Cut runs into windows, each with its own start."]
+    windows_first: Annotated[
+        float | None, "S", "Fit such windows first, and whole runs from there."
+    ]
+    starts: Annotated[int | None, "N", "Fit from so many starts and keep the best end (1).", 1]
+    spread: Annotated[
+        float | None, "X", "How far the other starts are away; 0.3 is 30 percent (0.3)."
+    ]
+    seed: Annotated[int | None, "N", "Of the other starts (0).", 0]
+    loss: Annotated[
+        str | None,
+        "NAME",
+        "How a large residual counts: linear, or huber or soft_l1 for outliers (linear).",
+    ]
+    noise_model: Annotated[
+        str | None, "NAME", "correlated, which looks for correlated noise, or white (correlated)."
+    ]
+    noise_per_run: Annotated[
+        bool | None,
+        "Estimate the noise in each run by itself, or (default) in all together.",
+        "--noise-per-run/--noise-pooled",
+    ]
+    solver: Annotated[str | None, "NAME", "Integration method (springs5), such as tsit5."]
+    tolerance: Annotated[
+        float | None, "TOL", "Tolerance of the integration (chosen by what it moves)."
+    ]
+    max_iterations: Annotated[int | None, "N", "Trial steps before the fit gives up (50).", 1]
+    budget: Annotated[str | None, "TIME", "End with the best so far when it is over: 90s, 10m, 2h."]
 
 
-def typed(given: Mapping[str, Any]) -> "TaskKeywords":
+def _typed(given: _Settings) -> "TaskKeywords":
     """The settings that were typed, as keywords of `FitTask.on_top`."""
-    said: Any = {}
-    for argument, option in _options().items():
-        value = given[argument]
-        if value in (None, []):
-            continue
-        if option.metavar == "PATH=VALUE":
-            value = plain_settings(value, option.words)
-        said[option.setting] = _READ.get(option.metavar, lambda value: value)(value)
-    return cast("TaskKeywords", said)
+    said: Any = {
+        _SETTINGS.get(name, name): _READERS[name](value) if name in _READERS else value
+        for name, value in cast("dict[str, Any]", given).items()
+        if value not in (None, [])
+    }
+    return said
 
 
 # Which task the arguments of `giajax fit` name, before its options are put on top.
@@ -191,75 +175,39 @@ While it runs, DIR/journal.jsonl has every step. After a crash, Ctrl-C or the
 end of a budget, --resume DIR goes on from there to the same numbers.
 With --workers or --scheduler other processes fit the starts after the first
 that converges.""",
-    complete=with_settings,
+    settings_after="config",
 )
 def fit(
     definition: Annotated[
-        Path | None,
-        typer.Argument(metavar="FILE.toml", help="Fit definition: what to fit to what."),
+        Path | None, argument("FILE.toml", "Fit definition: what to fit to what.")
     ] = None,
-    data: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="RUN.csv", help="A run to fit. Repeat it to fit several together."),
-    ] = None,
-    config: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.toml", help="The fit definition, if it is no argument."),
-    ] = None,
+    data: Annotated[Paths, "RUN.csv", "A run to fit, together with others."] = None,
+    config: Annotated[Path | None, "FILE.toml", "The fit definition, if it is no argument."] = None,
     rename: Renamed = None,
-    begin: Annotated[
-        Path | None,
-        typer.Option("--from", metavar="RESULT", help="Start where another fit ended."),
-    ] = None,
+    begin: Annotated[Path | None, "RESULT", "Start where another fit ended.", "--from"] = None,
     again: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="RESULT", help="The fit of a result once more: same data, same numbers."
-        ),
+        Path | None, "RESULT", "The fit of a result once more: same data, same numbers."
     ] = None,
     cores: Cores = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
     resume: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Go on with the fit whose journal is in this folder."),
+        Path | None, "DIR", "Go on with the fit whose journal is in this folder."
     ] = None,
     out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR", help="Where the result goes (giajax-out/RUN, by the run's name)."
-        ),
+        Path | None, "DIR", "Where the result goes (giajax-out/RUN, by the run's name)."
     ] = None,
-    force: Annotated[
-        bool, typer.Option("--force", help="Write over the result of another fit.")
-    ] = False,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print result.json instead of the tables.")
-    ] = False,
-    strict: Annotated[
-        bool,
-        typer.Option("--strict", help="End with status 3 where the model does not fit the data."),
-    ] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
-    suspects: Annotated[
-        bool,
-        typer.Option(
-            "--suspects/--no-suspects", help="Of an inadequate model, ask what it leaves out."
-        ),
-    ] = True,
-    figures: Annotated[
-        bool, typer.Option("--figures/--no-figures", help="Draw pictures of the result.")
-    ] = True,
+    force: Annotated[bool, "Write over the result of another fit."] = False,
+    as_json: Annotated[bool, "--json", "Print result.json instead of the tables."] = False,
+    strict: Annotated[bool, "End with status 3 where the model does not fit the data."] = False,
+    quiet: Annotated[bool, "Print errors only."] = False,
+    suspects: Annotated[bool, "Of an inadequate model, ask what it leaves out."] = True,
+    figures: Annotated[bool, "Draw pictures of the result."] = True,
     self_test: Annotated[
-        bool,
-        typer.Option(
-            "--self-test", help="Repeat the fit with noise drawn anew: are its errors right?"
-        ),
+        bool, "Repeat the fit with noise drawn anew: are its errors right?"
     ] = False,
-    report: Annotated[
-        bool, typer.Option("--report", help="Write report.html, a page for a browser, too.")
-    ] = False,
-    **settings: Any,
+    report: Annotated[bool, "Write report.html, a page for a browser, too."] = False,
+    **settings: Unpack[_Settings],
 ) -> None:
     """Fit parameters to runs.
 
@@ -273,7 +221,7 @@ def fit(
     if resume is not None and (status := finished(resume, as_json, quiet)) is not None:
         raise typer.Exit(status)
     task = named_task(definition, config, again, resume, bool(data)).on_top(
-        **typed(settings),
+        **_typed(settings),
         data=data or None,
         begin=begin,
         out=out,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..runtime.text import InputError
-from ._commands import command
+from ._commands import Texts, command
 from ._options import Digits, Force, ForceRun, Renamed, print_table, say_written, write_folder
 from ._values import Values, settings, with_settings
 
@@ -36,26 +36,12 @@ It writes
 
 A definition is a TOML file with [joint] and [muscle] sections, such as the sidecar of a run.""")
 def joint(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for pictures and numbers.")],
-    definition: Annotated[
-        Path | None, typer.Option(metavar="FILE.toml", help="[joint] and [muscle] to use.")
-    ] = None,
-    pairs: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set", metavar="PATH=VALUE", help="A parameter of joint or muscle, SI. Repeatable."
-        ),
-    ] = None,
-    torque: Annotated[
-        float | None, typer.Option(metavar="N_M", help="Torque on the joint. [default: 0.3]")
-    ] = None,
-    angle: Annotated[
-        list[float] | None,
-        typer.Option(metavar="DEG", help="Draw the joint at this angle. Repeatable."),
-    ] = None,
-    target: Annotated[
-        float, typer.Option(metavar="DEG", help="Angle whose two pressures are shown.")
-    ] = 20.0,
+    out: Annotated[Path, "DIR", "Folder for pictures and numbers."],
+    definition: Annotated[Path | None, "FILE.toml", "[joint] and [muscle] to use."] = None,
+    pairs: Annotated[Texts, "PATH=VALUE", "A parameter of joint or muscle, SI.", "--set"] = None,
+    torque: Annotated[float | None, "N_M", "Torque on the joint. [default: 0.3]"] = None,
+    angle: Annotated[list[float] | None, "DEG", "Draw the joint at this angle."] = None,
+    target: Annotated[float, "DEG", "Angle whose two pressures are shown."] = 20.0,
     force: Force = False,
 ) -> None:
     """Draw one joint at rest: paths, forces, corrections and equilibria.
@@ -175,23 +161,17 @@ Examples:
 target.csv has one column, the angle (angle_deg) or output that is the target, and the time if
 there is one. What the fitted model predicts for the commands is written beside them.""")
 def compensate(
-    target: Annotated[Path, typer.Option(metavar="RUN.csv", help="The target outputs.")],
-    out: Annotated[Path, typer.Option(metavar="RUN.csv", help="The commands to write.")],
-    model: Annotated[
-        Path | None,
-        typer.Option(metavar="RESULT", help="A fit (result.json or its folder) to invert."),
-    ] = None,
+    target: Annotated[Path, "RUN.csv", "The target outputs."],
+    out: Annotated[Path, "RUN.csv", "The commands to write."],
+    model: Annotated[Path | None, "RESULT", "A fit (result.json or its folder) to invert."] = None,
     loop: Annotated[
-        Path | None,
-        typer.Option(metavar="RUN.csv", help="A measured loop for eq. (12), instead of a fit."),
+        Path | None, "RUN.csv", "A measured loop for eq. (12), instead of a fit."
     ] = None,
     travel: Annotated[
         float | None,
-        typer.Option(
-            metavar="X",
-            help="With --loop: travel from branch to branch, in the unit of the target. "
-            "[default: a third of the range]",
-        ),
+        "X",
+        "With --loop: travel from branch to branch, in the unit of the target. "
+        "[default: a third of the range]",
     ] = None,
     rename: Renamed = None,
     digits: Digits = 9,

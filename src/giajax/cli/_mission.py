@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..runtime.text import InputError
-from ._commands import command
+from ._commands import Texts, argument, command
 from ._options import Force, Json, origin, print_table, write_folder
 from ._values import settings, with_settings
 
@@ -133,34 +133,16 @@ The file is that of an arm with [[arm.obstacles]], a [camera.NAME] at its tip, a
   "joints.damping" = 0.5""")
 def mission(
     context: typer.Context,
-    file: Annotated[Path, typer.Argument(metavar="FILE.toml", help="The mission.")],
-    speed: Annotated[
-        float | None, typer.Option(metavar="M/S", help="Of the air, in place of the file's.")
-    ] = None,
-    seed: Annotated[
-        int, typer.Option(metavar="N", min=0, help="Of air and pixels; of --cases the first.")
-    ] = 0,
-    case: Annotated[
-        int | None,
-        typer.Option(metavar="N", min=0, help="One of --cases again, by its seed: arm and air."),
-    ] = None,
-    pairs: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="PATH=VALUE", help="A parameter of the arm. Repeatable."),
-    ] = None,
-    cases: Annotated[
-        int | None, typer.Option(metavar="N", min=1, help="Fly so many at each of --speeds.")
-    ] = None,
-    speeds: Annotated[
-        str, typer.Option(metavar="M/S,...", help="Of the air, for --cases.")
-    ] = _SPEEDS,
-    out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Write numbers and pictures there.")
-    ] = None,
+    file: Annotated[Path, argument("FILE.toml", "The mission.")],
+    speed: Annotated[float | None, "M/S", "Of the air, in place of the file's."] = None,
+    seed: Annotated[int, "N", "Of air and pixels; of --cases the first.", 0] = 0,
+    case: Annotated[int | None, "N", "One of --cases again, by its seed: arm and air.", 0] = None,
+    pairs: Annotated[Texts, "PATH=VALUE", "A parameter of the arm.", "--set"] = None,
+    cases: Annotated[int | None, "N", "Fly so many at each of --speeds.", 1] = None,
+    speeds: Annotated[str, "M/S,...", "Of the air, for --cases."] = _SPEEDS,
+    out: Annotated[Path | None, "DIR", "Write numbers and pictures there."] = None,
     as_json: Json = False,
-    page: Annotated[
-        Path | None, typer.Option(metavar="FILE.html", help="Write a page that plays it.")
-    ] = None,
+    page: Annotated[Path | None, "FILE.html", "Write a page that plays it."] = None,
     force: Force = False,
 ) -> None:
     """Have an operator bring an arm to an opening by the camera at its tip.

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..runtime.text import InputError
-from ._commands import command
+from ._commands import argument, command
 from ._options import ForceFile, Json, OnlyChannels, Renamed, print_table
 
 if TYPE_CHECKING:
@@ -74,19 +74,11 @@ An array has one element for each link or joint; links.mass[0] is its first one.
 'assumed': the paper gives no figure, and a fit should find one.""")
 def parameters(
     run: Annotated[
-        Path | None,
-        typer.Argument(metavar="[RUN]", help="List those of the model of this run. [the arm]"),
+        Path | None, argument("[RUN]", "List those of the model of this run. [the arm]")
     ] = None,
-    arm: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.toml", help="The arm, and its sensors, of this file."),
-    ] = None,
-    preset: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Preset of the arm. [takeichi_20m]")
-    ] = None,
-    links: Annotated[
-        int | None, typer.Option(metavar="N", help="Number of links of the arm.")
-    ] = None,
+    arm: Annotated[Path | None, "FILE.toml", "The arm, and its sensors, of this file."] = None,
+    preset: Annotated[str | None, "NAME", "Preset of the arm. [takeichi_20m]"] = None,
+    links: Annotated[int | None, "N", "Number of links of the arm."] = None,
     as_json: Json = False,
 ) -> None:
     """List every parameter of the arm, or of a run's model.
@@ -211,32 +203,20 @@ Examples:
 MODEL is the folder of a fit, its result.json, or a TOML file whose [arm] (or
 other section) states a model with all its parameters.""")
 def predict(
-    model: Annotated[
-        Path, typer.Option(metavar="MODEL", help="What predicts; see below.", show_default=False)
-    ],
-    data: Annotated[
-        list[Path], typer.Option(metavar="RUN.csv", help="A recorded run. Repeatable.")
-    ],
+    model: Annotated[Path, "MODEL", "What predicts; see below."],
+    data: Annotated[list[Path], "RUN.csv", "A recorded run."],
     against: Annotated[
-        Path | None,
-        typer.Option(metavar="MODEL", help="Another model, and the ratio of their errors."),
+        Path | None, "MODEL", "Another model, and the ratio of their errors."
     ] = None,
     config: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE.toml",
-            help="A fit definition whose [initial], [wind] and channels hold for the runs, too.",
-        ),
+        "FILE.toml",
+        "A fit definition whose [initial], [wind] and channels hold for the runs, too.",
     ] = None,
     channels: OnlyChannels = None,
     rename: Renamed = None,
-    refit_initial: Annotated[
-        bool,
-        typer.Option("--refit-initial", help="Fit the initial state of each run first."),
-    ] = False,
-    out: Annotated[
-        Path | None, typer.Option(metavar="FILE.csv", help="Write the table there.")
-    ] = None,
+    refit_initial: Annotated[bool, "Fit the initial state of each run first."] = False,
+    out: Annotated[Path | None, "FILE.csv", "Write the table there."] = None,
     force: ForceFile = False,
 ) -> None:
     """Predict runs, and print the RMSE of each channel.

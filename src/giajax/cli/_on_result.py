@@ -8,13 +8,14 @@ import dataclasses
 import functools
 import inspect
 from collections.abc import Callable, Mapping
+from inspect import Parameter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ..runtime.text import InputError
-from ._commands import command
+from ._commands import Paths, argument, command, with_signature
 from ._options import (
     ManyProgress,
     Renamed,
@@ -29,12 +30,7 @@ if TYPE_CHECKING:
     from ..fitting import FitResult
     from ..recordings import Run
 
-Parameter = inspect.Parameter
-_RESULT = Annotated[Path, typer.Argument(metavar="RESULT", help="A fit; see below.")]
-_DATA = Annotated[
-    list[Path] | None,
-    typer.Option(metavar="RUN.csv", help="A fitted run, if it has moved. Repeatable."),
-]
+_RESULT = Annotated[Path, argument("RESULT", "A fit; see below.")]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -188,41 +184,34 @@ def on_result(
         folder, figures, force, as_json, quiet: what the help says of these options; None for none.
         out: what it writes, and what the help says of it.
     """
-    flags = {
-        "figures": ("--figures/--no-figures", figures, True),
-        "force": ("--force", force, False),
-        "as_json": ("--json", as_json, False),
-        "quiet": ("--quiet", quiet, False),
-    }
-    paths = {"folder": folder and ("DIR", folder), "out": out}
-    shared: dict[str, tuple[Any, Any]] = {"data": (_DATA, None), "rename": (Renamed, None)}
-    if workers:
-        shared |= {"workers": (Workers, None), "scheduler": (Scheduler, None)}
-    for name, about in paths.items():
-        if about:
-            option = typer.Option(metavar=about[0], help=about[1])
-            shared[name] = (Annotated[Path | None, option], None)
-    for name, (words, text, default) in flags.items():
-        if text is not None:
-            shared[name] = (Annotated[bool, typer.Option(words, help=text)], default)
+    shared: list[tuple[str, Any, Any]] = [
+        ("data", Annotated[Paths, "RUN.csv", "A fitted run, if it has moved."], None),
+        ("rename", Renamed, None),
+        ("workers", workers and Workers, None),
+        ("scheduler", workers and Scheduler, None),
+        ("folder", folder and Annotated[Path | None, "DIR", folder], None),
+        ("out", out and Annotated[Path | None, out[0], out[1]], None),
+        ("figures", figures and Annotated[bool, figures], True),
+        ("force", Annotated[bool, force], False),
+        ("as_json", as_json and Annotated[bool, "--json", as_json], False),
+        ("quiet", Annotated[bool, quiet], False),
+    ]
+    added = [
+        Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=kind)
+        for name, kind, default in shared
+        if kind
+    ]
+    result = Parameter("result", Parameter.KEYWORD_ONLY, annotation=_RESULT)
 
     def register(function: Callable[..., None]) -> Callable[..., None]:
         own = list(inspect.signature(function, eval_str=True).parameters.values())[1:]
-        kinds = {"result": _RESULT} | {name: kind for name, (kind, _) in shared.items()}
 
+        @functools.wraps(function)
         def run(**options: Any) -> None:
-            given = OnResult(**{name: options.pop(name) for name in kinds})
+            given = OnResult(**{each.name: options.pop(each.name) for each in (result, *added)})
             function(given, **options)
 
-        parameters = [Parameter("result", Parameter.KEYWORD_ONLY, annotation=_RESULT), *own]
-        for name, (kind, default) in shared.items():
-            parameters.append(
-                Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=kind)
-            )
-        keywords = [each.replace(kind=Parameter.KEYWORD_ONLY) for each in parameters]
-        run.__name__, run.__doc__ = function.__name__, function.__doc__
-        run.__signature__ = inspect.Signature(keywords)  # type: ignore[attr-defined]
-        run.__annotations__ = {each.name: each.annotation for each in keywords}
-        return command(examples)(run)
+        keywords = [each.replace(kind=Parameter.KEYWORD_ONLY) for each in own]
+        return command(examples)(with_signature(run, [result, *keywords, *added]))
 
     return register

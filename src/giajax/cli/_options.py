@@ -12,6 +12,7 @@ import typer
 from ..runtime.process import CORES_VARIABLE
 from ..runtime.signals import is_stopped, stopped_status
 from ..runtime.text import InputError, time_in_words
+from ._commands import Texts
 
 if TYPE_CHECKING:
     from ..runtime.tasks import Outcome
@@ -50,43 +51,23 @@ def _cell(value: Any) -> str:
 
 # Options that several commands have.
 
-Browser = Annotated[
-    bool, typer.Option("--browser/--no-browser", help="Open a browser, or only say where.")
-]
-Digits = Annotated[
-    int, typer.Option(metavar="N", min=3, max=17, help="Significant digits that are written.")
-]
-Force = Annotated[bool, typer.Option("--force", help="Write over files.")]
-ForceFile = Annotated[bool, typer.Option("--force", help="Write over a file.")]
-ForceRun = Annotated[bool, typer.Option("--force", help="Write over a run.")]
-Host = Annotated[str, typer.Option(metavar="ADDRESS", help="Where to listen; 0.0.0.0: everywhere.")]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
-Links = Annotated[int | None, typer.Option(metavar="N", help="Number of links.")]
-OnlyChannels = Annotated[
-    list[str] | None,
-    typer.Option(metavar="NAME", help="Only this channel, without its unit. Repeatable."),
-]
-Port = Annotated[int, typer.Option(metavar="N", help="Where to listen; 0 for a free one.")]
-Replayed = Annotated[
-    Path | None,
-    typer.Option(metavar="FILE.csv", help="A run whose commands and wind are used instead."),
-]
-Settings = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="PATH=VALUE", help="A parameter's value. Repeatable."),
-]
-Solver = Annotated[
-    str, typer.Option(metavar="NAME", help="Integration method, such as tsit5, springs5.")
-]
-Tolerance = Annotated[float, typer.Option(metavar="TOL", help="Tolerance of the integration.")]
-Wind = Annotated[
-    str | None, typer.Option(metavar="X,Y,Z", help="Constant velocity of the air, m/s.")
-]
+Browser = Annotated[bool, "Open a browser, or only say where."]
+Digits = Annotated[int, "N", "Significant digits that are written.", 3, 17]
+Force = Annotated[bool, "Write over files."]
+ForceFile = Annotated[bool, "Write over a file."]
+ForceRun = Annotated[bool, "Write over a run."]
+Host = Annotated[str, "ADDRESS", "Where to listen; 0.0.0.0: everywhere."]
+Json = Annotated[bool, "--json", "Print JSON instead of a table."]
+Links = Annotated[int | None, "N", "Number of links."]
+OnlyChannels = Annotated[Texts, "NAME", "Only this channel, without its unit."]
+Port = Annotated[int, "N", "Where to listen; 0 for a free one."]
+Replayed = Annotated[Path | None, "FILE.csv", "A run whose commands and wind are used instead."]
+Settings = Annotated[Texts, "PATH=VALUE", "A parameter's value.", "--set"]
+Solver = Annotated[str, "NAME", "Integration method, such as tsit5, springs5."]
+Tolerance = Annotated[float, "TOL", "Tolerance of the integration."]
+Wind = Annotated[str | None, "X,Y,Z", "Constant velocity of the air, m/s."]
 
-Renamed = Annotated[
-    list[str] | None,
-    typer.Option(metavar="OLD=NEW", help="Read column OLD of the files as NEW. Repeatable."),
-]
+Renamed = Annotated[Texts, "OLD=NEW", "Read column OLD of the files as NEW."]
 
 Cores = Annotated[
     int | None,
@@ -131,16 +112,10 @@ def origin(context: typer.Context) -> str:
     return " ".join(words)
 
 
-Workers = Annotated[
-    int | None,
-    typer.Option(metavar="N", min=1, help="Compute in so many processes of this machine (1)."),
-]
+Workers = Annotated[int | None, "N", "Compute in so many processes of this machine (1).", 1]
 
 Scheduler = Annotated[
-    str | None,
-    typer.Option(
-        metavar="ADDRESS", help="Compute on a cluster of dask.distributed: tcp://host:8786."
-    ),
+    str | None, "ADDRESS", "Compute on a cluster of dask.distributed: tcp://host:8786."
 ]
 
 STARTS = "starts"

@@ -9,7 +9,7 @@ import typer
 
 from ..runtime.signals import is_stopped, stopped_status
 from ..runtime.text import InputError
-from ._commands import Ended, command
+from ._commands import Ended, argument, command
 from ._options import Force, print_table, write_folder
 
 # As `giajax.apps.paper` has them, which would import JAX for a help text.
@@ -40,14 +40,11 @@ NAME is
 Each writes NAME.png, NAME.csv and NAME.json, and says what is printed in the paper, assumed, or
 reconstructed.""")
 def paper(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="See below, or 'all'.")],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for pictures and numbers.")],
-    inverse: Annotated[
-        bool,
-        typer.Option("--inverse", help="Of table3: which arms give the numbers that are printed."),
-    ] = False,
+    name: Annotated[str, argument("NAME", "See below, or 'all'.")],
+    out: Annotated[Path, "DIR", "Folder for pictures and numbers."],
+    inverse: Annotated[bool, "Of table3: which arms give the numbers that are printed."] = False,
     force: Force = False,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print the tables only.")] = False,
+    quiet: Annotated[bool, "Print the tables only."] = False,
 ) -> None:
     """Make a figure or a table of the paper again.
 
@@ -127,14 +124,11 @@ Examples:
 The folder gets fig12.png, its numbers in fig12.csv, errors.csv, the recording that both
 compensations were made from, and the fit of the inverse one.""")
 def hysteresis(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the files go.")],
-    travel: Annotated[
-        float,
-        typer.Option(metavar="DEG", help="Travel within which eq. (12) changes its branch."),
-    ] = 40.0,
-    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Of all noise.")] = 0,
+    out: Annotated[Path, "DIR", "Where the files go."],
+    travel: Annotated[float, "DEG", "Travel within which eq. (12) changes its branch."] = 40.0,
+    seed: Annotated[int, "N", "Of all noise.", 0] = 0,
     force: Force = False,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print the errors only.")] = False,
+    quiet: Annotated[bool, "Print the errors only."] = False,
 ) -> None:
     """Follow angles with a hysteretic joint, without compensation and with two.
 

@@ -10,7 +10,7 @@ from ..runtime.files import read_bytes
 from ..runtime.limits import RESULT_BYTES
 from ..runtime.signals import is_stopped, stopped_status
 from ..runtime.text import InputError
-from ._commands import Ended
+from ._commands import Ended, Texts, argument
 from ._on_result import OnResult, on_result, record_files, show, show_files
 from ._options import ManyProgress
 
@@ -44,13 +44,8 @@ after Ctrl-C the same command goes on.""",
 )
 def profile(
     given: OnResult,
-    paths: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="PATH", help="What to profile (all that was free)."),
-    ] = None,
-    level: Annotated[
-        float, typer.Option(metavar="P", help="Level of the intervals, between 0 and 1.")
-    ] = 0.95,
+    paths: Annotated[Texts, argument("PATH", "What to profile (all that was free).")] = None,
+    level: Annotated[float, "P", "Level of the intervals, between 0 and 1."] = 0.95,
 ) -> None:
     """Show how far each parameter can go until the fit is too bad.
 
@@ -129,12 +124,10 @@ and with more --chains keeps those that are there. Needs pip install 'giajax[pos
 )
 def posterior(
     given: OnResult,
-    chains: Annotated[int, typer.Option(metavar="N", min=1, help="Chains.")] = 4,
-    draws: Annotated[int, typer.Option(metavar="N", min=8, help="Draws of each chain.")] = 1000,
-    warmup: Annotated[
-        int, typer.Option(metavar="N", min=0, help="Transitions before them, to adapt.")
-    ] = 500,
-    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Of the random numbers.")] = 0,
+    chains: Annotated[int, "N", "Chains.", 1] = 4,
+    draws: Annotated[int, "N", "Draws of each chain.", 8] = 1000,
+    warmup: Annotated[int, "N", "Transitions before them, to adapt.", 0] = 500,
+    seed: Annotated[int, "N", "Of the random numbers.", 0] = 0,
 ) -> None:
     """Draw from the posterior of the parameters of a fit.
 

@@ -41,14 +41,10 @@ command and --force go on from there.""",
 )
 def bootstrap(
     given: OnResult,
-    size: Annotated[int, typer.Option(metavar="N", min=2, help="Repetitions.")] = 200,
-    block: Annotated[
-        bool, typer.Option("--block", help="With blocks of the residuals, not noise of a model.")
-    ] = False,
-    whole: Annotated[
-        bool, typer.Option("--whole", help="Fit each as the data were, noise and all.")
-    ] = False,
-    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Of all random numbers.")] = 0,
+    size: Annotated[int, "N", "Repetitions.", 2] = 200,
+    block: Annotated[bool, "With blocks of the residuals, not noise of a model."] = False,
+    whole: Annotated[bool, "Fit each as the data were, noise and all."] = False,
+    seed: Annotated[int, "N", "Of all random numbers.", 0] = 0,
 ) -> None:
     """Repeat a fit with noise drawn anew: are its errors right, and does it come back?
 
@@ -110,13 +106,9 @@ giajax report finds them.""",
 )
 def influence(
     given: OnResult,
-    exact: Annotated[
-        bool, typer.Option("--exact", help="Fit without each marker, channel and span, too.")
-    ] = False,
-    spans: Annotated[
-        int, typer.Option(metavar="N", min=1, help="Spans of time of each run; 1 for none.")
-    ] = 10,
-    most: Annotated[int, typer.Option(metavar="N", min=1, help="Rows of the table.")] = 20,
+    exact: Annotated[bool, "Fit without each marker, channel and span, too."] = False,
+    spans: Annotated[int, "N", "Spans of time of each run; 1 for none.", 1] = 10,
+    most: Annotated[int, "N", "Rows of the table.", 1] = 20,
 ) -> None:
     """Tell what each run, marker, channel and span of time does to each parameter.
 

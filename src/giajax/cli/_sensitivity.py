@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..runtime.text import InputError
-from ._commands import command
+from ._commands import Texts, argument, command
 from ._options import Force, Links, Replayed, Settings, Wind, print_table, say_written, write_folder
 from ._simulate import (
     DURATION,
@@ -49,45 +49,28 @@ Without a run: the base joint to 30 deg within a second, all links filmed.
 Writes sensitivity.png, sensitivity.csv (derivatives over time) and information.csv
 (share of each link, and the standard error with it alone).""")
 def sensitivity(
-    parameter: Annotated[
-        list[str], typer.Option(metavar="PATH", help="A parameter ('giajax parameters').")
-    ],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for picture and tables.")],
+    parameter: Annotated[list[str], "PATH", "A parameter ('giajax parameters')."],
+    out: Annotated[Path, "DIR", "Folder for picture and tables."],
     run: Annotated[
-        Path | None,
-        typer.Argument(metavar="[RUN.csv]", help="A run of any model, as it was recorded."),
+        Path | None, argument("[RUN.csv]", "A run of any model, as it was recorded.")
     ] = None,
-    arm: Annotated[
-        Path | None, typer.Option(metavar="FILE.toml", help="The arm: [arm] of this file.")
-    ] = None,
+    arm: Annotated[Path | None, "FILE.toml", "The arm: [arm] of this file."] = None,
     links: Links = None,
     pairs: Settings = None,
-    step: Annotated[
-        list[str] | None, typer.Option(metavar="JOINT=DEG[@T]", help="Step of a command.")
-    ] = None,
-    ramp: Annotated[
-        list[str] | None,
-        typer.Option(metavar="JOINT=DEG[@START:DURATION]", help="Linear change of a command."),
-    ] = None,
+    step: Annotated[Texts, "JOINT=DEG[@T]", "Step of a command."] = None,
+    ramp: Annotated[Texts, "JOINT=DEG[@START:DURATION]", "Linear change of a command."] = None,
     command: Replayed = None,
     wind: Wind = None,
-    duration: Annotated[
-        float | None, typer.Option(metavar="S", help="Length of the run, s. [25]")
-    ] = None,
-    rate: Annotated[
-        float | None, typer.Option(metavar="HZ", help="Samples per second. [10]")
-    ] = None,
+    duration: Annotated[float | None, "S", "Length of the run, s. [25]"] = None,
+    rate: Annotated[float | None, "HZ", "Samples per second. [10]"] = None,
     channels: Annotated[
-        list[str] | None,
-        typer.Option(metavar="CHANNELS", help="What is recorded: link06, tip, joints, all. [all]"),
+        Texts, "CHANNELS", "What is recorded: link06, tip, joints, all. [all]"
     ] = None,
     noise: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="KEY=VALUE",
-            help="Standard deviation, by a key of [noise]. Repeatable. "
-            "[the run's, or position_m=0.01, angle_deg=0.5, pixel_px=2]",
-        ),
+        Texts,
+        "KEY=VALUE",
+        "Standard deviation, by a key of [noise]. [the run's, or "
+        "position_m=0.01, angle_deg=0.5, pixel_px=2]",
     ] = None,
     force: Force = False,
 ) -> None:

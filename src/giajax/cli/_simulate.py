@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..runtime.text import InputError
-from ._commands import command
+from ._commands import Texts, argument, command
 from ._model import definition_of, model_of
 from ._options import Digits, ForceRun, Links, Replayed, Solver, Tolerance, Wind, origin
 from ._values import (
@@ -304,72 +304,39 @@ CHANNELS is link06 (its x, y and z), link06_z, tip, joint03_angle, joint03_rate,
 command that no sample falls on.""")
 def simulate(
     context: typer.Context,
-    out: Annotated[Path, typer.Option(metavar="RUN.csv", help="The run to write.")],
+    out: Annotated[Path, "RUN.csv", "The run to write."],
     arm: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.toml",
-            help="The arm: [arm], [initial], [command] and [wind] of this file.",
-        ),
+        Path | None, "FILE.toml", "The arm: [arm], [initial], [command] and [wind] of this file."
     ] = None,
     links: Links = None,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set", metavar="PATH=VALUE", help="A parameter ('giajax parameters'). Repeatable."
-        ),
-    ] = None,
-    step: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="JOINT=DEG[@T]", help="Step of a command, at 0.5 s by default. Repeatable."
-        ),
-    ] = None,
+    settings: Annotated[Texts, "PATH=VALUE", "A parameter ('giajax parameters').", "--set"] = None,
+    step: Annotated[Texts, "JOINT=DEG[@T]", "Step of a command, at 0.5 s by default."] = None,
     ramp: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="JOINT=DEG[@START:DURATION]",
-            help="Linear change of a command, by default from 0.5 s for 1 s. Repeatable.",
-        ),
+        Texts,
+        "JOINT=DEG[@START:DURATION]",
+        "Linear change of a command, by default from 0.5 s for 1 s.",
     ] = None,
     command: Replayed = None,
     wind: Wind = None,
     gusts: Annotated[
-        str | None,
-        typer.Option(
-            metavar="I:L", help="Gusts about --wind: turbulence intensity and length scale, m."
-        ),
+        str | None, "I:L", "Gusts about --wind: turbulence intensity and length scale, m."
     ] = None,
     coherence: Annotated[
         float | None,
-        typer.Option(
-            metavar="DECAY",
-            help="Gusts of each link, coherent over distances with this decay (IEC 61400-1: 12); "
-            "else they are the same along the whole arm.",
-        ),
+        "DECAY",
+        "Gusts of each link, coherent over distances with this decay (IEC 61400-1: 12); "
+        "else they are the same along the whole arm.",
     ] = None,
     duration: Annotated[
-        float | None,
-        typer.Option(metavar="S", help="Length of the run, s. [default: 25, or that of --command]"),
+        float | None, "S", "Length of the run, s. [default: 25, or that of --command]"
     ] = None,
-    rate: Annotated[float, typer.Option(metavar="HZ", help="Samples per second.")] = 10.0,
+    rate: Annotated[float, "HZ", "Samples per second."] = 10.0,
     channels: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="CHANNELS",
-            help="What is recorded, see below. Repeatable. [default: links 2, 6, 12, 20 and tip]",
-        ),
+        Texts, "CHANNELS", "What is recorded, see below. [default: links 2, 6, 12, 20 and tip]"
     ] = None,
-    noise: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="KEY=VALUE", help="Standard deviation, by a key of [noise]. Repeatable."
-        ),
-    ] = None,
-    missing: Annotated[
-        float, typer.Option(metavar="PERCENT", help="Share of each channel that is left empty.")
-    ] = 0.0,
-    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Of noise, gaps and gusts.")] = 0,
+    noise: Annotated[Texts, "KEY=VALUE", "Standard deviation, by a key of [noise]."] = None,
+    missing: Annotated[float, "PERCENT", "Share of each channel that is left empty."] = 0.0,
+    seed: Annotated[int, "N", "Of noise, gaps and gusts.", 0] = 0,
     solver: Solver = "tsit5",
     tolerance: Tolerance = 1e-7,
     digits: Digits = 9,
@@ -483,47 +450,20 @@ MODEL is the folder of a fit, its result.json, or a TOML file whose [arm] (or ot
 section) states a model with all its parameters.
 'giajax simulate' makes a first run from steps and ramps.""")
 def synth(
-    run: Annotated[Path, typer.Argument(metavar="RUN.csv", help="The run to record again.")],
-    out: Annotated[Path, typer.Option(metavar="NEW.csv", help="The run to write.")],
-    model: Annotated[
-        Path | None,
-        typer.Option(metavar="MODEL", help="What is true; see below. [the run's own model]"),
-    ] = None,
-    pairs: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="PATH=VALUE", help="A parameter of the truth. Repeatable."),
-    ] = None,
-    channels: Annotated[
-        list[str] | None,
-        typer.Option(metavar="CHANNEL", help="A channel to record. [those of the run]"),
-    ] = None,
-    noise: Annotated[
-        list[str] | None,
-        typer.Option(metavar="KEY=VALUE", help="Standard deviation of white noise. Repeatable."),
-    ] = None,
-    correlated: Annotated[
-        list[str] | None,
-        typer.Option(metavar="KEY=VALUE", help="Standard deviation of drifting noise. Repeatable."),
-    ] = None,
-    correlation_time: Annotated[
-        float, typer.Option(metavar="S", help="How long a drift lasts, s.")
-    ] = 0.5,
-    missing: Annotated[
-        float, typer.Option(metavar="PERCENT", help="Cells that are empty here and there.")
-    ] = 0.0,
-    bursts: Annotated[
-        float, typer.Option(metavar="PERCENT", help="Samples of a link or joint lost in stretches.")
-    ] = 0.0,
-    burst_duration: Annotated[
-        float, typer.Option(metavar="S", help="Length of such a stretch, s.")
-    ] = 1.0,
-    outliers: Annotated[
-        float, typer.Option(metavar="PERCENT", help="Cells that are far off.")
-    ] = 0.0,
-    outlier_size: Annotated[
-        list[str] | None, typer.Option(metavar="KEY=VALUE", help="How far. Repeatable.")
-    ] = None,
-    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Of all errors.")] = 0,
+    run: Annotated[Path, argument("RUN.csv", "The run to record again.")],
+    out: Annotated[Path, "NEW.csv", "The run to write."],
+    model: Annotated[Path | None, "MODEL", "What is true; see below. [the run's own model]"] = None,
+    pairs: Annotated[Texts, "PATH=VALUE", "A parameter of the truth.", "--set"] = None,
+    channels: Annotated[Texts, "CHANNEL", "A channel to record. [those of the run]"] = None,
+    noise: Annotated[Texts, "KEY=VALUE", "Standard deviation of white noise."] = None,
+    correlated: Annotated[Texts, "KEY=VALUE", "Standard deviation of drifting noise."] = None,
+    correlation_time: Annotated[float, "S", "How long a drift lasts, s."] = 0.5,
+    missing: Annotated[float, "PERCENT", "Cells that are empty here and there."] = 0.0,
+    bursts: Annotated[float, "PERCENT", "Samples of a link or joint lost in stretches."] = 0.0,
+    burst_duration: Annotated[float, "S", "Length of such a stretch, s."] = 1.0,
+    outliers: Annotated[float, "PERCENT", "Cells that are far off."] = 0.0,
+    outlier_size: Annotated[Texts, "KEY=VALUE", "How far."] = None,
+    seed: Annotated[int, "N", "Of all errors.", 0] = 0,
     digits: Digits = 9,
     force: ForceRun = False,
 ) -> None:

@@ -2,11 +2,11 @@
 
 import dataclasses
 import json
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ._commands import Paths, Texts
 from ._on_result import OnResult, on_result
 from ._options import print_table
 from ._values import plain_settings
@@ -39,34 +39,13 @@ and so on, as long as BIC falls: minutes for each step of a long arm, and fewer 
 )
 def suspects(
     given: OnResult,
-    each: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="PATH", help="Test the elements of this array one by one, too. Repeatable."
-        ),
-    ] = None,
-    systematic: Annotated[
-        bool,
-        typer.Option("--systematic", help="Show what held numbers do to the fitted ones."),
-    ] = False,
-    uncertainty: Annotated[
-        list[str] | None,
-        typer.Option(metavar="PATH=VALUE", help="Standard deviation of a held number. Repeatable."),
-    ] = None,
-    ladder: Annotated[
-        bool, typer.Option("--ladder", help="Fit the most promising suspects in turn.")
-    ] = False,
-    held_out: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="RUN.csv", help="A run to judge the ladder by. Repeatable."),
-    ] = None,
-    most: Annotated[
-        int, typer.Option(metavar="N", min=1, help="Rows of the table and steps of the ladder.")
-    ] = 8,
-    tries: Annotated[
-        int | None,
-        typer.Option(metavar="N", min=1, help="Suspects that each step of the ladder fits (3)."),
-    ] = None,
+    each: Annotated[Texts, "PATH", "Test the elements of this array one by one, too."] = None,
+    systematic: Annotated[bool, "Show what held numbers do to the fitted ones."] = False,
+    uncertainty: Annotated[Texts, "PATH=VALUE", "Standard deviation of a held number."] = None,
+    ladder: Annotated[bool, "Fit the most promising suspects in turn."] = False,
+    held_out: Annotated[Paths, "RUN.csv", "A run to judge the ladder by."] = None,
+    most: Annotated[int, "N", "Rows of the table and steps of the ladder.", 1] = 8,
+    tries: Annotated[int | None, "N", "Suspects that each step of the ladder fits (3).", 1] = None,
 ) -> None:
     """Test what a fit held, switched off or left out.
 

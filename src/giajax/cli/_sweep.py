@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..runtime.signals import stopped_status
-from ._commands import command
+from ._commands import argument, command
 from ._options import ManyProgress, Scheduler, Workers, print_table
 
 if TYPE_CHECKING:
@@ -40,20 +40,13 @@ has grown. DIR/sweep.parquet has one row a fit, DIR/fits a file of each.
 Exit status: 0 each fit was done; 1 one could not be (its row says why);
 2 bad input or usage; 130 interrupted, 143 by SIGTERM.""")
 def sweep(
-    plan: Annotated[Path, typer.Argument(metavar="PLAN.toml", help="What to fit; see below.")],
-    out: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Where the table goes (giajax-out/PLAN)."),
-    ] = None,
+    plan: Annotated[Path, argument("PLAN.toml", "What to fit; see below.")],
+    out: Annotated[Path | None, "DIR", "Where the table goes (giajax-out/PLAN)."] = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="List what would be fitted, and fit nothing.")
-    ] = False,
-    force: Annotated[
-        bool, typer.Option("--force", help="Write over the table of another plan.")
-    ] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print errors only.")] = False,
+    dry_run: Annotated[bool, "List what would be fitted, and fit nothing."] = False,
+    force: Annotated[bool, "Write over the table of another plan."] = False,
+    quiet: Annotated[bool, "Print errors only."] = False,
 ) -> None:
     """Fit one definition many times: with other values, runs or options each time.
 

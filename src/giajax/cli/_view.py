@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..runtime.text import InputError
-from ._commands import command
+from ._commands import Paths, argument, command
 from ._options import Browser, ForceFile, Host, Port, Renamed
 
 if TYPE_CHECKING:
@@ -28,24 +28,15 @@ WHAT is a recorded or simulated run, the folder of a fit (or its result.json), o
 the TOML file of an arm. The page listens on this machine alone unless --host says
 otherwise, and opens only by its whole address, which has a token in it.""")
 def view(
-    what: Annotated[list[Path], typer.Argument(metavar="WHAT...", help="See below.")],
-    data: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="RUN.csv", help="A fitted run, if it has moved. Repeatable."),
-    ] = None,
+    what: Annotated[list[Path], argument("WHAT...", "See below.")],
+    data: Annotated[Paths, "RUN.csv", "A fitted run, if it has moved."] = None,
     run: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Which run of a fit of several; the first by default."),
+        str | None, "NAME", "Which run of a fit of several; the first by default."
     ] = None,
     rename: Renamed = None,
-    overlay: Annotated[
-        bool, typer.Option("--overlay", help="All in one place instead of side by side.")
-    ] = False,
-    out: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.html", help="Write a file that plays without a server."),
-    ] = None,
-    dark: Annotated[bool, typer.Option("--dark", help="Of --out: light on dark.")] = False,
+    overlay: Annotated[bool, "All in one place instead of side by side."] = False,
+    out: Annotated[Path | None, "FILE.html", "Write a file that plays without a server."] = None,
+    dark: Annotated[bool, "Of --out: light on dark."] = False,
     host: Host = "127.0.0.1",
     port: Port = 0,
     browser: Browser = True,

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from ..runtime.text import InputError
-from ._commands import command
+from ._commands import Texts, command
 from ._model import definition_of, model_of
 from ._options import Force, Json, OnlyChannels, Renamed, print_table, say_written, write_folder
 from ._simulate import gust_numbers
@@ -30,45 +30,26 @@ MODEL is the folder of a fit, its result.json, or a TOML file whose [arm] states
 arm; without it the sidecar's is taken. NAME is speed, deviation, length_scale
 (which are free), decay, heading or climb (which are held).""")
 def wind(
-    data: Annotated[Path, typer.Option(metavar="RUN.csv", help="A run under constant commands.")],
-    model: Annotated[Path | None, typer.Option(metavar="MODEL", help="The arm; see below.")] = None,
+    data: Annotated[Path, "RUN.csv", "A run under constant commands."],
+    model: Annotated[Path | None, "MODEL", "The arm; see below."] = None,
     mean: Annotated[
         str | None,
-        typer.Option(
-            "--wind",
-            metavar="X,Y,Z",
-            help="Mean flow to begin with, m/s; its direction is held. [the run's or the arm's]",
-        ),
+        "X,Y,Z",
+        "Mean flow to begin with, m/s; its direction is held. [the run's or the arm's]",
+        "--wind",
     ] = None,
-    gusts: Annotated[
-        str,
-        typer.Option(metavar="I:L", help="Intensity and length scale (m) to begin with."),
-    ] = "0.2:5",
-    coherence: Annotated[
-        float, typer.Option(metavar="A", help="Decay of the coherence of gusts over distances.")
-    ] = 12.0,
-    free: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="Fit this, too. Repeatable.")
-    ] = None,
-    hold: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="Hold this. Repeatable.")
-    ] = None,
-    no_mean: Annotated[
-        bool,
-        typer.Option("--no-mean", help="Do not use where the arm rests, only how it moves there."),
-    ] = False,
-    skip: Annotated[
-        float, typer.Option(metavar="S", help="Leave out the beginning, until gusts alone move.")
-    ] = 0.0,
+    gusts: Annotated[str, "I:L", "Intensity and length scale (m) to begin with."] = "0.2:5",
+    coherence: Annotated[float, "A", "Decay of the coherence of gusts over distances."] = 12.0,
+    free: Annotated[Texts, "NAME", "Fit this, too."] = None,
+    hold: Annotated[Texts, "NAME", "Hold this."] = None,
+    no_mean: Annotated[bool, "Do not use where the arm rests, only how it moves there."] = False,
+    skip: Annotated[float, "S", "Leave out the beginning, until gusts alone move."] = 0.0,
     highest: Annotated[
-        float | None,
-        typer.Option(metavar="HZ", help="Frequency to look up to. [half of what rows resolve]"),
+        float | None, "HZ", "Frequency to look up to. [half of what rows resolve]"
     ] = None,
     channels: OnlyChannels = None,
     rename: Renamed = None,
-    out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Write wind.json and wind.png there.")
-    ] = None,
+    out: Annotated[Path | None, "DIR", "Write wind.json and wind.png there."] = None,
     as_json: Json = False,
     force: Force = False,
 ) -> None:

@@ -157,139 +157,111 @@ class FitSettings(Section):
     """All settings of a fit: `[fit]` of a definition, keywords of Python, options of the command.
 
     Each is declared here, with its default; what was not said is not in `contents`. It is passed on
-    whole. `fit_settings` makes one of keywords.
+    whole. `fit_settings` makes one of keywords. The words of the options are `cli/_fit.py`'s.
     """
 
-    data: list[Name] = key(
-        "a list of file names", "Runs, relative to this file.", default=[], option="-"
-    )
+    data: list[Name] = key("a list of file names", "Runs, relative to this file.", default=[])
     free: list[Name] | None = key(
-        "a list of parameter paths", "Fit it, and not the default list. Repeatable.", "PATH"
+        "a list of parameter paths", "Fit these, and not the default list."
     )
     start: Values = key(
-        "a table of parameter paths and numbers",
-        "Start a parameter at a value. Repeatable.",
-        "PATH=VALUE",
-        default={},
+        "a table of parameter paths and numbers", "Start parameters at these values.", default={}
     )
     fix: Values = key(
-        "a table of parameter paths and numbers",
-        "Hold a parameter at a value. Repeatable.",
-        "PATH=VALUE",
-        default={},
+        "a table of parameter paths and numbers", "Hold parameters at these values.", default={}
     )
     priors: dict[Name, PriorEntry] = key(
         "a table of parameter paths, each with a value and a deviation or factor",
-        "What is known of it before; PATH=VALUEx/FACTOR is log-normal. Repeatable.",
-        "PATH=VALUE+-DEVIATION",
+        "What is known of parameters before; a factor is log-normal.",
         default={},
         entry="a table such as { value = 1.1, deviation = 0.2 }",
-        option="--prior",
     )
     bounds: dict[Name, Annotated[list[Finite], Field(min_length=2, max_length=2)]] = key(
         "a table of parameter paths and lists of two numbers, [low, high]",
-        "Bounds of a parameter, within those that it has. Repeatable.",
-        "PATH=LOW,HIGH",
+        "Bounds of parameters, within those that they have.",
         default={},
         entry="a list of two numbers, [low, high]",
     )
     ties: dict[Name, Name] = key(
         "a table of parameter paths and expressions in quotes",
-        "Let a parameter follow from others, as in links.mass=links.mass[0]. Repeatable.",
-        "PATH=EXPRESSION",
+        'Let parameters follow from others, as in "links.mass" = "links.mass[0]".',
         default={},
         entry='an expression in quotes, such as "1.5 * joints.pitch_stiffness"',
-        option="--tie",
     )
     per_run: list[Name] = key(
-        "a list of parameter paths", "Fit a value of it for each run. Repeatable.", "PATH",
-        default=[],
-    )  # fmt: skip
+        "a list of parameter paths", "Fit a value of these for each run.", default=[]
+    )
     groups: dict[Name, list[list[Name]]] = key(
         "a table of parameter paths and lists of lists of run names",
-        "Fit a value that these share. Repeatable.",
-        "PATH=RUN,RUN",
+        "Fit a value that these runs share.",
         default={},
         entry='a list of lists of run names, such as [["a", "b"], ["c"]]',
-        option="--group",
     )
     uncertainty: Values = key(
         "a table of parameter paths and positive numbers",
-        "Standard deviation of a held parameter. Repeatable.",
-        "PATH=VALUE",
+        "Standard deviations of held parameters.",
         default={},
     )
     channels: list[Name] | None = key(
         "a list of channel names, without unit",
-        "Fit this channel only, without its unit: link20_z. Repeatable.",
-        "NAME",
+        "Fit these channels only, without their unit: link20_z.",
     )
     hold_out: list[Name] = key(
         "a list of runs, channels, or last",
-        "Judge by this and do not fit it: a run, a channel, or last (fifth). Repeatable.",
-        "NAME",
+        "Judge by these and do not fit them: a run, a channel, or last (fifth).",
         default=[],
     )
     window_s: Positive | None = key(
-        "a positive number", "Cut runs into windows, each with its own start.", "S",
-        option="--window",
-    )  # fmt: skip
+        "a positive number", "Cut runs into windows, each with its own start."
+    )
     windows_first_s: Positive | None = key(
-        "a positive number", "Fit such windows first, and whole runs from there.", "S",
-        option="--windows-first",
-    )  # fmt: skip
+        "a positive number", "Fit such windows first, and whole runs from there."
+    )
     starts: Annotated[int, Field(ge=1, le=STARTS)] = key(
         f"a whole number from 1 to {STARTS}",
         "Fit from so many starts and keep the best end.",
-        "N",
         default=1,
     )
     spread: Positive = key(
-        "a positive number", "How far the other starts are away; 0.3 is 30 percent.", "X",
-        default=0.3,
-    )  # fmt: skip
+        "a positive number", "How far the other starts are away; 0.3 is 30 percent.", default=0.3
+    )
     seed: Annotated[int, Field(ge=0)] = key(
-        "zero or a positive whole number", "Of the other starts.", "N", default=0
+        "zero or a positive whole number", "Of the other starts.", default=0
     )
     validation: list[Name] = key(
         "a list of file names",
         "Runs that the result must predict and is not fitted to.",
         default=[],
-        option="-",
     )
     loss: Loss = key(
         '"linear", "huber" or "soft_l1"',
         "How a large residual counts: linear, or huber or soft_l1 for outliers.",
-        "NAME",
         default="linear",
     )
     noise_model: NoiseModel = key(
         '"correlated" or "white"',
         "correlated, which looks for correlated noise, or white.",
-        "NAME",
         default="correlated",
     )
     noise_per_run: bool = key(
         "true or false",
         "Estimate the noise in each run by itself, or (default) in all together.",
         default=False,
-        option="--noise-per-run/--noise-pooled",
     )
     solver: Name | None = key(
-        "the name of a solver", "Integration method (springs5), such as tsit5.", "NAME"
+        "the name of a solver", "Integration method (springs5), such as tsit5."
     )
     tolerance: Positive | None = key(
-        "a positive number", "Tolerance of the integration (chosen by what it moves).", "TOL"
+        "a positive number", "Tolerance of the integration (chosen by what it moves)."
     )
     max_iterations: Annotated[int, Field(ge=1)] = key(
-        "a whole number of at least 1", "Trial steps before the fit gives up.", "N", default=50
+        "a whole number of at least 1", "Trial steps before the fit gives up.", default=50
     )
     budget: Annotated[str, Field(pattern=DURATION)] | None = key(
         'a time such as "90s", "10m" or "2h"',
         "End with the best so far when it is over: 90s, 10m, 2h.",
-        "TIME",
     )
-    out: Name | None = key("the name of a folder", "Where the result goes.", option="-")
+    out: Name | None = key("the name of a folder", "Where the result goes.")
 
     @property
     def known(self) -> dict[str, Prior]:

@@ -298,30 +298,24 @@ COUNT = f"a whole number from 1 to {ELEMENTS}"
 def key(
     must: str,
     meaning: str,
-    metavar: str = "",
     *,
     preset: Any = None,
     default: Any = None,
     example: Any = None,
     entry: str = "",
-    option: str = "",
 ) -> Any:
-    """Declare a key, once for errors, templates and, where it is a setting of a fit, the command.
+    """Declare a key, once for errors and templates.
 
     Arguments:
         must: what its value must be, for errors.
-        meaning: what it means, for the template of a sidecar and for the help of the command.
-        metavar: what the command calls its value; "" for a switch, and without an option.
+        meaning: what it means, for the template of a sidecar.
         preset: the value that a model takes where a file leaves it out, for the template.
         default: the value of the field where a file leaves it out.
         example: what the template shows where there is no preset.
         entry: what an entry of a table must be, where that is not a number or a list of them.
-        option: of the command, where that is not as its name; "-" for none.
     """
     extra = {
         "must": must,
-        "metavar": metavar,
-        "option": option,
         "preset": preset,
         "example": preset if example is None else example,
         **({"entry": entry} if entry else {}),
