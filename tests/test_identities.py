@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from giajax import Definition, InputError, load_result, read_run
-from giajax.runtime.identities import CLASSES, FUNCTIONS
+from giajax.runtime.identities import CLASSES, FUNCTIONS, place_of
 from giajax.runtime.tasks import Task
 from giajax.studies import Fitted
 from toy_model import Decay
@@ -44,7 +44,7 @@ def test_no_identity_was_changed():
 
 @pytest.mark.parametrize("identity", [*FUNCTIONS, *CLASSES])
 def test_the_code_of_each_identity_is_where_the_table_says(identity):
-    place, names = {**FUNCTIONS, **CLASSES}[identity]
+    place, (_, names) = place_of(identity), {**FUNCTIONS, **CLASSES}[identity]
     code = found(place)
     assert f"{code.__module__}:{code.__qualname__}" == place, "not where it is defined"
     if identity in FUNCTIONS:
@@ -65,10 +65,6 @@ def test_the_code_of_each_identity_is_where_the_table_says(identity):
 @pytest.fixture(scope="module")
 def fitted():
     return Fitted.of(load_result(EARLIER / "arm"), read_run(EARLIER / "arm" / "run.csv"))
-
-
-def place_of(identity):
-    return {**FUNCTIONS, **CLASSES}[identity][0]
 
 
 # Computed by version 0.1.0.
@@ -189,9 +185,9 @@ def test_what_is_renamed_keeps_its_key(fitted, monkeypatch):
     from giajax.runtime import identities as _identities
 
     place, about = place_of("study/_profile_task:one_side"), arguments_of("profile", fitted)
-    moved = {"study/_profile_task:one_side": ("giajax.studies:side", "fitted name side=way level")}
+    moved = {"study/_profile_task:one_side": ("studies:side", "fitted name side=way level")}
     monkeypatch.setattr(_identities, "FUNCTIONS", {**FUNCTIONS, **moved})
-    parts = {"repetitions/_parts:Part": ("giajax.new:Left", "kind name runs=of channels rows")}
+    parts = {"repetitions/_parts:Part": ("new:Left", "kind name runs=of channels rows")}
     monkeypatch.setattr(_identities, "CLASSES", {**CLASSES, **parts})
     _identities._identities.cache_clear()
     try:

@@ -94,11 +94,9 @@ RENAMED: dict[str, dict[str, str]] = {
 
 
 def earlier(room: str, level: int = 3) -> Callable[[str], Any]:
-    """The `__getattr__` of a room of giajax for names that have moved or changed.
+    """The `__getattr__` of a room, by its `__name__`, for names that have moved or changed.
 
-    Arguments:
-        room: its `__name__`.
-        level: how far up the stack a warning points; one more where a function calls this one.
+    A warning points `level` up the stack: one more where a function calls this one.
     """
     names = RENAMED[room.partition(".")[2]]
 

@@ -15,20 +15,14 @@ if TYPE_CHECKING:
 Scalar = Float[Array, ""]
 
 
-# The few functions that several rooms need.
-#
 # Vectors of a chain are stored component first, `(3, link)`: every operation below then works on
 # whole rows, which is what makes one evaluation of the dynamics a few microseconds.
 
 
 def on_device(values: Any, dtype: Any = None) -> Array:
-    """Numbers that are known now as an array of JAX, without a program.
+    """Numbers that are known now, and are not changed afterwards, as an array of JAX.
 
-    `jnp.asarray` compiles one for every shape, in each process anew.
-
-    Arguments:
-        values: what NumPy takes; must not be changed afterwards.
-        dtype: of the array; that of the values by default.
+    Without a program: `jnp.asarray` compiles one for every shape, in each process anew.
     """
     return jax.device_put(np.asarray(values, dtype))
 
@@ -151,18 +145,10 @@ def rotation_vector_to_quaternion(rotation: Float[Array, "3"]) -> Float[Array, "
     return jnp.concatenate([jnp.cos(half)[None], rotation * jnp.sinc(half / jnp.pi) / 2])
 
 
-# Points that fill a cube evenly.
-
-
 def sobol_points(count: int, dimensions: int, seed: int) -> Float[np.ndarray, "point dimension"]:
     """Points of a scrambled Sobol sequence in the unit cube, none of them on its faces.
 
     More of them have the same first ones.
-
-    Arguments:
-        count: of points.
-        dimensions: of the cube.
-        seed: of the scrambling.
     """
     # Takes a second to import.
     from scipy.stats import qmc
@@ -174,8 +160,6 @@ def sobol_points(count: int, dimensions: int, seed: int) -> Float[np.ndarray, "p
     edge = np.finfo(float).eps
     return np.asarray(np.clip(points, edge, 1 - edge))
 
-
-# Roots of a scalar function between two points where its sign differs.
 
 # Halvings after which 90 deg are less than the rounding of a double.
 _HALVINGS = 56
@@ -191,13 +175,8 @@ def bisect(
     """A point between `lower` and `upper` where the sign changes; NaN where it does not.
 
     Arguments:
-        function: of one point.
-        lower, upper: the two points.
         signs: of the function at both, where they are known. A root at one of them is lost where
             another evaluation rounds to the other sign.
-
-    Returns:
-        The point.
     """
     start, end = signs or (jnp.sign(function(lower)), jnp.sign(function(upper)))
     differs = start * end <= 0
@@ -215,10 +194,9 @@ def bisect(
 def polish(
     function: Callable[[Array, Any], Array], guess: Scalar, arguments: Any
 ) -> tuple[Scalar, Array]:
-    """The root near a guess by Newton's method, differentiable in `arguments` (implicitly).
+    """The root near a guess by Newton's method, and whether it converged.
 
-    Returns:
-        The root, and whether the method converged.
+    It is differentiable in `arguments` (implicitly).
     """
     # Slow to import, and needed only where a program is traced.
     import optimistix as optx

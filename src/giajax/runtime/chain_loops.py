@@ -61,26 +61,12 @@ def lower_by_platform(
 
 
 def running_sum(x: Float[Array, "*row n"], *, backwards: bool = False) -> Float[Array, "*row n"]:
-    """Sums over each place along the last axis and all before it, or over it and all after it.
-
-    Arguments:
-        x: of one axis or more.
-        backwards: whether to begin at the end.
-
-    Returns:
-        Of the same shape.
-    """
+    """Sums over each place along the last axis and all before it; `backwards`: all after it."""
     total: Array = _running_sum_p.bind(x, backwards=backwards)
     return total
 
 
 _running_sum_p = jax.extend.core.Primitive("running_sum")
-
-
-@_running_sum_p.def_abstract_eval
-def _sum_shape(x: Any, *, backwards: bool) -> Any:
-    del backwards
-    return x
 
 
 def _product(x: Array, *, backwards: bool) -> Array:
@@ -89,11 +75,8 @@ def _product(x: Array, *, backwards: bool) -> Array:
 
 
 def _sum_on_cpu(x: Array, *, backwards: bool) -> Array:
-    return in_small_loops(
-        x,
-        functools.partial(_loop, backwards=backwards),
-        functools.partial(_product, backwards=backwards),
-    )
+    loop, instead = (functools.partial(how, backwards=backwards) for how in (_loop, _product))
+    return in_small_loops(x, loop, instead)
 
 
 def _loop(rows: Array, *, backwards: bool) -> Array:
@@ -117,6 +100,7 @@ def _sum_batched(args: Any, axes: Any, *, backwards: bool) -> tuple[Array, int]:
     return running_sum(jnp.moveaxis(args[0], axes[0], 0), backwards=backwards), 0
 
 
+_running_sum_p.def_abstract_eval(lambda x, **_: x)
 _running_sum_p.def_impl(_product)
 ad.deflinear2(_running_sum_p, _transposed)
 batching.primitive_batchers[_running_sum_p] = _sum_batched
@@ -133,22 +117,12 @@ lower_by_platform(_running_sum_p, _sum_on_cpu, _product)
 
 
 def derivative_barrier(x: Float[Array, "*row n"]) -> Float[Array, "*row n"]:
-    """The same, with derivatives (in forward mode) that are computed apart from what uses them.
-
-    Arguments:
-        x: rows along a chain.
-    """
+    """Rows along a chain, with derivatives (in forward mode) computed apart from what uses them."""
     same: Array = _once_p.bind(x, now=False)
     return same
 
 
 _once_p = jax.extend.core.Primitive("derivatives_once")
-
-
-@_once_p.def_abstract_eval
-def _copy_shape(x: Any, *, now: bool) -> Any:
-    del now
-    return x
 
 
 def _same(x: Array, *, now: bool) -> Array:
@@ -179,6 +153,7 @@ def _copy_batched(args: Any, axes: Any, *, now: bool) -> tuple[Any, int]:
     return _once_p.bind(jnp.moveaxis(args[0], axes[0], 0), now=now), 0
 
 
+_once_p.def_abstract_eval(lambda x, **_: x)
 _once_p.def_impl(_same)
 ad.primitive_jvps[_once_p] = _jvp
 ad.primitive_transposes[_once_p] = lambda cotangent, x, **_: [cotangent]

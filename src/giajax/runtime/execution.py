@@ -22,7 +22,7 @@ from concurrent.futures import (
 )
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, TypedDict, TypeVar
+from typing import Any, Literal, TypedDict, TypeVar
 
 from .files import check_path
 from .process import CORES_VARIABLE, configure, is_own_process, own_process
@@ -42,14 +42,12 @@ _keeping = threading.RLock()
 def prepared(key: Hashable, make: Callable[[], Kept]) -> Kept:
     """What a process prepares once for many tasks: recordings that it read, a model it built.
 
-    The programs of giajax need no such place: they are compiled once a process and structure.
+    It is that of an earlier task, if that was one of the last few of this process. The programs of
+    giajax need no such place: they are compiled once a process and structure.
 
     Arguments:
         key: of all that it depends on, such as the checksums of files and a structure.
         make: makes it.
-
-    Returns:
-        That of an earlier task, if it is one of the last few of this process.
     """
     with _keeping:
         if key not in _kept:
@@ -70,7 +68,7 @@ def perform(task: Task, folder: Path | None, home: str, own: bool) -> Outcome:
 
     Arguments:
         task: what to do.
-        folder: of the files; a task that has one is not done again. None for no files.
+        folder: of the files; a task that has one is not done again.
         home: `identity` of the process whose tasks these are; another one gets ready first.
         own: whether that is a process of giajax's own (`giajax.runtime.process`).
 
@@ -96,14 +94,9 @@ def perform(task: Task, folder: Path | None, home: str, own: bool) -> Outcome:
     # A fit that is stopped returns, and what it returns is no result.
     if is_stopped():
         raise KeyboardInterrupt
-    outcome = Outcome(
-        key=task.key,
-        status="failed" if message else "done",
-        value=value,
-        message=message,
-        seconds=time.perf_counter() - began,
-        worker=identity(),
-    )
+    seconds = time.perf_counter() - began
+    status: Literal["failed", "done"] = "failed" if message else "done"
+    outcome = Outcome(task.key, status, value, message, seconds, identity())
     # What fails may do so by the machine, or by what is put right: the next command tries again.
     if folder is not None and not message:
         write_outcome(folder, outcome)
@@ -269,19 +262,6 @@ def open_executor(workers: int | None = None, scheduler: str | None = None) -> I
             yield executor
 
 
-def check_scheduler(executor: Executor) -> None:
-    """Refuse to wait for a cluster of dask.distributed that is gone.
-
-    Raises:
-        InputError: the client has given up.
-    """
-    client = getattr(executor, "_client", None)
-    if client is not None and getattr(client, "status", "") in ("closing", "closed"):
-        raise InputError(
-            "the scheduler is gone: start it again, and give the same command with its address"
-        )
-
-
 @contextlib.contextmanager
 def _connected(address: str) -> Iterator[Any]:
     try:
@@ -419,7 +399,13 @@ class _Study:
             if self.doubtful and not self.running:
                 self._begin(self.doubtful.popleft())
             done = wait(self.running, _BETWEEN_S, FIRST_COMPLETED).done
-            check_scheduler(self.executor)
+            # Of dask.distributed, whose client may have given up.
+            client = getattr(self.executor, "_client", None)
+            if getattr(client, "status", "") in ("closing", "closed"):
+                raise InputError(
+                    "the scheduler is gone: start it again, and give the same command with its "
+                    "address"
+                )
             for future in done:
                 self._end(self.running.pop(future), future)
 

@@ -95,14 +95,7 @@ def keep(path: Path, data: bytes) -> None:
 def write_durably(path: Path, data: bytes) -> None:
     """Write a file whole or not at all, and have it on the disk before this returns.
 
-    Several processes may write the same one: the last is there, whole.
-
-    Arguments:
-        path: of the file, in a folder that is there; what is there is replaced.
-        data: its content.
-
-    Raises:
-        OSError: it cannot be written.
+    Several processes may write the same one: the last is there, whole. Its folder must be there.
     """
     part = path.with_name(f".{secrets.token_hex(16)}.part")
     try:
@@ -178,15 +171,7 @@ def parse_json(text: str, path: Path | str) -> Any:
 
 
 def check_size(data: Any, source: str) -> None:
-    """Refuse plain data that are nested too deeply, or hold a whole number beyond 64 bits.
-
-    Arguments:
-        data: nested mappings and sequences.
-        source: what an error calls them.
-
-    Raises:
-        InputError: they are beyond the limits.
-    """
+    """Refuse plain data that are nested too deeply, or hold a whole number beyond 64 bits."""
     waiting: list[tuple[Any, int]] = [(data, 0)]
     while waiting:
         item, depth = waiting.pop()

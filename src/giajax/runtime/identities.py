@@ -3,7 +3,8 @@
 A key is kept in the name of a file and gives a task its random numbers, so that it must stay when
 code moves. The identities below are the names of version 0.1.0, and are never changed: "/" stands
 for "." so that nobody who replaces the name of a module replaces one of them. Each has beside it
-where the code lies now, which is to be changed with the code.
+the module in which the code lies now, which is to be changed with the code, and ":Name" where it
+has another name now.
 
 An argument or a field that was renamed is written "before=now"; now may be a property. One that is
 not listed was added later: it counts where it is not what it is by default (an argument: None).
@@ -21,226 +22,168 @@ FORMAT = "0.1.0"
 
 # Identity -> where it lies, and its arguments.
 FUNCTIONS: dict[str, tuple[str, str]] = {
-    "repetitions/_left_out:left_out": ("giajax.studies._influence:left_out", "fitted parts"),
+    "repetitions/_left_out:left_out": ("studies._influence", "fitted parts"),
     "repetitions/_replicates:replicates": (
-        "giajax.studies._bootstrap:replicates",
+        "studies._bootstrap",
         "fitted first count method whole seed",
     ),
-    "study/_posterior_chain:chain": (
-        "giajax.studies._posterior:chain",
-        "begun number draws warmup",
-    ),
-    "study/_profile_task:one_side": (
-        "giajax.studies._profile:one_side",
-        "fitted name side level",
-    ),
-    "study/_start_task:one_start": ("giajax.studies._starts:one_start", "asked start most"),
-    "sweeping/_fit:fitted": ("giajax.tasks._sweep:fitted", "definition inputs rename begin"),
+    "study/_posterior_chain:chain": ("studies._posterior", "begun number draws warmup"),
+    "study/_profile_task:one_side": ("studies._profile", "fitted name side level"),
+    "study/_start_task:one_start": ("studies._starts", "asked start most"),
+    "sweeping/_fit:fitted": ("tasks._sweep", "definition inputs rename begin"),
 }
 
 # Identity -> where it lies, and its fields; None where a text of its own stands for them.
 CLASSES: dict[str, tuple[str, str | None]] = {
     "arm/_arm:Arm": (
-        "giajax.mechanics.arm._arm:Arm",
+        "mechanics.arm._arm",
         "links joints air buoyancy point_masses pneumatics contact base_rotation gravity",
     ),
     "arm/_atmosphere:Air": (
-        "giajax.mechanics.arm._parts:Air",
+        "mechanics.arm._parts",
         "density drag_coefficient axial_coefficient added_mass_coefficient wind viscosity "
         "drag strip_points drag_curve added_mass",
     ),
     "arm/_contact:Contact": (
-        "giajax.mechanics.arm._parts:Contact",
+        "mechanics.arm._parts",
         "obstacles pressure shape_factor damping friction friction_stiffness points",
     ),
-    "arm/_hysteresis:JointHysteresis": (
-        "giajax.mechanics.arm._hysteresis:JointHysteresis",
-        "memory stops",
-    ),
+    "arm/_hysteresis:JointHysteresis": ("mechanics.arm._hysteresis", "memory stops"),
     "arm/_joints:Joints": (
-        "giajax.mechanics.arm._parts:Joints",
+        "mechanics.arm._parts",
         "axes pitch_stiffness yaw_stiffness damping friction friction_rate armature hysteresis",
     ),
     "arm/_links:Links": (
-        "giajax.mechanics.arm._parts:Links",
+        "mechanics.arm._parts",
         "length diameter mass centre_of_mass inertia_transverse inertia_axial fullness",
     ),
     "arm/_masses:Buoyancy": (
-        "giajax.mechanics.arm._parts:Buoyancy",
+        "mechanics.arm._parts",
         "helium_density trim_mass trim_position trim_depth imbalance",
     ),
-    "arm/_masses:PointMasses": (
-        "giajax.mechanics.arm._parts:PointMasses",
-        "links mass position left up drag_area",
-    ),
-    "arm/_memory:Memory": (
-        "giajax.mechanics.arm._hysteresis:Memory",
-        "strength yield_angle nu delta",
-    ),
+    "arm/_masses:PointMasses": ("mechanics.arm._parts", "links mass position left up drag_area"),
+    "arm/_memory:Memory": ("mechanics.arm._hysteresis", "strength yield_angle nu delta"),
     "arm/_muscle_drive:MuscleDrive": (
-        "giajax.mechanics.arm._pneumatics:MuscleDrive",
+        "mechanics.arm._pneumatics",
         "lag passive_stiffness stop_stiffness",
     ),
-    "arm/_pneumatics:Pneumatics": (
-        "giajax.mechanics.arm._pneumatics:Pneumatics",
-        "joints joint muscle drive",
-    ),
-    "arm/_stops:Stops": ("giajax.mechanics.arm._hysteresis:Stops", "strength yield_angle"),
-    "fitting/_integration:IntegrationFit": (
-        "giajax.fitting._result:IntegrationFit",
-        "solver tolerance chosen",
-    ),
+    "arm/_pneumatics:Pneumatics": ("mechanics.arm._pneumatics", "joints joint muscle drive"),
+    "arm/_stops:Stops": ("mechanics.arm._hysteresis", "strength yield_angle"),
+    "fitting/_integration:IntegrationFit": ("fitting._result", "solver tolerance chosen"),
     "fitting/_records:Estimate": (
-        "giajax.fitting._records:Estimate",
+        "fitting._records",
         "value standard_error unit lower upper free remark interval freedom sandwich_error "
         "prior_share sources",
     ),
     "fitting/_run_records:ChannelFit": (
-        "giajax.fitting._records:ChannelFit",
+        "fitting._records",
         "unit rmse n noise correlated correlation_time_s innovation",
     ),
-    "fitting/_run_records:OwnEstimate": (
-        "giajax.fitting._records:OwnEstimate",
-        "value standard_error remark",
-    ),
-    "fitting/_run_records:RunFit": (
-        "giajax.fitting._records:RunFit",
-        "name path sha256 channels parameters",
-    ),
+    "fitting/_run_records:OwnEstimate": ("fitting._records", "value standard_error remark"),
+    "fitting/_run_records:RunFit": ("fitting._records", "name path sha256 channels parameters"),
     "hysteresis/_bouc_wen:BoucWen": (
-        "giajax.mechanics.hysteresis._bouc_wen:BoucWen",
+        "mechanics.hysteresis._bouc_wen",
         "elastic alpha beta gamma delta nu substeps",
     ),
     "hysteresis/_branches:BranchCompensator": (
-        "giajax.mechanics.hysteresis._branches:BranchCompensator",
+        "mechanics.hysteresis._branches",
         "rising falling travel",
     ),
-    "hysteresis/_branches:MonotoneCurve": (
-        "giajax.mechanics.hysteresis._branches:MonotoneCurve",
-        "x y",
-    ),
+    "hysteresis/_branches:MonotoneCurve": ("mechanics.hysteresis._branches", "x y"),
     "hysteresis/_dead_zones:DeadZones": (
-        "giajax.mechanics.hysteresis._prandtl_ishlinskii:DeadZones",
+        "mechanics.hysteresis._prandtl_ishlinskii",
         "slope upper_thresholds upper_slopes lower_thresholds lower_slopes",
     ),
     "hysteresis/_inverse:InverseByBisection": (
-        "giajax.mechanics.hysteresis._operator:InverseByBisection",
+        "mechanics.hysteresis._operator",
         "operator lower upper",
     ),
     "hysteresis/_modified:InverseModified": (
-        "giajax.mechanics.hysteresis._prandtl_ishlinskii:InverseModified",
+        "mechanics.hysteresis._prandtl_ishlinskii",
         "dead_zones hysteresis",
     ),
     "hysteresis/_modified:ModifiedPrandtlIshlinskii": (
-        "giajax.mechanics.hysteresis._prandtl_ishlinskii:ModifiedPrandtlIshlinskii",
+        "mechanics.hysteresis._prandtl_ishlinskii",
         "dead_zones weights thresholds",
     ),
     "hysteresis/_oscillator:BoucWenOscillator": (
-        "giajax.mechanics.hysteresis._bouc_wen:BoucWenOscillator",
+        "mechanics.hysteresis._bouc_wen",
         "mass damping stiffness alpha beta gamma delta nu steps",
     ),
-    "hysteresis/_play:Play": ("giajax.mechanics.hysteresis._operator:Play", "thresholds"),
-    "hysteresis/_play:Stop": ("giajax.mechanics.hysteresis._operator:Stop", "thresholds"),
+    "hysteresis/_play:Play": ("mechanics.hysteresis._operator", "thresholds"),
+    "hysteresis/_play:Stop": ("mechanics.hysteresis._operator", "thresholds"),
     "hysteresis/_prandtl_ishlinskii:PrandtlIshlinskii": (
-        "giajax.mechanics.hysteresis._prandtl_ishlinskii:PrandtlIshlinskii",
+        "mechanics.hysteresis._prandtl_ishlinskii",
         "elastic weights thresholds elements",
     ),
     "hysteresis/_preisach:Preisach": (
-        "giajax.mechanics.hysteresis._preisach:Preisach",
+        "mechanics.hysteresis._preisach",
         "slope saturation coercivity coercivity_spread bias interaction extent rows",
     ),
     "joint/_braided:BraidedMuscle": (
-        "giajax.mechanics.joint._muscle:BraidedMuscle",
+        "mechanics.joint._muscle",
         "diameter braid_angle end_correction effectiveness dead_band pressure_limit",
     ),
-    "joint/_correction:Alpha": (
-        "giajax.mechanics.joint._statics:Alpha",
-        "offset threshold curvature",
-    ),
-    "joint/_correction:Beta": (
-        "giajax.mechanics.joint._statics:Beta",
-        "offset width threshold curvature",
-    ),
-    "joint/_correction:Correction": (
-        "giajax.mechanics.joint._statics:Correction",
-        "alpha beta reading blend",
-    ),
+    "joint/_correction:Alpha": ("mechanics.joint._statics", "offset threshold curvature"),
+    "joint/_correction:Beta": ("mechanics.joint._statics", "offset width threshold curvature"),
+    "joint/_correction:Correction": ("mechanics.joint._statics", "alpha beta reading blend"),
     "joint/_empirical:EmpiricalMuscle": (
-        "giajax.mechanics.joint._muscle:EmpiricalMuscle",
+        "mechanics.joint._muscle",
         "force_limit contraction_limit bell decay end_length length_scale pressure_limit",
     ),
-    "joint/_friction:Friction": (
-        "giajax.mechanics.joint._muscle:Friction",
-        "half_width presliding pressures",
-    ),
+    "joint/_friction:Friction": ("mechanics.joint._muscle", "half_width presliding pressures"),
     "joint/_geometry:JointGeometry": (
-        "giajax.mechanics.joint._geometry:JointGeometry",
+        "mechanics.joint._geometry",
         "anchor_x anchor_y wire_x wire_y contact_x contact_y wire_length muscle_length",
     ),
-    "joint/_piston:Piston": ("giajax.mechanics.joint._muscle:Piston", "bore offset pressure_limit"),
-    "joint/_statics:Joint": ("giajax.mechanics.joint._statics:Joint", "geometry correction torque"),
-    "models/_arm:ArmModel": (
-        "giajax.models._arm:ArmModel",
-        "arm tolerance solver max_steps sensors steps_for",
-    ),
+    "joint/_piston:Piston": ("mechanics.joint._muscle", "bore offset pressure_limit"),
+    "joint/_statics:Joint": ("mechanics.joint._statics", "geometry correction torque"),
+    "models/_arm:ArmModel": ("models._arm", "arm tolerance solver max_steps sensors steps_for"),
     "models/_hysteresis:HysteresisModel": (
-        "giajax.models._hysteresis:HysteresisModel",
+        "models._hysteresis",
         "settings operator offset previous_extremes columns",
     ),
     "models/_hysteresis_definition:HysteresisSettings": (
-        "giajax.models._hysteresis:HysteresisSettings",
+        "models._hysteresis",
         "operator elements thresholds upper_dead_zones lower_dead_zones rows input_range "
         "previous_extremes",
     ),
-    "models/_joint:JointModel": ("giajax.models._joint:JointModel", "joint"),
-    "models/_muscle:MuscleModel": (
-        "giajax.models._muscle:MuscleModel",
-        "muscle friction length mean_pressure",
-    ),
+    "models/_joint:JointModel": ("models._joint", "joint"),
+    "models/_muscle:MuscleModel": ("models._muscle", "muscle friction length mean_pressure"),
     "models/_oscillator:OscillatorModel": (
-        "giajax.models._oscillator:OscillatorModel",
+        "models._oscillator",
         "oscillator offset interpolation columns",
     ),
     "models/_pinhole:Pinhole": (
-        "giajax.models._cameras:Pinhole",
+        "models._cameras",
         "position rotation focal_length aspect centre distortion delay mount size",
     ),
-    "models/_response:Columns": ("giajax.models._hysteresis:Columns", "input output"),
-    "models/_sensors:Camera": (
-        "giajax.models._arm_sensors:Camera",
-        "rotation origin scale delay pinholes",
-    ),
-    "models/_sensors:Encoder": ("giajax.models._arm_sensors:Encoder", "offset scale delay"),
-    "models/_sensors:Landmark": ("giajax.models._arm_sensors:Landmark", "position"),
-    "models/_sensors:Marker": ("giajax.models._arm_sensors:Marker", "along left up tip"),
-    "models/_sensors:Sensors": (
-        "giajax.models._arm_sensors:Sensors",
-        "camera marker encoder landmark",
-    ),
-    "models/_several:SeveralModels": ("giajax.models._several:SeveralModels", "parts"),
-    "obstacles/_shapes:Box": ("giajax.mechanics.obstacles:Box", "centre size rotation name"),
-    "obstacles/_shapes:Plane": ("giajax.mechanics.obstacles:Plane", "centre normal name"),
+    "models/_response:Columns": ("models._hysteresis", "input output"),
+    "models/_sensors:Camera": ("models._arm_sensors", "rotation origin scale delay pinholes"),
+    "models/_sensors:Encoder": ("models._arm_sensors", "offset scale delay"),
+    "models/_sensors:Landmark": ("models._arm_sensors", "position"),
+    "models/_sensors:Marker": ("models._arm_sensors", "along left up tip"),
+    "models/_sensors:Sensors": ("models._arm_sensors", "camera marker encoder landmark"),
+    "models/_several:SeveralModels": ("models._several", "parts"),
+    "obstacles/_shapes:Box": ("mechanics.obstacles", "centre size rotation name"),
+    "obstacles/_shapes:Plane": ("mechanics.obstacles", "centre normal name"),
     "obstacles/_shapes:WallWithOpening": (
-        "giajax.mechanics.obstacles:WallWithOpening",
+        "mechanics.obstacles",
         "centre opening margins thickness rotation name",
     ),
-    "repetitions/_parts:Part": ("giajax.studies._influence:Part", "kind name runs channels rows"),
+    "repetitions/_parts:Part": ("studies._influence", "kind name runs channels rows"),
     "runs/_channels:Channel": (
-        "giajax.recordings._channels:Channel",
+        "recordings._channels",
         "name kind index component quantity unit camera",
     ),
-    "study/_fitted:Fitted": ("giajax.studies._refit:Fitted", None),
-    "study/_posterior_chain:Begun": ("giajax.studies._posterior:Begun", None),
-    "study/_start_task:Asked": ("giajax.studies._starts:Asked", None),
+    "study/_fitted:Fitted": ("studies._refit", None),
+    "study/_posterior_chain:Begun": ("studies._posterior", None),
+    "study/_start_task:Asked": ("studies._starts", None),
 }
 
 
 def identity(place: str) -> str:
-    """What code is called in keys.
-
-    Arguments:
-        place: where it lies, as "module:qualified.name".
-    """
+    """What the code at a place, "module:qualified.name", is called in keys."""
     known = _identities().get(place)
     if known is not None:
         return f"giajax.{known.replace('/', '.')}"
@@ -249,12 +192,7 @@ def identity(place: str) -> str:
 
 
 def arguments_of(place: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """The arguments of a function that count in a key, by the names that they have there.
-
-    Arguments:
-        place: of the function.
-        arguments: by name.
-    """
+    """The arguments of the function at a place that count in a key, by their names there."""
     known = _identities().get(place)
     if known is None:
         return dict(arguments)
@@ -269,9 +207,6 @@ def arguments_of(place: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
 
 def fields_of(value: Any) -> Iterator[tuple[str, Any, Any]]:
     """The fields of a dataclass that may count in a key.
-
-    Arguments:
-        value: one of any class.
 
     Yields:
         The name that the field has in keys, its value, and its value by default: `MISSING` of
@@ -304,7 +239,13 @@ def _pairs(names: str) -> dict[str, str]:
     return {before: now or before for before, _, now in pairs}
 
 
+def place_of(identity: str) -> str:
+    """Where the code of an identity lies now."""
+    where = (FUNCTIONS.get(identity) or CLASSES[identity])[0]
+    return f"giajax.{where}" if ":" in where else f"giajax.{where}:{identity.partition(':')[2]}"
+
+
 @functools.cache
 def _identities() -> dict[str, str]:
     """By where the code lies now."""
-    return {place: name for name, (place, _) in [*FUNCTIONS.items(), *CLASSES.items()]}
+    return {place_of(identity): identity for identity in (*FUNCTIONS, *CLASSES)}

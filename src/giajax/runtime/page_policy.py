@@ -15,15 +15,7 @@ VISER = "'self' 'unsafe-inline' 'unsafe-eval' blob:"
 
 
 def policy(scripts: str, connect: str = "data: blob:") -> str:
-    """A content security policy.
-
-    Arguments:
-        scripts: sources of scripts, as of `script-src`.
-        connect: sources of data, as of `connect-src`.
-
-    Returns:
-        What the header of this name says.
-    """
+    """What the header of a content security policy says, of sources of scripts and of data."""
     return (
         f"default-src 'none'; script-src {scripts}; connect-src {connect}; "
         "style-src 'unsafe-inline'; img-src 'self' data: blob:; font-src data:; "
@@ -39,13 +31,7 @@ def own_scripts(page: bytes) -> str:
 
 
 def with_policy(page: bytes, scripts: str | None = None, connect: str = "data: blob:") -> bytes:
-    """A page that says in its head what it may do.
-
-    Arguments:
-        page: HTML with a head.
-        scripts: sources of scripts; those that stand in the page, and no other, by default.
-        connect: sources of data, as of `policy`.
-    """
+    """A page of HTML that says in its head what it may do: by default run the scripts in it."""
     said = policy(own_scripts(page) if scripts is None else scripts, connect)
     meta = f'<meta http-equiv="Content-Security-Policy" content="{said}">\n'.encode()
     return _FIRST.sub(lambda first: meta + first[0], page, count=1)

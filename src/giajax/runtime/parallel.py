@@ -50,7 +50,12 @@ def run_in_threads(
         The results in their order; None of a job that did not begin.
     """
     if most == 1:
-        return _one_by_one(jobs, until)
+        results: list[Result | None] = [None] * len(jobs)
+        for index, job in enumerate(jobs):
+            results[index] = result = job(directly)
+            if until(result):
+                break
+        return results
     news: queue.SimpleQueue[tuple[int, Callable[[], object]] | None] = queue.SimpleQueue()
     stop = threading.Event()
 
@@ -95,17 +100,6 @@ def run_in_threads(
     return [future.result() for future in futures]
 
 
-def _one_by_one(
-    jobs: Sequence[Callable[[Tell], Result]], until: Callable[[Result], bool]
-) -> list[Result | None]:
-    results: list[Result | None] = [None] * len(jobs)
-    for index, job in enumerate(jobs):
-        results[index] = result = job(directly)
-        if until(result):
-            break
-    return results
-
-
 def directly(function: Callable[..., object], *args: Any) -> None:
     """`Tell` of a job that runs in the thread of the caller."""
     function(*args)
@@ -138,14 +132,9 @@ _AXIS = "item"
 def map_over_devices(
     function: Callable[..., Any], items: Any, shared: tuple[Any, ...], batch_size: int | None
 ) -> Any:
-    """As `giajax.map_on_cores`, over all devices of this process.
+    """As `giajax.map_on_cores`, in arrays that lie on all devices of this process.
 
-    Arguments:
-        function, items, shared, batch_size: as there.
-
-    Returns:
-        Arrays that lie on the devices, as their items do; the last item is there as often as it
-        takes to make all shares equally long.
+    The last item is there as often as it takes to make all shares equally long.
     """
     mesh = Mesh(np.asarray(jax.local_devices()), (_AXIS,))
     count = len(jax.tree.leaves(items)[0])
@@ -201,14 +190,9 @@ class Batch:
 
 
 def run_on_all_cores(batches: Sequence[Batch], most: int | None = None) -> list[Any]:
-    """What programs make of batches of items.
+    """Of each batch what `call` would return of all of its items, in NumPy's arrays.
 
-    Arguments:
-        batches: each with a program of its own.
-        most: cores to use at most; by default `cores()`.
-
-    Returns:
-        Of each batch what `call` would return of all of its items, in NumPy's arrays.
+    At most so many cores compute it: by default `cores()`.
     """
     most = most or cores()
     shared_out = [_shares_of(batch) for batch in batches]
@@ -276,13 +260,7 @@ def _mapped(
 def split_evenly(sizes: Float[np.ndarray, " item"], length: int) -> list[np.ndarray]:
     """Positions of items in shares of equal length, those with the most work first.
 
-    Arguments:
-        sizes: how much work each item is, shape (item,).
-        length: of a share.
-
-    Returns:
-        The shares; an item may stand more than once in the last one, to make it as long as the
-        others.
+    An item may stand more than once in the last one, to make it as long as the others.
     """
     order = np.argsort(-np.asarray(sizes), kind="stable")
     whole = np.append(order, np.repeat(order[-1:], -len(order) % length))

@@ -6,6 +6,7 @@ import dataclasses
 import enum
 import functools
 import hashlib
+import operator
 import os
 import sys
 import tempfile
@@ -35,11 +36,7 @@ class NoStructureError(Exception):
 def structure(tree: Any) -> str:
     """Describe what of a tree decides how it is traced.
 
-    Arguments:
-        tree: modules, other dataclasses, containers, arrays, and what is static.
-
-    Returns:
-        Of each array its shape and type, of everything else the value.
+    Of each array that is its shape and type, of everything else the value.
 
     Raises:
         NoStructureError: a part of it cannot be described.
@@ -48,16 +45,11 @@ def structure(tree: Any) -> str:
 
 
 def content(tree: Any) -> str:
-    """Describe a tree whole, with the numbers of its arrays (by SHA-256).
+    """Describe a tree, or whatever else can be copied, with the numbers of its arrays (by SHA-256).
 
-    Classes and functions of giajax count by their identities, wherever they lie, and a field that
-    was added to one of its classes only where it is not what it is by default.
-
-    Arguments:
-        tree: as of `structure`, or whatever else can be copied.
-
-    Returns:
-        A text that two trees share which are the same, in every process and every version.
+    The text is the same in every process and every version: classes and functions of giajax count
+    by their identities, wherever they lie, and a field that was added to one of its classes only
+    where it is not what it is by default.
 
     Raises:
         NoStructureError: a part of it cannot be described.
@@ -265,9 +257,6 @@ def cache_programs(folder: Path) -> None:
 
     To be called by a process that nobody changes while it runs: what a test or a notebook patches
     is not seen in the source, and must not be kept.
-
-    Arguments:
-        folder: is made where it is missing.
     """
     global _folder
     _folder = folder
@@ -281,29 +270,14 @@ def caches_programs() -> bool:
 
 
 class CachedProgram:
-    """A function whose programs are kept; see `giajax.runtime.programs.program`.
-
-    Arguments:
-        function: a pure function of pytrees.
-        like: from the same arguments, a tree as the function returns.
-        options: arguments of `jax.jit`.
-    """
+    """A function whose programs are kept, with the arguments of `program` and `jax.jit`."""
 
     def __init__(self, function: Call, like: Call, options: dict[str, Any]) -> None:
-        self._function = function
-        self._like = like
-        self._options = options
+        self._function, self._like, self._options = function, like, options
         self._calls: dict[str, Call | None] = {}
 
     def ready(self, args: tuple[Any, ...]) -> Call | None:
-        """What computes the function for arguments of this structure.
-
-        Arguments:
-            args: of the function.
-
-        Returns:
-            Is called with the arguments; None where the program cannot be kept.
-        """
+        """What computes the function for arguments like these; None if it cannot be kept."""
         try:
             key = structure(args)
         except NoStructureError:
@@ -387,21 +361,12 @@ def _blank(shapes: Sequence[Any], leaves: Sequence[Any]) -> export.Exported:
     return export.export(jax.jit(zeros, keep_unused=True))(*leaves)
 
 
-def _calling(program: export.Exported) -> tuple[Any, ...]:
-    """How an exported program is called."""
-    return (
-        program.in_tree,
-        program.in_avals,
-        program.out_tree,
-        program.out_avals,
-        program.platforms,
-        program.nr_devices,
-        program.ordered_effects,
-        program.unordered_effects,
-        program.module_kept_var_idx,
-        program.uses_global_constants,
-        program.calling_convention_version,
-    )
+# How an exported program is called.
+_calling = operator.attrgetter(
+    *("in_tree", "in_avals", "out_tree", "out_avals", "platforms", "nr_devices"),
+    *("ordered_effects", "unordered_effects", "module_kept_var_idx", "uses_global_constants"),
+    "calling_convention_version",
+)
 
 
 # Compiled programs, with the options of XLA that suit a long chain on a CPU.

@@ -64,30 +64,14 @@ def finite_or_none(value: float | None) -> float | None:
 
 
 def json_text(record: Any, head: Mapping[str, Any] | None = None, indent: int = 2) -> str:
-    """The text of a file that holds a record.
-
-    Arguments:
-        record: a dataclass or plain data.
-        head: keys that come before those of the record.
-        indent: spaces of a level.
-    """
+    """The text of a file that holds a dataclass or plain data, with the keys of `head` first."""
     return json.dumps({**(head or {}), **plain_data(record)}, indent=indent, allow_nan=False) + "\n"
 
 
 def parse_record(
     kind: type[Kind], text: str | bytes, head: Mapping[str, Any], what: str, remedy: str
 ) -> Kind:
-    """The record that a text of `json_text` holds.
-
-    Arguments:
-        kind: the dataclass.
-        text: the content of a file.
-        head: what its first keys must be, such as the version of the file.
-        what, remedy: as of `from_plain`.
-
-    Raises:
-        InputError: the text holds no such record.
-    """
+    """The record that a text of `json_text` with this `head` holds; else as `from_plain`."""
     try:
         data = parse_json(text if isinstance(text, str) else text.decode(), what)
     except InputError:

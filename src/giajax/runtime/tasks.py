@@ -150,14 +150,7 @@ def write_outcome(folder: Path, outcome: Outcome) -> None:
 
 
 def read_outcome(folder: str | Path, key: str) -> Outcome | None:
-    """What is kept of a task that is done.
-
-    None where it has no file, or one that is not whole or another's.
-
-    Arguments:
-        folder: of the files.
-        key: of the task.
-    """
+    """What is kept of a task that is done; None if its file is missing, damaged or of another."""
     try:
         text = read_bytes(outcome_path(Path(folder), key), RESULT_BYTES)
         outcome = parse_record(Outcome, text, _HEAD, "this is no outcome of a task", "do it again")

@@ -87,12 +87,9 @@ def time_in_words(seconds: float) -> str:
 
 
 def wrapped(text: str, width: int | None, first: str, others: str) -> Sequence[str]:
-    """Lines of a text; none where it is empty.
+    """Lines of a text with what the first and the others begin with; none where it is empty.
 
-    Arguments:
-        text: on one line.
-        width: columns that there are; without one nothing is wrapped.
-        first, others: what the first and the other lines begin with.
+    Without a width nothing is wrapped.
     """
     if not text:
         return []
@@ -143,9 +140,6 @@ def abridged(sentence: str) -> str:
 
 def _without_middle(text: str, each: int) -> str:
     return f"{text[:each]}...{text[-each:]}"
-
-
-# The one error that a person's input can cause.
 
 
 class InputError(ValueError):

@@ -235,9 +235,9 @@ class Declaration:
     """
 
     default: float
-    _: dataclasses.KW_ONLY
     unit: str
     doc: str
+    _: dataclasses.KW_ONLY
     lower: float = -np.inf
     upper: float = np.inf
     frozen: bool = True
@@ -263,6 +263,17 @@ class Declaration:
     def factor(self) -> float:
         """How many SI units one unit of the key's value is; 1 without a key."""
         return 1.0 if self.key is None else key_factor(self.key.name, self.unit)
+
+
+# Most declarations are of one of these forms, and many have a number for each part of an arm.
+positive = functools.partial(Declaration, lower=0)
+guess = functools.partial(positive, assumed=True)
+freed = functools.partial(positive, frozen=False)
+freed_guess = functools.partial(freed, assumed=True)
+
+EACH_LINK: dict[str, Any] = {"per": "link", "each": True}
+EACH_JOINT: dict[str, Any] = {"per": "joint", "each": True}
+EACH_BODY: dict[str, Any] = {"per": "body", "each": True}
 
 
 class Group:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ._declaration import Declaration, Group, Key
+from ._declaration import Declaration, Group, Key, freed, freed_guess, guess, positive
 
 MUSCLE_LENGTH = 1.96
 """Length at rest of the muscle of a joint, m; assumed."""
@@ -10,137 +10,55 @@ MUSCLE_LENGTH = 1.96
 
 def _pressure_limit(default: float, doc: str) -> Declaration:
     """One key for all laws."""
-    return Declaration(
-        default, unit="Pa", lower=0, assumed=True, doc=doc, key=Key("pressure_limit_kPa")
-    )
+    return guess(default, "Pa", doc, key=Key("pressure_limit_kPa"))
 
 
 class _AtRest(Group):
-    length = Declaration(
-        MUSCLE_LENGTH,
-        unit="m",
-        lower=0,
-        assumed=True,
-        doc="length at rest",
-        key=Key("length_m"),
-    )
+    length = guess(MUSCLE_LENGTH, "m", "length at rest", key=Key("length_m"))
 
 
 class _Braided(Group):
-    diameter = Declaration(
-        3.5e-3,
-        unit="m",
-        lower=0,
-        assumed=True,
-        doc="diameter of a braided muscle at rest",
-        key=Key("diameter_m"),
-    )
-    braid_angle = Declaration(
+    diameter = guess(3.5e-3, "m", "diameter of a braided muscle at rest", key=Key("diameter_m"))
+    braid_angle = guess(
         float(np.deg2rad(18)),
-        unit="rad",
-        lower=0,
+        "rad",
+        "angle of the braid from the axis at rest (18 deg: thin muscles)",
         upper=float(np.arctan(np.sqrt(2))),
-        assumed=True,
-        doc="angle of the braid from the axis at rest (18 deg: thin muscles)",
         key=Key("braid_angle_deg"),
     )
-    end_correction = Declaration(
-        1.6,
-        unit="",
-        lower=0,
-        frozen=False,
-        assumed=True,
-        doc="k: how many times the ideal law contracts further than the muscle",
+    end_correction = freed_guess(
+        1.6, "", "k: how many times the ideal law contracts further than the muscle"
     )
-    effectiveness = Declaration(
-        1.0,
-        unit="",
-        lower=0,
-        frozen=False,
-        assumed=True,
-        doc="eta: force relative to the ideal law's",
-    )
-    dead_band = Declaration(
-        10e3,
-        unit="Pa",
-        lower=0,
-        frozen=False,
-        assumed=True,
-        doc="p_0: pressure below which the muscle does not pull",
-    )
+    effectiveness = freed_guess(1.0, "", "eta: force relative to the ideal law's")
+    dead_band = freed_guess(10e3, "Pa", "p_0: pressure below which the muscle does not pull")
     pressure_limit = _pressure_limit(300e3, "highest pressure (thin muscles: 0.3 MPa)")
 
 
 class _Empirical(Group):
-    force_limit = Declaration(
-        20.0,
-        unit="N",
-        lower=0,
-        frozen=False,
-        assumed=True,
-        doc="F_max of a very long muscle at the pressure limit",
+    force_limit = freed_guess(20.0, "N", "F_max of a very long muscle at the pressure limit")
+    contraction_limit = freed_guess(
+        0.25, "", "contraction without a load at the pressure limit", upper=1
     )
-    contraction_limit = Declaration(
-        0.25,
-        unit="",
-        lower=0,
-        upper=1,
-        frozen=False,
-        assumed=True,
-        doc="contraction without a load at the pressure limit",
-    )
-    bell = Declaration(
-        1.0,
-        unit="",
-        lower=0,
-        frozen=False,
-        assumed=True,
-        doc="fall of the active part with strain",
-    )
-    decay = Declaration(
-        4.0,
-        unit="",
-        lower=0,
-        frozen=False,
-        assumed=True,
-        doc="rise of the passive part with strain",
-    )
-    end_length = Declaration(
-        0.0075, unit="m", assumed=True, doc="length that the ends take from F_max"
-    )
-    length_scale = Declaration(
-        0.05, unit="m", lower=0, assumed=True, doc="length over which F_max saturates"
-    )
+    bell = freed_guess(1.0, "", "fall of the active part with strain")
+    decay = freed_guess(4.0, "", "rise of the passive part with strain")
+    end_length = Declaration(0.0075, "m", "length that the ends take from F_max", assumed=True)
+    length_scale = guess(0.05, "m", "length over which F_max saturates")
     pressure_limit = _pressure_limit(300e3, "highest pressure, at which q = 1")
 
 
 class _Piston(Group):
-    bore = Declaration(
-        0.025, unit="m", lower=0, frozen=False, assumed=True, doc="diameter of the bore"
-    )
+    bore = freed_guess(0.025, "m", "diameter of the bore")
     offset = Declaration(
-        0.0, unit="N", frozen=False, doc="force without pressure: the zero of the load cell"
+        0.0, "N", "force without pressure: the zero of the load cell", frozen=False
     )
     pressure_limit = _pressure_limit(1e6, "highest pressure")
 
 
 class _Friction(Group):
-    half_width = Declaration(
-        1.0,
-        unit="N",
-        lower=0,
-        frozen=False,
-        assumed=True,
-        doc="half of the force between filling and exhausting (one number a pressure)",
+    half_width = freed_guess(
+        1.0, "N", "half of the force between filling and exhausting (one number a pressure)"
     )
-    presliding = Declaration(
-        2e-4,
-        unit="m",
-        lower=0,
-        frozen=False,
-        assumed=True,
-        doc="displacement over which friction builds up",
-    )
+    presliding = freed_guess(2e-4, "m", "displacement over which friction builds up")
 
 
 AT_REST = _AtRest("")
@@ -170,10 +88,10 @@ def _coordinate(
 ) -> Declaration:
     return Declaration(
         default,
-        unit="m",
+        "m",
+        f"{doc}: {direction}",
         lower=lower,
         assumed=True,
-        doc=f"{doc}: {direction}",
         key=Key(
             key,
             lower=-np.inf,
@@ -196,103 +114,81 @@ class _Geometry(Group):
     wire_y = _off("wire_m", 0.04, _WIRE, lower=-np.inf)
     contact_x = _along("contact_m", 0.055, _CONTACT, lower=0)
     contact_y = _off("contact_m", 0.15, _CONTACT, lower=0)
-    wire_length = Declaration(
-        0.34,
-        unit="m",
-        lower=0,
-        assumed=True,
-        doc="length L_wire of the wire through the bush",
-        key=Key("wire_length_m"),
+    wire_length = guess(
+        0.34, "m", "length L_wire of the wire through the bush", key=Key("wire_length_m")
     )
-    muscle_length = Declaration(
-        MUSCLE_LENGTH,
-        unit="m",
-        lower=0,
-        assumed=True,
-        doc="length L_pam of the muscle at rest",
-        key=Key("muscle_length_m"),
+    muscle_length = guess(
+        MUSCLE_LENGTH, "m", "length L_pam of the muscle at rest", key=Key("muscle_length_m")
     )
 
 
 class _Load(Group):
     torque = Declaration(
         0.3,
-        unit="N m",
-        doc="torque on the joint at all times, where a run does not record it",
+        "N m",
+        "torque on the joint at all times, where a run does not record it",
         key=Key("torque_N_m", lower=0),
     )
 
 
 class _Alpha(Group):
-    offset = Declaration(0.03, unit="N m", frozen=False, doc="alpha up to its threshold")
-    threshold = Declaration(
+    offset = Declaration(0.03, "N m", "alpha up to its threshold", frozen=False)
+    threshold = freed(
         float(np.deg2rad(40)),
-        unit="rad",
-        lower=0,
+        "rad",
+        "bending angle above which alpha grows (40 deg)",
         upper=float(np.pi / 2),
-        frozen=False,
-        doc="bending angle above which alpha grows (40 deg)",
     )
     curvature = Declaration(
         _PER_SQUARE_DEGREE / 1600,
-        unit="N m/rad^2",
+        "N m/rad^2",
+        "growth of alpha with the square of the angle beyond its threshold (1/1600 per deg^2)",
         frozen=False,
-        doc="growth of alpha with the square of the angle beyond its threshold (1/1600 per deg^2)",
     )
 
 
 class _Beta(Group):
-    offset = Declaration(0.01, unit="N m", frozen=False, doc="beta in the straight joint")
-    width = Declaration(
+    offset = Declaration(0.01, "N m", "beta in the straight joint", frozen=False)
+    width = freed(
         float(np.deg2rad(2)),
-        unit="rad",
-        lower=0,
+        "rad",
+        "angle at which beta's wedge has gone (2 deg)",
         upper=float(np.pi / 2),
-        frozen=False,
-        doc="angle at which beta's wedge has gone (2 deg)",
     )
-    threshold = Declaration(
+    threshold = freed(
         float(np.deg2rad(20)),
-        unit="rad",
-        lower=0,
+        "rad",
+        "bending angle beyond which beta falls (20 deg)",
         upper=float(np.pi / 2),
-        frozen=False,
-        doc="bending angle beyond which beta falls (20 deg)",
     )
     curvature = Declaration(
         0.3 * _PER_SQUARE_DEGREE / 1600,
-        unit="N m/rad^2",
+        "N m/rad^2",
+        "fall of beta with the square of the angle beyond its threshold (0.3/1600 per deg^2)",
         frozen=False,
-        doc="fall of beta with the square of the angle beyond its threshold (0.3/1600 per deg^2)",
     )
 
 
 class _Drive(Group):
     lag = Declaration(
         0.2,
-        unit="s",
+        "s",
+        "time in which the pressure of a muscle follows its command to 63 %",
         lower=1e-3,
         upper=1e3,
         optional=True,
         has_states=True,
         assumed=True,
-        doc="time in which the pressure of a muscle follows its command to 63 %",
     )
-    passive_stiffness = Declaration(
+    passive_stiffness = positive(
         0.1,
-        unit="N m/rad",
-        lower=0,
+        "N m/rad",
+        "stiffness of a joint with muscles about its straight pose, beside them",
         upper=1e3,
         optional=True,
-        doc="stiffness of a joint with muscles about its straight pose, beside them",
     )
-    stop_stiffness = Declaration(
-        10.0,
-        unit="N m/rad",
-        lower=0,
-        upper=1e4,
-        assumed=True,
-        doc="stiffness of a joint with muscles beyond 60 deg",
+    stop_stiffness = guess(
+        10.0, "N m/rad", "stiffness of a joint with muscles beyond 60 deg", upper=1e4
     )
 
 
@@ -304,105 +200,71 @@ DRIVE = _Drive("drive")
 
 
 class _Play(Group):
-    thresholds = Declaration(0.0, unit="input", lower=0, doc="half-width of the backlash")
+    thresholds = positive(0.0, "input", "half-width of the backlash")
 
 
 class _Stop(Group):
-    thresholds = Declaration(
-        1.0, unit="input", lower=0, doc="input at which the element begins to slide"
-    )
+    thresholds = positive(1.0, "input", "input at which the element begins to slide")
 
 
 class _PrandtlIshlinskii(Group):
-    elastic = Declaration(
-        1.0, unit="output/input", lower=0, frozen=False, doc="weight of the input itself"
-    )
-    weights = Declaration(
-        0.1, unit="output/input", lower=0, frozen=False, doc="weights of the plays or stops"
-    )
-    thresholds = Declaration(1.0, unit="input", lower=0, doc="thresholds of the plays or stops")
+    elastic = freed(1.0, "output/input", "weight of the input itself")
+    weights = freed(0.1, "output/input", "weights of the plays or stops")
+    thresholds = positive(1.0, "input", "thresholds of the plays or stops")
 
 
 class _DeadZones(Group):
-    slope = Declaration(
-        1.0, unit="output/input", lower=0, frozen=False, doc="slope between the dead zones"
-    )
-    upper_thresholds = Declaration(1.0, unit="input", lower=0, doc="dead zones above 0")
-    upper_slopes = Declaration(
-        1.0, unit="output/input", lower=0, frozen=False, doc="slope beyond each dead zone above 0"
-    )
-    lower_thresholds = Declaration(
-        1.0, unit="input", lower=0, doc="dead zones below 0, as distances from it"
-    )
-    lower_slopes = Declaration(
-        1.0, unit="output/input", lower=0, frozen=False, doc="slope beyond each dead zone below 0"
-    )
+    slope = freed(1.0, "output/input", "slope between the dead zones")
+    upper_thresholds = positive(1.0, "input", "dead zones above 0")
+    upper_slopes = freed(1.0, "output/input", "slope beyond each dead zone above 0")
+    lower_thresholds = positive(1.0, "input", "dead zones below 0, as distances from it")
+    lower_slopes = freed(1.0, "output/input", "slope beyond each dead zone below 0")
 
 
 class _ModifiedPrandtlIshlinskii(Group):
-    weights = Declaration(
-        0.1, unit="", lower=0, frozen=False, doc="weights of the plays, relative to the input"
-    )
-    thresholds = Declaration(1.0, unit="input", lower=0, doc="thresholds of the plays")
+    weights = freed(0.1, "", "weights of the plays, relative to the input")
+    thresholds = positive(1.0, "input", "thresholds of the plays")
 
 
 class _Preisach(Group):
-    slope = Declaration(0.5, unit="output/input", frozen=False, doc="reversible part of the output")
-    saturation = Declaration(
-        0.5, unit="output", lower=0, frozen=False, doc="output of all relays up"
-    )
-    coercivity = Declaration(
-        0.2, unit="input", lower=0, frozen=False, doc="median half-width of the relays"
-    )
+    slope = Declaration(0.5, "output/input", "reversible part of the output", frozen=False)
+    saturation = freed(0.5, "output", "output of all relays up")
+    coercivity = freed(0.2, "input", "median half-width of the relays")
     coercivity_spread = Declaration(
-        0.7, unit="", lower=0.05, upper=5, frozen=False, doc="spread of the logarithm of it"
+        0.7, "", "spread of the logarithm of it", lower=0.05, upper=5, frozen=False
     )
-    bias = Declaration(0.0, unit="input", doc="mean centre of the relays")
-    interaction = Declaration(
-        0.3, unit="input", lower=0, frozen=False, doc="standard deviation of the centres"
-    )
+    bias = Declaration(0.0, "input", "mean centre of the relays")
+    interaction = freed(0.3, "input", "standard deviation of the centres")
 
 
 class _BoucWen(Group):
-    elastic = Declaration(
-        0.5, unit="output/input", lower=0, frozen=False, doc="weight of the input itself"
-    )
-    alpha = Declaration(
-        0.5, unit="output/input", lower=0, frozen=False, doc="slope of the hysteretic part at 0"
-    )
-    beta = Declaration(
-        1.0, unit="1/input", lower=0, doc="scale of gamma and delta; only their products count"
-    )
-    gamma = Declaration(1.0, unit="", lower=0, frozen=False, doc="width of the loop")
-    delta = Declaration(0.1, unit="", frozen=False, doc="shape of the loop")
-    nu = Declaration(1.0, unit="", lower=0.5, upper=20, doc="sharpness of the knee")
+    elastic = freed(0.5, "output/input", "weight of the input itself")
+    alpha = freed(0.5, "output/input", "slope of the hysteretic part at 0")
+    beta = positive(1.0, "1/input", "scale of gamma and delta; only their products count")
+    gamma = freed(1.0, "", "width of the loop")
+    delta = Declaration(0.1, "", "shape of the loop", frozen=False)
+    nu = Declaration(1.0, "", "sharpness of the knee", lower=0.5, upper=20)
 
 
 class _Branches(Group):
-    travel = Declaration(1.0, unit="output", lower=0, doc="travel from one branch to the other")
+    travel = positive(1.0, "output", "travel from one branch to the other")
 
 
 class _BoucWenOscillator(Group):
-    mass = Declaration(2.0, unit="kg", lower=0, frozen=False, doc="moving mass")
-    damping = Declaration(10.0, unit="N s/m", lower=0, frozen=False, doc="viscous damping")
-    stiffness = Declaration(
-        5e4, unit="N/m", lower=0, frozen=False, doc="stiffness beside the hysteretic element"
-    )
-    alpha = Declaration(
-        5e4, unit="N/m", lower=0, frozen=False, doc="stiffness of the hysteretic element at rest"
-    )
-    beta = Declaration(
-        1e3, unit="1/m", lower=0, doc="scale of gamma and delta; only their products count"
-    )
-    gamma = Declaration(0.8, unit="", lower=0, frozen=False, doc="width of the loop")
-    delta = Declaration(-1.1, unit="", frozen=False, doc="shape of the loop")
-    nu = Declaration(1.0, unit="", lower=0.5, upper=20, doc="sharpness of the knee")
+    mass = freed(2.0, "kg", "moving mass")
+    damping = freed(10.0, "N s/m", "viscous damping")
+    stiffness = freed(5e4, "N/m", "stiffness beside the hysteretic element")
+    alpha = freed(5e4, "N/m", "stiffness of the hysteretic element at rest")
+    beta = positive(1e3, "1/m", "scale of gamma and delta; only their products count")
+    gamma = freed(0.8, "", "width of the loop")
+    delta = Declaration(-1.1, "", "shape of the loop", frozen=False)
+    nu = Declaration(1.0, "", "sharpness of the knee", lower=0.5, upper=20)
 
 
 class _Loop(Group):
-    offset = Declaration(0.0, unit="output", frozen=False, doc="added to the output")
+    offset = Declaration(0.0, "output", "added to the output", frozen=False)
     previous_extremes = Declaration(
-        0.0, unit="input", doc="turning points of the input before the run, the latest last"
+        0.0, "input", "turning points of the input before the run, the latest last"
     )
 
 

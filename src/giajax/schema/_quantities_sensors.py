@@ -1,6 +1,6 @@
 """Quantities of what records an arm (camera, markers, angle sensors) and of what fills it."""
 
-from ._declaration import Declaration, Group, Key
+from ._declaration import EACH_JOINT, EACH_LINK, Declaration, Group, Key, guess, positive
 from ._quantities_arm import BUOYANCY
 
 _LONGEST_DELAY = 5.0
@@ -11,11 +11,11 @@ def delay(key: str, doc: str) -> Declaration:
     """Of a clock that is late, or early, by so much."""
     return Declaration(
         0.0,
-        unit="s",
+        "s",
+        doc,
         lower=-_LONGEST_DELAY,
         upper=_LONGEST_DELAY,
         optional=True,
-        doc=doc,
         key=Key(key, closed=True, example=0.05),
     )
 
@@ -23,28 +23,22 @@ def delay(key: str, doc: str) -> Declaration:
 class _Camera(Group):
     rotation = Declaration(
         0.0,
-        unit="rad",
+        "rad",
+        "turn of the camera frame against the base frame, as a rotation vector",
         shape=(3,),
         optional=True,
-        doc="turn of the camera frame against the base frame, as a rotation vector",
         key=Key("camera_rotation_deg", example=[0.0, 5.0, 0.0]),
     )
     origin = Declaration(
         0.0,
-        unit="m",
+        "m",
+        "origin of the camera frame in the base frame",
         shape=(3,),
         optional=True,
-        doc="origin of the camera frame in the base frame",
         key=Key("camera_origin_m", example=[0.0, 0.1, 0.0]),
     )
-    scale = Declaration(
-        1.0,
-        unit="",
-        lower=0,
-        optional=True,
-        neutral=1.0,
-        doc="recorded over true distances",
-        key=Key("camera_scale"),
+    scale = positive(
+        1.0, "", "recorded over true distances", optional=True, neutral=1.0, key=Key("camera_scale")
     )
     delay = delay("camera_delay_s", "how long before its time stamp a position or picture was true")
 
@@ -52,37 +46,34 @@ class _Camera(Group):
 class _Marker(Group):
     along = Declaration(
         0.0,
-        unit="m",
-        per="link",
-        each=True,
+        "m",
+        "distance of a link's marker from its centre, along the link",
         optional=True,
-        doc="distance of a link's marker from its centre, along the link",
+        **EACH_LINK,
         key=Key("marker_along_m"),
     )
     left = Declaration(
         0.0,
-        unit="m",
-        per="link",
-        each=True,
+        "m",
+        "distance of a link's marker to the left of its centre",
         optional=True,
-        doc="distance of a link's marker to the left of its centre",
+        **EACH_LINK,
         key=Key("marker_left_m"),
     )
     up = Declaration(
         0.0,
-        unit="m",
-        per="link",
-        each=True,
+        "m",
+        "distance of a link's marker above its centre",
         optional=True,
-        doc="distance of a link's marker above its centre",
+        **EACH_LINK,
         key=Key("marker_up_m", example=0.15),
     )
     tip = Declaration(
         0.0,
-        unit="m",
+        "m",
+        "offset of the tip's marker from the end of the last link: along, left, up",
         shape=(3,),
         optional=True,
-        doc="offset of the tip's marker from the end of the last link: along, left, up",
         key=Key("marker_tip_m"),
     )
 
@@ -90,22 +81,19 @@ class _Marker(Group):
 class _Encoder(Group):
     offset = Declaration(
         0.0,
-        unit="rad",
-        per="joint",
-        each=True,
+        "rad",
+        "what a joint's angle sensor shows at the angle 0",
         optional=True,
-        doc="what a joint's angle sensor shows at the angle 0",
+        **EACH_JOINT,
         key=Key("encoder_offset_deg"),
     )
-    scale = Declaration(
+    scale = positive(
         1.0,
-        unit="",
-        lower=0,
-        per="joint",
-        each=True,
+        "",
+        "shown over true changes of a joint's angle",
         optional=True,
         neutral=1.0,
-        doc="shown over true changes of a joint's angle",
+        **EACH_JOINT,
         key=Key("encoder_scale"),
     )
     delay = delay("encoder_delay_s", "how long before its time stamp a joint's angle was true")
@@ -119,53 +107,51 @@ ENCODER = _Encoder("encoder")
 class _Pinhole(Group):
     position = Declaration(
         0.0,
-        unit="m",
-        shape=(3,),
-        doc="centre of the camera's lens: in the base frame; of a camera on a link along, left "
+        "m",
+        "centre of the camera's lens: in the base frame; of a camera on a link along, left "
         "and up from its mount",
+        shape=(3,),
         key=Key("position_m", example=[10.0, -15.0, 1.0]),
     )
     rotation = Declaration(
         0.0,
-        unit="rad",
+        "rad",
+        "turn of the camera, as a rotation vector; at 0 it looks along x, u to the right",
         shape=(3,),
-        doc="turn of the camera, as a rotation vector; at 0 it looks along x, u to the right",
         key=Key("rotation_deg", example=[0.0, 0.0, 90.0]),
     )
-    focal_length = Declaration(
+    focal_length = positive(
         1000.0,
-        unit="px",
-        lower=0,
+        "px",
+        "focal length over the width of a pixel",
         upper=1e6,
-        doc="focal length over the width of a pixel",
         source="OpenCV's f_x",
         key=Key("focal_length_px"),
     )
-    aspect = Declaration(
+    aspect = positive(
         1.0,
-        unit="",
-        lower=0,
+        "",
+        "width over height of a pixel",
         upper=1e3,
         optional=True,
         neutral=1.0,
-        doc="width over height of a pixel",
         source="OpenCV's f_y over its f_x",
         key=Key("aspect"),
     )
     centre = Declaration(
         0.0,
-        unit="px",
+        "px",
+        "where the optical axis meets the picture: u, v; its middle by default",
         shape=(2,),
-        doc="where the optical axis meets the picture: u, v; its middle by default",
         source="OpenCV's c_x and c_y",
         key=Key("centre_px", example=[959.5, 539.5]),
     )
     distortion = Declaration(
         0.0,
-        unit="",
+        "",
+        "distortion of the lens: k1, k2, p1, p2, k3",
         shape=(5,),
         optional=True,
-        doc="distortion of the lens: k1, k2, p1, p2, k3",
         source="OpenCV's five-parameter model (Brown-Conrady)",
         key=Key("distortion", example=[-0.2, 0.05, 0.0, 0.0, 0.0]),
     )
@@ -178,9 +164,9 @@ class _Pinhole(Group):
 class _Landmark(Group):
     position = Declaration(
         0.0,
-        unit="m",
+        "m",
+        "where a landmark of the room is, in the base frame",
         shape=(3,),
-        doc="where a landmark of the room is, in the base frame",
         key=Key("position_m", example=[6.0, 0.5, 1.2]),
     )
 
@@ -190,154 +176,115 @@ LANDMARK = _Landmark("landmark.NAME")
 
 
 class _Gas(Group):
-    density = Declaration(
+    density = positive(
         BUOYANCY.helium_density.default,
-        unit="kg/m^3",
-        lower=0,
-        doc="density of the gas at ambient pressure (helium, 20 C, 1 atm)",
+        "kg/m^3",
+        "density of the gas at ambient pressure (helium, 20 C, 1 atm)",
         key=Key("gas_density_kg_per_m3"),
     )
-    ambient_pressure = Declaration(
-        101325.0,
-        unit="Pa",
-        lower=0,
-        doc="absolute pressure of the room",
-        key=Key("ambient_pressure_kPa"),
+    ambient_pressure = positive(
+        101325.0, "Pa", "absolute pressure of the room", key=Key("ambient_pressure_kPa")
     )
-    viscosity = Declaration(
+    viscosity = positive(
         1.96e-5,
-        unit="Pa s",
-        lower=0,
-        doc="dynamic viscosity of the gas (helium, 20 C)",
+        "Pa s",
+        "dynamic viscosity of the gas (helium, 20 C)",
         key=Key("gas_viscosity_Pa_s"),
     )
     heat_capacity_ratio = Declaration(
         5 / 3,
-        unit="",
+        "",
+        "ratio of the gas's heat capacities (5/3 of one atom)",
         lower=1,
         upper=2,
-        doc="ratio of the gas's heat capacities (5/3 of one atom)",
         key=Key("gas_heat_capacity_ratio"),
     )
 
 
 class _Skin(Group):
-    stiffness = Declaration(
+    stiffness = guess(
         1e4,
-        unit="N/m",
-        lower=0,
-        assumed=True,
-        doc="modulus times thickness of the skin (polyethylene of 200 MPa and 50 um)",
+        "N/m",
+        "modulus times thickness of the skin (polyethylene of 200 MPa and 50 um)",
         key=Key("skin_stiffness_N_per_m"),
     )
     poisson_ratio = Declaration(
         0.45,
-        unit="",
+        "",
+        "Poisson's ratio of the skin",
         lower=-1,
         upper=0.5,
         assumed=True,
-        doc="Poisson's ratio of the skin",
         key=Key("skin_poisson_ratio"),
     )
-    slack = Declaration(
+    slack = guess(
         1e-3,
-        unit="",
-        lower=0,
+        "",
+        "share of its volume over which a bag passes from limp to tight",
         upper=0.1,
-        assumed=True,
-        doc="share of its volume over which a bag passes from limp to tight",
         key=Key("skin_slack"),
     )
 
 
 class _Ports(Group):
-    diameter = Declaration(
+    diameter = guess(
         0.01,
-        unit="m",
-        lower=0,
+        "m",
+        "diameter of the port between two bags",
         per="port",
         each=True,
-        assumed=True,
-        doc="diameter of the port between two bags",
         key=Key("port_diameter_mm"),
     )
-    length = Declaration(
+    length = guess(
         0.005,
-        unit="m",
-        lower=0,
+        "m",
+        "length of the port between two bags",
         per="port",
         each=True,
-        assumed=True,
-        doc="length of the port between two bags",
         key=Key("port_length_mm"),
     )
-    discharge_coefficient = Declaration(
+    discharge_coefficient = guess(
         0.61,
-        unit="",
-        lower=0,
+        "",
+        "discharge coefficient of a port (sharp edges)",
         upper=1,
-        assumed=True,
-        doc="discharge coefficient of a port (sharp edges)",
         key=Key("port_discharge_coefficient"),
     )
 
 
 class _Supply(Group):
-    flow = Declaration(
+    flow = positive(
         61e-3 / 60,
-        unit="m^3/s",
-        lower=0,
-        doc="flow of a flow meter, as volume at ambient pressure",
+        "m^3/s",
+        "flow of a flow meter, as volume at ambient pressure",
         source="IV.B: 1.40 m^3 in 23 min",
         key=Key("supply_flow_l_per_min"),
     )
-    pressure = Declaration(
+    pressure = guess(
         2e5,
-        unit="Pa",
-        lower=0,
-        assumed=True,
-        doc="pressure that a regulator holds, above that of the room",
+        "Pa",
+        "pressure that a regulator holds, above that of the room",
         key=Key("supply_pressure_bar"),
     )
-    bottle_volume = Declaration(
-        0.01,
-        unit="m^3",
-        lower=0,
-        assumed=True,
-        doc="volume of a bottle",
-        key=Key("bottle_volume_l"),
-    )
-    bottle_pressure = Declaration(
+    bottle_volume = guess(0.01, "m^3", "volume of a bottle", key=Key("bottle_volume_l"))
+    bottle_pressure = guess(
         200e5,
-        unit="Pa",
-        lower=0,
-        assumed=True,
-        doc="pressure of a full bottle, above that of the room",
+        "Pa",
+        "pressure of a full bottle, above that of the room",
         key=Key("bottle_pressure_bar"),
     )
-    nozzle_diameter = Declaration(
+    nozzle_diameter = guess(
         0.001,
-        unit="m",
-        lower=0,
-        assumed=True,
-        doc="diameter of the restriction behind a regulator or bottle",
+        "m",
+        "diameter of the restriction behind a regulator or bottle",
         key=Key("nozzle_diameter_mm"),
     )
-    nozzle_length = Declaration(
-        0.001,
-        unit="m",
-        lower=0,
-        assumed=True,
-        doc="length of that restriction",
-        key=Key("nozzle_length_mm"),
-    )
-    nozzle_coefficient = Declaration(
+    nozzle_length = guess(0.001, "m", "length of that restriction", key=Key("nozzle_length_mm"))
+    nozzle_coefficient = guess(
         0.8,
-        unit="",
-        lower=0,
+        "",
+        "discharge coefficient of that restriction",
         upper=1,
-        assumed=True,
-        doc="discharge coefficient of that restriction",
         key=Key("nozzle_discharge_coefficient"),
     )
 
