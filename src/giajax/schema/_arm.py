@@ -1,6 +1,6 @@
 """An arm: from joint commands, torques and wind to positions and joint angles."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -102,9 +102,13 @@ def arm_template(channels: Sequence[RecordedChannel]) -> list[SectionTemplate]:
     arm = dict.fromkeys(ArmSection.model_fields)
     if largest > DEFAULT_LINKS:
         arm["links"] = largest
-    sensors = [
-        name for name in SensorsSection.model_fields if _records(name.partition("_")[0], rows)
-    ]
+    places = {"link_position", "tip_position"}
+    shown = {
+        "encoder": {"joint_angle", "joint_rate", "link_angle"},
+        "marker": places | PIXELS,
+        "camera": places,
+    }
+    sensors = [name for name in SensorsSection.model_fields if rows & shown[name.partition("_")[0]]]
     angles = {channel.index for channel in channels if channel.kind == "joint_angle"}
     recorded = largest > 0 and angles == set(range(1, largest + 1))
     state = ["first_row"] if recorded else list(InitialSection.quantities)
@@ -137,37 +141,17 @@ def _cameras(channels: Sequence[RecordedChannel]) -> list[SectionTemplate]:
     marks = sorted({channel.index or 0 for channel in seen if channel.kind == "mark_pixel"})
     lens = "its lens and where it is; a fit can find these too"
     where = "where this landmark is; must be stated"
+    keys, of_mark = (dict.fromkeys(of.model_fields) for of in (PinholeSection, LandmarkSection))
     return [
-        *(
-            SectionTemplate(f"camera.{name}", dict.fromkeys(PinholeSection.model_fields), lens)
-            for name in cameras
-        ),
-        *(
-            SectionTemplate(
-                f"landmark.mark{mark:02d}", dict.fromkeys(LandmarkSection.model_fields), where
-            )
-            for mark in marks
-        ),
+        *(SectionTemplate(f"camera.{name}", keys, lens) for name in cameras),
+        *(SectionTemplate(f"landmark.mark{mark:02d}", of_mark, where) for mark in marks),
     ]
-
-
-def _records(sensor: str, rows: set[str]) -> bool:
-    """Whether a sensor records one of these rows of the table."""
-    if sensor == "encoder":
-        return bool(rows & {"joint_angle", "joint_rate", "link_angle"})
-    positions = {"link_position", "tip_position"}
-    return bool(rows & (positions | PIXELS if sensor == "marker" else positions))
-
-
-def _recognises(rows: frozenset[str]) -> bool:
-    return bool(rows & {row.name for row in CHANNELS if row.part != "surroundings"})
 
 
 def check_obstacles(section: ArmSection, source: str | None = None) -> None:
     """Raise `InputError` where a section says how links press, but not against what."""
     about = "" if source is None else f"{source}: "
-    for quantity in CONTACT:
-        key = "" if quantity.key is None else quantity.key.name
+    for key in (quantity.key.name for quantity in CONTACT if quantity.key is not None):
         if getattr(section, key) is not None and not section.obstacles:
             raise InputError(
                 f"{about}arm.{key} is stated, but no obstacles: add them as "
@@ -182,10 +166,6 @@ def links_of(section: ArmSection) -> int | None:
     return DEFAULT_LINKS if section.preset in (None, DEFAULT_PRESET) else None
 
 
-def _interpolation(content: RecordedRun) -> str:
-    return content.definition.section(CommandSection).interpolation
-
-
 def _check(content: RecordedRun, naming: Naming) -> None:
     channels, definition = content.channels, content.definition
     section = definition.section(ArmSection)
@@ -198,15 +178,15 @@ def _check(content: RecordedRun, naming: Naming) -> None:
                 f"{naming.source}: {naming.of(channel)} is of {part} {channel.index}, but the "
                 f"arm has {links} links: correct the name, or state links in [arm]"
             )
-    for name, lists in (("arm", section), ("sensors", definition.section(SensorsSection))):
+    for name, check in (
+        ("arm", section.check_lists),
+        ("sensors", definition.section(SensorsSection).check_lists),
+        ("camera", definition.section(CamerasSection).check_mounts),
+    ):
         try:
-            lists.check_lists(links)
+            check(links)
         except ValueError as error:
             raise InputError(f"{naming.source}: [{name}] {error}") from None
-    try:
-        definition.section(CamerasSection).check_mounts(links)
-    except ValueError as error:
-        raise InputError(f"{naming.source}: [camera] {error}") from None
     check_obstacles(section, naming.source)
     for body in section.point_masses or ():
         if links is not None and body.link > links:
@@ -214,7 +194,7 @@ def _check(content: RecordedRun, naming: Naming) -> None:
                 f"{naming.source}: a body of arm.point_masses is on link {body.link}, but the "
                 f"arm has {links} links: correct the number, or state links in [arm]"
             )
-    _check_motion(channels, content, naming, links)
+    _check_motion(content, naming, links)
     check_pressures(content, naming)
     windy = [channel for channel in channels.values() if channel.kind in WINDS]
     if windy and definition.section(WindSection).velocity_m_per_s is not None:
@@ -224,9 +204,7 @@ def _check(content: RecordedRun, naming: Naming) -> None:
         )
 
 
-def _check_motion(
-    channels: Mapping[str, RecordedChannel], content: RecordedRun, naming: Naming, links: int | None
-) -> None:
+def _check_motion(content: RecordedRun, naming: Naming, links: int | None) -> None:
     """What moves the arm: a command, an initial state, or nothing on purpose."""
     initial = content.definition.section(InitialSection)
     for key in initial.quantities:
@@ -236,16 +214,14 @@ def _check_motion(
                 f"{naming.source}: initial.{key} has {len(value)} values, but must have one for "
                 f"each of the {links} joints: correct the list"
             )
-    commanded = any(channel.kind in COMMANDS for channel in channels.values())
+    commanded = any(channel.kind in COMMANDS for channel in content.channels.values())
     free = bool(content.definition.free_motion)
     if commanded and free:
         raise InputError(
             f"{naming.source}: free_motion = true is stated, but there are command columns: "
             "remove one or the other"
         )
-    has_initial = bool(initial.first_row) or bool(initial.free)
-    has_initial |= bool(initial.values())
-    if not commanded and not free and not has_initial:
+    if not (commanded or free or initial.first_row or initial.free or initial.values()):
         raise InputError(
             f"{naming.source} has no command column: an arm run must have one such as "
             "joint01_command_deg, or a sidecar with free_motion = true or [initial], so add it"
@@ -292,7 +268,7 @@ ARM = Kind(
     name="arm",
     model="_arm:ArmModel",
     channels=CHANNELS,
-    recognises=_recognises,
+    recognises=lambda rows: any(row.name in rows for row in CHANNELS if row.part != "surroundings"),
     measured="linkNN_z_m or jointNN_angle_deg",
     sections={
         "arm": ArmSection,
@@ -304,7 +280,7 @@ ARM = Kind(
     commands=COMMANDS,
     uncommanded="none (free motion)",
     timed=True,
-    interpolation=_interpolation,
+    interpolation=lambda content: content.definition.section(CommandSection).interpolation,
     check=_check,
     notes=_notes,
     template=arm_template,

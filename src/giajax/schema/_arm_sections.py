@@ -149,13 +149,9 @@ class LandmarksSection(_Named):
 
 
 def sections_of_cameras(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The keys of the quantities of cameras and landmarks, as files have them.
+    """The keys of cameras and landmarks, as files have them, of values (SI) by path.
 
-    Arguments:
-        values: by path, SI; others than those of cameras and landmarks are left out.
-
-    Returns:
-        Section -> name -> key -> value: the inverse of the sections' `values`.
+    It is section -> name -> key -> value: the inverse of the sections' `values`.
     """
     sections: dict[str, dict[str, Any]] = {}
     for group, of in ((PINHOLE, PinholeSection), (LANDMARK, LandmarkSection)):
@@ -220,52 +216,12 @@ class WindSection(Section):
     )
 
 
-# Checks of `[arm.parameters]`, which states by their paths what has no key of its own.
-
+# Of `[arm.parameters]`, which states by their paths what has no key of its own.
 _OF_ARMS = (LINKS, JOINTS, JOINT_MEMORY, JOINT_STOPS, BASE, AIR, BUOYANCY, POINT_MASSES)
 _OF_MUSCLES = (GEOMETRY, LOAD, ALPHA, BETA, BRAIDED, EMPIRICAL, PISTON, DRIVE)
 _DECLARED = {
     declaration.path: declaration for group in (*_OF_ARMS, *_OF_MUSCLES) for declaration in group
 }
-
-
-def check_bounds(table: Mapping[str, float | list[float]]) -> None:
-    """Refuse a value that its parameter may not have.
-
-    Which parameters an arm has is known where it is built; what they may be is known here.
-
-    Raises:
-        ValueError: naming the path, the value and its bounds.
-    """
-    for path, value in table.items():
-        declaration = _DECLARED.get(path.partition("[")[0])
-        if declaration is None:
-            continue
-        lower, upper = declaration.lower, declaration.upper
-        for number in value if isinstance(value, list) else [value]:
-            if not lower <= number <= upper:
-                unit = f" {declaration.unit}" if declaration.unit else ""
-                raise ValueError(
-                    f"has {shown(path)} = {number:g}{unit}, but it must be from {lower:g} to "
-                    f"{upper:g}{unit}: correct or remove it"
-                )
-
-
-def check_stated_once(section: Section, table: Mapping[str, float | list[float]]) -> None:
-    """Refuse a parameter of the table that a key of the section states as well.
-
-    An element, `links.mass[2]`, is another statement than that of the whole, and goes on top of it.
-
-    Raises:
-        ValueError: naming the path and the key.
-    """
-    for name in section.contents():
-        for declaration in section.quantities.get(name, ()):
-            if declaration.path in table:
-                raise ValueError(
-                    f"states {declaration.path} twice, by the key {name} and in [arm.parameters]: "
-                    "remove one"
-                )
 
 
 @with_keys(POINT_MASSES, required=True)
@@ -330,14 +286,6 @@ class Obstacle(Section):
         if self.normal == [0.0, 0.0, 0.0]:
             raise ValueError(f"the normal of '{self.name}' has no direction: correct it")
         return self
-
-
-def check_names(obstacles: list[Obstacle]) -> None:
-    """Raise `ValueError` for two obstacles of a name."""
-    names = [obstacle.name for obstacle in obstacles]
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
-        raise ValueError(f"has two called '{twice}': give each its own name")
 
 
 @with_keys(SUPPLY, PORTS, GAS, SKIN)
@@ -433,9 +381,7 @@ class ArmSection(_Surroundings):
         )
     )
     muscle_law: Literal["braided", "empirical"] | None = key(
-        '"braided" or "empirical"',
-        "law of these muscles, as of [muscle]",
-        preset="braided",
+        '"braided" or "empirical"', "law of these muscles, as of [muscle]", preset="braided"
     )
     muscle_correction: Literal["continuous", "none"] | None = key(
         '"continuous" or "none"',
@@ -461,13 +407,28 @@ class ArmSection(_Surroundings):
     @field_validator("parameters")
     @classmethod
     def _within_bounds(cls, table: dict[str, float | list[float]] | None) -> Any:
-        check_bounds(table or {})
+        # Which parameters an arm has is known where it is built; what they may be is known here.
+        for path, value in (table or {}).items():
+            declaration = _DECLARED.get(path.partition("[")[0])
+            if declaration is None:
+                continue
+            lower, upper = declaration.lower, declaration.upper
+            for number in value if isinstance(value, list) else [value]:
+                if not lower <= number <= upper:
+                    unit = f" {declaration.unit}" if declaration.unit else ""
+                    raise ValueError(
+                        f"has {shown(path)} = {number:g}{unit}, but it must be from {lower:g} to "
+                        f"{upper:g}{unit}: correct or remove it"
+                    )
         return table
 
     @field_validator("obstacles")
     @classmethod
     def _obstacles_have_names(cls, obstacles: list[Obstacle] | None) -> Any:
-        check_names(obstacles or [])
+        names = [obstacle.name for obstacle in obstacles or []]
+        twice = next((name for name in names if names.count(name) > 1), None)
+        if twice is not None:
+            raise ValueError(f"has two called '{twice}': give each its own name")
         return obstacles
 
     @field_validator("joint_axes")
@@ -488,7 +449,14 @@ class ArmSection(_Surroundings):
 
     @model_validator(mode="after")
     def _lists_agree(self) -> "ArmSection":
-        check_stated_once(self, self.parameters or {})
+        # An element, `links.mass[2]`, is another statement than that of the whole, and goes on top.
+        for name in self.contents():
+            for declaration in self.quantities.get(name, ()):
+                if declaration.path in (self.parameters or {}):
+                    raise ValueError(
+                        f"states {declaration.path} twice, by the key {name} and in "
+                        "[arm.parameters]: remove one"
+                    )
         # Without `links` the lists must still agree with each other; the run checks the rest.
         self.check_lists(self.links)
         return self

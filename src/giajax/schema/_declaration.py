@@ -270,6 +270,7 @@ positive = functools.partial(Declaration, lower=0)
 guess = functools.partial(positive, assumed=True)
 freed = functools.partial(positive, frozen=False)
 freed_guess = functools.partial(freed, assumed=True)
+left_out = functools.partial(Declaration, 0.0, optional=True)
 
 EACH_LINK: dict[str, Any] = {"per": "link", "each": True}
 EACH_JOINT: dict[str, Any] = {"per": "joint", "each": True}
@@ -279,10 +280,8 @@ EACH_BODY: dict[str, Any] = {"per": "body", "each": True}
 class Group:
     """The quantities of one module of a model, as class attributes of a subclass.
 
-    Arguments:
-        at: path of the module, such as `links`; "" for that of the model itself.
-
-    The attributes of an instance know their paths; iterating over it gives them in their order.
+    The attributes of an instance know their paths, below that of the module (`at`: `links`, "" for
+    the model itself); iterating over it gives them in their order.
     """
 
     def __init__(self, at: str) -> None:
@@ -303,7 +302,10 @@ NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Vector = Annotated[list[Finite], Field(min_length=3, max_length=3)]
 Name = Annotated[str, Field(min_length=1)]
 Count = Annotated[int, Field(ge=1, le=ELEMENTS)]
+
+# What values of keys must be.
 COUNT = f"a whole number from 1 to {ELEMENTS}"
+POSITIVE, NOT_NEGATIVE = "a positive number", "a number that is not negative"
 
 
 def key(
@@ -372,11 +374,7 @@ class Section(BaseModel):
 
     @classmethod
     def keys_of(cls, values: Mapping[str, npt.ArrayLike]) -> dict[str, Any]:
-        """The keys of quantities as a file has them: the inverse of `values`.
-
-        Arguments:
-            values: by path, SI; those without a key are left out.
-        """
+        """The keys of values (SI, by path) as a file has them: the inverse of `values`."""
         keys: dict[str, Any] = {}
         for name, parts in cls.quantities.items():
             numbers = [_in_file(part, values[part.path]) for part in parts if part.path in values]
@@ -399,12 +397,9 @@ def _in_file(declaration: Declaration, value: npt.ArrayLike) -> Any:
 def flat(
     table: Mapping[str, Any], before: str = "", *, leaves: Collection[str] = ()
 ) -> dict[str, Any]:
-    """Nested tables as one, its keys joined by points.
+    """Nested tables as one, its keys joined by points and begun with `before`.
 
-    Arguments:
-        table: the tables.
-        before: what each key begins with.
-        leaves: a table with one of these keys is a value, and stays a table.
+    A table with one of the keys `leaves` is a value, and stays a table.
 
     Raises:
         ValueError: two keys are the same then.
@@ -444,7 +439,7 @@ def with_keys(*groups: Group, required: bool = False) -> Callable[[type[S]], typ
     Arguments:
         groups: of quantities, in the order of their keys.
         required: whether a section must have those that are not optional, as an entry of a list
-            does, which describes one thing; the optional ones are 0 there.
+            does; the optional ones are 0 there.
     """
 
     def decorate(section: type[S]) -> type[S]:
@@ -456,17 +451,15 @@ def with_keys(*groups: Group, required: bool = False) -> Callable[[type[S]], typ
                     # Laws that share a key have it in one place; the first one's default shows.
                     new = not others or declaration.path not in {d.path for d in others}
                     sharing[declaration.key.name] = (*others, declaration) if new else others
-        fields: dict[str, Any] = {
-            name: _entry(*parts) if required else _optional(parts)
-            for name, parts in sharing.items()
-        }
-        extended = create_model(
-            section.__name__,
-            __base__=section,
-            __module__=section.__module__,
-            __doc__=section.__doc__,
-            **fields,
-        )
+        fields: dict[str, Any] = {}
+        for name, parts in sharing.items():
+            fields[name] = _optional(parts)
+            if required:
+                default = 0.0 if parts[0].optional else ...
+                field = key(_sentence(parts[0]), parts[0].doc, default=default)
+                fields[name] = _number(parts[0]), field
+        about = {f"__{name}__": getattr(section, f"__{name}__") for name in ("module", "doc")}
+        extended = create_model(section.__name__, __base__=section, **about, **fields)
         extended.quantities = {**section.quantities, **sharing}
         return extended
 
@@ -490,13 +483,6 @@ def _optional(parts: tuple[Declaration, ...]) -> tuple[Any, Any]:
     preset = None if declaration.optional else default
     meaning = about.meaning or declaration.doc
     return kind | None, key(must + about.remark, meaning, preset=preset, example=example)
-
-
-def _entry(declaration: Declaration) -> tuple[Any, Any]:
-    """Type and field of a key that an entry of a list must have."""
-    default = 0.0 if declaration.optional else ...
-    field = key(_sentence(declaration), declaration.doc, default=default)
-    return _number(declaration), field
 
 
 def _key(declaration: Declaration) -> Key:

@@ -6,6 +6,7 @@ Python's own parser reads the text; nothing of it is ever run as Python.
 import ast
 import dataclasses
 import math
+import operator
 import re
 from collections.abc import Callable, Mapping
 from typing import Any, Self
@@ -23,7 +24,8 @@ _DIGITS = r"(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 _NUMBER = re.compile(_DIGITS)
 _NAME = r"[A-Za-z_][A-Za-z0-9_]*(?![A-Za-z0-9_])"
 _WORDS = re.compile(rf"(?:\s*(?:{_DIGITS}(?![A-Za-z0-9_.])|{_NAME}|[-+*/()\[\].]))+\s*")
-_OPERATORS: dict[type[ast.AST], str] = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
+_SIGNS: dict[type[ast.AST], str] = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
+_OPERATORS = {"+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv}
 
 _MADE_OF = (
     f"numbers, paths of parameters, + - * /, parentheses and {', '.join(_FUNCTIONS)}: correct it"
@@ -94,9 +96,9 @@ def _node(node: ast.AST, text: str, paths: dict[str, None], depth: int) -> _Node
     """A part of the parsed text; whatever is no arithmetic raises `ValueError`."""
     if depth > _DEEPEST:
         raise ValueError
-    if isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
+    if isinstance(node, ast.BinOp) and type(node.op) in _SIGNS:
         left = _node(node.left, text, paths, depth + 1)
-        return _OPERATORS[type(node.op)], left, _node(node.right, text, paths, depth + 1)
+        return _SIGNS[type(node.op)], left, _node(node.right, text, paths, depth + 1)
     if isinstance(node, ast.UnaryOp) and type(node.op) in (ast.UAdd, ast.USub):
         operand = _node(node.operand, text, paths, depth + 1)
         return operand if isinstance(node.op, ast.UAdd) else ("-", 0.0, operand)
@@ -105,16 +107,13 @@ def _node(node: ast.AST, text: str, paths: dict[str, None], depth: int) -> _Node
             raise ValueError
         return node.func.id, _node(node.args[0], text, paths, depth + 1)
     if isinstance(node, ast.Constant):
-        return _number(ast.get_source_segment(text, node) or "")
+        number = ast.get_source_segment(text, node) or ""
+        if not _NUMBER.fullmatch(number) or not math.isfinite(float(number)):
+            raise ValueError
+        return float(number)
     path = _path(node, text)
     paths[path] = None
     return "path", path
-
-
-def _number(text: str) -> float:
-    if not _NUMBER.fullmatch(text) or not math.isfinite(float(text)):
-        raise ValueError
-    return float(text)
 
 
 def _path(node: ast.AST, text: str) -> str:
@@ -142,9 +141,4 @@ def _value(
     values = [_value(operand, of, functions) for operand in operands]
     if kind in functions:
         return functions[kind](values[0])
-    left, right = values
-    if kind == "+":
-        return left + right
-    if kind == "-":
-        return left - right
-    return left * right if kind == "*" else left / right
+    return _OPERATORS[kind](*values)

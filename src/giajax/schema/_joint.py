@@ -1,5 +1,6 @@
 """The kinds of single parts: a joint at rest, a muscle, hysteresis, and an oscillator."""
 
+from collections.abc import Callable
 from itertools import pairwise
 from typing import Annotated, Any, Literal
 
@@ -37,13 +38,14 @@ class JointSection(Section):
     )
 
 
-def _is_joint(rows: frozenset[str]) -> bool:
-    return "side" in rows
+def _varying(*names: str) -> Callable[[RecordedRun], str | None]:
+    """The first of these inputs that is recorded and varies."""
 
+    def drawn_over(content: RecordedRun) -> str | None:
+        recorded = [name for name in names if name in content.values]
+        return next((name for name in recorded if np.ptp(content.values[name]) > 0), None)
 
-def _joint_drawn_over(content: RecordedRun) -> str | None:
-    """The bending angle, where it varies."""
-    return "angle" if np.ptp(content.values["angle"]) > 0 else None
+    return drawn_over
 
 
 def _check_joint(content: RecordedRun, naming: Naming) -> None:
@@ -92,10 +94,10 @@ JOINT = Kind(
         ChannelKind("force", "force", "force", "output"),
         ChannelKind("torque", "torque", "torque", "input"),
     ),
-    recognises=_is_joint,
+    recognises=lambda rows: "side" in rows,
     measured="contraction or force_N",
     sections={"joint": JointSection},
-    drawn_over=_joint_drawn_over,
+    drawn_over=_varying("angle"),
     check=_check_joint,
     notes=_joint_notes,
 )
@@ -140,17 +142,6 @@ class MuscleSection(_Law):
         return pressures
 
 
-def _is_muscle(rows: frozenset[str]) -> bool:
-    return "pressure" in rows
-
-
-def _muscle_drawn_over(content: RecordedRun) -> str | None:
-    """The contraction of a muscle, the position of a piston; else the pressure."""
-    moving = ("contraction", "position", "pressure")
-    recorded = [name for name in moving if name in content.values]
-    return next((name for name in recorded if np.ptp(content.values[name]) > 0), None)
-
-
 def _check_muscle(content: RecordedRun, naming: Naming) -> None:
     channels, section = content.channels, content.definition.section(MuscleSection)
     if "pressure" not in channels:
@@ -193,10 +184,10 @@ MUSCLE = Kind(
         ChannelKind("phase", "phase", "text", "input", texts=("fill", "exhaust")),
         ChannelKind("force", "force", "force", "output"),
     ),
-    recognises=_is_muscle,
+    recognises=lambda rows: "pressure" in rows,
     measured="force_N",
     sections={"muscle": MuscleSection},
-    drawn_over=_muscle_drawn_over,
+    drawn_over=_varying("contraction", "position", "pressure"),
     check=_check_muscle,
     notes=_muscle_notes,
 )
@@ -227,9 +218,7 @@ class HysteresisSection(Section):
         preset=10,
     )
     upper_dead_zones: CountOrPositive | None = key(
-        _EITHER,
-        "dead zones of the modified form above 0 (SI), or how many, densest at 0",
-        preset=5,
+        _EITHER, "dead zones of the modified form above 0 (SI), or how many, densest at 0", preset=5
     )
     lower_dead_zones: CountOrPositive | None = key(
         _EITHER, "the same below 0, as distances from it", preset=5
@@ -265,10 +254,6 @@ CHANNELS = (
 )
 
 
-def _is_hysteresis(rows: frozenset[str]) -> bool:
-    return {"command", "angle"} <= rows or {"input", "output"} <= rows
-
-
 def _hysteresis_drawn_over(content: RecordedRun) -> str | None:
     """The input, where it varies: it makes loops."""
     names = [c.name for c in content.channels.values() if c.kind in HYSTERESIS.inputs]
@@ -285,7 +270,7 @@ HYSTERESIS = Kind(
     name="hysteresis",
     model="_hysteresis:HysteresisModel",
     channels=CHANNELS,
-    recognises=_is_hysteresis,
+    recognises=lambda rows: {"command", "angle"} <= rows or {"input", "output"} <= rows,
     measured="output or angle_deg",
     sections={"hysteresis": HysteresisSection},
     commands=("input", "command"),
@@ -304,15 +289,6 @@ class OscillatorSection(Section):
     )
 
 
-def _never(rows: frozenset[str]) -> bool:
-    """Its columns are those of a hysteresis run: a sidecar must say which it is."""
-    return False
-
-
-def _interpolation(content: RecordedRun) -> str:
-    return content.definition.section(OscillatorSection).interpolation or "linear"
-
-
 def _upgraded(data: dict[str, Any]) -> dict[str, Any]:
     """Version 0.1 had the oscillator as an operator of `[hysteresis]`."""
     before = data.get("hysteresis")
@@ -329,12 +305,15 @@ OSCILLATOR = Kind(
     name="oscillator",
     model="_oscillator:OscillatorModel",
     channels=CHANNELS,
-    recognises=_never,
+    # Its columns are those of a hysteresis run: a sidecar must say which it is.
+    recognises=lambda rows: False,
     measured="output or angle_deg",
     sections={"oscillator": OscillatorSection},
     commands=("input", "command"),
     timed=True,
-    interpolation=_interpolation,
+    interpolation=lambda content: (
+        content.definition.section(OscillatorSection).interpolation or "linear"
+    ),
     former_parameters=frozenset({"previous_extremes"}),
     upgraded=_upgraded,
 )

@@ -125,26 +125,6 @@ class SectionTemplate(NamedTuple):
     comment: str = ""
 
 
-def _no_check(content: RecordedRun, naming: Naming) -> None:
-    """For a kind whose runs are checked by their channels alone."""
-
-
-def _no_notes(content: RecordedRun, sidecar: bool) -> list[str]:
-    return []
-
-
-def _over_time(content: RecordedRun) -> str | None:
-    return None
-
-
-def _linear(content: RecordedRun) -> str:
-    return "linear"
-
-
-def _unchanged(data: dict[str, Any]) -> dict[str, Any]:
-    return data
-
-
 @dataclass(frozen=True)
 class Kind:
     """A kind of model: what its runs hold, what its files say, where the model is.
@@ -184,14 +164,14 @@ class Kind:
     commands: tuple[str, ...] = ()
     uncommanded: str = ""
     timed: bool = False
-    interpolation: Callable[[RecordedRun], str] = _linear
-    drawn_over: Callable[[RecordedRun], str | None] = _over_time
-    check: Callable[[RecordedRun, Naming], None] = _no_check
-    notes: Callable[[RecordedRun, bool], list[str]] = _no_notes
+    interpolation: Callable[[RecordedRun], str] = lambda run: "linear"
+    drawn_over: Callable[[RecordedRun], str | None] = lambda run: None
+    check: Callable[[RecordedRun, Naming], None] = lambda run, naming: None
+    notes: Callable[[RecordedRun, bool], list[str]] = lambda run, sidecar: []
     template: Callable[[Sequence[RecordedChannel]], list[SectionTemplate]] | None = None
     template_heading: str = "# is assumed or unknown."
     former_parameters: frozenset[str] = frozenset()
-    upgraded: Callable[[dict[str, Any]], dict[str, Any]] = _unchanged
+    upgraded: Callable[[dict[str, Any]], dict[str, Any]] = lambda definition: definition
 
     @property
     def all_sections(self) -> dict[str, type[Section]]:

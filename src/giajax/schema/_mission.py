@@ -5,7 +5,17 @@ from typing import Annotated
 from pydantic import Field, field_validator, model_validator
 
 from ..runtime.limits import ELEMENTS
-from ._declaration import Count, Finite, Name, NotNegative, Positive, Section, key
+from ._declaration import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    Count,
+    Finite,
+    Name,
+    NotNegative,
+    Positive,
+    Section,
+    key,
+)
 
 _Share = Annotated[float, Field(gt=0, le=1, allow_inf_nan=False)]
 _JOINTS = Annotated[list[Count], Field(min_length=1, max_length=ELEMENTS)]
@@ -31,43 +41,33 @@ class OperatorSection(Section):
 
     approach: ApproachSection = key("a table of keys", "where joints go first", default=...)
     approach_rate_deg_per_s: Positive = key(
-        "a positive number", "of the joint that turns the most on the way there", default=1.0
+        POSITIVE, "of the joint that turns the most on the way there", default=1.0
     )
-    latency_s: NotNegative = key(
-        "a number that is not negative", "of picture and hand", default=0.4
-    )
-    speed_m_per_s: Positive = key("a positive number", "of the tip at most", default=0.2)
-    largest_rate_deg_per_s: Positive = key(
-        "a positive number", "no joint is commanded faster", default=2.0
-    )
-    largest_angle_deg: Positive = key(
-        "a positive number", "no joint is commanded further", default=60.0
-    )
+    latency_s: NotNegative = key(NOT_NEGATIVE, "of picture and hand", default=0.4)
+    speed_m_per_s: Positive = key(POSITIVE, "of the tip at most", default=0.2)
+    largest_rate_deg_per_s: Positive = key(POSITIVE, "no joint is commanded faster", default=2.0)
+    largest_angle_deg: Positive = key(POSITIVE, "no joint is commanded further", default=60.0)
     stand_off_m: Positive = key(
-        "a positive number", "how far before the opening the tip goes to its axis", default=2.0
+        POSITIVE, "how far before the opening the tip goes to its axis", default=2.0
     )
     patience_s: Positive = key(
-        "a positive number",
+        POSITIVE,
         "without a picture of the opening, until joints go back to the approach",
         default=20.0,
     )
-    pixel_px: Positive = key(
-        "a positive number", "standard deviation of where it sees a corner", default=1.0
-    )
+    pixel_px: Positive = key(POSITIVE, "standard deviation of where it sees a corner", default=1.0)
 
 
 class MissionWindSection(Section):
     """`[mission.wind]`: the air that nobody tells the operator of."""
 
-    speed_m_per_s: NotNegative = key(
-        "a number that is not negative", "root mean square of its velocity", default=0.2
-    )
+    speed_m_per_s: NotNegative = key(NOT_NEGATIVE, "root mean square of its velocity", default=0.2)
     mean: _Share = key(
         "a number above 0 and up to 1",
         "the mean flow, level and in any direction, over that speed",
         default=0.3,
     )
-    length_scale_m: Positive = key("a positive number", "of the gusts", default=2.0)
+    length_scale_m: Positive = key(POSITIVE, "of the gusts", default=2.0)
 
 
 class MissionSection(Section):
@@ -76,11 +76,9 @@ class MissionSection(Section):
     opening: Name | None = key("the name of a wall", "whose opening the tip goes through")
     camera: Name | None = key("the name of a camera", "at the tip, by which the operator sees")
     beyond_m: Positive = key(
-        "a positive number", "how far behind the outer face the tip is inside", default=0.5
+        POSITIVE, "how far behind the outer face the tip is inside", default=0.5
     )
-    hold_s: NotNegative = key(
-        "a number that is not negative", "for how long it must be inside", default=3.0
-    )
+    hold_s: NotNegative = key(NOT_NEGATIVE, "for how long it must be inside", default=3.0)
     limit_s: Annotated[float, Field(gt=0, le=36_000, allow_inf_nan=False)] = key(
         "a positive number of up to 36000", "time after which it is over", default=720.0
     )
@@ -146,24 +144,18 @@ class PadSection(Section):
         "a number from 0 to below 1", "deflection below which a stick is at rest", default=0.12
     )
     exponent: Positive = key(
-        "a positive number",
+        POSITIVE,
         "1: rates are in proportion to the deflection; 2: finer near the middle",
         default=2.0,
     )
     largest_rate_deg_per_s: Positive = key(
-        "a positive number", "no joint is commanded faster, by pad, slider or preset", default=5.0
+        POSITIVE, "no joint is commanded faster, by pad, slider or preset", default=5.0
     )
-    largest_angle_deg: Positive = key(
-        "a positive number", "no joint is commanded further", default=60.0
-    )
+    largest_angle_deg: Positive = key(POSITIVE, "no joint is commanded further", default=60.0)
     timeout_s: Positive = key(
-        "a positive number",
-        "without a word from the page for so long everything stops",
-        default=0.5,
+        POSITIVE, "without a word from the page for so long everything stops", default=0.5
     )
-    smoothing_s: NotNegative = key(
-        "a number that is not negative", "in which a rate follows the stick", default=0.1
-    )
+    smoothing_s: NotNegative = key(NOT_NEGATIVE, "in which a rate follows the stick", default=0.1)
     axes: list[PadAxis] | None = key("a list of tables", "the sticks")
     buttons: list[PadButton] | None = key("a list of tables", "the buttons")
     presets: list[Preset] | None = key("a list of tables", "the presets")

@@ -11,6 +11,7 @@ from ._declaration import (
     Key,
     freed_guess,
     guess,
+    left_out,
     positive,
 )
 
@@ -100,21 +101,14 @@ class _PointMasses(Group):
         **EACH_BODY,
         key=Key("position_m"),
     )
-    left = Declaration(
-        0.0,
+    left = left_out(
         "m",
         "distance of a point mass to the left of its link's axis",
-        optional=True,
         **EACH_BODY,
         key=Key("left_m"),
     )
-    up = Declaration(
-        0.0,
-        "m",
-        "distance of a point mass above its link's axis",
-        optional=True,
-        **EACH_BODY,
-        key=Key("up_m"),
+    up = left_out(
+        "m", "distance of a point mass above its link's axis", **EACH_BODY, key=Key("up_m")
     )
     drag_area = positive(
         1e-3,
@@ -160,12 +154,10 @@ class _Air(Group):
         upper=10,
         optional=True,
     )
-    wind = Declaration(
-        0.0,
+    wind = left_out(
         "m/s",
         "constant velocity of the air in the base frame, beside the wind of the run",
         shape=(3,),
-        optional=True,
     )
     viscosity = positive(1.516e-5, "m^2/s", "kinematic viscosity of the air (20 C, 1 atm)")
 
@@ -187,12 +179,8 @@ class _Buoyancy(Group):
         optional=True,
         **EACH_LINK,
     )
-    imbalance = Declaration(
-        0.0,
-        "N",
-        "lift that is left over on a link, negative where it is weight",
-        optional=True,
-        **EACH_LINK,
+    imbalance = left_out(
+        "N", "lift that is left over on a link, negative where it is weight", **EACH_LINK
     )
 
 

@@ -1,6 +1,6 @@
 """Quantities of what records an arm (camera, markers, angle sensors) and of what fills it."""
 
-from ._declaration import EACH_JOINT, EACH_LINK, Declaration, Group, Key, guess, positive
+from ._declaration import EACH_JOINT, EACH_LINK, Declaration, Group, Key, guess, left_out, positive
 from ._quantities_arm import BUOYANCY
 
 _LONGEST_DELAY = 5.0
@@ -9,32 +9,26 @@ _LONGEST_DELAY = 5.0
 
 def delay(key: str, doc: str) -> Declaration:
     """Of a clock that is late, or early, by so much."""
-    return Declaration(
-        0.0,
+    return left_out(
         "s",
         doc,
         lower=-_LONGEST_DELAY,
         upper=_LONGEST_DELAY,
-        optional=True,
         key=Key(key, closed=True, example=0.05),
     )
 
 
 class _Camera(Group):
-    rotation = Declaration(
-        0.0,
+    rotation = left_out(
         "rad",
         "turn of the camera frame against the base frame, as a rotation vector",
         shape=(3,),
-        optional=True,
         key=Key("camera_rotation_deg", example=[0.0, 5.0, 0.0]),
     )
-    origin = Declaration(
-        0.0,
+    origin = left_out(
         "m",
         "origin of the camera frame in the base frame",
         shape=(3,),
-        optional=True,
         key=Key("camera_origin_m", example=[0.0, 0.1, 0.0]),
     )
     scale = positive(
@@ -44,46 +38,36 @@ class _Camera(Group):
 
 
 class _Marker(Group):
-    along = Declaration(
-        0.0,
+    along = left_out(
         "m",
         "distance of a link's marker from its centre, along the link",
-        optional=True,
         **EACH_LINK,
         key=Key("marker_along_m"),
     )
-    left = Declaration(
-        0.0,
+    left = left_out(
         "m",
         "distance of a link's marker to the left of its centre",
-        optional=True,
         **EACH_LINK,
         key=Key("marker_left_m"),
     )
-    up = Declaration(
-        0.0,
+    up = left_out(
         "m",
         "distance of a link's marker above its centre",
-        optional=True,
         **EACH_LINK,
         key=Key("marker_up_m", example=0.15),
     )
-    tip = Declaration(
-        0.0,
+    tip = left_out(
         "m",
         "offset of the tip's marker from the end of the last link: along, left, up",
         shape=(3,),
-        optional=True,
         key=Key("marker_tip_m"),
     )
 
 
 class _Encoder(Group):
-    offset = Declaration(
-        0.0,
+    offset = left_out(
         "rad",
         "what a joint's angle sensor shows at the angle 0",
-        optional=True,
         **EACH_JOINT,
         key=Key("encoder_offset_deg"),
     )
@@ -146,12 +130,10 @@ class _Pinhole(Group):
         source="OpenCV's c_x and c_y",
         key=Key("centre_px", example=[959.5, 539.5]),
     )
-    distortion = Declaration(
-        0.0,
+    distortion = left_out(
         "",
         "distortion of the lens: k1, k2, p1, p2, k3",
         shape=(5,),
-        optional=True,
         source="OpenCV's five-parameter model (Brown-Conrady)",
         key=Key("distortion", example=[-0.2, 0.05, 0.0, 0.0, 0.0]),
     )

@@ -2,6 +2,7 @@
 
 import dataclasses
 import difflib
+import functools
 import re
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeVar, overload
@@ -164,9 +165,7 @@ class Parameter:
             value = jnp.asarray(value, dtype=jnp.result_type(float))
             if value.ndim == 0:
                 value = jnp.broadcast_to(value, self.declaration.shape)
-            model = eqx.tree_at(getter, model, value, is_leaf=lambda leaf: leaf is None)
-            _check(model)
-            return model
+            return checked(eqx.tree_at(getter, model, value, is_leaf=lambda leaf: leaf is None))
         value = jnp.asarray(value, dtype=old.dtype)
         if self.index is not None:
             new = old.at[self.index].set(value)
@@ -235,9 +234,8 @@ def _walk(node: eqx.Module, prefix: str, getter: Callable[[Any], Any]) -> Iterab
         inner = prefix if field.metadata.get(INLINE) else f"{prefix}{field.name}."
         child, held = getattr(node, field.name), field.metadata.get(HELD, False)
         if isinstance(child, eqx.Module):
-            yield from (
-                map(_frozen, _walk(child, inner, reach)) if held else _walk(child, inner, reach)
-            )
+            found = _walk(child, inner, reach)
+            yield from map(_frozen, found) if held else found
         elif isinstance(child, tuple):
             for index, part in enumerate(child):
                 if isinstance(part, eqx.Module):
@@ -254,22 +252,17 @@ def _frozen(parameter: Parameter) -> Parameter:
 
 
 def checked(model: Module) -> Module:
-    """The model, after what its classes check when it is built."""
-    _check(model)
-    return model
-
-
-def _check(node: eqx.Module) -> None:
-    """What the classes of a model check when it is built: not every option suits every model."""
-    check = getattr(node, "__check_init__", None)
+    """The model, after what its classes check: not every option suits every model."""
+    check = getattr(model, "__check_init__", None)
     if check is not None:
         check()
-    for field in dataclasses.fields(node):
-        child = getattr(node, field.name)
+    for field in dataclasses.fields(model):
+        child = getattr(model, field.name)
         several = child.values() if isinstance(child, dict) else child
         for part in several if isinstance(child, tuple | dict) else (child,):
             if isinstance(part, eqx.Module):
-                _check(part)
+                checked(part)
+    return model
 
 
 def _attribute(getter: Callable[[Any], Any], name: str) -> Callable[[Any], Any]:
@@ -341,17 +334,11 @@ def _suggestion(name: str, known: Iterable[str]) -> str:
     names = list(known)
     last = {path.rsplit(".", 1)[-1]: path for path in names}
     begun = [path for path in names if name and path.startswith(name)]
+    closest = functools.partial(difflib.get_close_matches, n=1, cutoff=0.5)
     near = (
-        begun
-        or difflib.get_close_matches(name, names, n=1, cutoff=0.5)
-        or [
-            last[match]
-            for match in difflib.get_close_matches(name.rsplit(".", 1)[-1], last, n=1, cutoff=0.5)
-        ]
+        begun or closest(name, names) or [last[n] for n in closest(name.rsplit(".", 1)[-1], last)]
     )
-    if near:
-        return f"did you mean '{near[0]}'?"
-    return "'giajax parameters' lists them all"
+    return f"did you mean '{near[0]}'?" if near else "'giajax parameters' lists them all"
 
 
 def replace(model: Module, values: Mapping[str, Any]) -> Module:
