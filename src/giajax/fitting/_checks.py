@@ -52,13 +52,7 @@ class Curvature(NamedTuple):
 def curvatures(state: FitState, statistics: Statistics) -> dict[int, Curvature]:
     """Curvature along each determined parameter that is not of a single run, by position.
 
-    Arguments:
-        state: the last one.
-        statistics: of the fit.
-
-    Returns:
-        Without those at a bound, those that are known well, and those beside which the model
-        cannot be evaluated.
+    Without those at a bound, those that are known well, and those beside which the model fails.
     """
     relative = {
         index: error / (abs(statistics.values[index]) or 1e-300)
@@ -136,14 +130,9 @@ _ROUGH = 0.01
 
 
 def with_suitable_tolerance(state: FitState) -> FitState:
-    """The same point with a tolerance that moves nothing by more than the data tell.
+    """The point with a tolerance that moves nothing by more than the data tell: coarse as may be.
 
-    Arguments:
-        state: evaluated; where the tolerance is stated, it is returned as it is.
-
-    Returns:
-        The same state, where its tolerance will do; else the point with the coarsest that does,
-        in steps of ten or of its root, evaluated anew.
+    A stated one stays; another is lowered in steps of ten or of its root, and evaluated anew.
     """
     while state.setup.chooses_tolerance:
         compared = residual_change(state)
@@ -171,15 +160,9 @@ def with_finer_tolerance(state: FitState, *, surely: bool = False) -> FitState |
     """The point at which no step lowers the cost, where that may be the tolerance's fault.
 
     Steps of the integrator come and go as the parameters change, by which residuals jump. Near the
-    optimum the jumps of the cost are larger than what a step could gain.
-
-    Arguments:
-        state: evaluated, at which no step is left.
-        surely: that it is the tolerance's fault is known, and the cost is not asked.
-
-    Returns:
-        The point evaluated with a finer tolerance; None where the tolerance is stated or as fine
-        as may be, or where the cost is smooth enough for a step to be seen.
+    optimum the jumps of the cost are larger than what a step could gain. None where the tolerance
+    is stated or as fine as may be, or the cost smooth enough; that is not asked where it is
+    `surely` not.
     """
     if not state.setup.chooses_tolerance:
         return None
@@ -269,14 +252,9 @@ def _followed(state: FitState, row: np.ndarray) -> Float[np.ndarray, " parameter
 
 
 def _told(state: FitState, free: np.ndarray | bool = True) -> tuple[np.ndarray, np.ndarray]:
-    """How much the residuals change along each direction that the data tell, and the directions.
+    """How much the residuals change along each direction that the data tell, shape (direction,).
 
-    Arguments:
-        state: evaluated.
-        free: which coordinates directions may have, shape (parameter,).
-
-    Returns:
-        Arrays of shape (direction,) and (direction, parameter), the latter in coordinates.
+    And the directions, in coordinates, shape (direction, parameter); `free` ones alone.
     """
     jacobian = state.jacobian()
     norms = jacobian.norms()
@@ -330,13 +308,6 @@ def gradient_check(state: FitState, statistics: Statistics) -> GradientCheck | N
     with many rows the tolerance is that of the fit, and in 64 bit the difference is to one side:
     the steps of the integrator then show, by some 1e-4, but a wrong column still does, and the
     finer Jacobian would take as long as the fit.
-
-    Arguments:
-        state: the last one.
-        statistics: of the fit.
-
-    Returns:
-        None where no parameter is left, or a simulation beside the optimum failed.
     """
     tolerance = tolerance_of(state)
     known_here = tolerance is not None and has_many_rows(state)
@@ -393,15 +364,8 @@ def tolerance_effect(state: FitState, statistics: Statistics) -> ToleranceEffect
     """How far the optimum moves, to first order, with a finer solver tolerance.
 
     A hundredth of it, or a tenth for recordings with many rows; of a model that has no tolerance,
-    but steps of its own, half of those.
-
-    Arguments:
-        state: the last one.
-        statistics: of the fit.
-
-    Returns:
-        None where no parameter is determined, the model cannot be refined, or the finer simulation
-        fails.
+    but steps of its own, half of those. None where nothing is determined, or nothing finer
+    succeeds.
     """
     determined = list(statistics.determined)
     if not determined:

@@ -99,16 +99,13 @@ def set_up(
     begin: WarmStart | None = None,
     **keywords: Unpack[StartsKeywords],
 ) -> Setup:
-    """Check and resolve what a fit is asked, without evaluating the model.
+    """Check and resolve what a fit is asked, without evaluating the model, for `solve`.
 
     Arguments:
         model, runs: as of `fit`.
         settings: of the fit; what is for a task (`hold_out`, say) does nothing here.
         begin: where another fit ended, which goes before `start`; `fix` goes before both.
         **keywords: as of `fit` and `multi_start`, in place of `settings`.
-
-    Returns:
-        What `solve` fits.
 
     Raises:
         InputError: as `fit`, apart from a start that cannot be evaluated.

@@ -55,14 +55,7 @@ class Bijector(eqx.Module):
         start: Sequence[float],
         size: npt.ArrayLike = 1.0,
     ) -> Self:
-        """The map for a fit from a start.
-
-        Arguments:
-            lower, upper: bounds, infinite where there is none, shape (parameter,).
-            start: of the parameters, shape (parameter,).
-            size: typical size of each, which tells how near is near where the start is at its
-                bound; shape (parameter,).
-        """
+        """The map for a fit from a start; sizes say how near is near where that is at a bound."""
         low, high, begun = (np.asarray(each, dtype=float) for each in (lower, upper, start))
         width = np.where(np.isfinite(low) & np.isfinite(high), high - low, np.inf)
         usual = np.minimum(size, width)
@@ -183,15 +176,7 @@ class Unbounded(eqx.Module):
         )
 
     def forward(self, u: Row) -> tuple[Row, Row, Row, Row]:
-        """Parameters at some coordinates, and what a density becomes by them.
-
-        Arguments:
-            u: coordinates, shape (parameter,).
-
-        Returns:
-            Parameters; the logarithms of their derivatives by their coordinates; the first and the
-            second derivatives of these logarithms, each of shape (parameter,).
-        """
+        """Parameters, logs of their slopes by u, and the first and second derivatives of these."""
         below, above, lower, upper, end = self._kinds()
         plus, minus = jax.nn.softplus, jax.nn.log_sigmoid
         up = lower + self.width * (plus(u) - jnp.where(above, plus(u - end), 0))
@@ -270,13 +255,7 @@ class Layout(NamedTuple):
 
     @classmethod
     def of(cls, paths: Sequence[str], groups: Groups, runs: int) -> "Layout":
-        """The layout of the parameters of some runs.
-
-        Arguments:
-            paths: of the parameters, in their order.
-            groups: of runs, each run in one; nothing for what all runs share.
-            runs: how many there are.
-        """
+        """The layout of parameters of some runs; what is in no group, all of them share."""
         places, first = [], 0
         of_runs = np.zeros((runs, len(paths)), dtype=int)
         for column, path in enumerate(paths):

@@ -31,10 +31,6 @@ _MOSTLY = 0.5
 def check_proper(statistics: Statistics, lower: np.ndarray, upper: np.ndarray) -> None:
     """Refuse a density whose integral is infinite.
 
-    Arguments:
-        statistics: of the fit.
-        lower, upper: bounds, infinite where there is none, shape (parameter,).
-
     Raises:
         InputError: naming what neither data nor bounds limit.
     """
@@ -137,13 +133,7 @@ class Density(eqx.Module):
     def energy(
         self, z: Row, cost: Any, by_values: Array, prior_cost: Any, by_priors: Array
     ) -> tuple[Scalar, Row]:
-        """What `at` is, of the cost there and its gradient by the parameters.
-
-        Arguments:
-            z: coordinate of the sampler.
-            cost, by_values: of the whole problem, and its gradient by all free parameters.
-            prior_cost, by_priors: what of them is that of priors.
-        """
+        """What `at` is, of the cost, its gradient by all values, and those of the priors."""
         _, slope, change, _ = self.bounds.forward(self.centre + self.spread @ z)
         energy = (cost - prior_cost) / self.scale + prior_cost - jnp.sum(slope)
         gradient = (by_values - by_priors) / self.scale + by_priors
@@ -208,13 +198,7 @@ def density_of(optimum: Optimum) -> Density:
 
 
 def energy_at(density: Density, optimum: Optimum, z: np.ndarray) -> tuple[float, np.ndarray]:
-    """As `Density.at`, by the programs of the fit, which are compiled already.
-
-    Arguments:
-        density: of the optimum.
-        optimum: evaluates the problem.
-        z: coordinate of the sampler, shape (drawn,).
-    """
+    """As `Density.at`, by the programs of the fit, which are compiled already."""
     values = np.asarray(density.values(on_device(z, density.centre.dtype)), dtype=float)
     point = optimum.at(values)
     if not np.isfinite(point.cost):

@@ -43,17 +43,10 @@ class _Unit(NamedTuple):
 
 
 def in_column_units(estimates: Mapping[str, Estimate], model: AbstractModel) -> dict[str, Estimate]:
-    """The estimates with values, errors and bounds in the units of the fitted columns.
+    """The estimates (SI) with values, errors and bounds in the units of the fitted columns.
 
     Where a unit is made of "input" and "output", as those of a hysteresis operator are, and the
     model knows its columns; every other estimate stays as it is, in SI.
-
-    Arguments:
-        estimates: by path, in SI.
-        model: the fitted one, which may know its columns.
-
-    Returns:
-        By the same paths.
     """
     units = _recorded(_columns(model))
     return {path: _converted(estimate, units) for path, estimate in estimates.items()}
@@ -76,15 +69,7 @@ def units_in_si(model: AbstractModel) -> dict[str, str]:
 
 
 def units_note(estimates: Mapping[str, Estimate], model: AbstractModel) -> str:
-    """A sentence on the units, where `in_column_units` changes numbers; else empty.
-
-    Arguments:
-        estimates: by path, in SI.
-        model: the fitted one.
-
-    Returns:
-        The sentence, or nothing.
-    """
+    """A sentence on the units, where `in_column_units` changes numbers; else empty."""
     columns = _columns(model)
     units = _recorded(columns)
     factors = {_unit(estimate.unit, units).factor for estimate in estimates.values()}
@@ -160,14 +145,9 @@ _ROUNDING = 1e-5
 def derived_estimates(problem: Problem, statistics: Statistics) -> dict[str, Estimate]:
     """Estimates of what follows from the fitted parameters.
 
-    Arguments:
-        problem: what was minimised.
-        statistics: of the fit.
-
-    Returns:
-        The tied parameters by path, element by element where these differ, and by name the
-        derived quantities of the model that depend on a parameter which responds. Of what has a
-        value for each group of runs, the mean counts.
+    The tied parameters by path, element by element where these differ, and by name the derived
+    quantities of the model that depend on a parameter which responds. Of what has a value for each
+    group of runs, the mean counts.
     """
     count = problem.shared
     model = problem.with_values(problem.means(statistics.values[:count]))
@@ -209,15 +189,9 @@ def derived_estimates(problem: Problem, statistics: Statistics) -> dict[str, Est
 
 
 def derived_quantities(problem: Problem, values: np.ndarray) -> Callable[[Array], dict[str, Array]]:
-    """What follows from the parameters, by name as of `derived_estimates`, as a function of them.
+    """What follows from the first `problem.shared` values, by name as of `derived_estimates`.
 
-    Arguments:
-        problem: what was minimised.
-        values: of all free parameters where the fit ended: tied elements that are equal there are
-            one.
-
-    Returns:
-        A function of the first `problem.shared` values, which JAX differentiates.
+    Tied elements that are equal at `values` are one. JAX differentiates the function.
     """
     model = problem.with_values(problem.means(values[: problem.shared]))
     followers = _followers(model, problem.ties)
@@ -234,10 +208,6 @@ def derived_quantity(
     problem: Problem, values: np.ndarray, name: str
 ) -> Callable[[np.ndarray], tuple[float, np.ndarray]]:
     """One of them as a function of all free parameters: its value and its gradient.
-
-    Arguments:
-        problem, values: as of `derived_quantities`.
-        name: of the quantity.
 
     Raises:
         InputError: there is none of this name.
@@ -259,13 +229,7 @@ def derived_quantity(
 def with_tied(
     estimates: dict[str, Estimate], derived: Mapping[str, Estimate], ties: Sequence[Tie]
 ) -> dict[str, Estimate]:
-    """The estimates of parameters, in which the tied ones have the errors that follow for them.
-
-    Arguments:
-        estimates: by path.
-        derived: what follows from the free parameters, the tied ones among it.
-        ties: of the fit.
-    """
+    """The estimates of parameters, in which the tied ones have the errors that follow for them."""
     tied = {tie.path: tie.expression.text for tie in ties if tie.path in estimates}
     remarked = {
         path: dataclasses.replace(estimates[path], remark=f"tied: {text}")
@@ -349,7 +313,7 @@ def responses(
     values: Sequence[Mapping[str, float]] = (),
     ties: Sequence[Tie] = (),
 ) -> list[Response]:
-    """Predictions and their derivatives at one point.
+    """Predictions and their derivatives at one point, of each run in their order.
 
     Arguments:
         model: at the point; it has all parameters of the directions.
@@ -360,9 +324,6 @@ def responses(
         values: of each run, those of the model's parameters that it does not share with all others,
             by path, the same paths for all.
         ties: what follows from other parameters, and moves with them.
-
-    Returns:
-        A response for each run, in their order.
 
     Raises:
         InputError: the model cannot be evaluated at the point.

@@ -71,14 +71,9 @@ def findings(
     curvatures: Mapping[int, Curvature],
     correlation_times: Sequence[tuple[str, float]] = (),
 ) -> tuple[Finding, ...]:
-    """What the data cannot tell.
+    """What the data cannot tell; curvatures where they are known, by position of a parameter.
 
-    Arguments:
-        state: the last one.
-        statistics: of the fit.
-        curvatures: by position of a parameter, where they are known.
-        correlation_times: names of records, and how many times the correlation time of its noise
-            each is long.
+    And how many times the correlation time of its noise each record is long, by name.
     """
     return (
         *_without_response(state, statistics),
@@ -222,13 +217,7 @@ _NORMAL = 1e9
 
 
 def estimates(state: FitState, statistics: Statistics, model: AbstractModel) -> dict[str, Estimate]:
-    """Estimates by path of the parameters: the free ones, then those that the fitted model held.
-
-    Arguments:
-        state: the last one.
-        statistics: of the fit.
-        model: the fitted one.
-    """
+    """Estimates by path of the parameters: the free ones, then those that the fitted model held."""
     free = {
         parameter.path: _free(state, statistics, parameter, places)
         for parameter, places in zip(state.setup.parameters, state.problem.positions, strict=True)
@@ -287,11 +276,6 @@ def interval(
 
     By Student's t with the degrees of freedom that the estimated noise leaves, and within the
     bounds: an interval that a bound cuts is one-sided.
-
-    Arguments:
-        statistics: of the fit.
-        index: position of the parameter.
-        parameter: its declaration.
     """
     error = finite_or_none(statistics.standard_errors.get(index))
     if error is None:
@@ -303,15 +287,7 @@ def interval(
 
 
 def own_estimates(state: FitState, statistics: Statistics) -> list[dict[str, OwnEstimate]]:
-    """What was fitted of each run alone or of its group of runs, by path.
-
-    Arguments:
-        state: the last one.
-        statistics: of the fit.
-
-    Returns:
-        An estimate by path for each run, in their order.
-    """
+    """What was fitted of each run alone or of its group of runs, by path."""
     problem = state.problem
     varied = [index for index, places in enumerate(problem.positions) if len(places) > 1]
     estimates: list[dict[str, OwnEstimate]] = [{} for _ in state.setup.runs]
@@ -332,16 +308,7 @@ def _remark(state: FitState, statistics: Statistics, index: int) -> str:
 
 
 def remark(statistics: Statistics, index: int, *, moves: bool) -> str:
-    """What a reader must know before using the value of a free parameter; may be empty.
-
-    Arguments:
-        statistics: of the fit.
-        index: position of the parameter.
-        moves: whether any channel responded to it where the fit started.
-
-    Returns:
-        The remark of the parameter's `Estimate`.
-    """
+    """What to know before using a free parameter, which `moves` if it showed at the start."""
     if not moves:
         return "not determined: no channel responds to it; left at its start"
     for group in statistics.together:

@@ -37,17 +37,7 @@ _NOTABLE = 1.15
 
 
 def conclude(state: FitState, *, check: bool, max_iterations: int, began: float) -> FitResult:
-    """Everything that is known at the end.
-
-    Arguments:
-        state: the last one, with its ending.
-        check: compute the gradient check and the effect of the solver tolerance.
-        max_iterations: that were allowed, for `config`.
-        began: when the fit began, by `time.perf_counter`, s.
-
-    Returns:
-        The result.
-    """
+    """Everything that is known at the end of a fit that `began` then, by `time.perf_counter`, s."""
     if state.ending is None:
         raise ValueError("the fit has not ended: call `descend` first")
     status, message, reason = state.ending
@@ -268,13 +258,7 @@ def fit(
 
 
 def check_effect(settings: FitSettings, keywords: type, function: str) -> None:
-    """Refuse settings that a function would pass over.
-
-    Arguments:
-        settings: that it was given.
-        keywords: those that it knows.
-        function: its name.
-    """
+    """Refuse settings that a function of this name, which knows these keywords, would pass over."""
     for name in settings.contents():
         if name not in keywords.__annotations__:
             raise InputError(
@@ -301,9 +285,6 @@ def solve(
         budget: wall time that this and other fits may take together; by default that of the
             settings, for this one alone.
         journal: what the fit keeps while it runs, and goes on from where it holds something.
-
-    Returns:
-        As `fit`.
 
     Raises:
         InputError: the model cannot be evaluated at the start, or the journal is of another fit.
@@ -400,12 +381,7 @@ class Refit:
 
 
 def refitted(state: FitState, most: int) -> Refit:
-    """Steps until none is left, with the noise and the tolerance as they are.
-
-    Arguments:
-        state: where to begin, not evaluated yet.
-        most: trial steps.
-    """
+    """Steps until none is left, with the noise and the tolerance as they are."""
     state = descend(state, most, None, advance=advance_alone)
     assert state.ending is not None
     status, _, reason = state.ending

@@ -94,9 +94,7 @@ class Tie:
 def resolved_ties(model: eqx.Module, texts: Mapping[str, str]) -> tuple[Tie, ...]:
     """The ties of a model, in an order in which each follows from what is known before it.
 
-    Arguments:
-        model: whose parameters are tied; those that it leaves out must be switched on.
-        texts: expressions by the paths that follow from them.
+    What the model leaves out must be switched on.
 
     Raises:
         InputError: no expression, an unknown path, a parameter that is tied twice or follows from
@@ -139,11 +137,7 @@ def tied(model: Module, ties: Sequence[Tie]) -> Module:
 
 
 def check_tied(model: eqx.Module, ties: Sequence[Tie]) -> None:
-    """Refuse tied values beyond the bounds of their parameters.
-
-    Raises:
-        InputError: naming the parameter, the value and its bounds.
-    """
+    """Refuse tied values beyond the bounds of their parameters."""
     for tie in ties:
         for path in tie.elements:
             element = find(model, path)
@@ -202,13 +196,7 @@ def inside_bounds(
     paths: Mapping[str, Any],
     free: Mapping[str, Parameter],
 ) -> dict[str, float]:
-    """Values strictly between their bounds, for those parameters that have to start there.
-
-    Arguments:
-        model: with the present values.
-        paths: of the parameters that another fit may have left on a bound.
-        free: the scalar parameters to fit, by path.
-    """
+    """Values strictly between their bounds, for those parameters that have to start there."""
     values = {}
     for element in (element for path in paths for element in elements(model, path)):
         if element.path in free:
@@ -220,10 +208,7 @@ def inside_bounds(
 def between(value: float, lower: float, upper: float, *, margin: float = 0.0) -> float:
     """The nearest value strictly between two bounds, which may be infinite.
 
-    Arguments:
-        value: any.
-        lower, upper: bounds.
-        margin: how far from a bound it has to be, at least; less than half of the way between two.
+    By a margin at least, which is less than half of the way between two.
     """
     if np.isfinite(lower) and np.isfinite(upper):
         margin = max(margin, 1e-9 * (upper - lower))
@@ -262,16 +247,10 @@ def resolve(
     groups: Mapping[str, Sequence[Sequence[str]]],
     reached: Mapping[str, Any],
 ) -> Free:
-    """What is free in a fit; nothing is evaluated.
-
-    Arguments:
-        model, runs, settings: of the fit.
-        groups: by path, names of the runs that share a value of it.
-        reached: values by path where another fit ended.
+    """What is free in a fit, with the values that another one `reached`; nothing is evaluated.
 
     Raises:
-        InputError: an unknown path, two of them that contradict each other, or a value outside
-            its bounds.
+        InputError: an unknown path, two that contradict each other, or a value outside its bounds.
     """
     free, start, fix, ties = settings.free, settings.start, settings.fix, settings.ties
     asked = [*(free or ()), *groups]

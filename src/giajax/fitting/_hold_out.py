@@ -69,14 +69,10 @@ class HoldOut:
     whole: Setup
 
     def judge(self, result: FitResult) -> FitResult:
-        """The result with how well it predicts what was held out, and a verdict on that.
+        """The result of a fit of the fitted parts with how well it predicts what was held out.
 
-        Arguments:
-            result: of a fit of the fitted parts.
-
-        Returns:
-            The result with `held_out`; where the held cells are further off than noise and the
-            uncertainty of the parameters allow, its verdict has one more reason.
+        Where the held cells are further off than noise and the uncertainty of the parameters allow,
+        its verdict has one more reason.
         """
         state = state_at_end(result, self.whole, self.parts)
         if state.evaluated:
@@ -125,15 +121,7 @@ class HoldOut:
 def set_up_with_hold_out(
     settings: FitSettings, runs: Sequence[Run], begin: WarmStart | None
 ) -> tuple[Setup, HoldOut | None]:
-    """What a fit is asked, and what of its runs is held out.
-
-    Arguments:
-        settings: of the fit.
-        runs: those that it names.
-        begin: where another fit ended; None for a start as the settings say.
-
-    Returns:
-        The setup of the fit, whose `config` says what is held out; and that, if it is anything.
+    """The setup of a fit, whose `config` says what is held out; and that, if it is anything.
 
     Raises:
         InputError: as `giajax.fit`, or a `hold_out` that names nothing, or everything.
@@ -224,11 +212,6 @@ def state_at_end(result: FitResult, setup: Setup, parts: Sequence[SplitRun]) -> 
     """The state of a fit of the whole runs where that of the fitted parts ended, evaluated.
 
     What no fitted cell responds to is where the held cells want it.
-
-    Arguments:
-        result: of the fit of the fitted parts.
-        setup: the same fit of the whole runs.
-        parts: of each run of `setup`.
     """
     values = {
         p.path: between(result.parameters[p.path].value, p.declaration.lower, p.declaration.upper)
@@ -306,12 +289,7 @@ def _known_to_held(state: FitState, parts: Sequence[SplitRun]) -> np.ndarray:
 
 
 def held_cells(part: SplitRun, name: str) -> np.ndarray:
-    """Which of the measured cells of a channel are held out, shape (cell,).
-
-    Arguments:
-        part: a run.
-        name: of the channel.
-    """
+    """Which of the measured cells of a channel are held out, shape (cell,)."""
     measured = ~np.isnan(part.whole.observations[name])
     if part.held is None or name not in part.held.observations:
         return np.zeros(int(np.sum(measured)), bool)

@@ -110,15 +110,7 @@ class BlockJacobian:
 
 
 def linearise(coordinate: Float[Array, " parameter"], problem: Problem) -> Linearised:
-    """Residual, Jacobian in blocks, its triangular factor R, Q^T r, and the predictions.
-
-    Arguments:
-        coordinate: free coordinates, shape (parameter,).
-        problem: what is minimised.
-
-    Returns:
-        As `assembled`.
-    """
+    """Residual, Jacobian in blocks, its triangular factor R, Q^T r, and the predictions."""
     return assembled(over_runs(linearise_run, coordinate, problem), coordinate, problem)
 
 
@@ -133,13 +125,9 @@ def linearise_run(
 ) -> tuple[Array, ...]:
     """A run's residual, block of the Jacobian, triangle of both, prediction, and success.
 
-    The block, shape (row, shared + own), comes from one vmapped jvp; no derivative of a run by the
-    parameters of another one is ever computed. It is reduced to a triangle by itself.
-
-    Arguments:
-        values: the coordinates that the run responds to, shape (shared + own,).
-        problem, batch: what it is a part of.
-        inputs, observed, weight, whitening: those of the batch for this run.
+    The block, shape (row, shared + own), comes from one vmapped jvp by the run's own coordinates;
+    no derivative by the parameters of another one is ever computed. It is reduced to a triangle by
+    itself.
     """
 
     def push(tangent: Array) -> tuple[Array, Array, Any]:
@@ -166,19 +154,10 @@ def linearise_run(
 
 
 def assembled(parts: Sequence[tuple[Any, ...]], coordinate: Array, problem: Problem) -> Linearised:
-    """What `linearise_run` found of all runs, and the priors, as one problem.
+    """What `linearise_run` found of the runs of each batch, and the priors, as one problem.
 
-    The triangles together are reduced to R: an orthogonal reduction, as QR of the whole.
-
-    Arguments:
-        parts: of each batch, what `linearise_run` gives, with a leading run axis.
-        coordinate: where that is, shape (parameter,).
-        problem: what is minimised.
-
-    Returns:
-        residual of shape (residual,); blocks of each batch, shape (run, row, shared + own), and the
-        derivatives of the priors' rows, shape (prior,), each by its own coordinate; R of shape
-        (parameter, parameter); Q^T r; predictions.
+    The triangles together are reduced to R: an orthogonal reduction, as QR of the whole. Beside it
+    blocks of each batch, (run, row, shared + own), and derivatives of the priors' rows, (prior,).
     """
     rows, blocks, triangles, tables, successes = zip(*parts, strict=True)
     known, slopes = problem.priors.rows(coordinate, problem.bijector)
@@ -352,13 +331,7 @@ def stepped(
 ) -> Stepped:
     """One step of the solver, by the same programs wherever it is.
 
-    Arguments:
-        solver: of the least-squares problem.
-        coordinate: the best point so far, shape (parameter,).
-        problem: what is minimised.
-        state: of the solver there.
-        active: parameters that may move, shape (parameter,).
-        sample: where runs are dealt out, evaluate one or a few, and have zeros for the others.
+    Of several runs a `sample` has one or a few evaluated, and zeros for the others.
     """
     if not _several(problem):
         return step(solver, coordinate, problem, state, active)
@@ -370,13 +343,7 @@ def stepped(
 def residuals(
     coordinate: Array, problem: Problem, *, sample: bool = False
 ) -> Float[np.ndarray, " residual"]:
-    """Residuals at a point within the bounds, without derivatives; NaN where the model fails.
-
-    Arguments:
-        coordinate: the point, shape (parameter,).
-        problem: what is minimised.
-        sample: of several runs evaluate one or a few, and have zeros for the others.
-    """
+    """Residuals at a point within the bounds, without derivatives; NaN where the model fails."""
     if not _several(problem):
         return np.asarray(residual_row(coordinate, problem))
     parts = tuple(_of_runs(predicted, coordinate, problem, sample))

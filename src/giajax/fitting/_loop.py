@@ -73,13 +73,7 @@ _REFUSED = 3
 
 
 def stopped_by(state: FitState) -> tuple[Reason, str] | None:
-    """What keeps a fit from going on, as a word and a sentence; None where nothing does.
-
-    The words are those of `FitResult.reason`.
-
-    Arguments:
-        state: after a trial step.
-    """
+    """What keeps a fit from going on after a trial step: a word as of `FitResult.reason`; why."""
     steps = state.history[state.round_began :]
     if not state.converged and (state.done or _rejected_in_a_row(steps) >= _REJECTED):
         return _stuck(state)
@@ -182,11 +176,7 @@ def _direction(state: FitState) -> str:
 
 
 def advance(state: FitState) -> FitState:
-    """The state after this one: a trial step, or what there is to do once none is left.
-
-    Raises:
-        InputError: the model cannot be evaluated at the start.
-    """
+    """The state after this one: a trial step, or what there is to do once none is left."""
     if not state.evaluated:
         return _at_start(state)
     if not state.done:
@@ -224,7 +214,7 @@ def descend(
     keep: Callable[[FitState], None] | None = None,
     advance: Callable[[FitState], FitState] = advance,
 ) -> FitState:
-    """Step until converged.
+    """Step until converged; the `ending` of the state says how it ended.
 
     Arguments:
         state: where to begin, or to go on.
@@ -235,12 +225,9 @@ def descend(
             same end. What only ends the fit early (iterations, budget, Ctrl-C) is no part of them.
         advance: gives the state after another one.
 
-    Returns:
-        The last state; its `ending` says how it ended. After Ctrl-C the best one so far.
-
     Raises:
         InputError: the model cannot be evaluated at the start.
-        KeyboardInterrupt: before anything was evaluated.
+        KeyboardInterrupt: before anything was evaluated; later the best state so far is returned.
     """
     reached = state
     try:
@@ -313,12 +300,7 @@ def _at_start(state: FitState) -> FitState:
 
 
 def with_active(state: FitState, moves: np.ndarray) -> FitState:
-    """An evaluated point at which only some parameters may move.
-
-    Arguments:
-        state: evaluated, with all of these moving.
-        moves: which may, shape (parameter,).
-    """
+    """An evaluated point at which only some parameters may move."""
     # As every later evaluation gives the factor, so that a fit that goes on from here is the same.
     factor = on_device(np.where(np.asarray(moves)[None], np.asarray(state.inner.factor), 0))
     inner = eqx.tree_at(lambda inner: inner.factor, state.inner, factor)

@@ -28,17 +28,10 @@ from ._weights import Noise, scores
 
 
 def residual_cells(state: FitState, *, together: bool = False) -> dict[tuple[int, str], Cells]:
-    """The residuals of a state and their derivatives in SI, by run and channel.
+    """The residuals of a state and their derivatives in SI, by number of the run and channel.
 
-    Without weights and not whitened. Coordinates that are held have no columns; those that one
-    run alone responds to are its own.
-
-    Arguments:
-        state: evaluated.
-        together: every coordinate as a shared column, also those that are held.
-
-    Returns:
-        By the position of the run and the name of the channel.
+    Without weights and not whitened. Coordinates that are held have no columns; those that one run
+    alone responds to are its own. `together`, every coordinate is a shared column, held ones too.
     """
     jacobian, active = state.jacobian(), np.asarray(state.active)
     if together:
@@ -79,15 +72,7 @@ def residual_cells(state: FitState, *, together: bool = False) -> dict[tuple[int
 
 
 def prior_gram(state: FitState) -> np.ndarray:
-    """X^T X of the rows of the priors, by the shared coordinates that move and the residual.
-
-    Arguments:
-        state: evaluated.
-
-    Returns:
-        Shape (shared + 1, shared + 1): by the shared columns of `residual_cells`, and, last, the
-        residual.
-    """
+    """X^T X of the rows of priors, by the shared columns of `residual_cells` and the residual."""
     common, _ = shared_and_own(state)
     count, columns = len(state.problem.priors), state.problem.priors.columns
     rows = np.zeros((count, len(common) + 1))
@@ -102,11 +87,7 @@ def prior_gram(state: FitState) -> np.ndarray:
 
 
 def shared_and_own(state: FitState) -> tuple[list[int], set[int]]:
-    """Positions of the coordinates that move: shared ones; of single runs, without a prior.
-
-    Arguments:
-        state: evaluated.
-    """
+    """Positions of the coordinates that move: shared ones; of single runs, without a prior."""
     active = np.asarray(state.active)
     count = Counter(int(c) for columns in state.jacobian().columns for c in columns)
     several = len(state.setup.runs) > 1
@@ -131,16 +112,7 @@ _SAME_WEIGHT = 0.01
 
 
 def reestimate(state: FitState) -> Noise:
-    """The noise to fit with next.
-
-    It stays the same where no channel changes by as much as a fit would notice.
-
-    Arguments:
-        state: at an optimum with the noise in use.
-
-    Returns:
-        The noise in use, or a better one.
-    """
+    """The noise to fit with next: the same where no channel changes by what a fit would notice."""
     noise = state.noise
     if noise.complete and not noise.correlated:
         return noise
@@ -227,13 +199,7 @@ def _weighted(
 
 
 def verdict(state: FitState, status: Status, prior_degrees_of_freedom: float) -> Verdict:
-    """Whether the model describes the data, at the end of a fit.
-
-    Arguments:
-        state: the last one.
-        status: how the fit ended; a fit that never reached an optimum is not judged.
-        prior_degrees_of_freedom: degrees of freedom of the parameters that their priors know.
-    """
+    """Whether the model describes the data, at the end of a fit, if it ever reached an optimum."""
     ended = {"not_converged": "did not converge", "interrupted": "was interrupted"}.get(status, "")
     early = Verdict("not evaluated", (Reason("end", f"the fit {ended}", 1.0, 1.0),))
     # Where the noise was estimated anew, an optimum was reached with the noise before.
@@ -277,16 +243,7 @@ def series_of(
     *,
     lost: float,
 ) -> Series:
-    """Residuals of a channel of a run, with what is known of their noise.
-
-    Arguments:
-        state: the last one.
-        number: position of the run.
-        name: of the channel.
-        residual: predicted minus recorded, SI, shape (cell,).
-        times: of the cells, s; None for a run without time.
-        lost: degrees of freedom that fitted parameters took from them.
-    """
+    """Residuals (SI) of a channel of a run, `lost` degrees of freedom less, and known noise."""
     noise = state.noise
     return Series(
         run=state.setup.runs[number].name,

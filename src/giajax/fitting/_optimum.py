@@ -109,13 +109,9 @@ class Optimum:
         return problem.with_values(problem.means(np.asarray(values)[: problem.shared]))
 
     def derived(self, name: str) -> Callable[[np.ndarray], tuple[float, np.ndarray]]:
-        """A derived quantity, or a tied parameter, of the result.
+        """A derived quantity, or a tied parameter, by its name in `FitResult.derived`.
 
-        Arguments:
-            name: as in `FitResult.derived`.
-
-        Returns:
-            Its value and its gradient as a function of the values of all free parameters.
+        Its value and its gradient as a function of the values of all free parameters.
 
         Raises:
             InputError: there is none of this name.
@@ -146,19 +142,14 @@ class Optimum:
         centres: Float[np.ndarray, " prior"] | None = None,
         max_iterations: int = MOST_STEPS,
     ) -> Refit:
-        """Fit again, with the noise as it is.
+        """Fit again, with the noise as it is; an end that did not converge says why.
 
         Arguments:
             held: values, SI, of parameters that do not move, by label.
             start: of all free parameters, SI, shape (parameter,); by default the optimum.
-            recorded: of each run, values by channel, SI, in place of those that it has; NaN where
-                a cell does not count.
-            centres: of the priors, in place of those that they have, in the order of
-                `state.problem.priors`; of a logarithmic one the logarithm.
+            recorded: in place of the values that the runs have.
+            centres: of the priors, in place of theirs; of a logarithmic one the logarithm.
             max_iterations: trial steps.
-
-        Returns:
-            The end; one that did not converge says why.
 
         Raises:
             InputError: a label in `held` that there is not, or a value beyond its bounds.
@@ -328,13 +319,7 @@ class CellEquations:
     def said(
         self, run: int, name: str, kept: Bool[np.ndarray, " sample"] | None = None
     ) -> Equations:
-        """What the cells of a channel say: A and b, made independent among themselves.
-
-        Arguments:
-            run: its position.
-            name: of the channel.
-            kept: of all samples of the run, which count; all by default.
-        """
+        """What the cells of a channel, or those of kept samples, say: A and b, made independent."""
         cells = self.cells[run, name]
         if kept is not None:
             cells = cells.where(kept[self.rows[run, name]])

@@ -70,13 +70,7 @@ def sample_size(count: int) -> int:
 
 
 def prepared_with(model: AbstractModel, run: Run, own: Mapping[str, float]) -> Any:
-    """A prepared run with the values of what is free in it alone.
-
-    Arguments:
-        model: prepares the run.
-        run: what was recorded.
-        own: values by label (`initial.angle[0]`); the others are as the run was prepared.
-    """
+    """A prepared run with values of what is free in it alone, by label (`initial.angle[0]`)."""
     inputs = model.prepare(run)
     for path in capabilities.free_inputs(model, run):
         values = np.array(get(inputs, path), dtype=float)
@@ -100,17 +94,9 @@ def recorded_cells(
     channels: Sequence[str],
     recorded: Recorded,
 ) -> tuple[Array, Array, Whitening | None]:
-    """What the runs of a batch recorded, padded to the longest of them.
+    """Values and weights of the runs of a batch, 0 where none counts, padded to the longest.
 
-    Arguments:
-        runs: all that is fitted to.
-        noise: of their channels.
-        indices: positions of the runs of the batch.
-        channels: of the batch.
-        recorded: of each of all runs, values by channel.
-
-    Returns:
-        Values, 0 where none counts; weights, 0 there, too; the whitening of correlated noise.
+    And the whitening of correlated noise.
     """
     observed = [np.stack([recorded[i][c] for c in channels], -1) for i in indices]
     weight = [
@@ -227,14 +213,7 @@ def build_batches(
 ) -> tuple[RunBatch, ...]:
     """Prepare runs and stack those with the same channels, padded to the longest of them.
 
-    Arguments:
-        model: prepares the runs.
-        runs: what was recorded.
-        noise: of the channels.
-        layout: of the free parameters of the model itself.
-
-    Returns:
-        The batches, in the order of their first runs.
+    The batches are in the order of their first runs; the layout is of the model's own parameters.
     """
     members: dict[Any, list[int]] = {}
     prepared = [model.prepare(run) for run in runs]
@@ -270,14 +249,7 @@ def build_batches(
 def with_recorded(
     batches: Sequence[RunBatch], runs: Sequence[Run], noise: Noise, recorded: Recorded
 ) -> tuple[RunBatch, ...]:
-    """Batches with other recorded values or another noise; what was prepared of the runs stays.
-
-    Arguments:
-        batches: of the runs.
-        runs: what is fitted to.
-        noise: of the channels.
-        recorded: of each run, values by channel, SI; NaN where a cell does not count.
-    """
+    """Batches with other values or another noise; what was prepared of the runs stays."""
     others = []
     for batch in batches:
         cells = recorded_cells(runs, noise, batch.members, batch.channels, recorded)
@@ -302,13 +274,7 @@ def own_start(batches: Sequence[RunBatch]) -> np.ndarray:
 def own_values(
     batches: Sequence[RunBatch], runs: Sequence[Run], begun: Mapping[str, Mapping[str, float]]
 ) -> np.ndarray:
-    """As `own_start`, apart from those that begin elsewhere.
-
-    Arguments:
-        batches: of the runs.
-        runs: what is fitted to.
-        begun: their values, by the run's name and the name of the coordinate.
-    """
+    """As `own_start`, apart from those that begin elsewhere."""
     own = own_start(batches)
     shared = batches[0].first
     for batch in batches:
@@ -500,14 +466,9 @@ def over_batch(
     batch: RunBatch,
     problem: Problem,
 ) -> tuple[Array, ...]:
-    """Results of a function for the runs of a batch, with a leading run axis.
+    """Results of `whitened_run`, or its like, for a batch, with a leading run axis.
 
-    Arguments:
-        one: of a run's coordinates, the problem, the batch, and the run's inputs, observed values,
-            weights and whitening.
-        values: coordinates that each run responds to.
-        batch: of these runs.
-        problem: what they are a part of; its own batches do not count.
+    The batches of the problem itself do not count.
     """
     rows = (values, batch.inputs, batch.observed, batch.weight, batch.whitening)
 

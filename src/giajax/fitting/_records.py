@@ -466,15 +466,7 @@ _MANY = 12
 
 
 def rows_of_runs(runs: Sequence[RunFit], free: Mapping[str, Estimate]) -> dict[str, Estimate]:
-    """Estimates of the parameters that have a value for each group of runs.
-
-    Arguments:
-        runs: the fitted ones.
-        free: the estimates of the model's free parameters, by path.
-
-    Returns:
-        By path and names of the runs; empty where there are too many for a table.
-    """
+    """Estimates of what has a value for each group of runs; none where those are too many."""
     sharing: dict[tuple[str, OwnEstimate], list[str]] = {}
     for run in runs:
         name = run.recording
@@ -498,15 +490,11 @@ def rows_of_runs(runs: Sequence[RunFit], free: Mapping[str, Estimate]) -> dict[s
 def matching_runs(
     records: Sequence[RunFit], runs: Run | Sequence[Run], *, whole: bool = False
 ) -> list[Run]:
-    """The runs of a result, checked to be those.
+    """The runs of a result, in their order, checked to be those.
 
     Of runs that were made in memory, and of windows of one file, there is no checksum that tells
-    them apart: channels, numbers of measured cells and names have to be the same.
-
-    Arguments:
-        records: of the fitted runs.
-        runs: what is said to be them, in their order.
-        whole: whether they may have more than was fitted: what was held out, other channels.
+    them apart: channels, numbers of measured cells and names have to be the same; unless they may
+    be the whole runs, with more than was fitted: what was held out, other channels.
 
     Raises:
         InputError: they are others, or in another order.
@@ -532,12 +520,9 @@ def layout_of(
     paths: Sequence[str],
     groups: Mapping[str, Sequence[Sequence[str]]],
 ) -> Layout:
-    """Where a value of a parameter is that of one run, of some, or of all of them.
+    """Where a value of a parameter is that of one fitted run, of some, or of all of them.
 
-    Arguments:
-        runs: the fitted ones.
-        paths: of the free parameters.
-        groups: names of the runs that share a value, by the path of a parameter or of its array.
+    Groups, names of the runs that share a value, are by the path of a parameter or of its array.
     """
     shared = {path: groups.get(path, groups.get(path.partition("[")[0])) for path in paths}
     return Layout.of(
@@ -550,14 +535,7 @@ def layout_of(
 def model_of_run(
     model: AbstractModel, runs: Sequence[RunFit], run: Run, ties: Mapping[str, str]
 ) -> AbstractModel:
-    """The fitted model with the values that a fitted run has for itself or with its group.
-
-    Arguments:
-        model: the fitted one.
-        runs: the fitted ones.
-        run: one of them; for any other the model is as it is.
-        ties: expressions by the paths of what follows from them.
-    """
+    """The fitted model with what a fitted run has for itself or with its group; else as it is."""
     for record in runs:
         if (record.name, record.sha256) == (run.name, run.sha256):
             # What belongs to the state of the run is no parameter of the model.

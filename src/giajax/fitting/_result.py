@@ -101,15 +101,9 @@ def predict(
 def prediction_errors(
     model: AbstractModel, run: Run, channels: Sequence[str] | None = None
 ) -> PredictionErrors:
-    """How far a prediction is from what a run recorded.
+    """How far a prediction is from what a run recorded, in the unit of the recording.
 
-    Arguments:
-        model: the model.
-        run: a recorded run; its initial state is as its definition says.
-        channels: names without unit; those that the run recorded by default.
-
-    Returns:
-        Errors by channel, in the unit of the recording; infinite where the simulation failed.
+    Its initial state is as its definition says; errors are infinite where the simulation failed.
 
     Raises:
         InputError: as `predict`.
@@ -119,15 +113,7 @@ def prediction_errors(
 
 
 def errors_of(run: Run, predicted: Mapping[str, np.ndarray]) -> PredictionErrors:
-    """How far predicted channels (SI, by name) are from what a run recorded of them.
-
-    Arguments:
-        run: what was recorded.
-        predicted: SI, by channel, each of shape (sample,).
-
-    Returns:
-        Errors by channel, in the unit of the recording.
-    """
+    """How far predicted channels (SI) are from a run's, in the unit of the recording."""
     errors = {}
     for name, values in predicted.items():
         channel, recorded = run.channels[name], run.observations[name]
@@ -318,12 +304,7 @@ def load_result(path: str | Path) -> FitResult:
 
 
 def parse_result(text: str, model: AbstractModel) -> FitResult:
-    """A result from the text of another process, which has no file.
-
-    Arguments:
-        text: of `FitResult.to_json` of this version.
-        model: that was fitted, with the values that are in the text.
-    """
+    """A result from what `FitResult.to_json` of this version gave, and its fitted model."""
     record = json.loads(text)
     del record["model"]
     return _of(_fields(record, "the text is not a result of giajax"), model)

@@ -76,12 +76,7 @@ _AT_HAND, _WAY = 0.1, 0.9
 
 
 def towards(bound: Float[Array, " parameter"], most: float) -> Float[Array, " parameter"]:
-    """How far a step may go towards bounds.
-
-    Arguments:
-        bound: the way to each, negative downwards.
-        most: the longest step, of the same sign.
-    """
+    """How far a step of at most `most` may go towards bounds; the way is negative downwards."""
     way = jnp.where(jnp.abs(bound) > _AT_HAND, _WAY * bound, bound)
     return jnp.clip(way, -abs(most), abs(most))
 
@@ -103,20 +98,17 @@ def boxed_step(
     box: tuple[Float[Array, " parameter"], Float[Array, " parameter"]],
     active: Bool[Array, " parameter"],
 ) -> Float[Array, " parameter"]:
-    """Minimise |R s + Q^T r|^2 + |D s|^2 over a box.
+    """The step s that minimises |R s + Q^T r|^2 + |D s|^2 over a box; D is positive.
 
     By block principal pivoting (Kim and Park 2011): coordinates that want to leave the box stay on
-    its side, the others are solved for again, and those that then want to come back are let go.
-    To shorten the whole step would let one weak parameter hold up all of them.
+    its side, the others are solved for again, and those that then want to come back are let go. To
+    shorten the whole step would let one weak parameter hold up all of them.
 
     Arguments:
         factor, projected: R and Q^T r of the Jacobian's QR factorisation.
-        damping: D, positive.
+        damping: D.
         box: the lowest (at most 0) and the highest (at least 0) step of each coordinate.
         active: coordinates that may move.
-
-    Returns:
-        The step.
     """
     lowest, highest = box
     diagonal = jnp.diag(damping)
@@ -249,10 +241,10 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         options: dict[str, Any],
         blank: tuple[Array, Any],
     ) -> Iterator[tuple[Array, MarquardtState, optx.RESULTS | None]]:
-        """The steps from a point, tried one after the other on the host.
+        """The steps from a point, tried one after the other on the host; the first evaluates it.
 
         Arguments:
-            y: where to begin; the first step evaluates it.
+            y: where to begin.
             linearise: the option of this name, as a function of the point alone.
             options: the others, as `step` has them.
             blank: a residual and auxiliary output, whose values do not count.
@@ -270,11 +262,7 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
                 return
 
     def propose(self, y: Array, options: dict[str, Any], state: MarquardtState) -> Array:
-        """The point to evaluate next; before the first evaluation, the one where it is.
-
-        Arguments:
-            y, options, state: as `step` has them.
-        """
+        """The point to evaluate next; before the first evaluation, the one where it is."""
         step = self._step_from(y, options, state, state.factor, state.projected)
         step = jnp.where(jnp.any(state.detour != 0), state.detour, step)
         # Exactly on the bound, not beside it by rounding.
@@ -299,13 +287,7 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         trial: Array,
         there: Linearised,
     ) -> tuple[Array, MarquardtState]:
-        """Go to a point that was evaluated, or stay.
-
-        Arguments:
-            y, options, state: as `step` has them.
-            trial: what was proposed.
-            there: what `linearise` gives there.
-        """
+        """Go to a trial point, at which `linearise` gave what is there, or stay."""
         first = jnp.isinf(state.cost)
         active = options.get("active", jnp.ones(y.shape, bool))
         residual, jacobian, factor, projected, aux = there
@@ -396,14 +378,10 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
     ) -> Any:
         """Norm of the part of the residual that the parameters could still explain, to first order.
 
-        Directions in which nothing responds (held or collinear parameters) do not count: there
-        Q is arbitrary. Nor do coordinates to which the residual responds by no more than what a
-        fit may be off by, as on their way to infinity: they would run on for ever; nor those that
-        are at a bound and would only leave it outwards.
-
-        Arguments:
-            y, options, state: as `terminate` has them.
-            maths: NumPy, where all of them are its arrays.
+        Directions in which nothing responds (held or collinear parameters) do not count: there Q is
+        arbitrary. Nor do coordinates to which the residual responds by no more than what a fit may
+        be off by, as on their way to infinity: they would run on for ever; nor those that are at a
+        bound and would only leave it outwards. By NumPy where all is of its arrays.
         """
         lower, upper = _bounds(y, options)
         uphill = state.factor.T @ state.projected

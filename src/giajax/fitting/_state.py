@@ -33,12 +33,7 @@ def coordinate_paths(problem: Problem) -> list[str]:
 
 
 def labels(problem: Problem, runs: Sequence[Run]) -> list[str]:
-    """Names of all free coordinates, each with the runs that it belongs to, if that is not all.
-
-    Arguments:
-        problem: what is minimised.
-        runs: what is fitted to.
-    """
+    """Names of all free coordinates, each with the runs that it belongs to, if that is not all."""
     sharing: dict[int, list[int]] = {}
     for batch in problem.batches:
         for member, columns in zip(batch.members, batch.columns(), strict=True):

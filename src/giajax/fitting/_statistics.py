@@ -245,14 +245,12 @@ def combinations(
 ) -> list[tuple[tuple[int, ...], list[Combination]]]:
     """Parameters that are not determined one by one, and what of them is.
 
+    Of a direction in which nothing is determined there are no combinations.
+
     Arguments:
         statistics: of the fit.
         positive: whether each free parameter has no negative values.
         usual: whether a fit usually holds it; such a one is the denominator, if there is one.
-
-    Returns:
-        Positions of the parameters that belong together, and their determined combinations; of a
-        direction in which nothing is determined there are none.
     """
     directions = _directions(statistics.root)
     if not len(directions):

@@ -150,12 +150,7 @@ def reweight(state: FitState, noise: Noise) -> FitState:
 
 
 def at_tolerance(state: FitState, tolerance: float | None) -> FitState:
-    """Go on from the same point with another tolerance of the integrator; not evaluated yet.
-
-    Arguments:
-        state: where the fit is.
-        tolerance: relative and absolute; None leaves the one that it has.
-    """
+    """Go on from the same point with another tolerance, if any; not evaluated yet."""
     if tolerance == tolerance_of(state):
         return state
     model = capabilities.with_integration(state.problem.model, solver=None, tolerance=tolerance)
@@ -174,16 +169,9 @@ def tolerance_of(state: FitState) -> float | None:
 def evaluate(
     state: FitState, coordinate: Any, problem: Problem | None = None, *, sample: bool = False
 ) -> MarquardtState:
-    """Residual and Jacobian at a point, by the same compiled program as a step.
+    """The solver's state at a point, by the same compiled program as a step.
 
-    Arguments:
-        state: gives problem, solver and the parameters that may move.
-        coordinate: the point, shape (parameter,).
-        problem: in place of that of the state.
-        sample: of several runs evaluate one or a few, and have zeros for the others.
-
-    Returns:
-        The solver's state there.
+    Of several runs a `sample` has one or a few evaluated, and zeros for the others.
     """
     coordinate = on_device(coordinate, state.coordinate.dtype)
     problem = state.problem if problem is None else problem
@@ -197,14 +185,7 @@ def residuals_at(
 ) -> Float[np.ndarray, " residual"]:
     """Residuals at a point within the bounds, without derivatives where those take long.
 
-    Arguments:
-        state: gives the problem, and how long a step takes.
-        coordinate: the point, shape (parameter,).
-        problem: in place of that of the state.
-        sample: as of `evaluate`.
-
-    Returns:
-        As `evaluate(...).residual`; NaN where the model cannot be evaluated.
+    A `sample` is as of `evaluate`; NaN where the model cannot be evaluated.
     """
     if min(state.step_seconds[1:], default=0.0) < _LONG_STEP and not has_many_rows(state):
         inner = evaluate(state, coordinate, problem, sample=sample)
@@ -287,18 +268,10 @@ class FitJournal(Protocol):
 
 
 def restored(begun: FitState, journal: FitJournal) -> tuple[FitState, float]:
-    """The last state that a journal holds, evaluated anew.
-
-    Arguments:
-        begun: the state before anything is evaluated, of the same setup.
-        journal: of the fit; may hold nothing yet.
-
-    Returns:
-        The state, and the seconds that the fit had taken up to it.
+    """The last state that a journal holds, evaluated anew, and the seconds of the fit up to it.
 
     Raises:
-        InputError: a line does not have what `KeptState` says.
-        ValueError, LookupError, TypeError: a line is not of this fit.
+        InputError, ValueError, LookupError, TypeError: a line is not of this fit.
     """
     if not journal.lines:
         return begun, 0.0
@@ -337,13 +310,7 @@ def _kept(line: Mapping[str, Any]) -> KeptState:
 
 
 def journal_writer(state: FitState, journal: FitJournal, elapsed: Callable[[], float]) -> Callable:
-    """A function that writes each state that a fit reaches into its journal.
-
-    Arguments:
-        state: where the fit begins or goes on, which the journal holds already.
-        journal: of the fit.
-        elapsed: seconds that the fit has taken so far.
-    """
+    """A function that writes each state that a fit reaches into its journal."""
     shown, stepped = len(state.history), len(state.step_seconds)
 
     def keep(reached: FitState) -> None:

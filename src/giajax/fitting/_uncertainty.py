@@ -27,29 +27,17 @@ COLLINEAR = 1e-6
 def responds(norms: np.ndarray, sizes: np.ndarray) -> np.ndarray:
     """Which parameters any channel responds to.
 
-    Arguments:
-        norms: of the columns of the Jacobian, weighted residuals by the parameters themselves,
-            not by the free coordinates, which have sizes of their own; shape (parameter,).
-        sizes: typical size of each parameter, shape (parameter,).
-
-    Returns:
-        True for each that does, shape (parameter,).
+    By norms of the columns of the Jacobian by the parameters themselves, not by the free
+    coordinates, which have sizes of their own; and by the typical size of each.
     """
     return norms * sizes > _NO_RESPONSE
 
 
 def undetermined_groups(jacobian: np.ndarray) -> list[list[int]]:
-    """Groups of parameters of which only combinations are determined.
+    """Groups of parameters (columns of a Jacobian or its R) of which combinations are determined.
 
-    Each right singular vector of the column-normalised Jacobian with a vanishing singular value
-    is a direction that leaves every channel unchanged; the parameters in it belong together.
-
-    Arguments:
-        jacobian: columns of the parameters that respond, shape (row, parameter); or R of its QR
-            factorisation, which has the same singular vectors.
-
-    Returns:
-        Positions of the columns of each group.
+    Each right singular vector of the column-normalised Jacobian with a vanishing singular value is
+    a direction that leaves every channel unchanged; the parameters in it belong together.
     """
     if jacobian.shape[1] < 2:
         return []
@@ -60,15 +48,7 @@ def undetermined_groups(jacobian: np.ndarray) -> list[list[int]]:
 
 
 def largest_correlations(correlation: np.ndarray, limit: float) -> dict[int, tuple[int, float]]:
-    """For each parameter, the partner it is most correlated with, where that exceeds a limit.
-
-    Arguments:
-        correlation: shape (parameter, parameter).
-        limit: on the size of the correlation.
-
-    Returns:
-        Position and correlation of the partner, by position of the parameter.
-    """
+    """For each parameter, the partner it is most correlated with, where that exceeds a limit."""
     partners = {}
     off = np.abs(correlation - np.diag(np.diag(correlation)))
     for i in range(len(correlation)):
@@ -112,10 +92,10 @@ def uncertainty(
     """Covariance of least-squares and M-estimates.
 
     Linear loss: (J^T J)^-1, times the reduced chi-square where that is above 1, because then the
-    stated noise does not cover the residuals (the scale factor of the Particle Data Group).
-    Robust losses: the sandwich A^-1 B A^-1 with A = sum psi' j j^T and B = sum psi^2 j j^T
-    (Huber 1981, ch. 6), which needs no further scale. What the residuals say of the noise says
-    nothing of a prior: in either, its rows keep the variance that they state.
+    stated noise does not cover the residuals (the scale factor of the Particle Data Group). Robust
+    losses: the sandwich A^-1 B A^-1 with A = sum psi' j j^T and B = sum psi^2 j j^T (Huber 1981,
+    ch. 6), which needs no further scale. What the residuals say of the noise says nothing of a
+    prior: in either, its rows keep the variance that they state.
 
     Arguments:
         residual: weighted, whitened residuals before the loss transforms them, shape (residual,).
@@ -127,9 +107,6 @@ def uncertainty(
         known: how many of the parameters' degrees of freedom the priors know.
         scaled: whether residuals beyond the noise scale the covariance; not where cells have
             weights, because outliers are in the residuals still.
-
-    Returns:
-        Covariance, and what scaled it.
     """
     data = np.arange(len(residual)) < len(residual) - priors
     count, size = int(np.sum(measured & data)), len(columns)
@@ -165,13 +142,8 @@ def reduced_chi_square(
     """Squared residuals over the noise, per degree of freedom.
 
     With a robust loss that of psi, whose mean square over normal noise is taken for 1, so that a
-    few outliers are not taken for more noise (Huber 1981, section 7.6).
-
-    Arguments:
-        residual: residuals over the deviation of their cell, shape (residual,).
-        loss: name of the loss.
-        measured: which of them stand for a measured cell.
-        parameters: number of fitted ones, less what priors know of them.
+    few outliers are not taken for more noise (Huber 1981, section 7.6). `parameters` are the number
+    of fitted ones, less what priors know of them.
     """
     psi = scores(loss, residual[measured])[0]
     degrees_of_freedom = max(int(np.sum(measured)) - parameters, 1)
@@ -227,16 +199,7 @@ class NoiseStatistics(NamedTuple):
 
 
 def noise_statistics(state: FitState, alive: np.ndarray, spread: Uncertainty) -> NoiseStatistics:
-    """The statistics of a fit whose noise was estimated, or is correlated.
-
-    Arguments:
-        state: the last one.
-        alive: positions of the parameters that respond.
-        spread: their covariance, as if the noise were known.
-
-    Returns:
-        Them; a covariance of the same shape.
-    """
+    """The statistics of a fit whose noise was estimated, or is correlated."""
     infinite = np.full(len(alive), np.inf)
     if state.problem.loss != "linear" or not 0 < len(alive) <= _MANY:
         return NoiseStatistics(spread.covariance, infinite, None, None)
@@ -311,16 +274,8 @@ def sources(
 ) -> dict[int, dict[str, float | None]]:
     """What each recording is worth for what several of them determine together.
 
-    To first order at the optimum, with the noise as it was found: nothing is fitted again.
-
-    Arguments:
-        state: the last one.
-        jacobian: residuals by the parameters.
-        alive: positions of those that the residuals respond to.
-
-    Returns:
-        By position of a parameter that belongs to no single run, by recording; empty for a fit of
-        one recording.
+    By position of a parameter, by recording, as `Sources`; to first order at the optimum, with the
+    noise as it was found: nothing is fitted again. Empty for a fit of one recording.
     """
     problem = state.problem
     members = [member for batch in problem.batches for member in batch.members]

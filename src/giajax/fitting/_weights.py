@@ -43,10 +43,7 @@ class Noise:
     def of(cls, runs: Sequence[Run], model: NoiseModel = "correlated", *, per_run: bool) -> Self:
         """What the sidecars say; else white, from the differences of neighbouring samples.
 
-        Arguments:
-            runs: what is fitted to.
-            model: whether noise may be correlated.
-            per_run: whether a channel has another noise in every run, instead of one in all.
+        A channel has the same noise in all runs, or one in each (`per_run`).
         """
         stated = tuple({name: _stated(run, name) for name in run.observations} for run in runs)
         several = len({run.model for run in runs}) > 1
@@ -170,15 +167,7 @@ def mean_square_of_influence(loss: str) -> float:
 
 
 def transform(loss: str, r: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """t(r): `huber` is quadratic up to |r| = 1, `soft_l1` is 2 (sqrt(1 + r^2) - 1).
-
-    Arguments:
-        loss: one of `LOSSES`.
-        r: weighted residuals, any shape.
-
-    Returns:
-        t, of the shape of r.
-    """
+    """t(r): `huber` is quadratic up to |r| = 1, `soft_l1` is 2 (sqrt(1 + r^2) - 1)."""
     if loss == "linear":
         return r
     if loss == "soft_l1":
@@ -189,12 +178,7 @@ def transform(loss: str, r: Float[Array, "*n"]) -> Float[Array, "*n"]:
 
 
 def rho(loss: str, r: np.ndarray) -> np.ndarray:
-    """Of each residual what it counts as: r^2 with the linear loss, else less.
-
-    Arguments:
-        loss: one of `LOSSES`.
-        r: weighted residuals, any shape.
-    """
+    """Of each residual what it counts as: r^2 with the linear loss, else less."""
     if loss == "linear":
         return np.asarray(r**2)
     if loss == "soft_l1":
@@ -203,15 +187,7 @@ def rho(loss: str, r: np.ndarray) -> np.ndarray:
 
 
 def scores(loss: str, r: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """psi = rho'/2, its derivative, and t', each at the residuals: what a covariance needs.
-
-    Arguments:
-        loss: one of `LOSSES`.
-        r: weighted residuals, any shape.
-
-    Returns:
-        psi, psi' and t', each of the shape of r.
-    """
+    """psi = rho'/2, its derivative, and t', each at the residuals: what a covariance needs."""
     if loss == "linear":
         return r, np.ones_like(r), np.ones_like(r)
     if loss == "soft_l1":
@@ -246,13 +222,8 @@ def curvature_ratio(
     remove all residuals, where that of t would be twice as long. At the optimum, where outliers
     stay, it is psi'. What is between the two is told by the share of the cells that are far.
 
-    Arguments:
-        loss: one of `LOSSES`, not linear.
-        t: transformed residuals.
-        measured: 1 for measured cells, 0 for others.
-
-    Returns:
-        Root of the curvature over t'. With rows of t divided by it the gradient stays the same.
+    It is the root of the curvature over t', of a loss that is not linear; `measured` is 1 or 0.
+    With rows of t divided by it the gradient stays the same.
     """
     square = t * t
     if loss == "soft_l1":
@@ -299,13 +270,9 @@ class Whitening(eqx.Module):
         weights: Mapping[str, Float[np.ndarray, " sample"]],
         length: int | None = None,
     ) -> Self:
-        """The gains of a run.
+        """The gains of a run, by the weights of its cells, 0 where not measured.
 
-        Arguments:
-            noise: of its channels.
-            times: of the samples, s.
-            weights: of the cells of each channel, 0 where not measured.
-            length: number of samples with further ones, which are not measured; none by default.
+        And zeros for further samples, up to a `length`.
         """
         parts = []
         for name, of_channel in noise.items():
@@ -380,12 +347,7 @@ class Priors(eqx.Module):
 
     @classmethod
     def of(cls, priors: Mapping[str, Prior], paths: Sequence[str]) -> Self:
-        """The rows of some priors.
-
-        Arguments:
-            priors: by path, of an element or of a whole array.
-            paths: of the parameter at each position of the free coordinate.
-        """
+        """The rows of some priors."""
         known = [prior_of(priors, path) for path in paths]
         rows = [(column, prior) for column, prior in enumerate(known) if prior is not None]
         dtype = jnp.result_type(float)
