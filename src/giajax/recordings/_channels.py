@@ -18,7 +18,6 @@ from ..schema import (
     QUANTITIES,
     QUANTITY_OF_SUFFIX,
     ChannelKind,
-    Kind,
     RecordedChannel,
     si_factor,
 )
@@ -80,13 +79,7 @@ NOISE_KEYS: dict[str, str] = {row.name: row.noise for row in TABLE.values() if r
 
 
 class NameMatch(NamedTuple):
-    """A row that a name begins with.
-
-    Attributes:
-        kind: the row.
-        match: of its pattern; the group `name` is the channel.
-        suffix: what follows the channel: its unit, or None.
-    """
+    """A row that a name begins with, its match (group `name`: the channel), and the unit if any."""
 
     kind: str
     match: re.Match[str]
@@ -95,15 +88,12 @@ class NameMatch(NamedTuple):
 
 def match_name(name: str) -> NameMatch | None:
     """The row whose channel is the longest that a name begins with; None where none is."""
-    matches = []
-    for kind, pattern in _PATTERNS.items():
-        match = pattern.fullmatch(name)
-        if match is None:
-            continue
-        number = match.groupdict().get("index")
-        if number is not None and not _is_number(number):
-            continue
-        matches.append(NameMatch(kind, match, match["suffix"]))
+    found = ((kind, pattern.fullmatch(name)) for kind, pattern in _PATTERNS.items())
+    matches = [
+        NameMatch(kind, match, match["suffix"])
+        for kind, match in found
+        if match and ((number := match.groupdict().get("index")) is None or _is_number(number))
+    ]
     return max(matches, key=lambda one: len(one.match["name"]), default=None)
 
 
@@ -263,10 +253,7 @@ class Channel:
 
 
 def parse_column(name: str) -> Channel:
-    """What a column name means.
-
-    The longest channel of the table that the name begins with is the channel; the rest is the
-    unit.
+    """What a column name means: the longest channel that it begins with, and the unit.
 
     Raises:
         InputError: the name is not in the table; the nearest known name, or the units to choose
@@ -314,20 +301,16 @@ def order(channel: Channel) -> tuple[int, str, int, int]:
 def _channel(row: NameMatch, unit: str) -> Channel:
     groups = row.match.groupdict()
     number, component = groups.get("index"), groups.get("component")
+    of = TABLE[row.kind]
     return Channel(
-        name=row.match["name"],
-        kind=row.kind,
+        row.match["name"],
+        row.kind,
         index=None if number is None else int(number),
-        component=(None if component is None else TABLE[row.kind].components.index(component)),
-        quantity=TABLE[row.kind].quantity or QUANTITY_OF_SUFFIX[unit],
+        component=None if component is None else of.components.index(component),
+        quantity=of.quantity or QUANTITY_OF_SUFFIX[unit],
         unit=unit,
         camera=groups.get("camera"),
     )
-
-
-def belongs(channel: Channel, kind: Kind) -> bool:
-    """Whether a run of this kind may hold the channel."""
-    return channel.kind == "time" or any(row.name == channel.kind for row in kind.channels)
 
 
 def infer_model(channels: Iterable[Channel]) -> str | None:
@@ -351,8 +334,9 @@ def decide_model(channels: Iterable[Channel], sidecar: str | None, source: str) 
             f"{source}: the channels {names} do not say which model the run is of: "
             f'state it in the sidecar as model = "..." ({one_of(KINDS)})'
         )
+    rows = {"time", *(row.name for row in KINDS[model].channels)}
     for channel in channels:
-        if belongs(channel, KINDS[model]):
+        if channel.kind in rows:
             continue
         if sidecar is not None and inferred not in (None, sidecar):
             raise InputError(

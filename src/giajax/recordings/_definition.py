@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import BaseModel, Field, ValidationError, create_model, field_validator
 from pydantic.fields import FieldInfo
 
-from ..runtime.files import check_size, parse_toml, read_bytes
+from ..runtime.files import check_size, parse_toml, read_text
 from ..runtime.limits import TEXT_BYTES
 from ..runtime.text import InputError, one_of, shown
 from ..schema import KINDS, FillingSection, Kind, MissionSection, Name, Prior, Section, key
@@ -37,15 +37,6 @@ def to_toml(data: dict[str, Any]) -> str:
 def key_path(parts: tuple[str, ...]) -> str:
     """A dotted key; a part that is not a bare word is quoted."""
     return ".".join(part if _BARE.fullmatch(part) else _string(part) for part in parts)
-
-
-def toml_value(value: Any) -> str:
-    """A value on one line, as it stands after `key =`.
-
-    Raises:
-        InputError: a value that TOML cannot hold.
-    """
-    return _value(value, ())
 
 
 def _table(data: dict[str, Any], path: tuple[str, ...]) -> list[str]:
@@ -108,9 +99,12 @@ def complaint(cls: type[BaseModel], error: ValidationError, source: str) -> Inpu
         return InputError(f"{source}: {where} {sentence}" if name else f"{source}: {sentence}")
     if field is None:
         return InputError(f"{source}: [{name}] must be a table of keys: write it as one")
+    about, must = field.json_schema_extra, "legal"
     # One bad number in a table of numbers is not the whole table.
-    in_table = _is_dict(field) and owner is None and len(path) > 2
-    must = _declared(field, in_table=in_table)
+    if isinstance(about, dict) and _is_dict(field) and owner is None and len(path) > 2:
+        must = str(about.get("entry", "a finite number or a list of them"))
+    elif isinstance(about, dict):
+        must = str(about["must"])
     if first["type"] == "missing":
         return InputError(f"{source}: {name}{in_list} is missing, and must be {must}: give it")
     value = shown(first["input"])
@@ -121,24 +115,15 @@ def complaint(cls: type[BaseModel], error: ValidationError, source: str) -> Inpu
 _MANY = 16
 
 
-def _declared(field: FieldInfo, *, in_table: bool = False) -> str:
-    extra = field.json_schema_extra
-    if not isinstance(extra, dict):
-        return "legal"
-    return str(
-        extra.get("entry", "a finite number or a list of them") if in_table else extra["must"]
-    )
-
-
 def plain(value: Any) -> Any:
-    """Mappings, sequences and arrays as dicts, lists and Python numbers, as TOML would give."""
+    """Mappings, sequences, arrays and priors as dicts, lists and numbers, as TOML would give."""
+    if isinstance(value, Prior):
+        return value.contents()
     if isinstance(value, Mapping):
         return {name: plain(item) for name, item in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        return plain(value.tolist())
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]
-    return value
+    return np.asarray(value).tolist() if hasattr(value, "__array__") else value
 
 
 def _locate(
@@ -217,11 +202,13 @@ def _remedy(cls: type[BaseModel], owner: type[BaseModel] | None, path: tuple[str
     near = difflib.get_close_matches(unknown, known, n=1, cutoff=0.7)
     if near:
         return f": did you mean {key_path((*path[:-1], near[0]))}?"
-    homes = []
-    for name, field in cls.model_fields.items():
-        section = _section_of(field)
-        if section is not None and not _is_dict(field) and unknown in section.model_fields:
-            homes.append(f"[{name}]")
+    homes = [
+        f"[{name}]"
+        for name, field in cls.model_fields.items()
+        if (section := _section_of(field)) is not None
+        and not _is_dict(field)
+        and unknown in section.model_fields
+    ]
     if unknown in cls.model_fields and len(path) > 1:
         return ": it belongs at the top of the file, so move it there"
     if homes:
@@ -331,16 +318,7 @@ class Definition(_Sections):
             InputError: it is missing, not TOML or not legal.
         """
         path = Path(path)
-        try:
-            text = read_bytes(path, TEXT_BYTES).decode("utf-8-sig")
-        except FileNotFoundError:
-            raise InputError(f"{path} does not exist: give the path of a TOML file") from None
-        except UnicodeDecodeError:
-            raise InputError(f"{path} is not text: it must be TOML in UTF-8") from None
-        except OSError as error:
-            raise InputError(
-                f"{path} cannot be read ({error.strerror}): give a TOML file"
-            ) from None
+        text = read_text(path, TEXT_BYTES, "TOML", "the path of a TOML file")
         return cls.parse(parse_toml(text, path), str(path))
 
     def merged_with(self, other: "Definition") -> "Definition":
@@ -384,7 +362,7 @@ def fit_settings(
                 "of the two ways"
             )
         return settings
-    said = {name: _as_in_file(value) for name, value in keywords.items() if value is not None}
+    said = {name: plain(value) for name, value in keywords.items() if value is not None}
     if "free" in said and not isinstance(free := keywords["free"], str):
         said["free"] = list(free)
     if isinstance(budget := said.get("budget"), float | int):
@@ -392,17 +370,6 @@ def fit_settings(
             raise InputError(f"the budget is {budget:g} s: give a positive number of seconds")
         said["budget"] = f"{budget:.9f}s"
     return Definition.parse({"fit": said}, source).fit
-
-
-def _as_in_file(value: Any) -> Any:
-    """Arrays and priors in what a person gives as numbers and tables."""
-    if isinstance(value, Prior):
-        return value.contents()
-    if isinstance(value, Mapping):
-        return {name: _as_in_file(item) for name, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_as_in_file(item) for item in value]
-    return np.asarray(value).tolist() if hasattr(value, "__array__") else value
 
 
 def upgraded(data: dict[str, Any]) -> dict[str, Any]:
@@ -413,11 +380,7 @@ def upgraded(data: dict[str, Any]) -> dict[str, Any]:
 
 
 def run_keys(*, model: bool) -> tuple[str, ...]:
-    """What a definition may say about a run: data, checksum and fit are not among it.
-
-    Arguments:
-        model: whether with what it says of the model of the run.
-    """
+    """What a definition may say about a run, with what it says of its `model` or without."""
     sections = [
         name
         for kind in KINDS.values()
@@ -436,15 +399,11 @@ def _merge(below: Any, above: Any, depth: int) -> Any:
 
 
 def sidecar_template(path: str | Path, rename: Mapping[str, str] | None = None) -> str:
-    """TOML text of a sidecar for the run at `path`.
+    """TOML text of a sidecar for the run at `path`, whose columns may be renamed.
 
     It states what follows from the file (model, checksum, free motion) and offers, as comments
     with unit and meaning, every other key of the vocabulary that applies. An old sidecar is not
     read.
-
-    Arguments:
-        path: of the run.
-        rename: the file's column name -> the name it has in the column table.
 
     Raises:
         InputError: the file is not a table of known columns.
@@ -502,12 +461,8 @@ def _line(section: type[BaseModel], name: str, value: Any = None) -> str:
     """`key = value  # meaning`, commented out unless the value is stated."""
     field = section.model_fields[name]
     extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
-    shown = extra["example"] if value is None else value
-    text = f"{key_path((name,))} = {toml_value(shown)}  # {field.description}{_choices(field)}"
+    # The values of a key that is one of a few, as its declaration says them.
+    choices = f": {extra['must']}" if "Literal[" in str(field.annotation) else ""
+    shown = _value(extra["example"] if value is None else value, ())
+    text = f"{key_path((name,))} = {shown}  # {field.description}{choices}"
     return text if value is not None else f"# {text}"
-
-
-def _choices(field: FieldInfo) -> str:
-    """The values of a key that is one of a few, as its declaration says them."""
-    extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
-    return f": {extra['must']}" if "Literal[" in str(field.annotation) else ""

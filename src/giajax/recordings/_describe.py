@@ -1,5 +1,6 @@
 """What a run holds, as plain data for a person to check."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,15 +16,10 @@ _LEAP = 990.0
 
 
 def describe(run: Run) -> dict[str, Any]:
-    """What a run holds.
+    """What a run holds, as plain data (dicts, lists, str, int, float, bool, None).
 
-    Arguments:
-        run: the run.
-
-    Returns:
-        Plain data (dicts, lists, str, int, float, bool, None): `name`, `path`, `model`, `rows`,
-        `time` (s), `command`, `wind`, `channels` (each in its recorded unit), `sidecar` and
-        `notes`, sentences on what is assumed because it is not stated.
+    They are `name`, `path`, `model`, `rows`, `time` (s), `command`, `wind`, `channels` (each in its
+    recorded unit), `sidecar` and `notes`, sentences on what is assumed because it is not stated.
     """
     rows = len(run.times) if run.times is not None else len(next(iter(run.values.values())))
     return {
@@ -143,14 +139,7 @@ def _sidecar(run: Run) -> dict[str, Any] | None:
     }
 
 
-def _first_row(run: Run) -> int | None:
-    """What the first sample is called in a person's file; None for a run made in memory."""
-    if run.path is None:
-        return None
-    return 2 if run.path.suffix.lower() == ".csv" else 1
-
-
-def _leaps(times: npt.NDArray[np.float64], first_row: int | None) -> list[str]:
+def _leaps(times: npt.NDArray[np.float64], path: Path | None) -> list[str]:
     """A note where the time step changes thousandfold: milliseconds among seconds, or a gap."""
     steps = np.diff(times)
     changes = np.abs(np.diff(np.log10(steps))) > np.log10(_LEAP)
@@ -158,7 +147,8 @@ def _leaps(times: npt.NDArray[np.float64], first_row: int | None) -> list[str]:
         return []
     at = int(np.flatnonzero(changes)[0])
     # The second of the two steps ends at the sample after the next.
-    row = f"sample {at + 2}" if first_row is None else f"row {at + 2 + first_row}"
+    first_row = 2 if path is not None and path.suffix.lower() == ".csv" else 1
+    row = f"sample {at + 2}" if path is None else f"row {at + 2 + first_row}"
     again = int(changes.sum()) - 1
     more = f", and again {again} time{'s' * (again > 1)} after it" if again else ""
     return [
@@ -169,7 +159,7 @@ def _leaps(times: npt.NDArray[np.float64], first_row: int | None) -> list[str]:
 
 def _notes(run: Run) -> list[str]:
     notes = run.kind.notes(run, _sidecar(run) is not None)
-    notes += [] if run.times is None else _leaps(run.times, _first_row(run))
+    notes += [] if run.times is None else _leaps(run.times, run.path)
     if not run.observations:
         notes.append("no measured channel: the run can be simulated, but not fitted")
     silent = [name for name in run.observations if run.noise(name) is None]

@@ -30,10 +30,7 @@ _SECONDS = {"s": 1.0, "m": 60.0, "h": 3600.0}
 
 
 def seconds_of(duration: str) -> float:
-    """A time in seconds.
-
-    Arguments:
-        duration: what `DURATION` matches.
+    """A time that `DURATION` matches in seconds.
 
     Example:
         >>> seconds_of("1.5h")
@@ -275,11 +272,7 @@ class FitSettings(Section):
 
     @classmethod
     def shared_with(cls, config: Mapping[str, Any]) -> Self:
-        """What a later fit of the same runs has in common with a fit.
-
-        Arguments:
-            config: of the result of that fit.
-        """
+        """What a later fit of the same runs has in common with that of a result's `config`."""
         names = ("priors", "bounds", "ties", "groups", "loss", "noise_model", "noise_per_run")
         try:
             return cls.model_validate({name: config[name] for name in names if name in config})
@@ -400,15 +393,13 @@ _NOISE_QUANTITIES = {
 def deviation_of(noise: Noise, channel: Channel) -> float | None:
     """The standard deviation (SI) that `[noise]` states for a channel, or None."""
     for column, deviation in noise.columns.items():
-        if column.startswith(channel.name):
-            recorded = parse_column(column)
-            if recorded.name == channel.name:
-                return float(recorded.to_si(deviation))
+        recorded = parse_column(column) if column.startswith(channel.name) else None
+        if recorded is not None and recorded.name == channel.name:
+            return float(recorded.to_si(deviation))
     key = NOISE_KEYS.get(channel.kind)
-    of_quantity = None if key is None else getattr(noise, key)
-    if key is None or of_quantity is None:
+    if key is None or getattr(noise, key) is None:
         return None
-    return float(to_si(*_unit_of(key), of_quantity))
+    return float(to_si(*_unit_of(key), getattr(noise, key)))
 
 
 def correlated_part_of(noise: Noise, channel: Channel) -> tuple[float, float] | None:

@@ -73,22 +73,13 @@ def hold_out(runs: Sequence[Run], names: Sequence[str]) -> tuple[SplitRun, ...]:
 
 
 def split_run(run: Run, held_from: Mapping[str, int]) -> SplitRun:
-    """A run in two parts.
-
-    Arguments:
-        run: the whole.
-        held_from: by channel, the first sample that is held out; where a channel is not in it,
-            none is.
-    """
+    """A run in two parts, by the first sample of each channel that is held out, if one is."""
     masks = {
         name: np.arange(len(values)) >= held_from.get(name, len(values))
         for name, values in run.observations.items()
     }
-    return SplitRun(
-        run,
-        fitted=_cells(run, {name: ~held for name, held in masks.items()}),
-        held=_cells(run, masks),
-    )
+    fitted = _cells(run, {name: ~held for name, held in masks.items()})
+    return SplitRun(run, fitted, held=_cells(run, masks))
 
 
 def _cells(run: Run, kept: Mapping[str, np.ndarray]) -> Run | None:
@@ -124,7 +115,15 @@ def _first_rows(name: str, runs: Sequence[Run]) -> list[dict[str, int]]:
             f"'{name}' is to be held out, and two recordings are called so: rename one of them"
         )
     if last is not None:
-        return _last(runs, SHARE if last[1] is None else _share(last[1], name))
+        share = SHARE if last[1] is None else np.nan
+        if last[1] is not None and _NUMBER.fullmatch(last[1]):
+            share = float(last[1])
+        if not 0 < share < 1:
+            raise InputError(
+                f"'{name}' is to be held out, which is no share: write it like last:0.3, with a "
+                "number between 0 and 1"
+            )
+        return _last(runs, share)
     if named:
         return [
             dict.fromkeys(run.observations, 0) if name in (run.name, run.recording) else {}
@@ -138,16 +137,6 @@ def _first_rows(name: str, runs: Sequence[Run]) -> list[dict[str, int]]:
         f"'{name}' is to be held out, which is no run and no channel: name a run ({names}), a "
         f"channel ({channels}), or last"
     )
-
-
-def _share(text: str, name: str) -> float:
-    share = float(text) if _NUMBER.fullmatch(text) else np.nan
-    if not 0 < share < 1:
-        raise InputError(
-            f"'{name}' is to be held out, which is no share: write it like last:0.3, with a "
-            "number between 0 and 1"
-        )
-    return share
 
 
 def _last(runs: Sequence[Run], share: float) -> list[dict[str, int]]:

@@ -30,15 +30,13 @@ def selected(
     window_s: float | None,
     beside: Sequence[Run] = (),
 ) -> list[Run]:
-    """The runs of a fit with these channels, in windows.
+    """The runs of a fit with these channels, in windows of so many seconds.
 
     Of runs of several models each has those of the channels that are its model's, and those
     without an initial state stay whole.
 
     Arguments:
-        runs: as they were read.
         channels: names without unit; None for all that were measured.
-        window_s: length of a window, s; None for whole runs.
         beside: further runs that the same is asked of.
 
     Raises:
@@ -75,12 +73,8 @@ def _has_state(run: Run) -> bool:
 def observing(run: Run, channels: Sequence[str]) -> Run:
     """The run with only these channels to be compared with a prediction.
 
-    The other channels stay in the run, and may give its initial state.
-
-    Arguments:
-        run: the run.
-        channels: names without unit. `linkNN_angle`, the absolute angle of a link in a plane, is
-            made from the joint angles up to it where it is not recorded.
+    The other channels stay in the run, and may give its initial state. `linkNN_angle`, the absolute
+    angle of a link in a plane, is made from the joint angles up to it where it is not recorded.
 
     Raises:
         InputError: a channel that the run does not have and that cannot be made, or one that the
@@ -134,12 +128,14 @@ def windows(run: Run, length: float) -> list[Run]:
             "say first_row = true in [initial]"
         )
     count = max(np.floor((run.times[-1] - run.times[0]) / length + 0.5), 1)
-    if 4 * count > len(run.times):
-        raise _too_short(run, length)
-    edges = run.times[0] + length * np.arange(int(count) + 1)
-    rows = np.searchsorted(run.times, edges - 1e-9 * length)
+    rows = np.zeros(2, dtype=int)
+    if 4 * count <= len(run.times):  # before so many edges are made
+        edges = run.times[0] + length * np.arange(int(count) + 1)
+        rows = np.searchsorted(run.times, edges - 1e-9 * length)
     if np.min(np.diff(rows)) < 4:
-        raise _too_short(run, length)
+        raise InputError(
+            f"a window of {length:g} s of '{run.name}' holds fewer than 4 samples: make it longer"
+        )
     parts = [
         rows_of(run, slice(first, last), f"{run.name} {run.times[first] - run.times[0]:.4g} s")
         for first, last in itertools.pairwise(rows)
@@ -161,12 +157,6 @@ def rows_of(run: Run, rows: slice, name: str) -> Run:
         name=name,
         times=None if run.times is None else run.times[rows],
         values={channel: column[rows] for channel, column in run.values.items()},
-    )
-
-
-def _too_short(run: Run, length: float) -> InputError:
-    return InputError(
-        f"a window of {length:g} s of '{run.name}' holds fewer than 4 samples: make it longer"
     )
 
 
@@ -213,11 +203,7 @@ def read_runs(
 ) -> list[Run]:
     """Read the runs of a fit, with the channels and the windows that its definition asks for.
 
-    Arguments:
-        paths: as of `read_run`.
-        definition: the fit definition.
-        rename: as of `read_run`.
-        beside: runs that the definition is about, too: those that are fitted, of a validation.
+    It is about those `beside`, too: those that are fitted, of a validation.
 
     Raises:
         InputError: as `read_run`, `observing` and `windows`.
@@ -292,8 +278,6 @@ def parse_rename(pairs: list[str], option: str = "--rename") -> dict[str, str]:
     return rename
 
 
-# Whether files may be written, and how.
-
 # What files of this toolkit end in: a folder of such a name is a slip.
 _FILES = (".csv", ".parquet", ".toml", ".json", ".png", ".txt", ".html")
 
@@ -324,14 +308,7 @@ def check_output_files(paths: Iterable[str | Path], *, force: bool) -> None:
 
 
 def check_run_name(path: str | Path) -> Path:
-    """Refuse a name that no run can be written to; `.csv` is its only form.
-
-    Returns:
-        The path.
-
-    Raises:
-        InputError: the name does not end in `.csv`.
-    """
+    """The path, unless its name does not end in `.csv`: no run can be written to that."""
     path = Path(path)
     if path.suffix != ".csv":
         raise InputError(f"{path} must end in .csv to be written as a run: give such a name")
@@ -339,11 +316,7 @@ def check_run_name(path: str | Path) -> Path:
 
 
 def check_output_run(path: str | Path, *, force: bool) -> None:
-    """Refuse a run that could not be written with its sidecar.
-
-    Raises:
-        InputError: naming the file and what to do.
-    """
+    """Refuse a run that could not be written with its sidecar, as `check_output_files`."""
     path = check_run_name(path)
     check_output_files((path, sidecar_path(path)), force=force)
 
@@ -384,10 +357,7 @@ def check_output_folder(
 
 
 def make_folder(folder: str | Path) -> Path:
-    """Make a folder with all above it, unless it is there.
-
-    Returns:
-        Its path.
+    """Make a folder with all above it, unless it is there; its path.
 
     Raises:
         InputError: it cannot be made.
@@ -517,10 +487,8 @@ def _csv(
 
 def _recorded(name: str, units: Mapping[str, str]) -> Channel:
     channel = Channel.named(name)
-    unit = units.get(
-        name, units.get(channel.quantity, DEFAULT_UNITS.get(channel.quantity, channel.unit))
-    )
-    return Channel.named(name, unit)
+    usual = DEFAULT_UNITS.get(channel.quantity, channel.unit)
+    return Channel.named(name, units.get(name, units.get(channel.quantity, usual)))
 
 
 def _cells(values: npt.NDArray[np.float64], digits: int) -> list[str]:

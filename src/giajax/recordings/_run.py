@@ -1,5 +1,6 @@
 """A run: what was recorded and commanded in one experiment, checked and in SI units."""
 
+import itertools
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -30,42 +31,34 @@ def check_times(times: Times, naming: Naming, *, integrated: bool) -> None:
         naming: how an error names the samples.
         integrated: whether a model goes through all of the time between them.
     """
-    bad = np.flatnonzero(~np.isfinite(times))
-    if bad.size:
-        state = "infinite" if np.isinf(times[bad[0]]) else "empty"
+    if (at := _first(~np.isfinite(times))) is not None:
+        state = "infinite" if np.isinf(times[at]) else "empty"
         raise InputError(
-            f"{naming.source}: time in {naming.at(bad[0])} is {state}, but every sample must "
-            "have its time: complete or remove it"
+            f"{naming.source}: time in {naming.at(at)} is {state}, but every sample must have its "
+            "time: complete or remove it"
         )
-    bad = np.flatnonzero(np.abs(times) > TIME_S)
-    if bad.size:
+    if (at := _first(np.abs(times) > TIME_S)) is not None:
         raise InputError(
-            f"{naming.source}: time in {naming.at(bad[0])} is {times[bad[0]]:.9g} s, but must be "
-            f"at most {TIME_S:g} s: correct the stamp, or its unit"
+            f"{naming.source}: time in {naming.at(at)} is {times[at]:.9g} s, but must be at most "
+            f"{TIME_S:g} s: correct the stamp, or its unit"
         )
     steps = np.diff(times)
-    bad = np.flatnonzero(steps <= 0)
-    if bad.size:
-        at = bad[0] + 1
+    if (at := _first(steps <= 0)) is not None:
         raise InputError(
-            f"{naming.source}: time goes from {times[at - 1]:.9g} s to {times[at]:.9g} s in "
-            f"{naming.at(at)}, but must strictly increase: sort the samples and remove repeated "
-            "ones"
+            f"{naming.source}: time goes from {times[at]:.9g} s to {times[at + 1]:.9g} s in "
+            f"{naming.at(at + 1)}, but must strictly increase: sort the samples and remove "
+            "repeated ones"
         )
     _check_unit(times, steps, naming)
-    bad = np.flatnonzero(steps < STEP_S)
-    if bad.size:
-        at = bad[0] + 1
+    if (at := _first(steps < STEP_S)) is not None:
         raise InputError(
-            f"{naming.source}: {naming.at(at)} is {steps[at - 1]:.3g} s after the one before, "
-            f"but must be at least {STEP_S:g} s after it: correct the stamp"
+            f"{naming.source}: {naming.at(at + 1)} is {steps[at]:.3g} s after the one before, but "
+            f"must be at least {STEP_S:g} s after it: correct the stamp"
         )
-    bad = np.flatnonzero(steps > GAP_S)
-    if bad.size and integrated:
-        at = bad[0] + 1
+    if integrated and (at := _first(steps > GAP_S)) is not None:
         raise InputError(
-            f"{naming.source}: {naming.at(at)} is {steps[at - 1]:.6g} s after the one before, "
-            f"but may be {GAP_S:g} s after it at most: correct the stamp, or cut the run in two"
+            f"{naming.source}: {naming.at(at + 1)} is {steps[at]:.6g} s after the one before, but "
+            f"may be {GAP_S:g} s after it at most: correct the stamp, or cut the run in two"
         )
     if integrated and times[-1] - times[0] > DURATION_S:
         raise InputError(
@@ -81,13 +74,18 @@ def _check_unit(times: Times, steps: Times, naming: Naming) -> None:
     before, leap, after = steps[:-2], times[2:-1] / 1000 - times[1:-2], steps[2:] / 1000
     ends = before / _EVEN, before * _EVEN
     follow = (leap > ends[0]) & (leap < ends[1]) & (after > ends[0]) & (after < ends[1])
-    if follow.any():
-        at = int(np.flatnonzero(follow)[0]) + 2
+    if (at := _first(follow)) is not None:
         raise InputError(
-            f"{naming.source}: time goes from {times[at - 1]:.9g} s to {times[at]:.9g} s in "
-            f"{naming.at(at)}, and from there on as if in milliseconds, but must have one unit: "
-            "convert the stamps"
+            f"{naming.source}: time goes from {times[at + 1]:.9g} s to {times[at + 2]:.9g} s in "
+            f"{naming.at(at + 2)}, and from there on as if in milliseconds, but must have one "
+            "unit: convert the stamps"
         )
+
+
+def _first(wrong: npt.NDArray[np.bool_]) -> int | None:
+    """The first sample that is wrong, or None."""
+    at = np.flatnonzero(wrong)
+    return int(at[0]) if at.size else None
 
 
 # Checks of a run's content, the same for a file and for arrays.
@@ -103,44 +101,29 @@ class _RecordedRun:
     definition: Definition
 
 
-def check_content(
-    model: str,
-    times: npt.NDArray[np.float64] | None,
-    values: Mapping[str, npt.NDArray[Any]],
-    channels: Mapping[str, Channel],
-    definition: Definition,
-    naming: Naming,
-) -> None:
+def _check(kind: Kind, content: _RecordedRun, naming: Naming) -> None:
     """Raise `InputError` for the first thing in a run that no model could use."""
-    kind = KINDS[model]
-    _check_lengths(kind, times, values, channels, naming)
-    if times is not None:
-        check_times(times, naming, integrated=kind.timed)
-    for name, channel in channels.items():
+    _check_lengths(kind, content, naming)
+    if content.times is not None:
+        check_times(content.times, naming, integrated=kind.timed)
+    measured = {name for name, channel in content.channels.items() if channel.kind in kind.outputs}
+    for name, channel in content.channels.items():
         if channel.quantity == "text":
-            _check_text(values[name], channel, naming)
+            _check_text(content.values[name], channel, naming)
         else:
             # What acts on a model must be known at every sample; only measurements may be missing.
-            gaps = channel.kind in kind.outputs
-            _check_numbers(values[name], channel, naming, gaps=gaps)
-    for column in definition.noise.columns:
-        if parse_column(column).name not in {
-            name for name, channel in channels.items() if channel.kind in kind.outputs
-        }:
+            _check_numbers(content.values[name], channel, naming, gaps=name in measured)
+    for column in content.definition.noise.columns:
+        if parse_column(column).name not in measured:
             raise InputError(
                 f"{naming.source}: noise is stated for {column!r}, which must be a measured "
                 "column of the run: correct or remove that key"
             )
-    kind.check(_RecordedRun(times, values, channels, definition), naming)
+    kind.check(content, naming)
 
 
-def _check_lengths(
-    kind: Kind,
-    times: npt.NDArray[np.float64] | None,
-    values: Mapping[str, npt.NDArray[Any]],
-    channels: Mapping[str, Channel],
-    naming: Naming,
-) -> None:
+def _check_lengths(kind: Kind, content: _RecordedRun, naming: Naming) -> None:
+    times, values, channels = content.times, content.values, content.channels
     if times is None and kind.timed:
         run = f"{'an' if kind.name[0] in 'aeiou' else 'a'} {kind.name} run"
         raise InputError(
@@ -166,40 +149,36 @@ def _check_lengths(
 
 def _check_text(array: npt.NDArray[Any], channel: Channel, naming: Naming) -> None:
     allowed = TEXTS[channel.kind]
-    for index, text in enumerate(array):
-        if text not in allowed:
-            raise InputError(
-                f"{naming.source}: {naming.of(channel)} is {text!r} in {naming.at(index)}, but "
-                f"must be {' or '.join(allowed)} everywhere: correct it"
-            )
+    at = next((index for index, text in enumerate(array) if text not in allowed), None)
+    if at is not None:
+        raise InputError(
+            f"{naming.source}: {naming.of(channel)} is {array[at]!r} in {naming.at(at)}, but must "
+            f"be {' or '.join(allowed)} everywhere: correct it"
+        )
 
 
 def _check_numbers(
     array: npt.NDArray[Any], channel: Channel, naming: Naming, *, gaps: bool
 ) -> None:
-    missing = np.isnan(array)
+    missing, called = np.isnan(array), f"{naming.source}: {naming.of(channel)}"
     if missing.all():
         raise InputError(
-            f"{naming.source}: {naming.of(channel)} has no value at all: "
-            "it must have at least one, so fill or remove it"
+            f"{called} has no value at all: it must have at least one, so fill or remove it"
         )
-    bad = np.flatnonzero(np.isinf(array))
-    if bad.size:
+    if (at := _first(np.isinf(array))) is not None:
         raise InputError(
-            f"{naming.source}: {naming.of(channel)} is infinite in {naming.at(bad[0])}, but "
-            "must be a finite number or empty: correct it"
+            f"{called} is infinite in {naming.at(at)}, but must be a finite number or empty: "
+            "correct it"
         )
-    bad = np.flatnonzero(np.abs(array) > VALUE)
-    if bad.size:
+    if (at := _first(np.abs(array) > VALUE)) is not None:
         raise InputError(
-            f"{naming.source}: {naming.of(channel)} is {channel.from_si(array[bad[0]]):.3g} in "
-            f"{naming.at(bad[0])}, but no value of a recording is so large: correct or empty it"
+            f"{called} is {channel.from_si(array[at]):.3g} in {naming.at(at)}, but no value of a "
+            "recording is so large: correct or empty it"
         )
-    bad = np.flatnonzero(missing)
-    if bad.size and not gaps:
+    if not gaps and (at := _first(missing)) is not None:
         raise InputError(
-            f"{naming.source}: {naming.of(channel)} is empty in {naming.at(bad[0])}, but what "
-            "drives the model must be known at every sample: fill the gap"
+            f"{called} is empty in {naming.at(at)}, but what drives the model must be known at "
+            "every sample: fill the gap"
         )
 
 
@@ -318,17 +297,11 @@ class Run:
         return {name: measured[name] for name in self.observed if name in measured}
 
     def noise(self, name: str) -> float | None:
-        """Standard deviation of channel `name` in `[noise]`, SI; None if it is not there.
-
-        The key of the column wins over that of its quantity.
-        """
+        """Standard deviation (SI) that `[noise]` states by column or quantity, or None."""
         return deviation_of(self.definition.noise, self.channels[name])
 
     def correlated_noise(self, name: str) -> tuple[float, float] | None:
-        """The correlated part of a channel's noise, as `[noise]` states it.
-
-        Its standard deviation, SI, and its correlation time, s; None where neither is stated.
-        """
+        """Standard deviation (SI) and time (s) of the correlated part, where it is stated."""
         return correlated_part_of(self.definition.noise, self.channels[name])
 
     def require_observations(self) -> None:
@@ -369,7 +342,7 @@ def build_run(
             "such as joint01_command_deg and link06_z_m"
         )
     model = decide_model(channels.values(), definition.model, naming.source)
-    check_content(model, times, values, channels, definition, naming)
+    _check(KINDS[model], _RecordedRun(times, values, channels, definition), naming)
     for array in (*values.values(), *(() if times is None else (times,))):
         array.setflags(write=False)
     return Run(name, model, times, values, channels, definition, path, sha256)
@@ -396,9 +369,7 @@ def _text(values: npt.ArrayLike, what: str) -> npt.NDArray[Any]:
     return array
 
 
-# Names of runs, for the names of files.
-
-# 50 characters of four bytes leave room for what is around them in a name.
+# 50 characters of four bytes leave room for what is around them in the name of a file.
 _LONGEST = 50
 
 
@@ -407,10 +378,7 @@ def unique_names(runs: Sequence[Run]) -> list[str]:
     names: list[str] = []
     for run in runs:
         stem = re.sub(r"[^\w.-]+", "_", run.name).strip(".")[:_LONGEST] or "run"
-        name = stem
-        number = 1
-        while name.lower() in (other.lower() for other in names):
-            number += 1
-            name = f"{stem}_{number}"
-        names.append(name)
+        taken = {other.lower() for other in names}
+        numbered = (f"{stem}_{number}" for number in itertools.count(2))
+        names.append(next(n for n in itertools.chain([stem], numbered) if n.lower() not in taken))
     return names

@@ -129,10 +129,7 @@ class _Result:
 
 
 def stored_result(path: str | Path) -> tuple[Path, dict[str, Any]]:
-    """A `result.json` as plain data, and the folder it is in.
-
-    Arguments:
-        path: of the file, or of its folder.
+    """A `result.json`, by its path or that of its folder, as plain data, and the folder it is in.
 
     Raises:
         InputError: there is no such file, or it is no result of this version.

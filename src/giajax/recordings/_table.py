@@ -4,6 +4,7 @@ import csv
 import difflib
 import hashlib
 import io
+import itertools
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -36,15 +37,11 @@ _UNITS = frozenset(
 def check_header(text: str, path: Path) -> None:
     """Refuse a CSV file whose first line does not name its columns because another line does.
 
-    Arguments:
-        text: of the file, with `\\n` at the ends of its lines.
-        path: of the file, for the error.
-
     Raises:
         InputError: comments, units or a title stand above the header, or `#` before it.
     """
     lines = text.split("\n", _LINES)[:_LINES]
-    comments = next((i for i, line in enumerate(lines) if not _comment(line)), len(lines))
+    comments = len([*itertools.takewhile(lambda line: line.lstrip(' "').startswith("#"), lines)])
     if comments:
         below = _cells(lines[comments]) if comments < len(lines) else []
         # As numpy writes it: the names are in the last comment, and numbers follow.
@@ -76,10 +73,6 @@ def check_header(text: str, path: Path) -> None:
         )
 
 
-def _comment(line: str) -> bool:
-    return line.lstrip(' "').startswith("#")
-
-
 def _cells(line: str) -> list[str]:
     return [cell.strip() for cell in next(csv.reader([line]), [])]
 
@@ -91,8 +84,6 @@ def _named(cells: Sequence[str]) -> bool:
     except InputError:
         return False
 
-
-# The text of a CSV file as a header and columns of text.
 
 # Bytes in which the lines above a header are looked for.
 _TOP = 1 << 16
@@ -258,7 +249,8 @@ def read_table(path: Path, rename: Mapping[str, str] | None = None) -> Table:
     for (column, channel), series in zip(named.items(), columns, strict=True):
         where = f"{path}: column {column!r}"
         if channel.quantity == "text":
-            values[channel.name] = _texts(series)
+            texts = [None if text is None else str(text).strip() or None for text in series]
+            values[channel.name] = np.array(texts, dtype=object)
             continue
         numbers = channel.to_si(_numbers(series, where, first_row))
         if channel.kind == "time":
@@ -270,10 +262,7 @@ def read_table(path: Path, rename: Mapping[str, str] | None = None) -> Table:
 
 
 def read_numbers(path: Path) -> dict[str, npt.NDArray[np.float64]]:
-    """The columns of a `.csv` or `.parquet` file by the names that they have there.
-
-    Arguments:
-        path: of the file, of which every cell is a number or empty (NaN).
+    """The columns of a `.csv` or `.parquet` file of numbers and empty cells (NaN), by their names.
 
     Raises:
         InputError: the file is not such a table.
@@ -289,19 +278,6 @@ def read_numbers(path: Path) -> dict[str, npt.NDArray[np.float64]]:
 
 def _split(path: Path) -> tuple[bytes, list[str], list[pl.Series], int]:
     """Content, header and columns of a file, and what errors call its first row."""
-    data = _bytes(path)
-    split = split_csv if path.suffix.lower() == ".csv" else split_parquet
-    header, columns, first_row = split(data, path)
-    if len(header) > COLUMNS:
-        raise InputError(
-            f"{path} has {len(header):,} columns, but may have {COLUMNS:,} at most: remove some"
-        )
-    if not columns or len(columns[0]) == 0:
-        raise InputError(f"{path} has a header but no rows: it must have samples, so add them")
-    return data, header, columns, first_row
-
-
-def _bytes(path: Path) -> bytes:
     if path.suffix.lower() not in _SUFFIXES:
         raise InputError(
             f"{path} must be a run, a file whose name ends in .csv or .parquet: give or convert one"
@@ -316,7 +292,15 @@ def _bytes(path: Path) -> bytes:
         raise InputError(f"{path} cannot be read ({error.strerror}): give a readable run") from None
     if not data.strip():
         raise InputError(f"{path} is empty: it must have a header line and samples")
-    return data
+    split = split_csv if path.suffix.lower() == ".csv" else split_parquet
+    header, columns, first_row = split(data, path)
+    if len(header) > COLUMNS:
+        raise InputError(
+            f"{path} has {len(header):,} columns, but may have {COLUMNS:,} at most: remove some"
+        )
+    if not columns or len(columns[0]) == 0:
+        raise InputError(f"{path} has a header but no rows: it must have samples, so add them")
+    return data, header, columns, first_row
 
 
 def _renamed(header: Sequence[str], rename: Mapping[str, str], path: Path) -> list[str]:
@@ -372,11 +356,4 @@ def _numbers(series: pl.Series, where: str, first_row: int) -> npt.NDArray[np.fl
                 f"{where} has {shown(text, 40)} in row {int(index) + first_row}, but must have a "
                 "number or an empty cell: correct it"
             )
-    return array
-
-
-def _texts(series: pl.Series) -> npt.NDArray[Any]:
-    texts = [None if text is None else str(text).strip() or None for text in series]
-    array = np.empty(len(texts), dtype=object)
-    array[:] = texts
     return array

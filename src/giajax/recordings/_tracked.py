@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..runtime.files import read_bytes
+from ..runtime.files import read_text
 from ..runtime.limits import RUN_BYTES
 from ..runtime.text import InputError, one_of, shown
 from ._channels import TABLE, Channel
@@ -140,14 +140,7 @@ def read_kinovea(
 
 
 def _text(path: Path) -> str:
-    try:
-        return read_bytes(path, RUN_BYTES).decode("utf-8-sig")
-    except FileNotFoundError:
-        raise InputError(f"{path} does not exist: give the file of tracked points") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path} is not text: it must be a CSV file in UTF-8") from None
-    except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror}): give a CSV file") from None
+    return read_text(path, RUN_BYTES, "a CSV file", "the file of tracked points")
 
 
 def _numbers(
@@ -187,16 +180,14 @@ def _checked(
 def filmed(
     tracked: TrackedPoints, channels: Mapping[str, str], camera: str | None = None
 ) -> dict[str, npt.NDArray[np.float64]]:
-    """The channels of tracked points.
+    """The channels of tracked points, such as `link06_u` and `link06_v`, px.
+
+    They are NaN where a point was not found. Points without a channel are left out.
 
     Arguments:
         tracked: what a program tracked.
         channels: name of a tracked point -> what it is: `link06`, `tip` or `mark01`.
         camera: that filmed it; its name goes before those of the channels.
-
-    Returns:
-        `link06_u`, `link06_v` and so on, px, each of shape (picture,), NaN where a point was not
-        found. Points without a channel are left out.
 
     Raises:
         InputError: no such point, a name that no camera shows, or one that is given twice.
@@ -262,16 +253,9 @@ def filmed_beside(
 ) -> tuple[npt.NDArray[np.float64], dict[str, npt.NDArray[np.float64]]]:
     """The points of a film and what was recorded beside it as one table, which loses neither.
 
-    It has a row for each time of either. Between their rows inputs are linear, before the first
-    and after the last they are held; what was measured stands at its own times alone.
-
-    Arguments:
-        times: of the pictures, s.
-        values: channels of the film, px.
-        beside: on the clock of the film.
-
-    Returns:
-        Times, and all channels at them.
+    It has a row for each time (s) of either, on one clock. Between their rows inputs are linear,
+    before the first and after the last they are held; what was measured stands at its own times
+    alone.
 
     Raises:
         InputError: a channel of the film is there already.

@@ -76,6 +76,22 @@ def read_bytes(path: Path, most: int) -> bytes:
     return data
 
 
+def read_text(path: Path, most: int, form: str, wanted: str) -> str:
+    """The text of a file in UTF-8, as `read_bytes`; what it is, and what to give, in errors.
+
+    Raises:
+        InputError: there is no such file, or it cannot be read, or is no text.
+    """
+    try:
+        return read_bytes(path, most).decode("utf-8-sig")
+    except FileNotFoundError:
+        raise InputError(f"{path} does not exist: give {wanted}") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path} is not text: it must be {form} in UTF-8") from None
+    except OSError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror}): give {wanted}") from None
+
+
 def keep(path: Path, data: bytes) -> None:
     """Write a file of a study that goes on, durably, into a folder that is made if it is missing.
 

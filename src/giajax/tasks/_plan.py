@@ -11,7 +11,7 @@ from typing import Any, Self
 import numpy as np
 
 from ..recordings import Definition, FitSettings, fit_settings
-from ..runtime.files import check_size, parse_toml, read_bytes
+from ..runtime.files import check_size, parse_toml, read_text
 from ..runtime.limits import TEXT_BYTES
 from ..runtime.tasks import Task
 from ..runtime.text import InputError, one_of, shown
@@ -274,14 +274,7 @@ class Plan:
             InputError: the file is missing, is no TOML, or as `parse`.
         """
         path = Path(path)
-        try:
-            text = read_bytes(path, TEXT_BYTES).decode("utf-8-sig")
-        except FileNotFoundError:
-            raise InputError(f"{path} does not exist: give the path of a plan") from None
-        except UnicodeDecodeError:
-            raise InputError(f"{path} is not text: it must be TOML in UTF-8") from None
-        except OSError as error:
-            raise InputError(f"{path} cannot be read ({error.strerror}): give a plan") from None
+        text = read_text(path, TEXT_BYTES, "TOML", "the path of a plan")
         plan = cls.parse(parse_toml(text, path), path.parent, str(path))
         return dataclasses.replace(plan, source=path)
 

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from ...recordings import complaint
 from ...runtime.arrays import Float
-from ...runtime.files import parse_toml, read_bytes
+from ...runtime.files import parse_toml, read_text
 from ...runtime.limits import TEXT_BYTES
 from ...runtime.text import InputError
 from ...schema import PadFile, PadSection
@@ -88,12 +88,8 @@ class PadMapping:
         """
         path = Path(path)
         try:
-            table = parse_toml(read_bytes(path, TEXT_BYTES).decode(), path)
-            section = PadFile(**table).pad
-        except FileNotFoundError:
-            raise InputError(f"{path} does not exist: give a TOML file with a [pad]") from None
-        except UnicodeDecodeError:
-            raise InputError(f"{path} is not text: give a TOML file with a [pad]") from None
+            text = read_text(path, TEXT_BYTES, "TOML", "a TOML file with a [pad]")
+            section = PadFile(**parse_toml(text, path)).pad
         except ValidationError as error:
             raise complaint(PadFile, error, str(path)) from None
         return cls.from_section(section, joints, str(path))
