@@ -85,3 +85,102 @@ def test_a_page_with_a_negative_number_of_values_is_refused(tmp_path):
     path.write_bytes(data.replace(b"\x2c\x15\x64\x15", b"\x2c\x15\x63\x15"))
     with pytest.raises(InputError, match="is not a Parquet file"):
         read_numbers(path)
+
+
+def number(value):
+    """Zigzag."""
+    return whole((value << 1) ^ (value >> 63))
+
+
+def whole(value):
+    """Seven bits a byte."""
+    found = b""
+    while value > 127:
+        found, value = found + bytes([value & 127 | 128]), value >> 7
+    return found + bytes([value])
+
+
+def thrift(table):
+    """A table of numbers, texts, tables and lists in Thrift's compact protocol."""
+    found = b""
+    for field, value in table.items():
+        kind, data = item(value)
+        # The long form of a field's head: its kind, and then its number.
+        found += bytes([kind]) + number(field) + data
+    return found + b"\0"
+
+
+def item(value):
+    if isinstance(value, dict):
+        return 12, thrift(value)
+    if isinstance(value, bytes):
+        assert len(value) < 64
+        return 8, bytes([len(value)]) + value
+    if isinstance(value, list):
+        parts = [item(part) for part in value]
+        head = bytes([0xF0 | parts[0][0]]) + whole(len(parts))
+        return 9, head + b"".join(data for _, data in parts)
+    return 6, number(value)
+
+
+def parquet(pages, column=None, schema=None):
+    """A file of one column of texts, with these pages."""
+    about = {1: 6, 2: [0], 3: [b"a"], 4: 0, 5: 10, 6: len(pages), 7: len(pages), 9: 4}
+    about |= {} if column is None else column
+    footer = thrift(
+        {
+            1: 1,
+            2: schema or [{4: b"root", 5: 1}, {1: 6, 3: 0, 4: b"a"}],
+            3: 10,
+            4: [{1: [{2: 4, 3: about}], 2: len(pages), 3: 10}],
+        }
+    )
+    return b"PAR1" + pages + footer + len(footer).to_bytes(4, "little") + b"PAR1"
+
+
+def page(encoding=0, size=0, extra=0):
+    """The head of a page, which says what it has, and that."""
+    head = {1: 0, 2: size, 3: size, 5: {1: 10, 2: encoding, 3: 3, 4: 3}}
+    if extra:
+        head[99] = [0] * extra
+    return thrift(head) + bytes(size)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        parquet(page(encoding=7)),
+        parquet(page(), column={11: 0}),
+        parquet(page(), column={9: 0}),
+        parquet(page(size=100), column={7: len(page(size=100)) - 1}),
+        parquet(page(extra=60_000) * 75),
+        parquet(page(), schema=[{4: b"g", 5: 1}] * 1000 + [{1: 6, 3: 0, 4: b"a"}]),
+    ],
+    ids=["texts by prefix", "offset 0", "first offset 0", "beyond the end", "heads", "groups"],
+)
+def test_what_misleads_its_reader_is_refused_before(tmp_path, monkeypatch, data):
+    """A page that may be of any size, that is not where it is read, or groups without end."""
+    path = tmp_path / "run.parquet"
+    path.write_bytes(data)
+    monkeypatch.setattr(pl, "read_parquet_schema", lambda _: pytest.fail("it was unpacked"))
+    with pytest.raises(InputError, match="is not a Parquet file"):
+        read_numbers(path)
+
+
+def test_a_file_that_is_made_so_and_misleads_nobody_goes_to_the_reader(tmp_path, monkeypatch):
+    """Or the test before would pass by any fault of how its files are made."""
+    path = tmp_path / "run.parquet"
+    path.write_bytes(parquet(page(size=10)))
+    monkeypatch.setattr(pl, "read_parquet_schema", lambda _: {})
+    monkeypatch.setattr(pl, "read_parquet", lambda _: pl.DataFrame({"b": [1.0]}))
+    assert list(read_numbers(path)) == ["b"]
+
+
+def test_categories_count_as_the_texts_that_they_become(tmp_path):
+    path = tmp_path / "run.parquet"
+    rows = 300_000
+    frame = pl.DataFrame({"side": pl.repeat("1" * 900, rows, eager=True)}, {"side": pl.Categorical})
+    frame.write_parquet(path)
+    assert path.stat().st_size < 1 << 20
+    with pytest.raises(InputError, match=r"the texts of column 'side' may have 268,435,456 bytes"):
+        read_numbers(path)

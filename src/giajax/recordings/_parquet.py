@@ -16,7 +16,7 @@ from ..runtime.limits import CELL_BYTES, DEPTH, PARQUET_BYTES, PARQUET_FOOTER_BY
 from ..runtime.text import InputError
 
 # Pages, and bytes before each: more than any program makes of a file within the limits.
-_PAGES, _PAGE_HEAD, _PAGE_HEADS = 100_000, 1 << 16, 1 << 24
+_PAGES, _PAGE_HEAD, _PAGE_HEADS = 100_000, 1 << 16, 1 << 22
 
 # Fields of a page (it has values, is a dictionary, or has values of the second version), and that
 # of the encoding in each. Of texts by the prefix that they share with the one before, a page of a

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 import giajax
 from giajax import InputError
 from giajax.apps.control import Compensator
-from giajax.apps.driving import Compensation, PadMapping, Session, TipCamera, replay
+from giajax.apps.driving import Compensation, PadMapping, Session, TipCamera, read_pad, replay
 from giajax.apps.synthetic import gusts
 from giajax.cli import main
 from giajax.mechanics.arm import chain, tip_position
@@ -155,6 +155,9 @@ def test_drives_that_are_none(model):
     session = Session(model)
     with pytest.raises(InputError, match=r"is 1e\+09 s long, but may be 16666\.7 s long at 30 pos"):
         replay(session, {"time_s": np.array([0.0, 1e9]), "axis0": np.zeros(2)})
+    many = np.linspace(0.0, 1.0, 500_001)
+    with pytest.raises(InputError, match="there are 500,001 rows: give 500,000 at most"):
+        replay(session, {"time_s": many, "axis0": many})
     with pytest.raises(InputError, match="nothing was driven"):
         session.record.run(["tip_z"])
     session.tick(0.0)
@@ -184,6 +187,11 @@ def test_a_drive_is_saved_as_a_run(tmp_path, monkeypatch, capsys):
     (tmp_path / "pad.csv").write_text("time_s,button0\n0,1\n")
     assert main(words) == 2
     assert "is of a pad without axes" in capsys.readouterr().err
+    # Another spelling of a number would be read by no name, or make room for what is not there.
+    for name in ("axis00", "axis256", "axis٣", "axis-1", "axis1_0", "button"):
+        (tmp_path / "pad.csv").write_text(f"time_s,axis0,{name}\n0,0,0\n1,0,0\n")
+        with pytest.raises(InputError, match=f"has a column '{name}': name columns axis0"):
+            read_pad("pad.csv")
     (tmp_path / "pad.csv").write_text("time_s,axis0\n0,0\n1e9,1\n")
     assert main(words) == 2
     error = capsys.readouterr().err

@@ -107,6 +107,12 @@ def test_words_say_what_is_seen():
     assert "recorded" not in words(Show("run", scene, nothing), 2, "blue")
 
 
+def test_the_name_of_a_run_is_no_markup():
+    said = words(Show("a](http://b) <img src=x>\n# run_1", moving(), {}), 2, "blue")
+    shown = r"**a\]\(http\:\/\/b\) \<img src\=x\> \# run\_1** (blue)"
+    assert said.splitlines()[0].strip() == shown
+
+
 def test_scales_and_pieces_are_those_of_the_scene():
     show = Show("a", moving())
     scale = scale_of([show])

@@ -1,15 +1,19 @@
 """The gate: nothing without the token, everything with it."""
 
+import html
 import socket
+import stat
 import subprocess
 import sys
 import threading
 import time
+import webbrowser
 from contextlib import ExitStack, suppress
 from http.server import BaseHTTPRequestHandler
 from pathlib import Path
 from socketserver import ThreadingUnixStreamServer
 from urllib.error import HTTPError
+from urllib.parse import urlparse
 from urllib.request import urlopen
 
 import pytest
@@ -18,7 +22,7 @@ from websockets.sync.client import connect
 from websockets.sync.server import unix_serve
 
 from giajax import InputError
-from giajax.apps.viewer import Gate, PrivateSocket, _gate, bound
+from giajax.apps.viewer import Gate, PrivateSocket, _gate, bound, open_in_browser
 
 pytestmark = pytest.mark.quick
 
@@ -261,3 +265,16 @@ def test_a_port_in_use_is_one_sentence(page):
         bound("", 0)
     with pytest.raises(InputError, match="cannot listen at aaaa"):
         bound("a" * 300, 0)
+
+
+def test_a_token_is_in_no_words_of_a_process(monkeypatch):
+    """Others see what a browser is started with, and cannot read the file that it opens."""
+    opened = []
+    monkeypatch.setattr(webbrowser, "open", opened.append)
+    address = 'http://127.0.0.1:8000/?token=abc&more="d'
+    open_in_browser(address)
+    path = Path(urlparse(opened[0]).path)
+    assert opened[0].startswith("file:")
+    assert "abc" not in opened[0]
+    assert stat.S_IMODE(path.parent.stat().st_mode) == 0o700
+    assert f'href="{html.escape(address)}"' in path.read_text()
