@@ -10,8 +10,6 @@ from ..runtime.arrays import Float
 from ._model import ChannelNoise, Stated, solve
 from ._restricted import Cells, Restricted, best_scales, scaled
 
-# Noise among outliers: its size by the median, and the weight that each cell keeps.
-
 # 1.4826 median(|x|) estimates the standard deviation of a normal variable.
 MAD = 1.4826
 
@@ -22,11 +20,7 @@ _LEAST_WHITE = 0.1
 
 
 def robust_deviation(residuals: Float[np.ndarray, " cell"]) -> float:
-    """Standard deviation of normal noise with some outliers; never 0.
-
-    Arguments:
-        residuals: of a fit, shape (cell,).
-    """
+    """Standard deviation of normal noise with some outliers; never 0."""
     size = np.abs(np.asarray(residuals, dtype=float))
     # Never zero: data without noise would weigh infinitely.
     return max(MAD * float(np.median(size)), 1e-12 * float(np.max(size, initial=0.0)), 1e-300)
@@ -37,14 +31,8 @@ def outlier_weights(cells: Cells, noise: ChannelNoise) -> Float[np.ndarray, " ce
 
     They minimise the sum of Huber's loss of the white part and of the square of the correlated
     one: an outlier is not correlated noise, so its neighbours do not predict it, nor it them
-    (iteratively reweighted least squares; Huber 1981, section 7.8).
-
-    Arguments:
-        cells: residuals of one channel of a run.
-        noise: of the channel.
-
-    Returns:
-        Weights above 0 and up to 1; the white variance of a cell is divided by its weight.
+    (iteratively reweighted least squares; Huber 1981, section 7.8). The white variance of a cell is
+    divided by its weight, which is above 0 and up to 1.
     """
     white = max(noise.white, _LEAST_WHITE * noise.deviation)
     noise = dataclasses.replace(noise, white=white)
@@ -61,8 +49,6 @@ def outlier_weights(cells: Cells, noise: ChannelNoise) -> Float[np.ndarray, " ce
     return weights
 
 
-# Noise of a recorded channel before any model is known.
-
 # Fewer second differences know no deviation.
 _FEWEST_DIFFERENCES = 8
 
@@ -70,11 +56,7 @@ _FEWEST_DIFFERENCES = 8
 def by_second_differences(values: np.ndarray) -> float | None:
     """Deviation of white noise on something smooth, from the median of second differences.
 
-    Arguments:
-        values: NaN where not measured, shape (sample,).
-
-    Returns:
-        None from too few.
+    NaN is not measured; there is none from too few.
     """
     second = np.diff(values, 2)
     second = second[~np.isnan(second)]
@@ -86,13 +68,7 @@ def from_differences(values: np.ndarray) -> float:
 
     A motion that is smooth over three samples leaves only noise in x[i-1] - 2 x[i] + x[i+1],
     whose standard deviation is sqrt(6) times that of white noise. The median keeps outliers
-    out. A channel without visible noise gets a thousandth of its range.
-
-    Arguments:
-        values: recorded values, NaN where not measured, shape (sample,).
-
-    Returns:
-        Standard deviation, in the unit of the values; never 0.
+    out, and NaN is not measured. A channel without visible noise gets a thousandth of its range.
     """
     measured = values[~np.isnan(values)]
     estimate = by_second_differences(values)
@@ -105,8 +81,6 @@ def from_differences(values: np.ndarray) -> float:
 def _deviation(second: np.ndarray) -> float:
     return MAD * float(np.median(np.abs(second))) / np.sqrt(6) if len(second) else 0.0
 
-
-# Correlated noise that makes the likelihood of a channel largest, where that is worth it.
 
 # Twice the gain in log-likelihood that correlation must bring, for two more parameters: white noise
 # is taken for correlated in about one channel of twenty, and its intervals are wider then.
@@ -135,11 +109,9 @@ _ITERATIONS = 30
 
 
 class Shape(NamedTuple):
-    """Correlated noise but for its size.
+    """Correlated noise but for its size: the correlated part over the white one, and the time.
 
-    Attributes:
-        angle: its tangent is the correlated part over the white one, rad.
-        log_time: logarithm of the correlation time in s.
+    The first is the tangent of an angle (rad), the second as a logarithm (of s).
     """
 
     angle: float
@@ -173,9 +145,7 @@ def time_limits(problem: Restricted, key: str) -> tuple[float, float] | None:
 def promising(problem: Restricted, stated: Mapping[str, Stated]) -> dict[str, Shape]:
     """The best of a few shapes of each key for which one is better than white noise.
 
-    Arguments:
-        problem: with white noise of about the right size, or correlated noise.
-        stated: what is known of each key.
+    The problem has white noise of about the right size, or correlated noise.
     """
     alike: dict[Hashable, list[str]] = {}
     for key in problem.noise:
@@ -216,15 +186,9 @@ def best_correlated(
     *,
     fixed: bool,
 ) -> ChannelNoise:
-    """The best correlated noise, where it is worth it; else the white one.
+    """The best correlated noise of a key, where it is worth it; else the best white one.
 
-    Arguments:
-        problem: with the other keys' noise.
-        key: of the channels.
-        white: the best white one.
-        starts: of the search, which begins at the best of them.
-        limits: as `time_limits`.
-        fixed: whether the deviation of a cell is that of `white`.
+    The search begins at the best of the starts; `fixed`: a cell's deviation is that of `white`.
     """
     size = white.deviation
     noises = [white, *(shape.noise(size) for shape in starts)]
@@ -269,16 +233,7 @@ _MORE = 1.05
 
 
 def estimate(problem: Restricted, stated: Mapping[str, Stated], *, correlated: bool) -> Restricted:
-    """The likelihood with the noise of every key that makes it largest.
-
-    Arguments:
-        problem: with the noise to begin with.
-        stated: what is known of each key.
-        correlated: whether noise may be correlated.
-
-    Returns:
-        The problem with the new noise.
-    """
+    """The likelihood with the noise of every key that makes it largest, by what is known."""
     starts: dict[str, Shape] = {}
     if correlated:
         # Most noise is white: all channels are asked at once whether they are worth a search.
@@ -305,15 +260,7 @@ def _white(problem: Restricted, key: str, stated: Stated) -> ChannelNoise:
 def _of_key(
     problem: Restricted, key: str, stated: Stated, start: Shape | None, *, correlated: bool
 ) -> ChannelNoise:
-    """The best noise of a key with the others as they are.
-
-    Arguments:
-        problem: with its present noise.
-        key: of the channels.
-        stated: what is known of it.
-        start: where a search for correlated noise is promising; None where it is not.
-        correlated: whether noise may be correlated.
-    """
+    """The best noise of a key with the others as they are; `start`: a promising correlated one."""
     if correlated and stated.correlated is not None and (known := stated.noise) is not None:
         return known
     white, present = _white(problem, key, stated), problem.noise[key]
@@ -323,8 +270,7 @@ def _of_key(
     if limits is None:
         return white
     starts = [start] if start is not None else []
-    if not present.is_white:
-        starts.append(Shape.of(present))
+    starts += [] if present.is_white else [Shape.of(present)]
     if stated.deviation is None:
         return best_correlated(problem, key, white, starts, limits, fixed=False)
     best = best_correlated(problem, key, white, starts, limits, fixed=True)
@@ -333,8 +279,7 @@ def _of_key(
     squares = sum(float(each.residual @ each.residual) for each in cells)
     if squares <= _MORE * count * stated.deviation**2:
         return best
-    if not best.is_white:
-        starts.append(Shape.of(best))
+    starts += [] if best.is_white else [Shape.of(best)]
     free = best_correlated(problem, key, scaled(problem, key, white), starts, limits, fixed=False)
     if problem.value(key, best) - problem.value(key, free) <= _REJECTED:
         return best

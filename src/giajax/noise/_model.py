@@ -31,13 +31,7 @@ class ChannelNoise:
 
     @classmethod
     def of_cell(cls, deviation: float, correlated: float, time_s: float) -> Self:
-        """The noise whose two parts together are that of a cell.
-
-        Arguments:
-            deviation: standard deviation of a cell, SI.
-            correlated: of the correlated part; 0 where there is none.
-            time_s: its correlation time, s.
-        """
+        """The noise whose two parts together have the deviation of a cell, SI."""
         white = math.sqrt(max(deviation**2 - correlated**2, 0.0))
         return cls(white, correlated, time_s if correlated else 0.0)
 
@@ -53,9 +47,7 @@ class ChannelNoise:
 
     def times(self, factor: float) -> Self:
         """The same noise, a number of times as large."""
-        return dataclasses.replace(
-            self, white=self.white * factor, correlated=self.correlated * factor
-        )
+        return type(self)(self.white * factor, self.correlated * factor, self.time_s)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,9 +73,8 @@ class Stated:
         """The noise as it is stated, or as white as it is large; None where its size is not."""
         if self.deviation is None:
             return None
-        return ChannelNoise.of_cell(
-            self.deviation, (self.correlated or 0.0) if correlated else 0.0, self.time_s
-        )
+        part = self.correlated if correlated else None
+        return ChannelNoise.of_cell(self.deviation, part or 0.0, self.time_s)
 
 
 # The covariance of consecutive samples of a channel, whose inverse costs a pass over them.
@@ -112,17 +103,13 @@ def solve(
     weights: Float[np.ndarray, " sample"],
     columns: Float[np.ndarray, "sample column"],
 ) -> Solved:
-    """V^-1 X and log|V| of the noise at some instants.
+    """V^-1 X and log|V| of the noise at some instants, for the columns X over its cells.
 
     Arguments:
         noise: of the channel.
-        times: of the measured cells, s, increasing; None where the samples have no time: the
-            noise is then white.
+        times: of the measured cells, s, increasing; without any the noise is white.
         weights: of the cells, 0 to 1: the white variance of each is divided by it.
         columns: X.
-
-    Returns:
-        Both, in the order of the cells.
     """
     variance = noise.white**2 / weights
     # A single cell has no neighbour; LAPACK takes no matrix without an off-diagonal.
@@ -149,15 +136,8 @@ def solve(
 def precision(
     times: Float[np.ndarray, " sample"], time_s: float
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """T, the precision of an Ornstein-Uhlenbeck process of unit variance, and log|T|.
-
-    Arguments:
-        times: increasing, s.
-        time_s: correlation time, s.
-
-    Returns:
-        Its diagonal, its first off-diagonal, and the logarithm of its determinant.
-    """
+    """Diagonal and first off-diagonal of T, the precision of an Ornstein-Uhlenbeck process of unit
+    variance, and log|T|."""
     apart = np.maximum(np.diff(times) / time_s, _CLOSEST)
     decay = np.exp(-apart)
     fresh = -np.expm1(-2 * apart)
@@ -215,14 +195,7 @@ def whitened(
     columns: Float[np.ndarray, "cell column"],
     weights: Float[np.ndarray, " cell"] | None = None,
 ) -> Float[np.ndarray, "cell column"]:
-    """Columns over the cells of a channel, made independent and of unit variance.
-
-    Arguments:
-        noise: of the channel.
-        times: of the cells, s; None for a run without time.
-        columns: in the unit of the channel.
-        weights: of the cells, all 1 by default.
-    """
+    """Columns over the cells of a channel, in its unit, made independent and of unit variance."""
     weights = np.ones(len(columns)) if weights is None else weights
     keep, gain, deviation = gains(noise, times, weights)
     if not np.any(gain):
@@ -235,8 +208,6 @@ def whitened(
         kept = keep[i] * kept + gain[i] * fresh
     return result
 
-
-# Noise drawn from its model, at the instants of a recording.
 
 # Cells that robust statistics left no weight, or hardly any, are this many deviations wide.
 _LEAST_WEIGHT = 1e-2

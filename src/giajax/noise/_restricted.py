@@ -24,8 +24,6 @@ import numpy as np
 from ..runtime.arrays import Bool, Float
 from ._model import ChannelNoise, Stated, solve, whitened
 
-# The cells of a channel with their derivatives: what the noise is estimated from.
-
 # Numbers that are passed over together, at most: what is near the processor.
 _TOGETHER = 2**17
 
@@ -107,8 +105,6 @@ def _batches(cells: Sequence[Cells]) -> list[list[int]]:
     return batches
 
 
-# Other columns of the derivatives that span the same, and depend on each other no more.
-
 # Column-normalised singular value below which a combination of parameters is not determined.
 _COLLINEAR = 1e-6
 
@@ -121,17 +117,15 @@ def conditioned(
     """The cells with other columns that span the same: orthonormal with the given noise and prior.
 
     Directions that neither cells nor prior respond to are left out; so are own columns that do not
-    respond.
-
-    Returns:
-        The cells, and the prior by their columns.
+    respond. With the cells goes the prior by their columns.
     """
     runs = sorted({each.run for each in cells})
     changed = dict(enumerate(cells))
     triangles = []
     for run in runs:
         at = [i for i, each in enumerate(cells) if each.run == run]
-        gram = np.sum([cells[i].gram(_marginal(noise[cells[i].key]))[0] for i in at], axis=0)
+        alone = [ChannelNoise(noise[cells[i].key].deviation) for i in at]
+        gram = np.sum([cells[i].gram(each)[0] for i, each in zip(at, alone, strict=True)], axis=0)
         width = cells[at[0]].own.shape[1]
         own = orthonormal(gram[:width, :width])
         across = own.T @ gram[:width, width:-1]
@@ -148,18 +142,10 @@ def conditioned(
     return tuple(those), known
 
 
-def _marginal(noise: ChannelNoise) -> ChannelNoise:
-    return ChannelNoise(noise.deviation)
-
-
 def orthonormal(gram: np.ndarray) -> np.ndarray:
-    """B with B^T gram B = 1, of the directions that count.
+    """B with B^T gram B = 1, of the directions that count, shape (column, rank).
 
-    Arguments:
-        gram: X^T X of columns of any size, shape (column, column).
-
-    Returns:
-        Of shape (column, rank).
+    The columns, of which gram is X^T X, may have any size.
     """
     if not len(gram):
         return gram
@@ -212,13 +198,7 @@ class Restricted:
         noise: Mapping[str, ChannelNoise],
         prior: Float[np.ndarray, "column column"] | None = None,
     ) -> Self:
-        """The likelihood of the noise of some cells.
-
-        Arguments:
-            cells: of all channels of all runs.
-            noise: of each key, to begin with.
-            prior: as the attribute, of the columns of `cells`; None where nothing is known.
-        """
+        """The likelihood of the cells of all runs, with noise and prior to begin with."""
         if prior is None:
             prior = np.zeros((cells[0].shared.shape[1] + 1,) * 2)
         those, prior = conditioned(cells, noise, prior)
@@ -258,21 +238,16 @@ class Restricted:
         passes = [grams(those, noise) for noise in noises]
         of_keys: dict[str, dict[int, list[tuple[np.ndarray, np.ndarray]]]] = {}
         for at, each in enumerate(those):
-            gram, log = (
-                np.array(parts) for parts in zip(*(one[at] for one in passes), strict=True)
-            )
+            gram, log = map(np.array, zip(*(one[at] for one in passes), strict=True))
             of_keys.setdefault(each.key, {}).setdefault(each.run, []).append((gram, log))
-        return {
-            key: self._by_scale(
-                key,
-                {
-                    run: np.sum([gram for gram, _ in parts], axis=0)
-                    for run, parts in of_runs.items()
-                },
-                np.sum([log for parts in of_runs.values() for _, log in parts], axis=0),
-            )
-            for key, of_runs in of_keys.items()
-        }
+        found = {}
+        for key, of_runs in of_keys.items():
+            runs = {
+                run: np.sum([gram for gram, _ in parts], axis=0) for run, parts in of_runs.items()
+            }
+            logs = np.sum([log for parts in of_runs.values() for _, log in parts], axis=0)
+            found[key] = self._by_scale(key, runs, logs)
+        return found
 
     def _by_scale(
         self,
@@ -333,10 +308,8 @@ def _eliminated(
     return rest, 2 * np.sum(np.log(diagonal), axis=-1)
 
 
-# The size of noise that makes a likelihood largest, by Newton's method.
-
-# Of a logarithm: for the derivatives of a likelihood of thousands, by differences, and a change
-# that leaves it as it is.
+# Of a logarithm, in Newton's method: for the derivatives of a likelihood of thousands, by
+# differences, and a change that leaves it as it is.
 _LOG_STEP = 1e-3
 _ENOUGH = 3e-4
 _LONGEST = 1.0
@@ -349,19 +322,12 @@ _FURTHEST = 8.0
 def best_scales(
     by_scale: ByScale, start: Float[np.ndarray, " noise"]
 ) -> tuple[Float[np.ndarray, " noise"], Float[np.ndarray, " noise"]]:
-    """Logarithms of the factors at which noises are most likely, and -2 log L there.
-
-    Arguments:
-        by_scale: of the noises.
-        start: logarithms to begin with.
-    """
+    """Logarithms of the factors at which noises are most likely, and -2 log L there."""
     logs = start
     for _ in range(_ITERATIONS):
         behind, here, ahead = by_scale(logs[:, None] + _LOG_STEP * np.array([-1.0, 0.0, 1.0])).T
-        slope, curvature = (
-            (ahead - behind) / (2 * _LOG_STEP),
-            (ahead - 2 * here + behind) / _LOG_STEP**2,
-        )
+        slope = (ahead - behind) / (2 * _LOG_STEP)
+        curvature = (ahead - 2 * here + behind) / _LOG_STEP**2
         # Far above the best factor the likelihood is straight, and Newton's step has no meaning.
         straight = np.where(curvature > 0, curvature, np.abs(slope) / _LONGEST + 1e-300)
         step = np.clip(-slope / straight, -_LONGEST, _LONGEST)
@@ -421,9 +387,6 @@ def small_sample(
         cells: the same, with all parameters as `shared` columns and none of their own.
         covariance: of the parameters, as if the noise were known.
         stated: what was known of the noise of each key.
-
-    Returns:
-        Both.
     """
     size = len(covariance)
     added, variances = np.zeros((size, size)), np.zeros(size)
@@ -544,10 +507,7 @@ def score_covariance(
     Arguments:
         cells: all parameters as `shared` columns.
         noise: of each key.
-        covariance: by the noise model, shape (parameter, parameter).
-
-    Returns:
-        Of the shape of `covariance`.
+        covariance: by the noise model.
     """
     meat = np.zeros_like(covariance)
     count = 0

@@ -52,7 +52,7 @@ class Series:
 
     @property
     def degrees_of_freedom(self) -> float:
-        """Degrees of freedom."""
+        """What the fit has left of its cells."""
         return max(len(self) - self.lost, 1.0)
 
     @property
@@ -96,8 +96,6 @@ class Series:
         unit = ChannelNoise(1.0)
         return dataclasses.replace(self, residual=white, stated=unit, adopted=1.0)
 
-
-# The verdict on a fit, as data.
 
 VerdictStatus = Literal["adequate", "inadequate", "not evaluated"]
 
@@ -321,9 +319,7 @@ def alone_and_together(series: Sequence[Series]) -> list[tuple[str, ...]]:
 
 def _together(series: Sequence[Series]) -> float:
     """Degrees of freedom of the white noise of several series."""
-    return satterthwaite(
-        [len(each) for each in series], [each.white_degrees_of_freedom for each in series]
-    )
+    return satterthwaite([*map(len, series)], [each.white_degrees_of_freedom for each in series])
 
 
 def satterthwaite(counts: Sequence[int], each_known_with: Sequence[float]) -> float:
@@ -346,8 +342,6 @@ def _block_means(series: Series, length: int) -> np.ndarray:
     cells = series.residual[: count * length].reshape(count, length)
     return np.mean(cells, axis=1) / series.white
 
-
-# From residuals to a verdict.
 
 _TESTS = (beyond_stated, correlated, beyond_differences, drift, runs_disagree)
 

@@ -233,11 +233,7 @@ class Table:
 
 
 def read_table(path: Path, rename: Mapping[str, str] | None = None) -> Table:
-    """Read a `.csv` or `.parquet` file.
-
-    Raises:
-        InputError: the file is not such a table.
-    """
+    """Read a `.csv` or `.parquet` file (`InputError`: the file is not such a table)."""
     data, header, columns, first_row = _split(path)
     names = _renamed(header, rename or {}, path)
     try:

@@ -151,11 +151,7 @@ _BETWEEN_KEYS = re.compile(r"[\[\]{},=\n]")
 
 
 def parse_toml(text: str, path: Path) -> dict[str, Any]:
-    """The content of a TOML file.
-
-    Raises:
-        InputError: it is not TOML, or is beyond the limits.
-    """
+    """The content of a TOML file (`InputError`: it is not TOML, or is beyond the limits)."""
     skeleton = _TOML_WORDS.sub("_", text)
     # Not only deep: the parser looks at each part of a dotted key once for each part before it.
     dotted = (part.count(".") for part in _BETWEEN_KEYS.split(skeleton))

@@ -24,11 +24,7 @@ class Tell(Protocol):
     """What a job calls others with: callbacks that are not its own."""
 
     def __call__(self, function: Callable[..., object], *args: Any) -> None:
-        """Have a function called.
-
-        Raises:
-            KeyboardInterrupt: the jobs are to stop.
-        """
+        """Have a function called (`KeyboardInterrupt`: the jobs are to stop)."""
 
 
 def run_in_threads(

@@ -35,11 +35,7 @@ else:
 
 
 def plain_data(value: Any) -> Any:
-    """A value as JSON gives it back.
-
-    Raises:
-        TypeError: there is no form of it in JSON.
-    """
+    """A value as JSON gives it back (`TypeError`: there is no form of it in JSON)."""
     if isinstance(value, bool | int | str | None):
         return value
     if isinstance(value, float):

@@ -253,6 +253,10 @@ class Declaration:
     key: Key | None = None
     path: str = ""
 
+    def keyed(self, name: str, **about: Any) -> "Declaration":
+        """The same with a key by which files state it, and what is said `about` a `Key`."""
+        return dataclasses.replace(self, key=Key(name, **about))
+
     @property
     def meaning(self) -> str:
         """`doc`, and whether there may be several numbers."""

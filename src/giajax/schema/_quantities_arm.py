@@ -8,7 +8,6 @@ from ._declaration import (
     EACH_LINK,
     Declaration,
     Group,
-    Key,
     freed_guess,
     guess,
     left_out,
@@ -24,50 +23,29 @@ _TRANSVERSE = _AXIAL / 2 + _MASS * _LENGTH**2 / 12
 
 class _Links(Group):
     length = positive(
-        _LENGTH,
-        "m",
-        "length of a link, joint to joint",
-        per="link",
-        source=_TABLE,
-        key=Key("link_length_m"),
-    )
+        _LENGTH, "m", "length of a link, joint to joint", per="link", source=_TABLE
+    ).keyed("link_length_m")
     diameter = positive(
-        _DIAMETER,
-        "m",
-        "diameter of a link, as the air sees it",
-        per="link",
-        source=_TABLE,
-        key=Key("link_diameter_m", closed=True),
-    )
+        _DIAMETER, "m", "diameter of a link, as the air sees it", per="link", source=_TABLE
+    ).keyed("link_diameter_m", closed=True)
     mass = positive(
-        _MASS,
-        "kg",
-        "mass of a link that moves with it",
-        per="link",
-        source=_TABLE,
-        key=Key("link_mass_kg"),
-    )
+        _MASS, "kg", "mass of a link that moves with it", per="link", source=_TABLE
+    ).keyed("link_mass_kg")
     inertia_transverse = guess(
         _TRANSVERSE,
         "kg m^2",
         "moment of inertia about a transverse axis through the centre of mass (thin tube)",
         per="link",
-        key=Key("link_inertia_transverse_kg_m2", closed=True),
-    )
+    ).keyed("link_inertia_transverse_kg_m2", closed=True)
     inertia_axial = guess(
-        _AXIAL,
-        "kg m^2",
-        "moment of inertia about the link's own axis (thin tube)",
-        per="link",
-        key=Key("link_inertia_axial_kg_m2", closed=True),
-    )
+        _AXIAL, "kg m^2", "moment of inertia about the link's own axis (thin tube)", per="link"
+    ).keyed("link_inertia_axial_kg_m2", closed=True)
     centre_of_mass = Declaration(
         _LENGTH / 2,
         "m",
         "distance of a link's centre of mass from its joint, along the link",
         per="link",
-        key=Key("link_centre_of_mass_m"),
-    )
+    ).keyed("link_centre_of_mass_m")
     fullness = guess(
         1.0,
         "",
@@ -82,42 +60,28 @@ class _Base(Group):
         "rad",
         "turn of the straight arm against the base frame, as a rotation vector",
         shape=(3,),
-        key=Key("base_rotation_deg"),
-    )
+    ).keyed("base_rotation_deg")
     gravity = Declaration(
-        0.0,
-        "m/s^2",
-        "acceleration of gravity along -z; 0 where buoyancy balances weight",
-        key=Key("gravity_m_per_s2", lower=0, closed=True, remark=" (it acts along -z)"),
-    )
+        0.0, "m/s^2", "acceleration of gravity along -z; 0 where buoyancy balances weight"
+    ).keyed("gravity_m_per_s2", lower=0, closed=True, remark=" (it acts along -z)")
 
 
 class _PointMasses(Group):
-    mass = positive(0.003, "kg", "mass of a point mass", **EACH_BODY, key=Key("mass_kg"))
+    mass = positive(0.003, "kg", "mass of a point mass", **EACH_BODY).keyed("mass_kg")
     position = Declaration(
-        _LENGTH,
-        "m",
-        "distance of a point mass from its link's joint, along the link",
-        **EACH_BODY,
-        key=Key("position_m"),
-    )
+        _LENGTH, "m", "distance of a point mass from its link's joint, along the link", **EACH_BODY
+    ).keyed("position_m")
     left = left_out(
-        "m",
-        "distance of a point mass to the left of its link's axis",
-        **EACH_BODY,
-        key=Key("left_m"),
-    )
-    up = left_out(
-        "m", "distance of a point mass above its link's axis", **EACH_BODY, key=Key("up_m")
-    )
+        "m", "distance of a point mass to the left of its link's axis", **EACH_BODY
+    ).keyed("left_m")
+    up = left_out("m", "distance of a point mass above its link's axis", **EACH_BODY).keyed("up_m")
     drag_area = positive(
         1e-3,
         "m^2",
         "C_D A of a point mass: its drag coefficient times its frontal area",
         optional=True,
         **EACH_BODY,
-        key=Key("drag_area_m2", closed=True),
-    )
+    ).keyed("drag_area_m2", closed=True)
 
 
 LINKS = _Links("links")
@@ -126,12 +90,8 @@ POINT_MASSES = _PointMasses("point_masses")
 
 
 class _Air(Group):
-    density = positive(
-        1.204,
-        "kg/m^3",
-        "density of the air (20 C, 1 atm)",
-        source="eq. (1)",
-        key=Key("air_density_kg_per_m3", closed=True),
+    density = positive(1.204, "kg/m^3", "density of the air (20 C, 1 atm)", source="eq. (1)").keyed(
+        "air_density_kg_per_m3", closed=True
     )
     drag_coefficient = freed_guess(
         1.2,
@@ -268,11 +228,11 @@ class _Stops(Group):
 
 
 class _Initial(Group):
-    angle = Declaration(
-        0.0, "rad", "joint angles at the first sample", **EACH_JOINT, key=Key("angle_deg")
+    angle = Declaration(0.0, "rad", "joint angles at the first sample", **EACH_JOINT).keyed(
+        "angle_deg"
     )
-    rate = Declaration(
-        0.0, "rad/s", "joint rates at the first sample", **EACH_JOINT, key=Key("rate_deg_per_s")
+    rate = Declaration(0.0, "rad/s", "joint rates at the first sample", **EACH_JOINT).keyed(
+        "rate_deg_per_s"
     )
 
 
@@ -284,39 +244,27 @@ INITIAL = _Initial("initial")
 
 class _Contact(Group):
     pressure = guess(
-        1000.0,
-        "Pa",
-        "gauge pressure in a link, which presses where it is flattened",
-        **EACH_LINK,
-        key=Key("contact_pressure_kPa"),
-    )
+        1000.0, "Pa", "gauge pressure in a link, which presses where it is flattened", **EACH_LINK
+    ).keyed("contact_pressure_kPa")
     shape_factor = positive(
         np.pi,
         "",
         "force of a flattened link over pressure, length and penetration: pi between two "
         "plates, 4 pi / 3 at one wall against the weight of the skin",
-        key=Key("contact_shape_factor"),
-    )
+    ).keyed("contact_shape_factor")
     damping = guess(
-        0.5,
-        "s/m",
-        "by how much a contact presses harder while it closes, over the closing speed",
-        key=Key("contact_damping_s_per_m", closed=True),
-    )
+        0.5, "s/m", "by how much a contact presses harder while it closes, over the closing speed"
+    ).keyed("contact_damping_s_per_m", closed=True)
     friction = guess(
         0.3,
         "",
         "coefficient of friction between links and obstacles",
         optional=True,
         has_states=True,
-        key=Key("contact_friction"),
-    )
+    ).keyed("contact_friction")
     friction_stiffness = guess(
-        300.0,
-        "N/m",
-        "stiffness of a link's skin along a surface that it sticks to",
-        key=Key("contact_friction_stiffness_N_per_m"),
-    )
+        300.0, "N/m", "stiffness of a link's skin along a surface that it sticks to"
+    ).keyed("contact_friction_stiffness_N_per_m")
 
 
 CONTACT = _Contact("contact")

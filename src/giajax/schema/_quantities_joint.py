@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ._declaration import Declaration, Group, Key, freed, freed_guess, guess, positive
+from ._declaration import Declaration, Group, freed, freed_guess, guess, positive
 
 MUSCLE_LENGTH = 1.96
 """Length at rest of the muscle of a joint, m; assumed."""
@@ -10,22 +10,21 @@ MUSCLE_LENGTH = 1.96
 
 def _pressure_limit(default: float, doc: str) -> Declaration:
     """One key for all laws."""
-    return guess(default, "Pa", doc, key=Key("pressure_limit_kPa"))
+    return guess(default, "Pa", doc).keyed("pressure_limit_kPa")
 
 
 class _AtRest(Group):
-    length = guess(MUSCLE_LENGTH, "m", "length at rest", key=Key("length_m"))
+    length = guess(MUSCLE_LENGTH, "m", "length at rest").keyed("length_m")
 
 
 class _Braided(Group):
-    diameter = guess(3.5e-3, "m", "diameter of a braided muscle at rest", key=Key("diameter_m"))
+    diameter = guess(3.5e-3, "m", "diameter of a braided muscle at rest").keyed("diameter_m")
     braid_angle = guess(
         float(np.deg2rad(18)),
         "rad",
         "angle of the braid from the axis at rest (18 deg: thin muscles)",
         upper=float(np.arctan(np.sqrt(2))),
-        key=Key("braid_angle_deg"),
-    )
+    ).keyed("braid_angle_deg")
     end_correction = freed_guess(
         1.6, "", "k: how many times the ideal law contracts further than the muscle"
     )
@@ -86,19 +85,12 @@ def _off(key: str, default: float, doc: str, lower: float) -> Declaration:
 def _coordinate(
     key: str, default: float, doc: str, place: int, direction: str, lower: float
 ) -> Declaration:
-    return Declaration(
-        default,
-        "m",
-        f"{doc}: {direction}",
-        lower=lower,
-        assumed=True,
-        key=Key(
-            key,
-            lower=-np.inf,
-            remark=": along the link, and off its axis towards the muscle",
-            place=place,
-            meaning=doc,
-        ),
+    return Declaration(default, "m", f"{doc}: {direction}", lower=lower, assumed=True).keyed(
+        key,
+        lower=-np.inf,
+        remark=": along the link, and off its axis towards the muscle",
+        place=place,
+        meaning=doc,
     )
 
 
@@ -114,21 +106,18 @@ class _Geometry(Group):
     wire_y = _off("wire_m", 0.04, _WIRE, lower=-np.inf)
     contact_x = _along("contact_m", 0.055, _CONTACT, lower=0)
     contact_y = _off("contact_m", 0.15, _CONTACT, lower=0)
-    wire_length = guess(
-        0.34, "m", "length L_wire of the wire through the bush", key=Key("wire_length_m")
+    wire_length = guess(0.34, "m", "length L_wire of the wire through the bush").keyed(
+        "wire_length_m"
     )
-    muscle_length = guess(
-        MUSCLE_LENGTH, "m", "length L_pam of the muscle at rest", key=Key("muscle_length_m")
+    muscle_length = guess(MUSCLE_LENGTH, "m", "length L_pam of the muscle at rest").keyed(
+        "muscle_length_m"
     )
 
 
 class _Load(Group):
     torque = Declaration(
-        0.3,
-        "N m",
-        "torque on the joint at all times, where a run does not record it",
-        key=Key("torque_N_m", lower=0),
-    )
+        0.3, "N m", "torque on the joint at all times, where a run does not record it"
+    ).keyed("torque_N_m", lower=0)
 
 
 class _Alpha(Group):

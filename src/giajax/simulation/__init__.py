@@ -5,7 +5,6 @@
 
 from ._controller import first_turn as first_turn, step_size_controller as step_size_controller
 from ._integrate import (
-    STEPS_FOR as STEPS_FOR,
     StepsFor as StepsFor,
     check_steps_for as check_steps_for,
     integrate as integrate,

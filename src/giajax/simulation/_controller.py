@@ -52,15 +52,11 @@ def step_size_controller(
     """Control to the tolerances that steps neither over a corner nor too far, and never hangs.
 
     Arguments:
-        solver: the integration method.
-        rtol, atol: tolerances of a step.
+        solver, rtol, atol: the integration method and the tolerances of its steps.
         corners: times that no step may cross, s; those that are infinite are none.
         bends: times of which a step that would cross some ends at the last, s.
         rates: of what a derivative may set swinging; None where the motion alone counts.
         turns: whether the equation of motion has a corner where a joint turns round.
-
-    Returns:
-        The controller.
     """
     slowness = stable = jnp.full((), jnp.inf)
     if rates is not None:
@@ -101,10 +97,7 @@ class _Careful(diffrax.AbstractAdaptiveStepSizeController):
         self.controller = controller
         # An implicit solver takes its own tolerances from here.
         self.rtol, self.atol, self.norm = controller.rtol, controller.atol, controller.norm
-        self.longest = longest
-        self.slowness = slowness
-        self.bends = bends
-        self.turns = turns
+        self.longest, self.slowness, self.bends, self.turns = longest, slowness, bends, turns
 
     def wrap(self, direction: Any) -> "_Careful":
         inner = self.controller.wrap(direction)
@@ -169,12 +162,9 @@ def _ulps(time: Any) -> Any:
 def first_turn(
     step: Any, y0: Float[Array, "row joint"], y1: Float[Array, "row joint"], least: Any
 ) -> Scalar:
-    """Part of a step after which the first joint turns round; 1 if none does well within it.
+    """Part of a step (s) after which the first joint turns round; 1 if none does well within it.
 
-    Arguments:
-        step: its length, s.
-        y0, y1: states at its ends.
-        least: angle (rad) below which a joint that moves so far in a step is at rest.
+    A joint that moves by less than `least` (rad) in the step is at rest.
     """
     # The time of a step's end is no part of what is differentiated.
     does, part = jax.lax.stop_gradient(turns(step, y0, y1))

@@ -1,8 +1,9 @@
 """The compiled core of a simulation: diffrax on the equation of motion."""
 
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar, get_args
 
+import diffrax
 import equinox as eqx
 import equinox.internal as eqxi
 import jax
@@ -13,14 +14,13 @@ from ..runtime.arrays import Array, Float, Scalar
 from ..runtime.programs import program
 from ..runtime.text import InputError
 from ..schema import ALPHA, BETA, BRAIDED, DRIVE, GEOMETRY, LOAD
-from ._linearly_implicit import solver as solver_named
+from ._controller import step_size_controller
+from ._linearly_implicit import LinearlyImplicit, solver as solver_named
 from ._motion import Inputs, Rates, fastest_rate, motion
 from ._pressures import Pressures
+from ._return_mapping import with_return_mapping
 from ._signal import Signal
 from ._trajectory import RESULTS, Trajectory
-
-if TYPE_CHECKING:
-    from diffrax import AbstractAdjoint, Solution
 
 # What disturbs an arm, and the steps that derivatives by a disturbance need.
 #
@@ -34,8 +34,6 @@ if TYPE_CHECKING:
 # a simulation has the same value with and without its derivatives.
 
 StepsFor = Literal["motion", "derivatives"]
-
-STEPS_FOR = ("motion", "derivatives")
 """What the steps of a simulation are short enough for."""
 
 # Of an arm, beside the inputs and the initial state of every simulation.
@@ -43,15 +41,8 @@ _PARAMETERS = ("base_rotation", "gravity", "air.wind", "buoyancy", "point_masses
 
 # Of the muscles, whose parameters have no common name: where pressures hold a joint, each of them
 # moves it.
-_MUSCLES = tuple(
-    sorted(
-        {
-            q.path.partition(".")[0]
-            for group in (GEOMETRY, LOAD, ALPHA, BETA, BRAIDED, DRIVE)
-            for q in group
-        }
-    )
-)
+_GROUPS = (GEOMETRY, LOAD, ALPHA, BETA, BRAIDED, DRIVE)
+_MUSCLES = {quantity.path.partition(".")[0] for group in _GROUPS for quantity in group}
 
 _REFUSAL = (
     "a simulation with steps_for='motion' was differentiated by a disturbance (command, wind, "
@@ -61,28 +52,17 @@ _REFUSAL = (
 
 
 def is_disturbance(path: str) -> bool:
-    """Whether a parameter of an arm may set moving what is at rest.
+    """Whether a parameter of an arm may set moving what is at rest, or an element: `air.wind[0]`.
 
-    Arguments:
-        path: of the parameter or of one element of it, such as `air.wind[0]`.
-
-    Returns:
-        True for a disturbance, by which only `steps_for="derivatives"` may be differentiated.
+    Only with `steps_for="derivatives"` may a motion be differentiated by such a disturbance.
     """
     name = path.partition("[")[0]
     return any(name == known or name.startswith(f"{known}.") for known in (*_PARAMETERS, *_MUSCLES))
 
 
 def check_steps_for(steps_for: str) -> None:
-    """Refuse an unknown choice of steps.
-
-    Arguments:
-        steps_for: the choice.
-
-    Raises:
-        InputError: neither "motion" nor "derivatives".
-    """
-    if steps_for not in STEPS_FOR:
+    """Refuse (`InputError`) a choice of steps that is neither "motion" nor "derivatives"."""
+    if steps_for not in get_args(StepsFor):
         raise InputError(
             f"steps_for={steps_for!r} is unknown: use 'motion', or 'derivatives' to differentiate "
             "by the wind, the initial state and whatever else may move what is at rest"
@@ -90,20 +70,10 @@ def check_steps_for(steps_for: str) -> None:
 
 
 def refuse_disturbances(steps_for: str, arm: Arm, inputs: Any) -> Scalar:
-    """Zero; raises a sentence where steps for the motion would meet a disturbance's tangent.
+    """Zero; raises `TypeError` where steps for the motion would meet a disturbance's tangent.
 
-    The zero must be added to something that the simulation needs, or nothing keeps it.
-
-    Arguments:
-        steps_for: what the steps are short enough for.
-        arm: the arm.
-        inputs: commands, wind, torque and initial state.
-
-    Returns:
-        0, shape ().
-
-    Raises:
-        TypeError: while the program is traced, in forward or in reverse mode.
+    The zero must be added to something that the simulation needs, or nothing keeps it. The error is
+    raised while the program is traced, in forward or in reverse mode.
     """
     if steps_for != "motion":
         return jnp.zeros(())
@@ -131,15 +101,8 @@ T = TypeVar("T")
 Derivatives = Literal["forward", "reverse"]
 
 
-def adjoint(derivatives: str) -> "AbstractAdjoint":
-    """The diffrax adjoint that offers a mode of differentiation.
-
-    Raises:
-        InputError: neither "forward" nor "reverse".
-    """
-    # Slow to import, and needed only where a program is traced.
-    import diffrax
-
+def adjoint(derivatives: str) -> diffrax.AbstractAdjoint:
+    """The diffrax adjoint that offers a mode of differentiation; `InputError` for another one."""
     if derivatives == "forward":
         return diffrax.ForwardMode()
     if derivatives == "reverse":
@@ -151,12 +114,7 @@ def adjoint(derivatives: str) -> "AbstractAdjoint":
 
 
 def guard_outputs(tree: T, derivatives: str) -> T:
-    """The same values; a cotangent that enters a forward-mode simulation raises a sentence.
-
-    Arguments:
-        tree: outputs of a simulation.
-        derivatives: "forward" or "reverse".
-    """
+    """Outputs of a simulation; a cotangent that enters one in forward mode raises a sentence."""
     if derivatives != "forward":
         return tree
     return eqxi.nondifferentiable_backward(
@@ -167,12 +125,7 @@ def guard_outputs(tree: T, derivatives: str) -> T:
 
 
 def guard_inputs(tree: T, derivatives: str) -> T:
-    """The same values; a tangent that enters a reverse-mode simulation raises a sentence.
-
-    Arguments:
-        tree: inputs of a simulation.
-        derivatives: "forward" or "reverse".
-    """
+    """Inputs of a simulation; a tangent that enters one in reverse mode raises a sentence."""
     if derivatives != "reverse":
         return tree
     arrays, rest = eqx.partition(tree, eqx.is_inexact_array)
@@ -215,27 +168,16 @@ def integrate(
     """The compiled core of `simulate`: no checks, and a failure is a result code.
 
     Arguments:
-        arm, command, times, wind, torque: as of `simulate`.
-        state: angles (rad) and rates (rad/s) at the beginning, shape (2, joint), where nothing
-            strains the joints' hysteresis.
+        arm, command, times, wind, torque, pressure: as of `simulate`.
+        state: angles (rad) and rates (rad/s) at the beginning, where nothing strains the joints'
+            hysteresis.
         tolerances: relative and absolute tolerance of a step.
         solver, max_steps, derivatives, steps_for: as of `simulate`.
         span: from when to when to integrate, s; by default from the first to the last time.
-        pressure: as of `simulate`.
-
-    Returns:
-        The trajectory at the times; its result code says how the integration ended.
 
     Raises:
         TypeError: differentiated by a disturbance with `steps_for="motion"`.
     """
-    # Slow to import, and needed only here, where the program is traced.
-    import diffrax
-
-    from ._controller import step_size_controller
-    from ._linearly_implicit import LinearlyImplicit
-    from ._return_mapping import with_return_mapping
-
     begin, end = (times[0], times[-1]) if span is None else span
     supplied = None if pressure is None else pressure.signal
     inputs = [signal for signal in (command, wind, torque, supplied) if signal is not None]
@@ -275,12 +217,8 @@ def integrate(
     )
     assert solution.ys is not None
     angles, rates, memory, muscles, skin = jax.vmap(moved.parts)(solution.ys)
-    steps = jnp.stack(
-        [
-            jnp.asarray(solution.stats["num_accepted_steps"]),
-            jnp.asarray(solution.stats["num_rejected_steps"]),
-        ]
-    )
+    counts = (solution.stats[f"num_{which}_steps"] for which in ("accepted", "rejected"))
+    steps = jnp.stack([jnp.asarray(count) for count in counts])
     return Trajectory(
         times=times,
         angles=angles,
@@ -292,18 +230,13 @@ def integrate(
         arm=arm,
         command=command,
         wind=wind,
-        result=_result(solution, jnp.all(jnp.isfinite(solution.ys))),
+        result=_result(solution.result, jnp.all(jnp.isfinite(solution.ys))),
         steps=steps,
     )
 
 
-def _result(solution: "Solution", finite: Array) -> RESULTS:
-    import diffrax
-
-    def where(condition: Any, code: Any, otherwise: Any) -> Any:
-        return RESULTS.where(condition, code, otherwise)
-
-    ended = solution.result
+def _result(ended: diffrax.RESULTS, finite: Array) -> Any:
+    where: Any = RESULTS.where
     code = where(finite, RESULTS.successful, RESULTS.not_finite)
     code = where(ended == diffrax.RESULTS.successful, code, RESULTS.not_finite)
     code = where(ended == diffrax.RESULTS.dt_min_reached, RESULTS.step_too_small, code)

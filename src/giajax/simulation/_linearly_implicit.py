@@ -7,7 +7,7 @@ pulls at them are implicit, and nothing else is.
 
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -19,11 +19,6 @@ import numpy as np
 from ..runtime.arrays import Array, Bool, Float, Scalar, inverse_of_positive
 from ..runtime.text import InputError
 from ._motion import Springs, pull, springs
-
-if TYPE_CHECKING:
-    from diffrax import AbstractAdaptiveSolver
-
-# Coefficients of an additive Runge-Kutta method as a W-method.
 
 
 class Tableau(NamedTuple):
@@ -69,8 +64,6 @@ def _rows(tableau: diffrax.ButcherTableau) -> np.ndarray:
         matrix[range(size), range(size)] = tableau.a_diagonal
     return matrix
 
-
-# Interpolation between two steps of a motion whose accelerations are known.
 
 State = Float[Array, "row joint"]
 
@@ -288,42 +281,24 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
         return solve
 
 
-def _of_diffrax(name: str) -> "AbstractAdaptiveSolver":
-    # Slow to import, and needed only where a program is traced.
-    import diffrax
+_springs5 = partial(LinearlyImplicit, springs, pull)
 
-    solver: AbstractAdaptiveSolver = getattr(diffrax, name)()
-    return solver
-
-
-def _springs5(reverse: bool = True) -> "AbstractAdaptiveSolver":
-    return LinearlyImplicit(springs, pull, reverse)
-
-
-SOLVERS: dict[str, Callable[[], "AbstractAdaptiveSolver"]] = {
-    "tsit5": partial(_of_diffrax, "Tsit5"),
-    "dopri5": partial(_of_diffrax, "Dopri5"),
-    "dopri8": partial(_of_diffrax, "Dopri8"),
-    "bosh3": partial(_of_diffrax, "Bosh3"),
-    "heun": partial(_of_diffrax, "Heun"),
+SOLVERS: dict[str, Callable[[], diffrax.AbstractAdaptiveSolver]] = {
+    "tsit5": diffrax.Tsit5,
+    "dopri5": diffrax.Dopri5,
+    "dopri8": diffrax.Dopri8,
+    "bosh3": diffrax.Bosh3,
+    "heun": diffrax.Heun,
     "springs5": _springs5,
-    "kvaerno3": partial(_of_diffrax, "Kvaerno3"),
-    "kvaerno5": partial(_of_diffrax, "Kvaerno5"),
+    "kvaerno3": diffrax.Kvaerno3,
+    "kvaerno5": diffrax.Kvaerno5,
 }
 """Explicit methods, then the one that is implicit in the joints' springs and dampers alone, the
 fastest of all where they are stiff, then fully implicit ones."""
 
 
-def solver(name: str, *, reverse: bool = True) -> "AbstractAdaptiveSolver":
-    """The solver of a name.
-
-    Arguments:
-        name: one of `SOLVERS`.
-        reverse: whether its steps are to be differentiated in reverse mode.
-
-    Raises:
-        InputError: there is no such solver.
-    """
+def solver(name: str, *, reverse: bool = True) -> diffrax.AbstractAdaptiveSolver:
+    """The one of `SOLVERS` (else `InputError`), to be differentiated in reverse mode or not."""
     if name not in SOLVERS:
         raise InputError(f"there is no solver '{name}': use one of {', '.join(SOLVERS)}")
-    return _springs5(reverse) if name == "springs5" else SOLVERS[name]()
+    return _springs5(reverse=reverse) if name == "springs5" else SOLVERS[name]()

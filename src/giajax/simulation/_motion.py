@@ -37,14 +37,9 @@ class Rates(NamedTuple):
 
 
 def fastest_rate(arm: Arm, angles: Float[Array, " joint"], *, springs: bool = True) -> Scalar:
-    """Rate of the fastest motion of springs, dampers, gravity and lags in one configuration, 1/s.
+    """Rate of the fastest motion of springs, dampers, gravity and lags at some angles (rad), 1/s.
 
-    Without `springs`, that of gravity alone.
-
-    Arguments:
-        arm: the arm.
-        angles: of its joints, rad, shape (joint,).
-        springs: whether the springs and dampers of the joints count, and the lag of muscles.
+    Without `springs` (and dampers, and the lag of muscles) that of gravity alone.
     """
     # Lengths of steps are no part of what is differentiated.
     arm, angles = jax.lax.stop_gradient((arm, angles))
@@ -69,9 +64,6 @@ def fastest_rate(arm: Arm, angles: Float[Array, " joint"], *, springs: bool = Tr
     if arm.pneumatics is None or arm.pneumatics.drive.lag is None:
         return rate
     return jnp.hypot(rate, 1 / arm.pneumatics.drive.lag)
-
-
-# The equation of motion as integrators see it.
 
 
 class Inputs(eqx.Module):
@@ -133,15 +125,7 @@ pressures lag, those of the muscles; where contacts have friction, the stretch o
 
 
 class Parts(NamedTuple):
-    """The rows of a state.
-
-    Attributes:
-        angles: rad.
-        rates: rad/s.
-        memory: states of hysteresis.
-        muscles: states of muscles.
-        skin: stretch of the skin of the links, m.
-    """
+    """The rows of a `State`."""
 
     angles: Float[Array, " joint"]
     rates: Float[Array, " joint"]
@@ -180,9 +164,6 @@ def motion(time: Any, state: State, inputs: Inputs) -> State:
 def along_links(arm: Arm, wind: Float[Array, " width"]) -> Array:
     """A wind as a signal has it, in a row for each link where it differs from link to link."""
     return wind if wind.size == 3 else wind.reshape(arm.count, 3)
-
-
-# The part of the equation of motion that makes it stiff: springs, dampers and contacts.
 
 
 class Springs(NamedTuple):

@@ -46,12 +46,9 @@ class Pressures(eqx.Module):
 
 
 def check_muscles(arm: Arm, command: Signal, pressure: Pressures | None) -> None:
-    """Refuse what muscles cannot do.
+    """Refuse what muscles cannot do with angles (rad) and pressures (Pa) over time.
 
-    Arguments:
-        arm: the arm.
-        command: commanded angles over time, rad.
-        pressure: supplied pressures over time, Pa. While a program is traced no number is checked.
+    While a program is traced no number is checked.
 
     Raises:
         InputError: pressures for joints without muscles, pressures that are no numbers from 0 to
@@ -74,7 +71,13 @@ def check_muscles(arm: Arm, command: Signal, pressure: Pressures | None) -> None
         return
     if is_concrete(arm):
         check_geometry(arm.pneumatics.joint.geometry)
-        _check_lever(arm.pneumatics)
+        inner, outer = (float(lever) for lever in _levers(arm.pneumatics))
+        if abs(inner - outer) > 1e-9:
+            raise InputError(
+                f"the lever of a muscle jumps at 0 deg from {outer:.4g} to {inner:.4g} m: make "
+                "geometry.anchor_y larger than geometry.contact_y, and the wire long enough to be "
+                "slack"
+            )
     if pressure is not None and is_concrete((pressure, arm.pneumatics.muscle.pressure_limit)):
         columns = np.asarray(driven, dtype=int) - 1
         given = _reached(pressure.signal)[:, np.concatenate([columns, columns + arm.count])]
@@ -124,16 +127,6 @@ def _check_strength(pneumatics: Pneumatics, commanded: np.ndarray) -> None:
 @program
 def _asked(pneumatics: Pneumatics, angles: Array) -> PairCommand:
     return pneumatics.asked(angles)
-
-
-def _check_lever(pneumatics: Pneumatics) -> None:
-    """Refuse a geometry in which the torque of a muscle jumps where it becomes the outer one."""
-    inner, outer = (float(lever) for lever in _levers(pneumatics))
-    if abs(inner - outer) > 1e-9:
-        raise InputError(
-            f"the lever of a muscle jumps at 0 deg from {outer:.4g} to {inner:.4g} m: make "
-            "geometry.anchor_y larger than geometry.contact_y, and the wire long enough to be slack"
-        )
 
 
 @program

@@ -12,22 +12,14 @@ from ..mechanics.arm import touch
 from ..runtime.arrays import Array, Bool, Float
 from ._motion import State
 
-# Where in a step a joint turns round: there the equation of joints with memory has a corner.
-
 
 def turns(
     step: Any, y0: Float[Array, "row joint"], y1: Float[Array, "row joint"]
 ) -> tuple[Bool[Array, " joint"], Float[Array, " joint"]]:
-    """Which joints turn round in a step, and after which part of it.
+    """Which joints turn round in a step (s), and after which part of it; 1 for those that do not.
 
-    By the cubic through angles and rates at both ends.
-
-    Arguments:
-        step: its length, s.
-        y0, y1: states at its ends, of which the first two rows are angles (rad) and rates (rad/s).
-
-    Returns:
-        Whether each does; from 0 to 1, and 1 for those that do not.
+    By the cubic through angles (rad) and rates (rad/s), the first two rows of the states at both
+    ends. Where a joint turns, the equation of joints with memory has a corner.
     """
     a, b, v0, v1 = slopes(step, y0, y1)
     does = v0 * v1 < 0
@@ -60,10 +52,7 @@ def with_return_mapping(
 ) -> "ReturnMapping":
     """A method whose steps end with the return mapping of what slides.
 
-    Arguments:
-        solver: the method.
-        rtol, atol: tolerances of a step, which those that iterate take over.
-        derivatives: "forward" or "reverse".
+    Methods that iterate take over the tolerances of a step.
     """
     # diffrax does both for a method that it sees.
     if isinstance(solver, diffrax.AbstractRungeKutta) and derivatives == "forward":

@@ -14,8 +14,6 @@ import numpy as np
 from ..runtime.arrays import Array, Bool, Float, Scalar
 from ..runtime.text import InputError
 
-# Which rows of a log are knots of a signal, and how rough it is at them for a step.
-
 # Parts of a piece whose ends are compared with the cubic.
 _PARTS = 4
 
@@ -26,16 +24,8 @@ _ROUGH = 0.1
 def corner_rows(times: np.ndarray, values: np.ndarray, allowed: float) -> np.ndarray:
     """Rows that remain when those on a straight line between their neighbours are merged.
 
-    From each kept row the band of slopes that pass within `allowed` of every row seen so far
-    narrows until it is empty; the row before that is the next corner.
-
-    Arguments:
-        times: of the rows, increasing, s, shape (row,).
-        values: of the rows, shape (row, width).
-        allowed: how far a merged row may lie off the line, in the unit of the values.
-
-    Returns:
-        Indices of the rows that remain, shape (knot,).
+    From each kept row the band of slopes that pass within `allowed` (in the unit of the values) of
+    every row seen so far narrows until it is empty; the row before that is the next corner.
     """
     kept = [0]
     lowest, highest = np.full(values.shape[1], -np.inf), np.full(values.shape[1], np.inf)
@@ -62,15 +52,8 @@ def roughness(times: np.ndarray, values: np.ndarray) -> np.ndarray:
     Stretches of 2, 4, 8, ... pieces are compared with the cubic that fits each best. A knot inside
     of one is as rough as the smallest stretch that has it in the middle, or any stretch within
     that. What two knots that are rougher than a tolerance enclose is therefore a cubic to within
-    the tolerance, and hides nothing from a step, however long.
-
-    Arguments:
-        times: of the knots, increasing, s, shape (knot,).
-        values: at the knots, linear in between, shape (knot, width).
-
-    Returns:
-        The roughness, shape (knot,); infinite where no stretch has the knot in its middle, as at
-        both ends.
+    the tolerance, and hides nothing from a step, however long. Where no stretch has the knot in its
+    middle, as at both ends, it is infinite.
     """
     rough = np.full(len(times), np.inf)
     size = np.abs(values).max()
@@ -146,13 +129,9 @@ class Signal(eqx.Module):
         return jnp.where(time >= self.times[0], self.slopes[self._knot(time)], 0)
 
     def corners(self, tolerance: Scalar) -> tuple[Float[Array, " knot"], Float[Array, " knot"]]:
-        """Times of the knots that no step may cross, and of those that steps may.
+        """Times (s) of the knots that no step of a relative tolerance may cross, and of the others.
 
-        Arguments:
-            tolerance: relative tolerance of a step.
-
-        Returns:
-            Two arrays of shape (knot,), s, each infinite where a knot is one of the other.
+        Each is infinite where a knot is one of the other.
         """
         corner = self.roughness > _CROSSED * tolerance
         return jnp.where(corner, self.times, jnp.inf), jnp.where(corner, jnp.inf, self.times)
@@ -186,14 +165,7 @@ def last_before(times: Float[Array, " knot"], time: Scalar) -> Array:
 
 
 def constant(value: Any) -> Signal:
-    """A signal that never changes.
-
-    Arguments:
-        value: shape (width,); may be differentiated.
-
-    Returns:
-        The signal; its one knot is at 0 s.
-    """
+    """A signal that never changes, of a value of shape (width,); its one knot is at 0 s."""
     value = jnp.atleast_1d(jnp.asarray(value, dtype=jnp.result_type(float)))
     return _signal(np.zeros(1), value[None], np.zeros((1, value.size)))
 
@@ -201,12 +173,11 @@ def constant(value: Any) -> Signal:
 def steps(times: Any, values: Any) -> Signal:
     """A signal that takes each value at its time and holds it (zero-order hold).
 
+    Rows that repeat the one before are left out.
+
     Arguments:
         times: strictly increasing, shape (row,), s.
         values: shape (row, width).
-
-    Returns:
-        The signal; rows that repeat the one before are left out.
     """
     times, values = _rows(times, values)
     changes = np.concatenate([[True], np.any(values[1:] != values[:-1], axis=1)])
@@ -224,9 +195,6 @@ def ramps(times: Any, values: Any, *, tolerance: float = 1e-5) -> Signal:
         values: shape (row, width).
         tolerance: how far a merged row may lie off the line, as a fraction of the largest value;
             the default merges rows that were rounded to six digits.
-
-    Returns:
-        The signal; rows on a straight line between their neighbours are left out.
     """
     times, values = _rows(times, values)
     kept = corner_rows(times, values, tolerance * max(np.abs(values).max(), 1e-300))
@@ -243,9 +211,6 @@ def logged(times: Any, values: Any, interpolation: str = "linear") -> Signal:
         times: strictly increasing, shape (row,), s.
         values: shape (row, width).
         interpolation: "zoh" or "linear".
-
-    Returns:
-        The signal.
 
     Raises:
         InputError: another interpolation, or times that do not increase.

@@ -180,15 +180,9 @@ def _check(
 
 
 def check_wind(arm: Arm, wind: Signal | None) -> None:
-    """Refuse a wind that jumps where the arm has added mass.
+    """Refuse (`InputError`) a wind that jumps where the arm has added mass.
 
-    Arguments:
-        arm: the arm.
-        wind: velocity of the air over time; None for still air. While a program is traced nothing
-            is checked.
-
-    Raises:
-        InputError: the jump would be an infinite force for no time.
+    The jump would be an infinite force for no time. While a program is traced nothing is checked.
     """
     if wind is None or arm.air.added_mass_coefficient is None or not is_concrete(wind):
         return

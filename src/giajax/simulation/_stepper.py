@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -15,6 +16,7 @@ from ..schema.parameters import is_concrete
 from ._linearly_implicit import solver as solver_named
 from ._motion import Inputs, State, motion
 from ._pressures import check_muscles
+from ._return_mapping import with_return_mapping
 from ._signal import Signal, constant
 
 
@@ -156,11 +158,6 @@ class Stepper(eqx.Module):
 
 @program
 def _advance(stepper: Stepper, moment: Moment, command: Array, wind: Array | None) -> Moment:
-    # Slow to import, and needed only here, where the program is traced.
-    import diffrax
-
-    from ._return_mapping import with_return_mapping
-
     arm, interval = stepper.arm, stepper.interval
     inputs = Inputs(
         arm,

@@ -1,7 +1,7 @@
 """The result of a simulation."""
 
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -81,12 +81,14 @@ class Trajectory(eqx.Module):
     @property
     def link_centres(self) -> Float[Array, "sample link 3"]:
         """Positions of the links' centres in the base frame, m."""
-        return _over_samples(link_centres, self.arm, self.angles)
+        centres: Array = _over_samples(link_centres, self.arm, self.angles)
+        return centres
 
     @property
     def tip(self) -> Float[Array, "sample 3"]:
         """Position of the end of the last link in the base frame, m."""
-        return _over_samples(tip_position, self.arm, self.angles)
+        tips: Array = _over_samples(tip_position, self.arm, self.angles)
+        return tips
 
     @property
     def commands(self) -> Float[Array, "sample joint"]:
@@ -95,14 +97,9 @@ class Trajectory(eqx.Module):
 
 
 def at_rest(arm: Arm, angles: Float[Array, " joint"]) -> Trajectory:
-    """One sample of an arm that is held still, as a motion: for pictures, and sizes of results.
+    """An arm that is held still at angles (rad), as a motion: one sample at 0 s, in still air.
 
-    Arguments:
-        arm: the arm.
-        angles: of its joints, commanded and actual, rad.
-
-    Returns:
-        A trajectory of one sample at 0 s, in still air.
+    For pictures, and sizes of results.
     """
     command, time = constant(angles), jnp.zeros((), angles.dtype)
     inputs = Inputs(arm, command, None, None, time)
@@ -124,11 +121,9 @@ def at_rest(arm: Arm, angles: Float[Array, " joint"]) -> Trajectory:
 
 
 @program
-def _over_samples(
-    position: Callable[[Arm, Array], Array], arm: Arm, angles: Float[Array, "sample joint"]
-) -> Array:
-    """A position at every sample; compiled, or each operation would be dispatched by itself."""
-    return jax.vmap(position, in_axes=(None, 0))(arm, angles)
+def _over_samples(function: Callable[..., Any], arm: Arm, *rows: Any) -> Any:
+    """Of every sample; compiled, or each operation would be dispatched by itself."""
+    return jax.vmap(function, in_axes=(None, *(0 for _ in rows)))(arm, *rows)
 
 
 class Contacts(NamedTuple):
@@ -151,12 +146,6 @@ class Contacts(NamedTuple):
 def contacts(trajectory: Trajectory) -> Contacts:
     """Flattening, force and impulse of each contact of a motion.
 
-    Arguments:
-        trajectory: the motion of an arm with obstacles.
-
-    Returns:
-        What each link touched.
-
     Raises:
         InputError: nothing stands around the arm.
 
@@ -174,20 +163,12 @@ def contacts(trajectory: Trajectory) -> Contacts:
     contact = trajectory.arm.contact
     if contact is None:
         raise InputError("the arm has no obstacles: give it some, as [[arm.obstacles]]")
-    flattening, force = _contact_over_samples(
-        trajectory.arm, trajectory.angles, trajectory.rates, trajectory.skin
-    )
+    rows = (trajectory.angles, trajectory.rates, trajectory.skin)
+    flattening, force = _over_samples(touched, trajectory.arm, *rows)
     steps = jnp.diff(trajectory.times)
     impulse = jnp.tensordot(steps, (force[1:] + force[:-1]) / 2, axes=1)
     names = tuple(obstacle.name for obstacle in contact.obstacles)
     return Contacts(names, flattening, force, impulse)
-
-
-@program
-def _contact_over_samples(
-    arm: Arm, angles: Array, rates: Array, skin: Array | None
-) -> tuple[Array, Array]:
-    return jax.vmap(touched, (None, 0, 0, 0))(arm, angles, rates, skin)
 
 
 # Commands that move single joints of a straight arm.
@@ -201,15 +182,11 @@ def joint_steps(joints: int, angles: Mapping[int, float], *, time: float = 0.0) 
         angles: commanded angle by joint number (1 is the base joint), rad.
         time: of the step, s.
 
-    Returns:
-        The command, in rad, with one column for each joint.
-
     Example:
         >>> import giajax
         >>> command = giajax.joint_steps(20, {1: 0.5236}, time=0.5)
     """
-    target = _target(joints, angles)
-    return steps([min(0.0, time) - 1.0, time], [np.zeros(joints), target])
+    return steps([min(0.0, time) - 1.0, time], [np.zeros(joints), _target(joints, angles)])
 
 
 def joint_ramps(
@@ -221,9 +198,6 @@ def joint_ramps(
         joints: number of joints of the arm.
         angles: commanded angle at the end by joint number (1 is the base joint), rad.
         start, duration: of the movement, s.
-
-    Returns:
-        The command, in rad, with one column for each joint.
     """
     if not duration > 0:
         raise InputError(
