@@ -92,7 +92,7 @@ def problem_of(runs, loss="linear"):
 
 def bends(problem, row):
     """The ratio of curvatures of each row; how far a model is off is told in each run."""
-    priors = np.ones(len(problem.priors))
+    priors = np.ones(len(problem.priors.columns))
     if problem.loss == "linear":
         return np.ones(len(row))
     ratios, first = [], 0

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ..runtime.process import configure
 from ..runtime.signals import is_stopped, stopped_status
 from ..runtime.text import InputError
 from ._commands import Texts, argument, command
@@ -198,8 +199,6 @@ def design(
 
         # What is no result is refused before JAX is imported, which takes seconds.
         stored_result(source)
-
-    from ..runtime.process import configure
 
     configure()
     from ..apps.design import Limits, design_experiment, design_figure, design_json, joint_count

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..runtime.limits import FILLING_S
+from ..runtime.process import configure
 from ..runtime.text import InputError
 from ._commands import Texts, argument, command
 from ._options import Force, Json, print_table, say_written, write_folder
@@ -61,8 +62,6 @@ def fill(
         )
     sections = Definition() if definition is None else Definition.load(definition)
     values = settings(pairs)
-
-    from ..runtime.process import configure
 
     configure()
     from ..apps.filling import (

@@ -5,22 +5,23 @@ import shlex
 import shutil
 import statistics
 import sys
-import textwrap
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
+from ..runtime.process import configure
 from ..runtime.signals import is_stopped, stopped_status
 from ..runtime.text import InputError, time_in_words
-from ._options import forget_starts, workers_of_starts
+from ._options import forget_starts, print_table, say_written, terminal_width, workers_of_starts
 from ._repetitions import self_test as repeated_fit
 
 if TYPE_CHECKING:
     from ..fitting import FitResult, Iteration, Setup
-    from ..recordings import Definition
+    from ..recordings import Definition, Run
     from ..tasks import FitTask
 
 # How long a fit may still take, from the steps so far.
@@ -35,15 +36,10 @@ _LEAST = 2
 
 @dataclasses.dataclass
 class TimeLeft:
-    """Says now and then how long a fit may still take.
+    """Says now and then how long a fit of at most so many trial steps may still take.
 
     Nobody knows how many steps are left until an optimum: what is said is how long it takes at
     most, or with several starts, how long at the pace of those before.
-
-    Attributes:
-        most: trial steps that a fit may take.
-        starts: how many starts there are.
-        budget_s: wall time that the fit may take; None for no end.
     """
 
     most: int
@@ -62,11 +58,7 @@ class TimeLeft:
         self._start_times.append(self._before)
 
     def after(self, number: int) -> str | None:
-        """What to say after a step, if anything.
-
-        Arguments:
-            number: of the step, 0 for the evaluation of the start.
-        """
+        """What to say after a step, if anything; step 0 is the evaluation of the start."""
         now = time.monotonic()
         taken, self._before = now - self._before, now
         if number > 0:
@@ -87,13 +79,16 @@ class TimeLeft:
         if len(self._start_times) > 1:
             each = (self._start_times[-1] - self._start_times[0]) / (len(self._start_times) - 1)
             whole = each * (self.starts - len(self._start_times) + 1)
-            sentence = f"about {{left}} left for the starts up to {self.starts}, at the pace of "
-            sentence += "those before"
-            return max(whole - (now - self._start_times[-1]), 0.0), sentence
+            return max(whole - (now - self._start_times[-1]), 0.0), (
+                f"about {{left}} left for the starts up to {self.starts}, at the pace of those "
+                "before"
+            )
         steps = self.most - number + self.most * (self.starts - 1)
         each = statistics.median(self._steps)
-        sentence = f"at most {{left}} left: {steps} steps of {time_in_words(each)}, of which most "
-        return steps * each, sentence + "fits need few"
+        return steps * each, (
+            f"at most {{left}} left: {steps} steps of {time_in_words(each)}, of which most fits "
+            "need few"
+        )
 
 
 # The progress of a fit on standard error.
@@ -108,10 +103,8 @@ def stop_if_asked(iteration: "Iteration") -> None:
 class Progress:
     """One line an iteration on standard error, as it happens.
 
-    Arguments:
-        factors: what the value of each parameter (SI) is multiplied by, by path: its unit is
-            then that of the table at the end. 1 for others.
-        left: says how long it may still take; None for no word about it.
+    Values (SI) are multiplied by the `factors` of their paths: their units are then those of the
+    table at the end. `left` says how long it may still take.
     """
 
     def __init__(self, factors: Mapping[str, float], left: TimeLeft | None = None) -> None:
@@ -125,13 +118,12 @@ class Progress:
             f"{value * self._factors.get(path.partition('[')[0], 1.0):.5g}"
             for path, value in iteration.parameters.items()
         ]
-        cells = [str(iteration.number), f"{iteration.cost:.6g}", f"{iteration.step:.1e}"]
         if not self._headed:
             self._head(list(iteration.parameters))
             self._headed = True
-        taken = "yes" if iteration.accepted else "no"
-        first = iteration.number == 0
-        self._row([cells[0], cells[1], "" if first else cells[2], "" if first else taken, *values])
+        step, taken = f"{iteration.step:.1e}", "yes" if iteration.accepted else "no"
+        made = ["", ""] if iteration.number == 0 else [step, taken]
+        self._row([str(iteration.number), f"{iteration.cost:.6g}", *made, *values])
         if self._left is not None and (sentence := self._left.after(iteration.number)):
             self._say(sentence)
         stop_if_asked(iteration)
@@ -186,11 +178,14 @@ def of_windows(result: "FitResult") -> None:
 # What a person sees at the end of `giajax fit`: the result, then its files.
 
 
-def write_or_print(result: "FitResult", write: Callable[[], list[Path]]) -> list[Path]:
-    """What `write` writes; where it cannot (a full disk), the result goes to standard output.
+def write_or_print(result: "FitResult", runs: "Sequence[Run]", folder: Path) -> list[Path]:
+    """Write a result; where that cannot be (a full disk), it goes to standard output.
 
     Where that cannot take it either, such as a file on the same disk, it goes to standard error.
     """
+    from ..report import write_result
+
+    write = partial(write_result, result, runs, folder, figures=False)
     try:
         try:
             return write()
@@ -208,31 +203,23 @@ def write_or_print(result: "FitResult", write: Callable[[], list[Path]]) -> list
         raise
 
 
-def _width() -> int | None:
-    """Columns of the terminal; None where no person reads, so that a row is a line for grep."""
-    return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
-
-
 def show_result(result: "FitResult", definition: "Definition") -> None:
     """Print the estimates, the summary and the figures to reach."""
     from ..report import parameter_table, reached, summary
 
-    width = _width()
-    print(parameter_table(result, width))
-    print()
-    print(summary(result, width))
-    figures = reached(result, definition)
-    if figures:
+    width = terminal_width()
+    print(parameter_table(result, width), summary(result, width), sep="\n\n")
+    if figures := reached(result, definition):
         print()
     for figure in figures:
-        print(f"{'reached' if figure.reached else 'MISSED':<9}{figure.path} {figure.sentence}")
+        word = "reached" if figure.reached else "MISSED"
+        print(f"{word:<9}{figure.path} {figure.sentence}")
     sys.stdout.flush()
 
 
 def show_diagnosis(result: "FitResult") -> None:
     """Print the first suspects, and what stated uncertainties of held numbers do."""
     from ..report import SUSPECT_HEADINGS, first_suspects, systematic_table
-    from ._options import print_table
 
     if rows := first_suspects(result):
         print("\nwhat the residuals ask for (giajax suspects shows all of it):")
@@ -240,14 +227,6 @@ def show_diagnosis(result: "FitResult") -> None:
     if any(error.stated for error in result.systematic):
         print("\nwhat a held number moves, in standard errors:")
         print_table(*systematic_table(result))
-
-
-def show_files(files: list[Path]) -> None:
-    """Print where the files are."""
-    width = _width()
-    print()
-    wrote = f"wrote {files[0].parent}: {', '.join(path.name for path in files)}"
-    print(wrote if width is None else textwrap.fill(wrote, width, subsequent_indent="  "))
 
 
 _STATUS = {"converged": 0, "not_converged": 1}
@@ -258,10 +237,6 @@ _INADEQUATE = 3
 
 def finished(folder: Path, as_json: bool, quiet: bool) -> int | None:
     """Say of a fit that has ended that there is nothing to go on with.
-
-    Arguments:
-        folder: to be gone on with.
-        as_json, quiet: the options of these names.
 
     Returns:
         The status with which it ended; None where there is a journal, or no such result.
@@ -302,19 +277,7 @@ def run_fit(
     workers: int | None,
     scheduler: str | None,
 ) -> int:
-    """Fit a task, write its result and show it.
-
-    Arguments:
-        task: what to fit to what.
-        again: the result whose numbers are to come again.
-        resume: go on with the journal in the task's folder.
-        force, as_json, quiet, figures, report, self_test, strict, suspects, workers, scheduler:
-            the options of these names.
-
-    Returns:
-        The exit status.
-    """
-    from ..runtime.process import configure
+    """Fit a task, write its result and show it, by the options of these names; the exit status."""
 
     configure()
     from ..fitting import column_factors
@@ -326,7 +289,6 @@ def run_fit(
         check_page,
         report_page,
         write_figures,
-        write_result,
     )
     from ..studies import choice_hint
     from ..tasks import compared, version_note, with_warm_start
@@ -340,17 +302,20 @@ def run_fit(
     if report:
         check_page(task.out / PAGE, force=force)
     before = None if again is None or task.resolved is None else stored_result(again)[1]
-    starts = task.definition.fit.starts
+    settings = task.definition.fit
     with (
         ready.open_journal(task.out, resume=resume, force=force, complain=_complain) as journal,
-        workers_of_starts(workers, scheduler, starts, task.out) as others,
+        workers_of_starts(workers, scheduler, settings.starts, task.out) as others,
     ):
         versions = journal.head["versions"] if before is None else before["versions"]
         if note := version_note(versions):
             _complain(note)
-        progress = None if quiet else Progress(column_factors(ready.setup.model), _left(task))
-        if progress is not None and resume:
-            typer.echo(f"going on where {journal.path} ends", err=True)
+        progress = None
+        if not quiet:
+            left = TimeLeft(settings.max_iterations, settings.starts, settings.budget_s)
+            progress = Progress(column_factors(ready.setup.model), left)
+            if resume:
+                typer.echo(f"going on where {journal.path} ends", err=True)
         try:
             result = ready.run(
                 stop_if_asked if progress is None else progress,
@@ -364,9 +329,7 @@ def run_fit(
             raise
         if progress is not None:
             progress.end()
-        files = write_or_print(
-            result, lambda: write_result(result, ready.runs, task.out, figures=False)
-        )
+        files = write_or_print(result, ready.runs, task.out)
         journal.settle(result)
         goes_on = journal.path.exists()
         if not goes_on:
@@ -378,9 +341,7 @@ def run_fit(
     # The fit itself is shown and on disk by now: these tests compile a program of their own.
     asked = ready.diagnosed(result, suspects=suspects)
     if asked is not result:
-        files = write_or_print(
-            asked, lambda: write_result(asked, ready.runs, task.out, figures=False)
-        )
+        files = write_or_print(asked, ready.runs, task.out)
     if as_json:
         typer.echo(asked.to_json(), nl=False)
     elif not quiet:
@@ -397,7 +358,7 @@ def run_fit(
         write_files({task.out / PAGE: page}, force=True)
         files.append(task.out / PAGE)
     if not (as_json or quiet):
-        show_files(files)
+        say_written(files[0].parent, [path.name for path in files])
         if goes_on:
             print(f"\n{_go_on(task)}{_with_more(result)}")
         if hint := choice_hint(ready.runs, [str(path) for path in task.data]):
@@ -421,9 +382,3 @@ def _with_more(result: "FitResult") -> str:
 
 def _complain(sentence: str) -> None:
     typer.echo(f"giajax: {sentence}", err=True)
-
-
-def _left(task: "FitTask") -> TimeLeft:
-    """What says how long it may still take."""
-    settings = task.definition.fit
-    return TimeLeft(settings.max_iterations, settings.starts, settings.budget_s)

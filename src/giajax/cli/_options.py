@@ -2,8 +2,11 @@
 
 import contextlib
 import shlex
+import shutil
+import sys
+import textwrap
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -49,8 +52,6 @@ def _cell(value: Any) -> str:
     return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
-# Options that several commands have.
-
 Browser = Annotated[bool, "Open a browser, or only say where."]
 Digits = Annotated[int, "N", "Significant digits that are written.", 3, 17]
 Force = Annotated[bool, "Write over files."]
@@ -85,9 +86,44 @@ def write_folder(out: Path, contents: Mapping[str, bytes], *, force: bool) -> No
     write_files({out / name: content for name, content in contents.items()}, force=force)
 
 
+def terminal_width() -> int | None:
+    """Columns of the terminal; None where no person reads, so that a row is a line for grep."""
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+
+
 def say_written(out: Path, names: Iterable[str]) -> None:
     """Say which files of a folder were written."""
-    typer.echo(f"\nwrote {shlex.quote(str(out))}: {', '.join(names)}")
+    where = "" if out == Path() else f"{shlex.quote(str(out))}: "
+    wrote, width = f"wrote {where}{', '.join(names)}", terminal_width()
+    if width is not None:
+        whole = {"break_long_words": False, "break_on_hyphens": False}
+        wrote = textwrap.fill(wrote, width, subsequent_indent="  ", **whole)
+    typer.echo(f"\n{wrote}")
+
+
+@contextlib.contextmanager
+def failed_simulation(options: str) -> Iterator[None]:
+    """End a command whose simulation fails with a sentence, and the options that may help."""
+    from ..simulation import SimulationError
+
+    try:
+        yield
+    except SimulationError as error:
+        typer.echo(f"giajax: {error}{options}", err=True)
+        raise typer.Exit(1) from None
+
+
+def say_progress(quiet: bool) -> Callable[[str], None] | None:
+    """What shows a line on standard error, unless nothing is to be shown."""
+    return None if quiet else (lambda text: typer.echo(text, err=True))
+
+
+def say_served(address: str, is_open: bool, whoever: str, end: str) -> None:
+    """Say where a page is, what somebody else could do with the address, and how it ends."""
+    typer.echo(f"open {address}")
+    if is_open:
+        typer.echo(f"whoever has this address {whoever}, from other machines, too")
+    typer.echo(f"Ctrl-C {end}")
 
 
 def origin(context: typer.Context) -> str:
@@ -97,11 +133,7 @@ def origin(context: typer.Context) -> str:
     words = [f"giajax {version('giajax')} {context.command.name}"]
     for parameter in context.command.params:
         value = context.params.get(parameter.name or "")
-        if (
-            parameter.name in ("out", "force")
-            or value in (None, [], ())
-            or value == parameter.default
-        ):
+        if parameter.name in ("out", "force") or value in (None, [], (), parameter.default):
             continue
         items = value if isinstance(value, list | tuple) else [value]
         for item in items:
@@ -127,10 +159,9 @@ _LEAST = 2
 
 
 def end_if_stopped(folder: Path | None) -> None:
-    """End a command that was stopped, after it has written what it had, and say how to go on.
+    """End a command that was stopped and has written what it had; say how to go on.
 
-    Arguments:
-        folder: of the files of its tasks; None where they were not kept.
+    Its tasks were kept in the folder, if there is one.
     """
     if is_stopped():
         how = "with --force" if folder is not None else "with --folder DIR, and --force,"
@@ -144,13 +175,7 @@ def workers_of_starts(
 ) -> Iterator[dict[str, Any]]:
     """Who fits the starts of a fit, as arguments of `Preparation.run`: none for threads.
 
-    Arguments:
-        workers, scheduler: the options of these names.
-        starts: how many there are.
-        out: folder of the result, which has a file for each start until all of them are done.
-
-    Raises:
-        InputError: there is one start alone, or as of `open_executor`.
+    The folder of the result, `out`, has a file for each start until all of them are done.
     """
     if workers is None and scheduler is None:
         yield {}
@@ -172,11 +197,7 @@ def forget_starts(out: Path) -> None:
 
 
 class ManyProgress:
-    """`progress` of `giajax.runtime.execution.run_tasks`: a line on standard error now and then.
-
-    Arguments:
-        what: tasks are called, in the plural: "fits".
-    """
+    """`progress` of `run_tasks`, whose tasks are `what`: a line on standard error now and then."""
 
     def __init__(self, what: str) -> None:
         self._what = what

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from ..runtime.process import configure
 from ..runtime.signals import is_stopped, stopped_status
 from ..runtime.text import InputError
 from ._commands import Ended, argument, command
@@ -59,8 +60,6 @@ def paper(
     names: tuple[str, ...] = (INVERSE,) if inverse else NAMES if name == _ALL else (name,)
     if name != _ALL:
         check_output_folder(out, _files(names), force=force)
-
-    from ..runtime.process import configure
 
     configure()
     from ..apps.paper import is_reproduction_page, reproduction_page, stored_record
@@ -138,8 +137,6 @@ def hysteresis(
     """
     if not 0 < travel < math.inf:
         raise typer.BadParameter(f"--travel is {travel:g} deg: give a positive number")
-
-    from ..runtime.process import configure
 
     configure()
     from ..apps.experiments import ONE_LINK_FILES, SimulatedJoint, one_link, write_one_link

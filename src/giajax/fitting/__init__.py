@@ -3,7 +3,16 @@
 from typing import TYPE_CHECKING
 
 from ..runtime.aliases import earlier as _earlier
-from ._configuration import Setup as Setup, set_up as set_up
+from ._configuration import (
+    Setup as Setup,
+    Tie as Tie,
+    WarmStart as WarmStart,
+    between as between,
+    resolved_ties as resolved_ties,
+    set_up as set_up,
+    tied as tied,
+    within_bounds as within_bounds,
+)
 from ._coordinates import (
     Bijector as Bijector,
     Layout as Layout,
@@ -32,14 +41,6 @@ from ._fit import (
     fit as fit,
     solve as solve,
     versions as versions,
-)
-from ._free import (
-    Tie as Tie,
-    WarmStart as WarmStart,
-    between as between,
-    resolved_ties as resolved_ties,
-    tied as tied,
-    within_bounds as within_bounds,
 )
 from ._hold_out import (
     HoldOut as HoldOut,

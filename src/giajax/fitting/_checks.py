@@ -9,9 +9,17 @@ from ..models import capabilities
 from ..runtime.arrays import Float
 from ..runtime.records import finite_or_none
 from ._records import GradientCheck, Shift, ToleranceEffect
-from ._state import FitState
 from ._statistics import Statistics
-from ._steps import at_tolerance, evaluate, has_many_rows, move, residuals_at, step, tolerance_of
+from ._steps import (
+    FitState,
+    at_tolerance,
+    evaluate,
+    has_many_rows,
+    move,
+    residuals_at,
+    step,
+    tolerance_of,
+)
 from ._uncertainty import inverse_gram
 
 # Whether a standard error says how far the data let a parameter go: second derivatives.
@@ -79,14 +87,14 @@ def _curvature(state: FitState, statistics: Statistics, index: int) -> Curvature
     if not step > 0:
         return None
     there = bijector.inverse(values + step * direction)
-    here = state.natural_jacobian().times(direction)
+    here = state.natural_jacobian.times(direction)
     residual = np.asarray(state.inner.residual, dtype=float)
     if bends:
         # Without derivatives, which take most of the time.
         second = 2 * (residuals_at(state, there) - residual - step * here) / step**2
     else:
         slopes = np.maximum(bijector.slope(there), 1e-300)
-        ahead = state.jacobian(evaluate(state, there)).scaled(1 / slopes).times(direction)
+        ahead = state.jacobian_at(evaluate(state, there)).scaled(1 / slopes).times(direction)
         second = (ahead - here) / step
     length = float(here @ here)
     if length == 0 or not np.all(np.isfinite(second)):
@@ -148,7 +156,7 @@ def with_suitable_tolerance(state: FitState) -> FitState:
             return dataclasses.replace(state, finer=compared)
         # What is left is known by now, but for a part, without a finer simulation yet.
         went = np.asarray(tighter.coordinate) - np.asarray(state.coordinate)
-        before = np.asarray(state.inner.residual) + state.jacobian().times(went)
+        before = np.asarray(state.inner.residual) + state.jacobian.times(went)
         left = change + before - np.asarray(tighter.inner.residual)
         if np.linalg.norm(_explained(tighter, left)) <= _ENOUGH * _allowed(tighter):
             return tighter
@@ -231,7 +239,7 @@ def _allowed(state: FitState) -> float:
 def _explained(state: FitState, row: np.ndarray) -> Float[np.ndarray, " direction"]:
     """The part of a row of residuals that parameters can explain: Q^T of it, but for a rotation."""
     singular, directions = _told(state)
-    return directions @ state.jacobian().transposed_times(row) / singular
+    return directions @ state.jacobian.transposed_times(row) / singular
 
 
 def _followed(state: FitState, row: np.ndarray) -> Float[np.ndarray, " parameter"]:
@@ -246,7 +254,7 @@ def _followed(state: FitState, row: np.ndarray) -> Float[np.ndarray, " parameter
     lower, upper = (np.asarray(each) for each in state.problem.bijector.ends())
     here = np.asarray(state.coordinate)
     singular, directions = _told(state, (here > lower) & (here < upper))
-    gradient = state.jacobian().transposed_times(np.asarray(state.inner.residual) + row)
+    gradient = state.jacobian.transposed_times(np.asarray(state.inner.residual) + row)
     moved = directions @ gradient / singular
     return -(moved / singular) @ directions if np.linalg.norm(moved) < _NEAR else stays
 
@@ -256,7 +264,7 @@ def _told(state: FitState, free: np.ndarray | bool = True) -> tuple[np.ndarray, 
 
     And the directions, in coordinates, shape (direction, parameter); `free` ones alone.
     """
-    jacobian = state.jacobian()
+    jacobian = state.jacobian
     norms = jacobian.norms()
     has_size = (norms > _RESPONSE) & free
     sizes = np.divide(1, norms, out=np.zeros_like(norms), where=has_size)
@@ -314,12 +322,12 @@ def gradient_check(state: FitState, statistics: Statistics) -> GradientCheck | N
     centre, problem = np.asarray(state.coordinate), state.problem
     offset = _DIFFERENCE if centre.dtype == np.float64 else _DIFFERENCE_32
     if known_here:
-        jacobian = state.jacobian()
+        jacobian = state.jacobian
     else:
         finer = _FINER if tolerance is None else min(_FINER, _FINE / tolerance)
         refined = capabilities.refined(problem.model, finer)
         problem = dataclasses.replace(problem, model=problem.model if refined is None else refined)
-        jacobian = state.jacobian(evaluate(state, centre, problem, sample=True))
+        jacobian = state.jacobian_at(evaluate(state, centre, problem, sample=True))
     norms = jacobian.norms()
     takes_part = np.zeros(problem.size, bool)
     takes_part[statistics.alive] = True
@@ -327,7 +335,7 @@ def gradient_check(state: FitState, statistics: Statistics) -> GradientCheck | N
     # Beyond a bound there is nothing to take a difference with.
     first, last = problem.bijector.ends()
     # Of few runs, one that hardly responds to a parameter says nothing of its derivative.
-    told = norms > _TOLD * state.jacobian().norms()
+    told = norms > _TOLD * state.jacobian.norms()
     takes_part &= told & (centre - first > offset) & (np.asarray(last) - centre > offset)
     if not np.any(takes_part):
         return None
@@ -373,7 +381,7 @@ def tolerance_effect(state: FitState, statistics: Statistics) -> ToleranceEffect
     change = residual_change(state)
     if not np.all(np.isfinite(change)):
         return None
-    jacobian = state.natural_jacobian()
+    jacobian = state.natural_jacobian
     gram = np.linalg.pinv(jacobian.reduced()[:, determined])
     shifts = -gram @ (gram.T @ jacobian.transposed_times(change)[determined])
     by_parameter = {}

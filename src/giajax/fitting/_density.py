@@ -55,12 +55,12 @@ def cost_scale(optimum: Optimum) -> float:
     mean over the parameters that are not mostly known by a prior.
     """
     problem, statistics = optimum.state.problem, optimum.statistics
-    jacobian = optimum.state.natural_jacobian()
+    jacobian = optimum.state.natural_jacobian
     weights = None
     if problem.loss != "linear":
         residuals, _ = weighted_residuals(optimum.state)
         _, curvature, slope = scores(problem.loss, residuals)
-        data = np.arange(len(residuals)) < len(residuals) - len(problem.priors)
+        data = np.arange(len(residuals)) < len(residuals) - len(problem.priors.columns)
         weights = np.where(data, np.sqrt(np.maximum(curvature, 0.0)) / slope, 1.0)
     alive = statistics.alive
     with np.errstate(all="ignore"):
@@ -181,8 +181,8 @@ def density_of(optimum: Optimum) -> Density:
     centre = on_device(bounds.inverse(optimum.values[places]), dtype)
     _, slope, _, second = (np.asarray(each) for each in bounds.forward(centre))
     rows = len(state.inner.residual)
-    data = np.arange(rows) < rows - len(state.problem.priors)
-    root = state.natural_jacobian().reduced(np.where(data, 1 / np.sqrt(scale), 1.0))
+    data = np.arange(rows) < rows - len(state.problem.priors.columns)
+    root = state.natural_jacobian.reduced(np.where(data, 1 / np.sqrt(scale), 1.0))
     # The derivative of the map has a curvature of its own, near a bound.
     whole = np.concatenate([root[:, places] * np.exp(slope), np.diag(np.sqrt(-second))])
     natural = Bijector.of([-np.inf] * size, [np.inf] * size, [0.0] * size)
@@ -203,7 +203,7 @@ def energy_at(density: Density, optimum: Optimum, z: np.ndarray) -> tuple[float,
     point = optimum.at(values)
     if not np.isfinite(point.cost):
         return float("inf"), np.zeros_like(z)
-    count = len(density.problem.priors)
+    count = len(density.problem.priors.columns)
     known = point.residual[len(point.residual) - count :]
     by_priors = np.zeros_like(values)
     if count:

@@ -23,7 +23,8 @@ from ..runtime.records import finite_or_none
 from ..runtime.text import InputError
 from ..schema import QUANTITIES, Declaration
 from ..schema.parameters import declared, find, get, left_out, replace
-from ._free import Tie, tied
+from ._configuration import Tie, tied
+from ._estimates import unit_and_bounds
 from ._problem import Problem, batch_members, chunk_size, prepared_with, stacked
 from ._records import Estimate
 from ._statistics import Statistics
@@ -179,9 +180,7 @@ def derived_estimates(problem: Problem, statistics: Statistics) -> dict[str, Est
         estimates[name] = Estimate(
             value=float(value),
             standard_error=finite_or_none(error if np.any(slope) else None),
-            unit=declaration.unit,
-            lower=finite_or_none(declaration.lower),
-            upper=finite_or_none(declaration.upper),
+            **unit_and_bounds(declaration),
             free=True,
             remark=said,
         )
@@ -341,7 +340,9 @@ def responses(
         free = capabilities.free_inputs(model, like)
         inputs = stacked([prepared_with(model, runs[i], own[i] if own else {}) for i in members])
         sizes = tuple((path, get(inputs, path)[0].size) for path in free)
-        varied, rows = _varied(values, members)
+        varied = tuple(values[0]) if values else ()
+        changed = [[values[index][path] for path in varied] for index in members]
+        rows = jnp.asarray(np.asarray(changed, dtype=float), jnp.result_type(float))
         shared = (model, paths, steps, channels, sizes, varied, tuple(ties))
         lengths = np.asarray([len(runs[i].observations[channels[0]]) for i in members])
         batch = Batch(_respond, (inputs, rows), shared, lengths, chunk_size(len(members)))
@@ -365,15 +366,6 @@ def responses(
                 own=np.moveaxis(block[len(paths) :, :count], 0, -1),
             )
     return [answers[index] for index in range(len(runs))]
-
-
-def _varied(
-    values: Sequence[Mapping[str, float]], members: Sequence[int]
-) -> tuple[tuple[str, ...], Array]:
-    """Paths of what is not the same in all runs, and its values, shape (run, path)."""
-    paths = tuple(values[0]) if values else ()
-    rows = [[values[index][path] for path in paths] for index in members]
-    return paths, jnp.asarray(np.asarray(rows, dtype=float), jnp.result_type(float))
 
 
 def _name(direction: Direction) -> tuple[str, tuple[float, ...]]:

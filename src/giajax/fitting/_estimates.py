@@ -10,11 +10,12 @@ from scipy.special import stdtrit
 from ..models import AbstractModel, parameter_values
 from ..runtime.records import finite_or_none
 from ..runtime.text import one_of
+from ..schema import Declaration
 from ..schema.parameters import Parameter, declared
 from ._checks import Curvature
 from ._records import Estimate, OwnEstimate
-from ._state import FitState
 from ._statistics import Statistics, combinations
+from ._steps import FitState
 from ._uncertainty import largest_correlations
 
 # What the data of a fit cannot tell, as codes with a sentence and advice.
@@ -138,7 +139,7 @@ def _correlated(state: FitState, statistics: Statistics) -> Iterator[Finding]:
 def _at_bounds(state: FitState, statistics: Statistics) -> Iterator[Finding]:
     bijector = state.problem.bijector
     residual = np.asarray(state.inner.residual, dtype=float)
-    gradient = state.natural_jacobian().transposed_times(residual)
+    gradient = state.natural_jacobian.transposed_times(residual)
     for index, side in statistics.bounds.items():
         bound = (bijector.lower if side == "lower" else bijector.upper)[index]
         error = statistics.standard_errors[index]
@@ -160,7 +161,11 @@ def _at_bounds(state: FitState, statistics: Statistics) -> Iterator[Finding]:
 
 def _priors(state: FitState, statistics: Statistics) -> Iterator[Finding]:
     priors = state.problem.priors
-    rows = np.asarray(state.inner.residual, dtype=float)[-len(priors) :] if len(priors) else ()
+    rows = (
+        np.asarray(state.inner.residual, dtype=float)[-len(priors.columns) :]
+        if len(priors.columns)
+        else ()
+    )
     for index, row in zip(priors.columns, rows, strict=True):
         name = statistics.labels[index]
         if abs(row) > _AGAINST:
@@ -230,17 +235,16 @@ def _free(
 ) -> Estimate:
     """The estimate of a parameter; of one with a value for each group of runs, their mean."""
     index, declaration = places[0], parameter.declaration
-    common: dict[str, Any] = {
-        "unit": declaration.unit,
-        "lower": finite_or_none(declaration.lower),
-        "upper": finite_or_none(declaration.upper),
-        "free": True,
-    }
+    common = {**unit_and_bounds(declaration), "free": True}
     if len(places) > 1:
         runs = "run" if len(places) == len(state.setup.runs) else "group of runs"
+        error = None
+        if set(places) <= set(statistics.determined):
+            weights = np.isin(statistics.alive, places) / len(places)
+            error = finite_or_none(float(np.sqrt(weights @ statistics.covariance @ weights)))
         return Estimate(
             value=float(np.mean(statistics.values[list(places)])),
-            standard_error=_error_of_mean(statistics, places),
+            standard_error=error,
             remark=f"mean of {len(places)} values, one for each {runs}; result.json has them",
             **common,
         )
@@ -248,7 +252,7 @@ def _free(
         value=float(statistics.values[index]),
         standard_error=finite_or_none(statistics.standard_errors.get(index)),
         remark=_remark(state, statistics, index),
-        interval=interval(statistics, index, parameter),
+        interval=interval(statistics, index, declaration),
         freedom=finite_or_none(statistics.degrees_of_freedom.get(index)),
         sandwich_error=finite_or_none(statistics.sandwich.get(index)),
         prior_share=finite_or_none(statistics.prior_shares.get(index)),
@@ -257,20 +261,13 @@ def _free(
     )
 
 
-def _error_of_mean(statistics: Statistics, places: tuple[int, ...]) -> float | None:
-    if not set(places) <= set(statistics.determined):
-        return None
-    weights = np.isin(statistics.alive, places) / len(places)
-    return finite_or_none(float(np.sqrt(weights @ statistics.covariance @ weights)))
-
-
 def student_reach(freedom: float, level: float = _LEVEL) -> float:
     """Half of an interval by Student's t of some degrees of freedom, in standard errors."""
     return float(stdtrit(min(freedom, _NORMAL), (1 + level) / 2))
 
 
 def interval(
-    statistics: Statistics, index: int, parameter: Parameter
+    statistics: Statistics, index: int, declaration: Declaration
 ) -> tuple[float, float] | None:
     """The interval that holds a parameter by 95 %; None without a standard error.
 
@@ -282,7 +279,6 @@ def interval(
         return None
     reach = student_reach(statistics.degrees_of_freedom[index]) * error
     value = float(statistics.values[index])
-    declaration = parameter.declaration
     return max(value - reach, declaration.lower), min(value + reach, declaration.upper)
 
 
@@ -304,12 +300,8 @@ def own_estimates(state: FitState, statistics: Statistics) -> list[dict[str, Own
 
 
 def _remark(state: FitState, statistics: Statistics, index: int) -> str:
-    return remark(statistics, index, moves=bool(np.asarray(state.active)[index]))
-
-
-def remark(statistics: Statistics, index: int, *, moves: bool) -> str:
-    """What to know before using a free parameter, which `moves` if it showed at the start."""
-    if not moves:
+    """What a reader must know before using the value of a free parameter; may be empty."""
+    if not np.asarray(state.active)[index]:
         return "not determined: no channel responds to it; left at its start"
     for group in statistics.together:
         if index in group:
@@ -340,21 +332,16 @@ def remark(statistics: Statistics, index: int, *, moves: bool) -> str:
 def _held(model: AbstractModel, free: tuple[str, ...]) -> dict[str, Estimate]:
     """The declared parameters that were not free, with their declarations."""
     values = parameter_values(model)
+    held: dict[str, Any] = {"standard_error": None, "free": False, "remark": "held"}
     return {
-        path: _held_estimate(parameter, values[path])
+        path: Estimate(value=values[path], **unit_and_bounds(parameter.declaration), **held)
         for path, parameter in declared(model).items()
         if path not in free
     }
 
 
-def _held_estimate(parameter: Parameter, value: object) -> Estimate:
-    declaration = parameter.declaration
-    return Estimate(
-        value=value,
-        standard_error=None,
-        unit=declaration.unit,
-        lower=finite_or_none(declaration.lower),
-        upper=finite_or_none(declaration.upper),
-        free=False,
-        remark="held",
-    )
+def unit_and_bounds(declaration: Declaration) -> dict[str, Any]:
+    """What a declaration says of an estimate."""
+    bounds = {"lower": declaration.lower, "upper": declaration.upper}
+    finite = {name: bound if np.isfinite(bound) else None for name, bound in bounds.items()}
+    return {"unit": declaration.unit, **finite}

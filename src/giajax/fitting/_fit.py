@@ -26,9 +26,8 @@ from ._noise import verdict
 from ._problem import Problem, predictions_by_run
 from ._records import ChannelFit, Correlation, Iteration, NoiseFit, OwnEstimate, RunFit, Seconds
 from ._result import FitResult, integration_of
-from ._state import FitState, Reason
 from ._statistics import Statistics, statistics
-from ._steps import CHANGED, FitJournal, begin, journal_writer, restored
+from ._steps import CHANGED, FitJournal, FitState, Reason, begin, journal_writer, restored
 
 # From the last state of a fit to its result.
 
@@ -53,13 +52,10 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
         message += ", then interrupted before its result was checked"
     predictions = predictions_by_run(problem, state.inner.aux, setup.runs)
     active = np.asarray(state.active)
-    moved = [
-        path
-        for path, places in zip(problem.paths, problem.positions, strict=True)
-        if np.any(active[list(places)])
-    ]
-    compiling = state.step_seconds[0] - float(np.median(state.step_seconds[1:] or [0.0]))
-    compiling = max(compiling, 0.0)
+    places = zip(problem.paths, problem.positions, strict=True)
+    moved = [path for path, at in places if np.any(active[list(at)])]
+    usual = float(np.median(state.step_seconds[1:] or [0.0]))
+    compiling = max(state.step_seconds[0] - usual, 0.0)
     elapsed = time.perf_counter() - began
     return FitResult(
         status=status,
@@ -145,27 +141,28 @@ def _run_fit(
 ) -> RunFit:
     channels = {}
     for name, values in run.observations.items():
-        channel = run.channels[name]
-        difference = (predicted[name] - values)[~np.isnan(values)]
-        rmse = float(np.sqrt(np.mean(difference**2)))
+        channel, known, measured = run.channels[name], noise[name], ~np.isnan(values)
+        difference = (predicted[name] - values)[measured]
+        # Geometric mean of the deviations of what the cells before do not foretell.
+        fresh = gains(known, run.times, measured.astype(float))[2][measured]
+        sizes = (
+            np.sqrt(np.mean(difference**2)),
+            known.deviation,
+            known.correlated,
+            np.exp(np.mean(np.log(fresh))),
+        )
+        rmse, deviation, correlated, innovation = channel.from_si(sizes).tolist()
         channels[name] = ChannelFit(
             unit=channel.unit,
-            rmse=finite_or_none(float(channel.from_si(rmse))),
+            rmse=rmse if np.isfinite(rmse) else None,
             n=len(difference),
-            noise=float(channel.from_si(noise[name].deviation)),
-            correlated=float(channel.from_si(noise[name].correlated)),
-            correlation_time_s=noise[name].time_s,
-            innovation=float(channel.from_si(_innovation(noise[name], run, values))),
+            noise=deviation,
+            correlated=correlated,
+            correlation_time_s=known.time_s,
+            innovation=innovation,
         )
     path = None if run.path is None else str(run.path)
     return RunFit(run.name, path, run.sha256, channels, own)
-
-
-def _innovation(noise: ChannelNoise, run: Run, values: np.ndarray) -> float:
-    """Geometric mean of the deviations of what the cells before do not foretell, SI."""
-    measured = ~np.isnan(values)
-    _, _, deviation = gains(noise, run.times, measured.astype(float))
-    return float(np.exp(np.mean(np.log(deviation[measured]))))
 
 
 def _noise(state: FitState, known: Statistics) -> NoiseFit:
@@ -297,7 +294,12 @@ def solve(
         budget = Budget(settings.budget_s)
     state, keep = begin(setup), None
     if journal is not None:
-        state, before = _gone_on(state, journal)
+        try:
+            state, before = restored(state, journal)
+        except InputError:
+            raise
+        except (ValueError, LookupError, TypeError, ArithmeticError):
+            raise InputError(f"{CHANGED}: begin again without it") from None
         began -= before
         keep = journal_writer(state, journal, lambda: time.perf_counter() - began)
     state = descend(state, max_iterations, progress, budget=budget, keep=keep)
@@ -314,16 +316,6 @@ def solve(
     if budget is None:
         return result
     return dataclasses.replace(result, config={**result.config, "budget_s": budget.seconds})
-
-
-def _gone_on(begun: FitState, journal: FitJournal) -> tuple[FitState, float]:
-    """As `restored`."""
-    try:
-        return restored(begun, journal)
-    except InputError:
-        raise
-    except (ValueError, LookupError, TypeError, ArithmeticError):
-        raise InputError(f"{CHANGED}: begin again without it") from None
 
 
 _warned = False

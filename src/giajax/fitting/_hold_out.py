@@ -40,14 +40,12 @@ from ..noise import (
 from ..recordings import FitSettings, Run, SplitRun, hold_out
 from ..runtime.arrays import Bool, Float
 from ..runtime.text import InputError
-from ._configuration import Setup, set_up
-from ._free import WarmStart, between
+from ._configuration import Setup, WarmStart, between, set_up
 from ._noise import TOLERANCE, prior_gram, residual_cells, series_of, shared_and_own
 from ._problem import predictions_by_run
 from ._records import HeldChannel, HeldOut
 from ._result import FitResult
-from ._state import FitState
-from ._steps import at_tolerance, begin, move, reweight, step
+from ._steps import FitState, at_tolerance, begin, move, reweight, step
 from ._weights import Noise
 
 Groups = dict[str, list[list[str]]]

@@ -13,6 +13,7 @@ import optimistix as optx
 from ..runtime.arrays import Array, Float
 from ..runtime.parallel import Batch, run_on_all_cores
 from ..runtime.programs import program
+from ._coordinates import Bijector
 from ._problem import (
     Prediction,
     Problem,
@@ -58,7 +59,7 @@ class BlockJacobian:
             for block, own in zip(np.asarray(stacked), batch.columns(), strict=True):
                 rows.append(np.asarray(block, dtype=float))
                 columns.append(own)
-        if len(problem.priors):
+        if len(problem.priors.columns):
             rows.append(np.diag(np.asarray(slopes, dtype=float)))
             columns.append(np.asarray(problem.priors.columns))
         return cls(rows, columns, problem.size)
@@ -162,7 +163,10 @@ def assembled(parts: Sequence[tuple[Any, ...]], coordinate: Array, problem: Prob
     rows, blocks, triangles, tables, successes = zip(*parts, strict=True)
     known, slopes = problem.priors.rows(coordinate, problem.bijector)
     placed = [_placed(t, g, problem) for t, g in zip(triangles, problem.batches, strict=True)]
-    whole = jnp.concatenate([*placed, _placed_priors(known, slopes, problem)])
+    priors = jnp.zeros((len(known), problem.size + 1), known.dtype).at[:, -1].set(known)
+    columns = np.asarray(problem.priors.columns, dtype=int)
+    priors = priors.at[np.arange(len(known)), columns].set(slopes)
+    whole = jnp.concatenate([*placed, priors])
     if whole.shape[0] > whole.shape[1]:
         whole = jnp.linalg.qr(whole, mode="r")
     row = jnp.concatenate([*(part.ravel() for part in rows), known])
@@ -179,13 +183,6 @@ def _placed(triangles: Float[Array, "run row column"], batch: RunBatch, problem:
     columns = batch.columns()[:, None, :]
     whole = whole.at[at[0][..., None], at[1][..., None], columns].set(triangles[:, :, :-1])
     return whole.reshape(runs * count, -1)
-
-
-def _placed_priors(rows: Array, slopes: Array, problem: Problem) -> Array:
-    """Rows of the priors, with their columns where they belong in the whole."""
-    count, columns = len(problem.priors), np.asarray(problem.priors.columns, dtype=int)
-    whole = jnp.zeros((count, problem.size + 1), rows.dtype)
-    return whole.at[np.arange(count), columns].set(slopes).at[:, -1].set(rows)
 
 
 # The compiled programs of a fit, each with what it returns, for those that are kept.
@@ -207,33 +204,22 @@ def _stepped(
 def step(
     solver: Marquardt, coordinate: Array, problem: Problem, state: MarquardtState, active: Array
 ) -> Stepped:
-    options = _options(problem, active) | {"linearise": linearise}
+    options = _options(problem.bijector, active) | {"linearise": linearise}
     coordinate, state, _ = solver.step(residual, coordinate, problem, options, state, frozenset())
     return _ended(solver, coordinate, problem, state, options)
 
 
 @functools.partial(program, like=lambda solver, coordinate, *rest: coordinate)
 def propose(
-    solver: Marquardt, coordinate: Array, bijector: Any, state: MarquardtState, active: Array
+    solver: Marquardt, coordinate: Array, bijector: Bijector, state: MarquardtState, active: Array
 ) -> Array:
-    lower, upper = bijector.ends()
-    options = {"active": active, "lower": lower, "upper": upper}
-    return solver.propose(coordinate, options, state)
+    return solver.propose(coordinate, _options(bijector, active), state)
 
 
-def _judged(
-    solver: Marquardt,
-    coordinate: Array,
-    trial: Array,
-    parts: Any,
-    problem: Problem,
-    state: MarquardtState,
-    active: Array,
-) -> Stepped:
-    return _stepped(solver, coordinate, problem, state, active)
-
-
-@functools.partial(program, like=_judged)
+@functools.partial(
+    program,
+    like=lambda solver, coordinate, trial, parts, *rest: _stepped(solver, coordinate, *rest),
+)
 def judge(
     solver: Marquardt,
     coordinate: Array,
@@ -243,7 +229,7 @@ def judge(
     state: MarquardtState,
     active: Array,
 ) -> Stepped:
-    options = _options(problem, active)
+    options = _options(problem.bijector, active)
     there = assembled(parts, trial, problem)
     coordinate, state = solver.judge(coordinate, options, state, trial, there)
     return _ended(solver, coordinate, problem, state, options)
@@ -280,7 +266,7 @@ def predicted(runs: tuple[Array, RunBatch], problem: Problem) -> tuple[Array, ..
 
 
 def result_row(coordinate: Array, problem: Problem) -> Any:
-    count = sum(batch.observed.size for batch in problem.batches) + len(problem.priors)
+    count = sum(batch.observed.size for batch in problem.batches) + len(problem.priors.columns)
     return jax.ShapeDtypeStruct((count,), coordinate.dtype)
 
 
@@ -296,9 +282,9 @@ def joined_row(parts: Any, coordinate: Array, problem: Problem) -> Array:
     return jnp.where(prediction.successful, row, jnp.nan)
 
 
-def _options(problem: Problem, active: Array) -> dict[str, Any]:
+def _options(bijector: Bijector, active: Array) -> dict[str, Any]:
     """What the solver has to know beside the problem."""
-    lower, upper = problem.bijector.ends()
+    lower, upper = bijector.ends()
     return {"active": active, "lower": lower, "upper": upper}
 
 
@@ -360,10 +346,12 @@ def blank(solver: Marquardt, problem: Problem, coordinate: Array) -> MarquardtSt
     shape = result_row(coordinate, problem)
     # By numpy, as in the solver: each operation of JAX here would be a program of its own.
     blocks = tuple(
-        np.zeros((len(g.members), g.observed.size // len(g.members), g.columns().shape[1]), dtype)
+        np.zeros(
+            (len(g.members), g.observed.size // len(g.members), len(g.shared[0]) + g.width), dtype
+        )
         for g in batches
     )
-    options = {"jacobian": (*blocks, np.zeros(len(problem.priors), dtype))}
+    options = {"jacobian": (*blocks, np.zeros(len(problem.priors.columns), dtype))}
     return solver.init(residual, coordinate, problem, options, shape, prediction, frozenset())
 
 

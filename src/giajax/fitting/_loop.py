@@ -12,8 +12,7 @@ from ..runtime.text import InputError, time_in_words
 from ._checks import can_improve, with_finer_tolerance, with_suitable_tolerance
 from ._noise import reestimate
 from ._records import Iteration
-from ._state import FitState, Reason
-from ._steps import reweight, step, tolerance_of, trial
+from ._steps import FitState, Reason, reweight, step, tolerance_of, trial
 from ._uncertainty import responds
 from ._weights import transform
 
@@ -191,7 +190,7 @@ def advance_alone(state: FitState) -> FitState:
         if not state.evaluated:
             return state.ended("not_converged", "the model cannot be evaluated there", "wall")
         # What was not left out may leave some without a response.
-        moves = responds(state.natural_jacobian().norms(), state.sizes)
+        moves = responds(state.natural_jacobian.norms(), state.sizes)
         state = with_active(state, moves & np.asarray(state.active))
         state = dataclasses.replace(state, done=False, converged=False)
         return state.recorded(accepted=True)
@@ -287,7 +286,7 @@ def _at_start(state: FitState) -> FitState:
             "the model cannot be evaluated at the start values (the simulation fails): "
             "choose others, for an arm softer or less damped joints, or a shorter run"
         )
-    moves = responds(state.natural_jacobian().norms(), state.sizes)
+    moves = responds(state.natural_jacobian.norms(), state.sizes)
     state = with_active(state, moves)
     if np.any(moves):
         if state.setup.suited is None:

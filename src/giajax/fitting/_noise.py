@@ -21,7 +21,7 @@ from ..noise import (
 from ..recordings import Run
 from ._problem import predictions_by_run
 from ._records import Status
-from ._state import FitState
+from ._steps import FitState
 from ._weights import Noise, scores
 
 # What a fit left over, cell by cell, with derivatives: what the noise is estimated from.
@@ -33,7 +33,7 @@ def residual_cells(state: FitState, *, together: bool = False) -> dict[tuple[int
     Without weights and not whitened. Coordinates that are held have no columns; those that one run
     alone responds to are its own. `together`, every coordinate is a shared column, held ones too.
     """
-    jacobian, active = state.jacobian(), np.asarray(state.active)
+    jacobian, active = state.jacobian, np.asarray(state.active)
     if together:
         common, mine = list(range(state.problem.size)), set[int]()
     else:
@@ -74,10 +74,10 @@ def residual_cells(state: FitState, *, together: bool = False) -> dict[tuple[int
 def prior_gram(state: FitState) -> np.ndarray:
     """X^T X of the rows of priors, by the shared columns of `residual_cells` and the residual."""
     common, _ = shared_and_own(state)
-    count, columns = len(state.problem.priors), state.problem.priors.columns
+    count, columns = len(state.problem.priors.columns), state.problem.priors.columns
     rows = np.zeros((count, len(common) + 1))
     if count:
-        slopes = np.diag(state.jacobian().blocks[-1])
+        slopes = np.diag(state.jacobian.blocks[-1])
         residual = np.asarray(state.inner.residual)[-count:]
         for row, column, slope, value in zip(rows, columns, slopes, residual, strict=True):
             # What is held stays as far off whatever the others do.
@@ -89,7 +89,7 @@ def prior_gram(state: FitState) -> np.ndarray:
 def shared_and_own(state: FitState) -> tuple[list[int], set[int]]:
     """Positions of the coordinates that move: shared ones; of single runs, without a prior."""
     active = np.asarray(state.active)
-    count = Counter(int(c) for columns in state.jacobian().columns for c in columns)
+    count = Counter(int(c) for columns in state.jacobian.columns for c in columns)
     several = len(state.setup.runs) > 1
     mine = {column for column, uses in count.items() if several and uses == 1}
     return [c for c in range(state.problem.size) if active[c] and c not in mine], mine

@@ -23,9 +23,8 @@ from ._loop import with_active
 from ._noise import reestimate, residual_cells
 from ._problem import Recorded, predictions_by_run, with_recorded
 from ._records import RunFit
-from ._state import FitState, labels
 from ._statistics import Statistics, statistics
-from ._steps import begin, evaluate, move, reweight, step
+from ._steps import FitState, begin, evaluate, labels, move, reweight, step
 from ._uncertainty import dense_cells, prior_rows, responds, weighted_cells
 from ._weights import Noise, scores
 
@@ -129,7 +128,7 @@ class Optimum:
         return Point(
             cost=float(inner.cost),
             residual=np.asarray(inner.residual),
-            jacobian=there.natural_jacobian(),
+            jacobian=there.natural_jacobian,
             predictions=self._predictions(there),
         )
 
@@ -220,7 +219,7 @@ def _evaluated(begun: FitState, noise: Noise) -> FitState:
     state = step(reweight(begun, noise))
     if not state.evaluated:
         raise InputError("the model cannot be evaluated where the fit ended")
-    return with_active(state, responds(state.natural_jacobian().norms(), state.sizes))
+    return with_active(state, responds(state.natural_jacobian.norms(), state.sizes))
 
 
 def _noise_of(noise: Noise, setup: Setup, records: Sequence[RunFit]) -> dict[str, ChannelNoise]:

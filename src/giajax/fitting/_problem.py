@@ -13,8 +13,8 @@ from ..models import AbstractModel, capabilities
 from ..recordings import Run
 from ..runtime.arrays import Array, Float, on_device
 from ..schema.parameters import get, replace
+from ._configuration import Tie, tied, within_bounds
 from ._coordinates import Bijector, Layout
-from ._free import Tie, tied, within_bounds
 from ._weights import Noise, Priors, Whitening, transform
 
 # Prepared runs of several lengths as one pytree with a leading run axis.
@@ -27,16 +27,13 @@ def stacked(trees: Sequence[Any]) -> Any:
         # By numpy: each shape would be a program of its own, compiled before the fit begins.
         rows = [np.asarray(leaf) for leaf in leaves]
         length = max(row.shape[0] if row.ndim else 0 for row in rows)
-        return on_device(
-            np.stack(
-                [
-                    np.concatenate([row, np.repeat(row[-1:], length - row.shape[0], axis=0)])
-                    if row.ndim and row.shape[0] < length
-                    else row
-                    for row in rows
-                ]
-            )
-        )
+        padded = [
+            np.concatenate([row, np.repeat(row[-1:], length - row.shape[0], axis=0)])
+            if row.ndim and row.shape[0] < length
+            else row
+            for row in rows
+        ]
+        return jax.device_put(np.stack(padded))
 
     return jax.tree.map(stack, *trees)
 
@@ -93,27 +90,22 @@ def recorded_cells(
     indices: Sequence[int],
     channels: Sequence[str],
     recorded: Recorded,
-) -> tuple[Array, Array, Whitening | None]:
-    """Values and weights of the runs of a batch, 0 where none counts, padded to the longest.
-
-    And the whitening of correlated noise.
-    """
+) -> dict[str, Any]:
+    """What of a batch of runs depends on their values and noise, padded to the longest."""
     observed = [np.stack([recorded[i][c] for c in channels], -1) for i in indices]
     weight = [
-        np.where(np.isnan(cells), 0.0, 1 / np.asarray(_deviations(noise, i, channels)))
+        np.where(
+            np.isnan(cells), 0.0, 1 / np.asarray([noise.values[i][c].deviation for c in channels])
+        )
         * _root_weights(noise, runs[i], i, channels)
         for i, cells in zip(indices, observed, strict=True)
     ]
     length = max(len(cells) for cells in observed)
-    return (
-        _padded([np.nan_to_num(cells) for cells in observed], length),
-        _padded(weight, length),
-        _whitening(runs, noise, indices, channels, length, recorded),
-    )
-
-
-def _deviations(noise: Noise, index: int, channels: Sequence[str]) -> list[float]:
-    return [noise.values[index][channel].deviation for channel in channels]
+    return {
+        "observed": _padded([np.nan_to_num(cells) for cells in observed], length),
+        "weight": _padded(weight, length),
+        "whitening": _whitening(runs, noise, indices, channels, length, recorded),
+    }
 
 
 def _root_weights(noise: Noise, run: Run, index: int, channels: Sequence[str]) -> np.ndarray:
@@ -229,12 +221,9 @@ def build_batches(
     first = layout.size
     recorded = [run.observations for run in runs]
     for (channels, _, own), indices in members.items():
-        observed, weight, whitening = recorded_cells(runs, noise, indices, channels, recorded)
         batch = RunBatch(
             inputs=stacked([prepared[i] for i in indices]),
-            observed=observed,
-            weight=weight,
-            whitening=whitening,
+            **recorded_cells(runs, noise, indices, channels, recorded),
             channels=channels,
             members=tuple(indices),
             own=own,
@@ -250,14 +239,12 @@ def with_recorded(
     batches: Sequence[RunBatch], runs: Sequence[Run], noise: Noise, recorded: Recorded
 ) -> tuple[RunBatch, ...]:
     """Batches with other values or another noise; what was prepared of the runs stays."""
-    others = []
-    for batch in batches:
-        cells = recorded_cells(runs, noise, batch.members, batch.channels, recorded)
-        observed, weight, whitening = cells
-        others.append(
-            dataclasses.replace(batch, observed=observed, weight=weight, whitening=whitening)
+    return tuple(
+        dataclasses.replace(
+            batch, **recorded_cells(runs, noise, batch.members, batch.channels, recorded)
         )
-    return tuple(others)
+        for batch in batches
+    )
 
 
 def own_start(batches: Sequence[RunBatch]) -> np.ndarray:
@@ -275,14 +262,15 @@ def own_values(
     batches: Sequence[RunBatch], runs: Sequence[Run], begun: Mapping[str, Mapping[str, float]]
 ) -> np.ndarray:
     """As `own_start`, apart from those that begin elsewhere."""
-    own = own_start(batches)
-    shared = batches[0].first
-    for batch in batches:
-        for member, columns in zip(batch.members, batch.own_columns(), strict=True):
-            values = begun.get(runs[member].name, {})
-            for label, column in zip(batch.own_labels(), columns.tolist(), strict=True):
-                own[column - shared] = values.get(label, own[column - shared])
-    return own
+    own = iter(own_start(batches).tolist())
+    return np.asarray(
+        [
+            begun.get(runs[member].name, {}).get(label, start)
+            for batch in batches
+            for member in batch.members
+            for label, start in zip(batch.own_labels(), own, strict=False)
+        ]
+    )
 
 
 class Problem(eqx.Module):
@@ -312,7 +300,7 @@ class Problem(eqx.Module):
     loss: str = eqx.field(static=True)
     places: tuple[tuple[int, ...], ...] = eqx.field(static=True, default=())
     ties: tuple[Tie, ...] = eqx.field(static=True, default=())
-    priors: Priors = eqx.field(default_factory=Priors.none)
+    priors: Priors = eqx.field(default_factory=lambda: Priors.of({}, ()))
 
     @property
     def size(self) -> int:

@@ -17,8 +17,8 @@ from ..recordings import Run
 from ..runtime.records import Numbers
 from ..runtime.text import InputError, format_bounds, format_estimate, wrapped
 from ..schema.parameters import declared, replace
+from ._configuration import resolved_ties, tied
 from ._coordinates import Layout, members
-from ._free import resolved_ties, tied
 
 # What a result says of what its model leaves out and holds: records of `result.json`.
 

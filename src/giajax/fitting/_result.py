@@ -39,7 +39,7 @@ from ._records import (
     model_of_run,
     rows_of_runs,
 )
-from ._state import FitState, Reason
+from ._steps import FitState, Reason
 
 # How a fit integrated its model, as a part of its result.
 

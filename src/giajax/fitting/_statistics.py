@@ -8,7 +8,7 @@ import numpy as np
 
 from ..runtime.text import format_estimate
 from ._linearise import BlockJacobian
-from ._state import FitState, labels
+from ._steps import FitState, labels
 from ._uncertainty import (
     COLLINEAR,
     correlation_matrix,
@@ -82,7 +82,7 @@ class Statistics:
 def statistics(state: FitState) -> Statistics:
     """The statistics of a fit where it ended."""
     problem = state.problem
-    jacobian = state.natural_jacobian()
+    jacobian = state.natural_jacobian
     moves = responds(jacobian.norms(), state.sizes)
     alive = np.flatnonzero(np.asarray(state.active) & moves)
     root = jacobian.reduced()[:, alive]
@@ -90,7 +90,7 @@ def statistics(state: FitState) -> Statistics:
     loose = {index for group in together for index in group}
     determined = tuple(int(i) for i in alive if i not in loose)
     residuals, measured = weighted_residuals(state)
-    cells = len(residuals) - len(problem.priors)
+    cells = len(residuals) - len(problem.priors.columns)
     shares = _prior_shares(problem.priors, jacobian, alive, root)
     known = sum(shares.values())
     white = np.asarray(state.inner.residual) if problem.loss == "linear" else residuals
@@ -100,7 +100,7 @@ def statistics(state: FitState) -> Statistics:
         loss=problem.loss,
         measured=measured,
         columns=alive,
-        priors=len(problem.priors),
+        priors=len(problem.priors.columns),
         known=known,
         scaled=state.noise.weights is None,
     )
@@ -158,7 +158,7 @@ def _against_stated(state: FitState) -> np.ndarray:
                 for name in batch.channels
             ]
             parts.append(np.tile(ratios, batch.observed.shape[1]))
-    return np.concatenate([*parts, np.ones(len(state.problem.priors))])
+    return np.concatenate([*parts, np.ones(len(state.problem.priors.columns))])
 
 
 def weighted_residuals(state: FitState) -> tuple[np.ndarray, np.ndarray]:
@@ -180,7 +180,7 @@ def _prior_shares(
     priors: Priors, jacobian: BlockJacobian, alive: np.ndarray, root: np.ndarray
 ) -> dict[int, float]:
     """How much of what is known of each parameter with a prior is the prior's."""
-    if not len(priors):
+    if not len(priors.columns):
         return {}
     variances = np.diag(inverse_gram(root))
     slopes = dict(zip(priors.columns, np.diag(jacobian.blocks[-1]), strict=True))

@@ -11,7 +11,7 @@ from ..recordings import Run
 from ..runtime.arrays import Float
 from ._linearise import BlockJacobian
 from ._noise import OUTLIER, residual_cells
-from ._state import FitState
+from ._steps import FitState
 from ._weights import mean_square_of_influence, scores
 
 # What the data cannot tell: parameters without response, and combinations that go together.
@@ -237,10 +237,10 @@ def prior_rows(
     state: FitState, alive: np.ndarray
 ) -> tuple[Float[np.ndarray, "prior parameter"], Float[np.ndarray, " prior"]]:
     """The rows that are those of priors, by the parameters that respond, and their residuals."""
-    count, columns = len(state.problem.priors), list(state.problem.priors.columns)
+    count, columns = len(state.problem.priors.columns), list(state.problem.priors.columns)
     rows = np.zeros((count, state.problem.size))
     if count:
-        rows[:, columns] = state.natural_jacobian().blocks[-1]
+        rows[:, columns] = state.natural_jacobian.blocks[-1]
     return rows[:, alive], np.asarray(state.inner.residual)[len(state.inner.residual) - count :]
 
 

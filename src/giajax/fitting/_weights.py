@@ -77,7 +77,7 @@ class Noise:
     @property
     def is_white(self) -> bool:
         """Whether no channel's noise is correlated."""
-        return all(noise.is_white for of_run in self.values for noise in of_run.values())
+        return not any(noise.correlated for of_run in self.values for noise in of_run.values())
 
     def by_key(self) -> dict[str, ChannelNoise]:
         """The noise of each key."""
@@ -132,11 +132,7 @@ class KeptNoise:
 
 
 def _stated(run: Run, name: str) -> Stated:
-    deviation = run.noise(name)
-    part = run.correlated_noise(name)
-    if part is None:
-        return Stated(deviation)
-    return Stated(deviation, correlated=part[0], time_s=part[1])
+    return Stated(run.noise(name), *(run.correlated_noise(name) or ()))
 
 
 def _key(name: str, number: int, stated: Stated, per_run: bool) -> str:
@@ -357,14 +353,6 @@ class Priors(eqx.Module):
             columns=tuple(column for column, _ in rows),
             logarithmic=tuple(prior.logarithmic for _, prior in rows),
         )
-
-    @classmethod
-    def none(cls) -> Self:
-        """No prior at all."""
-        return cls.of({}, ())
-
-    def __len__(self) -> int:
-        return len(self.columns)
 
     def rows(self, coordinate: Float[Array, " parameter"], bijector: Bijector) -> tuple[Rows, Rows]:
         """Rows of the residual, and the derivative of each by its own free coordinate."""

@@ -288,7 +288,7 @@ class ArmModel(AbstractModel):
             raise InputError(
                 f"there is no solver '{self.solver}': use one of: {', '.join(SOLVERS)}"
             )
-        self.sensors.check(self.arm.count)
+        self.sensors.check(self.arm.links.length.shape[0])
 
     @classmethod
     def for_runs(cls, runs: Sequence[Run]) -> Self:

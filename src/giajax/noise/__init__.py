@@ -1,16 +1,16 @@
 """Noise of channels, and whether residuals are what noise alone would leave."""
 
 from ._estimate import (
-    by_second_differences as by_second_differences,
     estimate as estimate,
-    from_differences as from_differences,
     outlier_weights as outlier_weights,
     robust_deviation as robust_deviation,
 )
 from ._model import (
     ChannelNoise as ChannelNoise,
     Stated as Stated,
+    by_second_differences as by_second_differences,
     drawn as drawn,
+    from_differences as from_differences,
     gains as gains,
     whitened as whitened,
 )

@@ -7,11 +7,8 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from ..runtime.arrays import Float
-from ._model import ChannelNoise, Stated, solve
-from ._restricted import Cells, Restricted, best_scales, scaled
-
-# 1.4826 median(|x|) estimates the standard deviation of a normal variable.
-MAD = 1.4826
+from ._model import MAD, ChannelNoise, Stated
+from ._restricted import Cells, Restricted, best_scales, scaled, solve
 
 _ROUNDS = 20
 
@@ -38,7 +35,7 @@ def outlier_weights(cells: Cells, noise: ChannelNoise) -> Float[np.ndarray, " ce
     noise = dataclasses.replace(noise, white=white)
     weights = np.ones(len(cells.residual))
     for _ in range(_ROUNDS):
-        solved = solve(noise, cells.times, weights, cells.residual[:, None]).columns[:, 0]
+        solved = solve(noise, cells.times, weights, cells.residual[:, None])[0][:, 0]
         # V^-1 e times the white variance is the white part of e.
         own = np.abs(white**2 / weights * solved) / white
         after = 1 / np.maximum(own, 1.0)
@@ -47,39 +44,6 @@ def outlier_weights(cells: Cells, noise: ChannelNoise) -> Float[np.ndarray, " ce
         if done:
             break
     return weights
-
-
-# Fewer second differences know no deviation.
-_FEWEST_DIFFERENCES = 8
-
-
-def by_second_differences(values: np.ndarray) -> float | None:
-    """Deviation of white noise on something smooth, from the median of second differences.
-
-    NaN is not measured; there is none from too few.
-    """
-    second = np.diff(values, 2)
-    second = second[~np.isnan(second)]
-    return None if len(second) < _FEWEST_DIFFERENCES else _deviation(second)
-
-
-def from_differences(values: np.ndarray) -> float:
-    """Noise of a recorded channel from its second differences, before any model is known.
-
-    A motion that is smooth over three samples leaves only noise in x[i-1] - 2 x[i] + x[i+1],
-    whose standard deviation is sqrt(6) times that of white noise. The median keeps outliers
-    out, and NaN is not measured. A channel without visible noise gets a thousandth of its range.
-    """
-    measured = values[~np.isnan(values)]
-    estimate = by_second_differences(values)
-    if estimate is None:
-        estimate = _deviation(np.diff(measured, 2))
-    span = float(np.ptp(np.quantile(measured, [0.05, 0.95])))  # an outlier is no range
-    return max(estimate, 1e-3 * span) or 1.0
-
-
-def _deviation(second: np.ndarray) -> float:
-    return MAD * float(np.median(np.abs(second))) / np.sqrt(6) if len(second) else 0.0
 
 
 # Twice the gain in log-likelihood that correlation must bring, for two more parameters: white noise

@@ -1,12 +1,11 @@
-"""White noise plus correlated noise of one channel."""
+"""White noise plus correlated noise of one channel, and what differences of samples show of it."""
 
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import NamedTuple, Self
+from typing import Self
 
 import numpy as np
-from scipy.linalg.lapack import dpttrf, dpttrs
 
 from ..runtime.arrays import Float
 
@@ -75,76 +74,6 @@ class Stated:
             return None
         part = self.correlated if correlated else None
         return ChannelNoise.of_cell(self.deviation, part or 0.0, self.time_s)
-
-
-# The covariance of consecutive samples of a channel, whose inverse costs a pass over them.
-#
-# The precision of an Ornstein-Uhlenbeck process at any instants is tridiagonal (Rue and Held,
-# "Gaussian Markov Random Fields", 2005, section 1.2.1). With T that of unit variance, the
-# covariance of white noise of deviations w and a correlated part of variance c is V = diag(w^2) +
-# c T^-1, and
-#
-#     V^-1 = (c + w^2 T)^-1 T,    log|V| = log|c + w^2 T| - log|T|.
-
-# Neighbours that are closer than this part of the correlation time are told apart no more.
-_CLOSEST = 1e-9
-
-
-class Solved(NamedTuple):
-    """V^-1 times the columns that were given, and log|V|."""
-
-    columns: Float[np.ndarray, "sample column"]
-    log_determinant: float
-
-
-def solve(
-    noise: ChannelNoise,
-    times: Float[np.ndarray, " sample"] | None,
-    weights: Float[np.ndarray, " sample"],
-    columns: Float[np.ndarray, "sample column"],
-) -> Solved:
-    """V^-1 X and log|V| of the noise at some instants, for the columns X over its cells.
-
-    Arguments:
-        noise: of the channel.
-        times: of the measured cells, s, increasing; without any the noise is white.
-        weights: of the cells, 0 to 1: the white variance of each is divided by it.
-        columns: X.
-    """
-    variance = noise.white**2 / weights
-    # A single cell has no neighbour; LAPACK takes no matrix without an off-diagonal.
-    if times is None or noise.is_white or len(times) < 2:
-        total = variance + noise.correlated**2
-        return Solved(columns / total[:, None], float(np.sum(np.log(total))))
-    diagonal, off, log_t = precision(times, noise.time_s)
-    # With the weights' square roots on both sides the matrix is symmetric, and LAPACK's factors of
-    # a tridiagonal one do: for a few hundred samples SciPy's functions take longer than they.
-    root = np.sqrt(weights)
-    diagonal, off = diagonal / weights, off / (root[:-1] * root[1:])
-    # A row for each column of X: what is next to each other in time is so in memory.
-    rows = np.ascontiguousarray(columns.T) * root
-    along = diagonal * rows
-    along[:, 1:] += off * rows[:, :-1]
-    along[:, :-1] += off * rows[:, 1:]
-    pivots, factors, _ = dpttrf(
-        noise.correlated**2 + noise.white**2 * diagonal, noise.white**2 * off, 1, 1
-    )
-    solved, _ = dpttrs(pivots, factors, along.T, 1)
-    return Solved(solved * root[:, None], float(np.sum(np.log(pivots))) - log_t)
-
-
-def precision(
-    times: Float[np.ndarray, " sample"], time_s: float
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """Diagonal and first off-diagonal of T, the precision of an Ornstein-Uhlenbeck process of unit
-    variance, and log|T|."""
-    apart = np.maximum(np.diff(times) / time_s, _CLOSEST)
-    decay = np.exp(-apart)
-    fresh = -np.expm1(-2 * apart)
-    diagonal = np.ones(len(times))
-    diagonal[:-1] += decay**2 / fresh
-    diagonal[1:] += decay**2 / fresh
-    return diagonal, -decay / fresh, -float(np.sum(np.log(fresh)))
 
 
 def gains(
@@ -250,3 +179,39 @@ def drawn(
     for row in range(1, count):
         slow[row] = keep[row - 1] * slow[row - 1] + fresh[row - 1] * kicks[row]
     return noise + correlated * slow
+
+
+# 1.4826 median(|x|) estimates the standard deviation of a normal variable.
+MAD = 1.4826
+
+# Fewer second differences know no deviation.
+_FEWEST_DIFFERENCES = 8
+
+
+def by_second_differences(values: np.ndarray) -> float | None:
+    """Deviation of white noise on something smooth, from the median of second differences.
+
+    NaN is not measured; there is none from too few.
+    """
+    second = np.diff(values, 2)
+    second = second[~np.isnan(second)]
+    return None if len(second) < _FEWEST_DIFFERENCES else _deviation(second)
+
+
+def from_differences(values: np.ndarray) -> float:
+    """Noise of a recorded channel from its second differences, before any model is known.
+
+    A motion that is smooth over three samples leaves only noise in x[i-1] - 2 x[i] + x[i+1],
+    whose standard deviation is sqrt(6) times that of white noise. The median keeps outliers
+    out, and NaN is not measured. A channel without visible noise gets a thousandth of its range.
+    """
+    measured = values[~np.isnan(values)]
+    estimate = by_second_differences(values)
+    if estimate is None:
+        estimate = _deviation(np.diff(measured, 2))
+    span = float(np.ptp(np.quantile(measured, [0.05, 0.95])))  # an outlier is no range
+    return max(estimate, 1e-3 * span) or 1.0
+
+
+def _deviation(second: np.ndarray) -> float:
+    return MAD * float(np.median(np.abs(second))) / np.sqrt(6) if len(second) else 0.0

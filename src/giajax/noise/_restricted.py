@@ -20,9 +20,69 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple, Self
 
 import numpy as np
+from scipy.linalg.lapack import dpttrf, dpttrs
 
 from ..runtime.arrays import Bool, Float
-from ._model import ChannelNoise, Stated, solve, whitened
+from ._model import ChannelNoise, Stated, whitened
+
+# The covariance of consecutive samples of a channel, whose inverse costs a pass over them.
+#
+# The precision of an Ornstein-Uhlenbeck process at any instants is tridiagonal (Rue and Held,
+# "Gaussian Markov Random Fields", 2005, section 1.2.1). With T that of unit variance, the
+# covariance of white noise of deviations w and a correlated part of variance c is V = diag(w^2) +
+# c T^-1, and
+#
+#     V^-1 = (c + w^2 T)^-1 T,    log|V| = log|c + w^2 T| - log|T|.
+
+# Neighbours that are closer than this part of the correlation time are told apart no more.
+_CLOSEST = 1e-9
+
+
+def solve(
+    noise: ChannelNoise,
+    times: Float[np.ndarray, " sample"] | None,
+    weights: Float[np.ndarray, " sample"],
+    columns: Float[np.ndarray, "sample column"],
+) -> tuple[Float[np.ndarray, "sample column"], float]:
+    """V^-1 X and log|V| of the noise of measured cells at increasing instants, s.
+
+    Without times it is white. The white variance of a cell is divided by its weight, 0 to 1.
+    """
+    variance = noise.white**2 / weights
+    # A single cell has no neighbour; LAPACK takes no matrix without an off-diagonal.
+    if times is None or not noise.correlated or len(times) < 2:
+        total = variance + noise.correlated**2
+        return columns / total[:, None], float(np.sum(np.log(total)))
+    diagonal, off, log_t = precision(times, noise.time_s)
+    # With the weights' square roots on both sides the matrix is symmetric, and LAPACK's factors of
+    # a tridiagonal one do: for a few hundred samples SciPy's functions take longer than they.
+    root = np.sqrt(weights)
+    diagonal, off = diagonal / weights, off / (root[:-1] * root[1:])
+    # A row for each column of X: what is next to each other in time is so in memory.
+    rows = np.ascontiguousarray(columns.T) * root
+    along = diagonal * rows
+    along[:, 1:] += off * rows[:, :-1]
+    along[:, :-1] += off * rows[:, 1:]
+    pivots, factors, _ = dpttrf(
+        noise.correlated**2 + noise.white**2 * diagonal, noise.white**2 * off, 1, 1
+    )
+    solved, _ = dpttrs(pivots, factors, along.T, 1)
+    return solved * root[:, None], float(np.sum(np.log(pivots))) - log_t
+
+
+def precision(
+    times: Float[np.ndarray, " sample"], time_s: float
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Diagonal and first off-diagonal of T, the precision of an Ornstein-Uhlenbeck process of unit
+    variance, and log|T|."""
+    apart = np.maximum(np.diff(times) / time_s, _CLOSEST)
+    decay = np.exp(-apart)
+    fresh = -np.expm1(-2 * apart)
+    diagonal = np.ones(len(times))
+    diagonal[:-1] += decay**2 / fresh
+    diagonal[1:] += decay**2 / fresh
+    return diagonal, -decay / fresh, -float(np.sum(np.log(fresh)))
+
 
 # Numbers that are passed over together, at most: what is near the processor.
 _TOGETHER = 2**17
@@ -63,8 +123,8 @@ class Cells:
 
     def gram(self, noise: ChannelNoise) -> tuple[np.ndarray, float]:
         """X^T V^-1 X of own and shared columns and the residual, in that order; and log|V|."""
-        solved = solve(noise, self.times, self.weights, self._columns)
-        return self._columns.T @ solved.columns, solved.log_determinant
+        solved, log_determinant = solve(noise, self.times, self.weights, self._columns)
+        return self._columns.T @ solved, log_determinant
 
     @functools.cached_property
     def _columns(self) -> np.ndarray:
@@ -83,10 +143,10 @@ def grams(cells: Sequence[Cells], noise: ChannelNoise) -> list[tuple[np.ndarray,
     for at in _batches(cells):
         first = cells[at[0]]
         columns = [cells[i]._columns for i in at]
-        solved = solve(noise, first.times, first.weights, np.hstack(columns))
+        solved, log_v = solve(noise, first.times, first.weights, np.hstack(columns))
         ends = np.cumsum([each.shape[1] for each in columns])[:-1]
-        for i, of_cells, one in zip(at, columns, np.hsplit(solved.columns, ends), strict=True):
-            results[i] = of_cells.T @ one, solved.log_determinant
+        for i, of_cells, one in zip(at, columns, np.hsplit(solved, ends), strict=True):
+            results[i] = of_cells.T @ one, log_v
     return [results[i] for i in range(len(cells))]
 
 
@@ -438,7 +498,7 @@ class _Family:
     def __init__(self, noise: ChannelNoise, *, fixed: bool) -> None:
         self._noise, self._fixed = noise, fixed
         fresh = 2 * _STEP * noise.correlated**2
-        if noise.is_white:
+        if not noise.correlated:
             names = ["white"]
         elif fixed:
             # With the sum known, there is no room for differences where one part is almost all.
@@ -455,7 +515,7 @@ class _Family:
         noise = self._noise
         part = noise.correlated**2 * factors.get("correlated", 1.0)
         white = noise.white**2 * factors.get("white", 1.0)
-        if self._fixed and not noise.is_white:
+        if self._fixed and noise.correlated:
             white = max(noise.deviation**2 - part, 0.0)
         return ChannelNoise(
             white=float(np.sqrt(white)),

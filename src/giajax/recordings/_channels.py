@@ -252,6 +252,7 @@ class Channel:
         return from_si(self.quantity, self.unit, values)
 
 
+@cache
 def parse_column(name: str) -> Channel:
     """What a column name means: the longest channel that it begins with, and the unit.
 

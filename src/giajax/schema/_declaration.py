@@ -295,7 +295,7 @@ class Group:
             setattr(self, name, dataclasses.replace(getattr(type(self), name), path=path))
 
     def __iter__(self) -> Iterator[Declaration]:
-        return (getattr(self, name) for name in self._names)
+        return iter([getattr(self, name) for name in self._names])
 
 
 # What every section of the TOML vocabulary is made of, and its keys that declarations make.

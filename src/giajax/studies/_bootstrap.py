@@ -374,7 +374,7 @@ def known_again(
         As `Optimum.refit` takes them; None where there is no prior.
     """
     priors = optimum.state.problem.priors
-    if not len(priors):
+    if not len(priors.columns):
         return None
     values = optimum.values[list(priors.columns)]
     middle = np.where(priors.logarithmic, np.log(np.where(priors.logarithmic, values, 1)), values)

@@ -277,7 +277,7 @@ class Profiled:
         return Followed(
             values=ended.values,
             cost=ended.cost if known else np.inf,
-            jacobian=everything.natural_jacobian() if known else None,
+            jacobian=everything.natural_jacobian if known else None,
             reason=ended.reason,
             converged=ended.converged,
         )
