@@ -283,16 +283,14 @@ class Restricted:
         return float(self.by_scale(key, [noise])(np.zeros((1, 1)))[0, 0])
 
     def by_scale(self, key: str, noises: Sequence[ChannelNoise]) -> ByScale:
-        """-2 log L by the logarithms of factors of each of several noises of one key.
-
-        A factor scales a Gram matrix: the samples are passed over once for all factors.
-        """
+        """-2 log L by the logarithms of factors of each of several noises of one key."""
         return self.by_scales([key], noises)[key]
 
     def by_scales(self, keys: Sequence[str], noises: Sequence[ChannelNoise]) -> dict[str, ByScale]:
         """As `by_scale`, of each of some keys with all others as they are.
 
-        Cells at the same instants are passed over together.
+        A factor scales a Gram matrix: the samples are passed over once for all factors, and those
+        of cells at the same instants together.
         """
         those = [each for each in self.cells if each.key in keys]
         passes = [grams(those, noise) for noise in noises]
@@ -423,11 +421,9 @@ _LEAST = 1e-4
 
 
 class Spread(NamedTuple):
-    """Covariance of estimates, and the degrees of freedom of each.
+    """Covariance of estimates, and of each the degrees of freedom of Student's t.
 
-    Attributes:
-        covariance: shape (parameter, parameter).
-        degrees_of_freedom: of Student's t, infinite where the noise is known; shape (parameter,).
+    These are infinite where the noise is known.
     """
 
     covariance: Float[np.ndarray, "parameter parameter"]
@@ -487,12 +483,8 @@ def small_sample(
 class _Family:
     """The noises about one, by the logarithms of what was estimated of it.
 
-    Attributes:
-        variances: which coordinates are variances, the others being times.
-
-    Arguments:
-        noise: the one, at coordinates of zero.
-        fixed: whether the variance of a cell is known.
+    At coordinates of zero it is that one. `fixed`: the variance of a cell is known. Of the
+    coordinates, `variances` says which are variances; the others are times.
     """
 
     def __init__(self, noise: ChannelNoise, *, fixed: bool) -> None:

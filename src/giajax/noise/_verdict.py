@@ -79,10 +79,6 @@ class Series:
         # Residuals without any difference are those of a perfect description.
         return float(np.sqrt(np.mean(np.diff(self.residual, 2) ** 2) / 6)) or self.adopted
 
-    def without_outliers(self, limit: float) -> Self:
-        """The cells within so many deviations of the noise that was adopted."""
-        return self.where(np.abs(self.residual) <= limit * self.adopted)
-
     def where(self, kept: Bool[np.ndarray, " cell"]) -> Self:
         """Some of the cells."""
         times = None if self.times is None else self.times[kept]
@@ -361,7 +357,7 @@ def judge(series: Sequence[Series], *, robust: bool) -> Verdict:
         noise is white, or has the correlation that is stated, are called inadequate.
     """
     if robust:
-        series = [each.without_outliers(OUTLIER) for each in series]
+        series = [each.where(np.abs(each.residual) <= OUTLIER * each.adopted) for each in series]
     if sum(len(each) - each.lost for each in series) < _FEWEST_RESIDUALS:
         few = Reason("cells", "there are too few measured values to judge the model", 1.0, 1.0)
         return Verdict("not evaluated", (few,))

@@ -13,14 +13,7 @@ import numpy.typing as npt
 
 from ..runtime.limits import LINKS
 from ..runtime.text import InputError, one_of, shown
-from ..schema import (
-    KINDS,
-    QUANTITIES,
-    QUANTITY_OF_SUFFIX,
-    ChannelKind,
-    RecordedChannel,
-    si_factor,
-)
+from ..schema import KINDS, QUANTITIES, QUANTITY_OF_SUFFIX, ChannelKind, RecordedChannel, si_factor
 
 
 def to_si(quantity: str, suffix: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
@@ -109,8 +102,6 @@ def units_of(kind: str) -> list[str]:
     quantity = TABLE[kind].quantity
     return list(QUANTITY_OF_SUFFIX if quantity is None else QUANTITIES[quantity].suffixes)
 
-
-# What is wrong with the name of a column, and which name it may have.
 
 _ARTICLE = {"angle": "an", "angular_velocity": "an"}
 

@@ -26,10 +26,8 @@ _BARE = re.compile(r"[A-Za-z0-9_-]+")
 def to_toml(data: dict[str, Any]) -> str:
     """TOML text of nested dicts of strings, numbers, booleans and lists; None is left out.
 
-    Deterministic: the order of the dicts is kept, plain values come before tables.
-
-    Raises:
-        InputError: a value that TOML cannot hold.
+    The order of the dicts is kept, plain values come before tables. What TOML cannot hold is an
+    `InputError`.
     """
     return "\n".join(_table(data, ())).strip("\n") + "\n"
 
@@ -340,9 +338,7 @@ class Definition(_Sections):
 
 
 def fit_settings(
-    keywords: Mapping[str, Any],
-    source: str = "the arguments",
-    settings: FitSettings | None = None,
+    keywords: Mapping[str, Any], source: str = "the arguments", settings: FitSettings | None = None
 ) -> FitSettings:
     """The settings of a fit that keywords state, or those that were given in their place.
 

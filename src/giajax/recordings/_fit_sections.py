@@ -21,8 +21,6 @@ from ..schema import (
 )
 from ._channels import NOISE_KEYS, Channel, from_si, parse_column, to_si
 
-# Times as a person writes them: 90s, 10m, 2h.
-
 DURATION = r"^[0-9]{1,9}(\.[0-9]{1,9})?[smh]$"
 """What such a time looks like; a number without a unit is none."""
 
@@ -381,8 +379,6 @@ class Figure(Section):
             )
         return self
 
-
-# Noise of channels: standard deviations as `[noise]` states them, and in SI units.
 
 # Noise of arrays goes by quantity, without the unit that ends the key in a file.
 _NOISE_QUANTITIES = {

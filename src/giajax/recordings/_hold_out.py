@@ -22,15 +22,10 @@ _NUMBER = re.compile(r"[0-9]*\.?[0-9]+")
 
 @dataclasses.dataclass(frozen=True)
 class SplitRun:
-    """A run with the part of it that is fitted and the part that is held out.
+    """A run with the part of it that is fitted and the part that is held out, where there is one.
 
     Both parts have the times and the inputs of the whole, NaN for the cells of the other part, and
     no channel without a cell of their own.
-
-    Attributes:
-        whole: the run as it was recorded.
-        fitted: None where all of it is held out.
-        held: None where none of it is.
     """
 
     whole: Run
@@ -124,13 +119,11 @@ def _first_rows(name: str, runs: Sequence[Run]) -> list[dict[str, int]]:
                 "number between 0 and 1"
             )
         return _last(runs, share)
-    if named:
+    if named or measured:
         return [
-            dict.fromkeys(run.observations, 0) if name in (run.name, run.recording) else {}
+            {channel: 0 for channel in run.observations if run in named or channel == name}
             for run in runs
         ]
-    if measured:
-        return [{name: 0} if name in run.observations else {} for run in runs]
     names = ", ".join(dict.fromkeys(run.recording for run in runs))
     channels = ", ".join(dict.fromkeys(channel for run in runs for channel in run.observations))
     raise InputError(

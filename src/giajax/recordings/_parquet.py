@@ -41,8 +41,8 @@ def split_parquet(data: bytes, path: Path) -> tuple[list[str], list[pl.Series], 
         )
     try:
         rows, unpacked = _rows(data)
-        schema = pl.read_parquet_schema(io.BytesIO(data))
-        _check_parquet(schema, rows, unpacked, path)
+        # What would fill the memory is refused before it is unpacked.
+        _check_parquet(pl.read_parquet_schema(io.BytesIO(data)), rows, unpacked, path)
         frame = pl.read_parquet(io.BytesIO(data))
     except InputError:
         raise
@@ -69,7 +69,6 @@ def split_parquet(data: bytes, path: Path) -> tuple[list[str], list[pl.Series], 
 
 
 def _check_parquet(schema: Mapping[str, pl.DataType], rows: int, unpacked: int, path: Path) -> None:
-    """Refuse what would fill the memory, before it is unpacked."""
     for name, dtype in schema.items():
         if not (dtype.is_numeric() or dtype in (pl.String, pl.Null, pl.Categorical)):
             raise InputError(

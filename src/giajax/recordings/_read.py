@@ -326,10 +326,7 @@ def check_output_folder(
 ) -> None:
     """Refuse a folder that could not be made or written to, or holds files of these names.
 
-    Arguments:
-        folder: need not exist.
-        names: what is to be written there; may be in folders of their own (`fits/a.toml`).
-        force: write over files that are there.
+    It need not exist, and names may be in folders of their own (`fits/a.toml`).
 
     Raises:
         InputError: naming the file or folder and what to do.
@@ -371,8 +368,6 @@ def make_folder(folder: str | Path) -> Path:
         ) from None
     return folder
 
-
-# Writing a run: CSV and sidecar, the same bytes for the same content.
 
 DEFAULT_UNITS = {"angle": "deg", "angular_velocity": "deg_per_s", "pressure": "kPa"}
 

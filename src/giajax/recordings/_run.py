@@ -24,12 +24,9 @@ _EVEN = 2.0
 
 
 def check_times(times: Times, naming: Naming, *, integrated: bool) -> None:
-    """Raise `InputError` unless times are finite, strictly increasing, and of one unit.
+    """Raise `InputError` unless times (s) are finite, strictly increasing, and of one unit.
 
-    Arguments:
-        times: shape (T,), s.
-        naming: how an error names the samples.
-        integrated: whether a model goes through all of the time between them.
+    `integrated`: a model goes through all of the time between them.
     """
     if (at := _first(~np.isfinite(times))) is not None:
         state = "infinite" if np.isinf(times[at]) else "empty"
@@ -88,22 +85,10 @@ def _first(wrong: npt.NDArray[np.bool_]) -> int | None:
     return int(at[0]) if at.size else None
 
 
-# Checks of a run's content, the same for a file and for arrays.
-
-
-@dataclass(frozen=True)
-class _RecordedRun:
-    """What a kind of model checks; see `giajax.schema.RecordedRun`."""
-
-    times: npt.NDArray[np.float64] | None
-    values: Mapping[str, npt.NDArray[Any]]
-    channels: Mapping[str, Channel]
-    definition: Definition
-
-
-def _check(kind: Kind, content: _RecordedRun, naming: Naming) -> None:
+def _check(content: "Run", naming: Naming) -> None:
     """Raise `InputError` for the first thing in a run that no model could use."""
-    _check_lengths(kind, content, naming)
+    kind = content.kind
+    _check_lengths(content, naming)
     if content.times is not None:
         check_times(content.times, naming, integrated=kind.timed)
     measured = {name for name, channel in content.channels.items() if channel.kind in kind.outputs}
@@ -122,8 +107,8 @@ def _check(kind: Kind, content: _RecordedRun, naming: Naming) -> None:
     kind.check(content, naming)
 
 
-def _check_lengths(kind: Kind, content: _RecordedRun, naming: Naming) -> None:
-    times, values, channels = content.times, content.values, content.channels
+def _check_lengths(content: "Run", naming: Naming) -> None:
+    kind, times, values, channels = content.kind, content.times, content.values, content.channels
     if times is None and kind.timed:
         run = f"{'an' if kind.name[0] in 'aeiou' else 'a'} {kind.name} run"
         raise InputError(
@@ -331,21 +316,18 @@ def build_run(
     path: Path | None = None,
     sha256: str | None = None,
 ) -> Run:
-    """Decide the model, check the content, freeze the arrays.
-
-    Raises:
-        InputError: the content is not a run.
-    """
+    """Decide the model, check the content (`InputError`: it is no run), freeze the arrays."""
     if not channels:
         raise InputError(
             f"{naming.source} has only a time column: it must also have a channel, "
             "such as joint01_command_deg and link06_z_m"
         )
     model = decide_model(channels.values(), definition.model, naming.source)
-    _check(KINDS[model], _RecordedRun(times, values, channels, definition), naming)
+    run = Run(name, model, times, values, channels, definition, path, sha256)
+    _check(run, naming)
     for array in (*values.values(), *(() if times is None else (times,))):
         array.setflags(write=False)
-    return Run(name, model, times, values, channels, definition, path, sha256)
+    return run
 
 
 def _numbers(values: npt.ArrayLike, what: str) -> npt.NDArray[np.float64]:

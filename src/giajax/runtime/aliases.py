@@ -61,10 +61,7 @@ RENAMED: dict[str, dict[str, str]] = {
         **{name: f"{app}.{name}" for app, names in _REPORTS.items() for name in names.split()},
         "ladder_table": "report.stepwise_table",
     },
-    "fitting": {
-        "Beginning": "fitting.WarmStart",
-        "NoiseModel": "recordings.NoiseModel",
-    },
+    "fitting": {"Beginning": "fitting.WarmStart", "NoiseModel": "recordings.NoiseModel"},
     "": {"AbstractDirectModel": "models.AbstractModel"},
     "kinds": {
         "Content": "schema.RecordedRun",
@@ -85,10 +82,7 @@ RENAMED: dict[str, dict[str, str]] = {
         "begun_where_it_ended": "studies.with_fitted_states",
         "valleys": "studies.distinct_optima",
     },
-    "verdict": {
-        "Foretold": "fitting.PredictedChannel",
-        "Predictions": "fitting.PredictionTest",
-    },
+    "verdict": {"Foretold": "fitting.PredictedChannel", "Predictions": "fitting.PredictionTest"},
 }
 """By room of before, "" for `giajax`, where a public name is now; all of it within `giajax`."""
 

@@ -26,12 +26,10 @@ _LOOPS = 8
 def in_small_loops(
     x: Array, loop: Callable[[Array], Array], instead: Callable[[Array], Array]
 ) -> Array:
-    """What a function makes of all rows, a few at a time.
+    """What a function makes of all rows (along the last axis), a few at a time.
 
-    Arguments:
-        x: rows along the last axis.
-        loop: from some rows, shape (row, place), to as many, in a loop over the places.
-        instead: of `x`, where there are no rows, or too many.
+    `loop` goes over the places of some rows, shape (row, place); `instead` is of `x` where there
+    are no rows, or too many.
     """
     rows: Any = x.reshape(-1, x.shape[-1]) if x.size else x[:0]
     loops = -(-len(rows) // _ROWS)

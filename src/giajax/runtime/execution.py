@@ -64,16 +64,14 @@ def identity() -> str:
 
 
 def perform(task: Task, folder: Path | None, home: str, own: bool) -> Outcome:
-    """Do a task, and write its file if it is done.
+    """Do a task, unless it has a file in the folder, and write that if it is done.
+
+    Whatever the function raises is an outcome, too.
 
     Arguments:
-        task: what to do.
-        folder: of the files; a task that has one is not done again.
+        task, folder: what to do, and where files are.
         home: `identity` of the process whose tasks these are; another one gets ready first.
         own: whether that is a process of giajax's own (`giajax.runtime.process`).
-
-    Returns:
-        What came of it. Whatever the function raises is an outcome, too.
 
     Raises:
         InputError: the file cannot be written.
@@ -122,9 +120,7 @@ def get_ready(own: bool) -> None:
 def begin_process(own: bool, alive: Connection) -> None:
     """Begin a process of `Processes`, which ends when its parent closes the other end of a pipe.
 
-    Arguments:
-        own: as of `perform`.
-        alive: one end of it; the other one is closed where the parent is killed, too.
+    That is closed where the parent is killed, too.
     """
     # Ctrl-C goes to all processes of a terminal: the parent says what becomes of the others.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -184,12 +180,6 @@ class Processes(Executor):
     """Spawned processes of this machine, one thread each; new ones where one has died.
 
     JAX does not survive a fork. The processes end with this one, however it ends.
-
-    Arguments:
-        workers: how many.
-
-    Raises:
-        InputError: there is not one.
     """
 
     def __init__(self, workers: int) -> None:
@@ -294,13 +284,7 @@ _BETWEEN_S = 2.0
 
 
 class Execution(TypedDict, total=False):
-    """Keywords of all studies: who does their tasks, and what is kept of them; as of `run_tasks`.
-
-    Attributes:
-        executor: who; by default this process, one task after the other.
-        folder: of a file for each task, by which the same call goes on after it was stopped.
-        progress: called after each task.
-    """
+    """Keywords of all studies: who does their tasks, and what is kept; as of `run_tasks`."""
 
     executor: Executor | None
     folder: str | Path | None

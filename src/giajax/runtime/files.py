@@ -51,11 +51,7 @@ def check_path(path: str | Path) -> None:
 
 
 def read_bytes(path: Path, most: int) -> bytes:
-    """The content of a file, not of what never ends or never begins: a pipe, `/dev/zero`.
-
-    Arguments:
-        path: of the file.
-        most: bytes that it may have.
+    """The content of a file of so many bytes at most, not of what never ends: a pipe, `/dev/zero`.
 
     Raises:
         InputError: a path that cannot be, something other than a file, or a file that is too large.

@@ -4,71 +4,27 @@ Each limit is far beyond what a recording, an arm or a path needs, and below wha
 program busy for minutes or fill the memory: what is beyond is refused in one sentence, early.
 """
 
-RUN_BYTES = 1 << 30
-"""Size of a `.csv` or `.parquet` file."""
-
+RUN_BYTES = 1 << 30  # size of a `.csv` or `.parquet` file
+# Size of a `.parquet` file when it is unpacked: 8 bytes a number, 64 a text, and its pages.
 PARQUET_BYTES = 1 << 28
-"""Size of a `.parquet` file when it is unpacked: 8 bytes a number, 64 a text, and its pages."""
-
-PARQUET_FOOTER_BYTES = 1 << 22
-"""Size of what a `.parquet` file says of itself."""
-
-TEXT_BYTES = 1 << 20
-"""Size of a TOML file."""
-
-RESULT_BYTES = 1 << 26
-"""Size of a `result.json`."""
-
-JOURNAL_BYTES = 1 << 30
-"""Size of the journal of a fit."""
-
-DEPTH = 32
-"""Tables and lists within each other, and parts of a dotted key, in TOML and JSON."""
-
-WHOLE = 2**63
-"""Whole numbers in TOML and JSON are smaller than this, as TOML says."""
-
-NAME_BYTES = 255
-"""Length of the name of a file or folder: what file systems take."""
-
-COLUMNS = 10_000
-"""Columns of a run."""
-
-CELL_BYTES = 1_000
-"""Length of a cell or of a column's name in a CSV file."""
-
-VALUE = 1e30
-"""Size of a recorded value, in SI units."""
-
-TIME_S = 1e10
-"""Size of a time stamp: three centuries, enough for stamps that count from 1970."""
-
-STEP_S = 1e-9
-"""Least time between two samples."""
-
-GAP_S = 3_600.0
-"""Most time between two samples of a run that a model integrates over time."""
-
-DURATION_S = 1e5
-"""Length of a run that a model integrates over time."""
-
-LINKS = 1_000
-"""Links of an arm, and so numbers of joints and links."""
-
-ELEMENTS = 1_000
-"""Elements of a hysteresis operator, rows of its mesh, turning points before a run."""
-
-POSES = 500_000
-"""Poses of an arm that a table drives."""
-
-STEPS = 1_000
-"""Steps of the integrator for each pose of a drive."""
-
-FILLING_S = 1_000_000
-"""Length of the filling of an arm."""
-
-ANGLE_DEG = 180.0
-"""Size of a commanded angle of a designed experiment."""
-
-STARTS = 10_000
-"""Starts of a fit."""
+PARQUET_FOOTER_BYTES = 1 << 22  # size of what a `.parquet` file says of itself
+TEXT_BYTES = 1 << 20  # size of a TOML file
+RESULT_BYTES = 1 << 26  # size of a `result.json`
+JOURNAL_BYTES = 1 << 30  # size of the journal of a fit
+DEPTH = 32  # tables and lists within each other, and parts of a dotted key, in TOML and JSON
+WHOLE = 2**63  # whole numbers in TOML and JSON are smaller than this, as TOML says
+NAME_BYTES = 255  # length of the name of a file or folder: what file systems take
+COLUMNS = 10_000  # columns of a run
+CELL_BYTES = 1_000  # length of a cell or of a column's name in a CSV file
+VALUE = 1e30  # size of a recorded value, in SI units
+TIME_S = 1e10  # size of a time stamp: three centuries, enough for stamps that count from 1970
+STEP_S = 1e-9  # least time between two samples
+GAP_S = 3_600.0  # most time between two samples of a run that a model integrates over time
+DURATION_S = 1e5  # length of a run that a model integrates over time
+LINKS = 1_000  # links of an arm, and so numbers of joints and links
+ELEMENTS = 1_000  # elements of a hysteresis operator, rows of its mesh, turning points before a run
+POSES = 500_000  # poses of an arm that a table drives
+STEPS = 1_000  # steps of the integrator for each pose of a drive
+FILLING_S = 1_000_000  # length of the filling of an arm
+ANGLE_DEG = 180.0  # size of a commanded angle of a designed experiment
+STARTS = 10_000  # starts of a fit

@@ -13,8 +13,6 @@ from typing import Any, ParamSpec, TypeVar
 
 from .text import InputError
 
-# It is one of the command line, or a worker. Without JAX until it is configured.
-
 _MIN_COMPILE_SECONDS = 0.5
 
 PROGRAMS = "programs"
@@ -146,13 +144,9 @@ def cgroup_quota(root: Path = Path("/sys/fs/cgroup")) -> int | None:
 
 
 def carried(function: Callable[Parameters, Result], among: int) -> Callable[Parameters, Result]:
-    """A function for other threads, which computes with as many bits as the present one.
+    """A function for so many other threads, which computes with as many bits as the present one.
 
     What else a `with` of JAX sets (looking for NaN, say) counts in the caller's thread alone.
-
-    Arguments:
-        function: any.
-        among: how many threads the cores are shared by.
     """
     import jax
 

@@ -24,8 +24,6 @@ from jax import export
 
 from .identities import fields_of, identity
 
-# It is the same in every process, unlike a hash or the `repr` of what has an address.
-
 _PLAIN = (type(None), bool, int, float, complex, str, bytes)
 
 
@@ -176,8 +174,6 @@ def _qualified(value: Any) -> str:
         raise NoStructureError(f"{name} is no name that a module has")
     return name
 
-
-# The files of programs that are kept: what they depend on, and how they are read and written.
 
 SUFFIX = ".stablehlo"
 """Of the files' names."""

@@ -154,6 +154,4 @@ class InputError(ValueError):
         super().__init__(abridged(sentence))
 
 
-# The version of this installation, as its metadata have it.
-
 __version__ = version("giajax")

@@ -65,8 +65,6 @@ def _with_muscles(section: ArmSection) -> Callable[[int | None], bool] | None:
     return lambda joint: joint is not None and axes[joint - 1 : joint] != ["yaw"]
 
 
-# The channels of an arm.
-
 DEFAULT_PRESET = "takeichi_20m"
 DEFAULT_LINKS = 20
 
@@ -248,19 +246,16 @@ def _notes(content: RecordedRun, sidecar: bool) -> list[str]:
         and "interpolation" not in definition.section(CommandSection).contents()
     ):
         notes.append("command interpolation not stated: linear between two rows")
-    if "wind" not in rows:
-        if "link_wind" in rows:
-            columns = sum(each.kind == "link_wind" for each in content.channels.values())
-            links = links_of(definition.section(ArmSection))
-            if links is None or columns < 3 * links:
-                notes.append("wind of links or along axes that are not recorded: taken as zero")
-            return notes
-        if definition.section(WindSection).velocity_m_per_s is None:
-            notes.append("wind not stated: still air is assumed")
-        return notes
     absent = [f"wind_{axis}" for axis in "xyz" if f"wind_{axis}" not in content.channels]
-    if absent:
-        notes.append(f"{' and '.join(absent)} not recorded: taken as zero")
+    if "wind" in rows:
+        notes += [f"{' and '.join(absent)} not recorded: taken as zero"] if absent else []
+    elif "link_wind" in rows:
+        columns = sum(each.kind == "link_wind" for each in content.channels.values())
+        links = links_of(definition.section(ArmSection))
+        if links is None or columns < 3 * links:
+            notes.append("wind of links or along axes that are not recorded: taken as zero")
+    elif definition.section(WindSection).velocity_m_per_s is None:
+        notes.append("wind not stated: still air is assumed")
     return notes
 
 

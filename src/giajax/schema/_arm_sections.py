@@ -46,8 +46,6 @@ from ._quantities_sensors import (
     SUPPLY,
 )
 
-# The sections of cameras that show pixels, and of the landmarks that they see.
-
 _PLACES = re.compile("room|tip|link([0-9]{2,})")
 _MOST_PIXELS = 1_000_000
 
@@ -233,8 +231,6 @@ class PointMass(Section):
     )
 
 
-# The section of an obstacle.
-
 _TWO = Annotated[list[Positive], Field(min_length=2, max_length=2)]
 _THREE = Annotated[list[Positive], Field(min_length=3, max_length=3)]
 _FOUR = Annotated[list[Positive], Field(min_length=4, max_length=4)]
@@ -303,8 +299,6 @@ class FillingSection(Section):
         example=[[1, 2], [3, 4]],
     )
 
-
-# The sections of an arm: its constants and its sensors.
 
 # Keys that say which muscles, where there are some.
 MUSCLE_KEYS = ("muscle_law", "muscle_correction", "muscle_blend_deg")

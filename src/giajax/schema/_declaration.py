@@ -428,8 +428,6 @@ def each_of(section: Section) -> dict[str, list[Any]]:
     }
 
 
-# Keys of sections that are made from the declarations of quantities.
-
 S = TypeVar("S", bound=Section)
 
 _COUNTS = {2: "two", 3: "three", 5: "five"}

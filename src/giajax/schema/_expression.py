@@ -79,12 +79,7 @@ class Expression:
         return cls(text, tuple(paths), tree)
 
     def value(self, of: Callable[[str], Any], functions: Mapping[str, Callable[[Any], Any]]) -> Any:
-        """What it comes to.
-
-        Arguments:
-            of: the value of the parameter at a path, SI.
-            functions: `sqrt`, `exp` and `log` of what `of` returns.
-        """
+        """What it comes to, of parameters' values (SI), with `sqrt`, `exp` and `log` of those."""
         return _value(self.tree, of, functions)
 
 

@@ -67,8 +67,6 @@ class Naming(Protocol):
         """The name of the channel in the person's file or arrays."""
 
 
-# What a kind of model declares of itself, without JAX; `giajax.schema.KINDS` lists the kinds.
-
 CAMERA_NAME = "[A-Za-z][A-Za-z0-9_]*"
 """Regular expression of the name of a camera."""
 
@@ -112,12 +110,10 @@ class ChannelKind:
 
 
 class SectionTemplate(NamedTuple):
-    """A section in the template of a sidecar.
+    """A section in the template of a sidecar, with a comment after its name.
 
-    Attributes:
-        section: its name; empty for keys before the first section.
-        keys: the keys to offer -> their values; None: the key is a comment with an example.
-        comment: after the section's name.
+    The name is empty for keys before the first section; a key whose value is None is a comment with
+    an example.
     """
 
     section: str

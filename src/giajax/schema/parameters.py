@@ -114,8 +114,6 @@ def declaration(module: type[eqx.Module], field: str) -> Declaration:
     return module.__dataclass_fields__[field].metadata[DECLARED]
 
 
-# The parameters of a model: how to reach each, and which there are.
-
 Module = TypeVar("Module", bound=eqx.Module)
 
 
@@ -234,8 +232,9 @@ def _walk(node: eqx.Module, prefix: str, getter: Callable[[Any], Any]) -> Iterab
         inner = prefix if field.metadata.get(INLINE) else f"{prefix}{field.name}."
         child, held = getattr(node, field.name), field.metadata.get(HELD, False)
         if isinstance(child, eqx.Module):
-            found = _walk(child, inner, reach)
-            yield from map(_frozen, found) if held else found
+            for found in _walk(child, inner, reach):
+                frozen = dataclasses.replace(found.declaration, frozen=True)
+                yield dataclasses.replace(found, declaration=frozen) if held else found
         elif isinstance(child, tuple):
             for index, part in enumerate(child):
                 if isinstance(part, eqx.Module):
@@ -244,11 +243,6 @@ def _walk(node: eqx.Module, prefix: str, getter: Callable[[Any], Any]) -> Iterab
             for name, part in child.items():
                 if isinstance(part, eqx.Module):
                     yield from _walk(part, f"{inner}{name}.", _element(reach, name))
-
-
-def _frozen(parameter: Parameter) -> Parameter:
-    declaration = dataclasses.replace(parameter.declaration, frozen=True)
-    return dataclasses.replace(parameter, declaration=declaration)
 
 
 def checked(model: Module) -> Module:
@@ -272,8 +266,6 @@ def _attribute(getter: Callable[[Any], Any], name: str) -> Callable[[Any], Any]:
 def _element(getter: Callable[[Any], Any], index: int | str) -> Callable[[Any], Any]:
     return lambda root: getter(root)[index]
 
-
-# Finding a parameter by its path, reading it, and giving it another value.
 
 _PATH = re.compile(r"(?P<name>[A-Za-z_][\w.]*?)(?:\[(?P<index>[0-9]{1,9})\])?\Z", re.ASCII)
 
@@ -364,10 +356,8 @@ def replace(model: Module, values: Mapping[str, Any]) -> Module:
 def switched_on(model: Module, paths: Iterable[str]) -> Module:
     """The model in which none of the paths is left out; those that were have their defaults."""
     for path in paths:
-        name = path.partition("[")[0]
-        absent = left_out(model)
-        if name in absent:
-            model = absent[name].set(model, absent[name].declaration.default)
+        if (absent := left_out(model).get(path.partition("[")[0])) is not None:
+            model = absent.set(model, absent.declaration.default)
     return model
 
 

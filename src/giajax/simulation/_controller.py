@@ -64,8 +64,7 @@ def step_size_controller(
         stable = _STABLE.get(type(solver), jnp.inf) / rates.explicit
     controller = diffrax.PIDController(rtol=rtol, atol=atol)
     return diffrax.ClipStepSizeController(
-        _Careful(controller, stable, slowness, jnp.sort(bends), turns),
-        jump_ts=corners,
+        _Careful(controller, stable, slowness, jnp.sort(bends), turns), jump_ts=corners
     )
 
 

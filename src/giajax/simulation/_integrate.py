@@ -94,8 +94,6 @@ def _undisturbed_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
     return jnp.zeros(()), jnp.zeros(())
 
 
-# Which way a simulation can be differentiated, and a sentence for the way it cannot.
-
 T = TypeVar("T")
 
 Derivatives = Literal["forward", "reverse"]

@@ -25,12 +25,7 @@ from ._signal import Signal
 
 
 class Rates(NamedTuple):
-    """Rates of the fastest motions that an arm is capable of (`fastest_rate`), 1/s.
-
-    Attributes:
-        all: of all motions.
-        explicit: of those that the method does not take implicitly.
-    """
+    """Rates (1/s) of the fastest motions of an arm: of all, and of those that are not implicit."""
 
     all: Scalar
     explicit: Scalar

@@ -107,11 +107,9 @@ _ANGLES = 64
 
 
 def _check_strength(pneumatics: Pneumatics, commanded: np.ndarray) -> None:
-    """Refuse commanded angles (rad) for which no pressure is high enough.
-
-    Where a muscle would have to push, the controller empties it, as it does in a straight joint
-    that something else bends.
-    """
+    """Refuse commanded angles (rad) for which no pressure is high enough."""
+    # Where a muscle would have to push, the controller empties it, as it does in a straight joint
+    # that something else bends.
     angles = np.unique(commanded)
     angles = angles[np.linspace(0, angles.size - 1, _ANGLES).round().astype(int)]
     asked = _asked(pneumatics, jnp.asarray(angles))

@@ -49,7 +49,7 @@ Carried = tuple[Any, Bool[Array, ""]]
 
 def with_return_mapping(
     solver: diffrax.AbstractAdaptiveSolver, rtol: Any, atol: Any, derivatives: str
-) -> "ReturnMapping":
+) -> "_ReturnMapping":
     """A method whose steps end with the return mapping of what slides.
 
     Methods that iterate take over the tolerances of a step.
@@ -59,10 +59,10 @@ def with_return_mapping(
         solver = dataclasses.replace(solver, scan_kind="lax")
     if isinstance(solver, diffrax.AbstractImplicitSolver):
         solver = eqx.tree_at(lambda s: s.root_finder, solver, diffrax.VeryChord(rtol, atol))
-    return ReturnMapping(solver)
+    return _ReturnMapping(solver)
 
 
-class ReturnMapping(diffrax.AbstractAdaptiveSolver):
+class _ReturnMapping(diffrax.AbstractAdaptiveSolver):
     """A method whose steps end with the return mapping of the joints' sliding elements.
 
     Within a step the angles at which elements are without strain are held, and their torques
@@ -82,37 +82,29 @@ class ReturnMapping(diffrax.AbstractAdaptiveSolver):
 
     @property
     def term_structure(self) -> Any:
-        """That of the method."""
         return self.solver.term_structure
 
     @property
     def interpolation_cls(self) -> Any:  # type: ignore[override]
-        """That of the method."""
         return self.solver.interpolation_cls
 
     @property
     def term_compatible_contr_kwargs(self) -> Any:
-        """Those of the method."""
         return self.solver.term_compatible_contr_kwargs
 
     def order(self, terms: Any) -> int | None:
-        """Order of the method."""
         return self.solver.order(terms)
 
     def strong_order(self, terms: Any) -> Any:
-        """Order of the method."""
         return self.solver.strong_order(terms)
 
     def error_order(self, terms: Any) -> Any:
-        """Order of the method's error."""
         return self.solver.error_order(terms)
 
     def init(self, terms: Any, t0: Any, t1: Any, y0: State, args: Any) -> Carried:
-        """Nothing turned round yet."""
         return self.solver.init(terms, t0, t1, y0, args), jnp.asarray(False)
 
     def func(self, terms: Any, t0: Any, y0: State, args: Any) -> State:
-        """The slope at one time."""
         return self.solver.func(terms, t0, y0, args)
 
     def step(
@@ -125,7 +117,6 @@ class ReturnMapping(diffrax.AbstractAdaptiveSolver):
         solver_state: Carried,
         made_jump: Any,
     ) -> tuple[State, State, Any, Carried, Any]:
-        """One step."""
         inner, turned = solver_state
         # The slope that the method carries over is that before the return mapping.
         y1, y_error, dense, inner, result = self.solver.step(

@@ -120,13 +120,13 @@ class Signal(eqx.Module):
 
     def __call__(self, time: Scalar) -> Float[Array, " width"]:
         """Value at a time (s)."""
-        knot = self._knot(time)
+        knot = last_before(self.times, time)
         elapsed = jnp.maximum(time - self.times[knot], 0)
         return self.values[knot] + self.slopes[knot] * elapsed
 
     def rate(self, time: Scalar) -> Float[Array, " width"]:
         """Rate of change at a time (s), jumps apart; 0 before the first knot."""
-        return jnp.where(time >= self.times[0], self.slopes[self._knot(time)], 0)
+        return jnp.where(time >= self.times[0], self.slopes[last_before(self.times, time)], 0)
 
     def corners(self, tolerance: Scalar) -> tuple[Float[Array, " knot"], Float[Array, " knot"]]:
         """Times (s) of the knots that no step of a relative tolerance may cross, and of the others.
@@ -135,9 +135,6 @@ class Signal(eqx.Module):
         """
         corner = self.roughness > _CROSSED * tolerance
         return jnp.where(corner, self.times, jnp.inf), jnp.where(corner, jnp.inf, self.times)
-
-    def _knot(self, time: Scalar) -> Array:
-        return last_before(self.times, time)
 
     @property
     def jumps(self) -> Bool[Array, ""]:

@@ -87,12 +87,7 @@ class Stepper(eqx.Module):
     )
 
     def __check_init__(self) -> None:
-        """Refuse what cannot be stepped.
-
-        Raises:
-            InputError: an interval, a tolerance or a number of steps that is not positive, or an
-                unknown solver.
-        """
+        """Refuse (`InputError`) what is not positive, and an unknown solver."""
         if is_concrete(self.interval) and not (
             self.interval.ndim == 0 and 0 < self.interval < np.inf
         ):

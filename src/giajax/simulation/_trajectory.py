@@ -171,9 +171,6 @@ def contacts(trajectory: Trajectory) -> Contacts:
     return Contacts(names, flattening, force, impulse)
 
 
-# Commands that move single joints of a straight arm.
-
-
 def joint_steps(joints: int, angles: Mapping[int, float], *, time: float = 0.0) -> Signal:
     """A command that steps at one time from the straight arm to other angles.
 
