@@ -1,6 +1,5 @@
 """An arm of balloons as gas: bags in a row, ports between them, and a supply."""
 
-from collections.abc import Callable
 from itertools import pairwise
 from typing import Any, NamedTuple, Self
 
@@ -31,8 +30,6 @@ class Gas(eqx.Module):
         return self.ambient_pressure / self.density
 
 
-# Bags: which links share one, and the pressure of what is in it.
-
 PerBag = Float[Array, " bag"]
 
 
@@ -45,11 +42,8 @@ class Skin(eqx.Module):
 
 
 class BagState(NamedTuple):
-    """What a bag's share of gas makes of it.
-
-    Attributes:
-        pressure: above that of the room, Pa.
-        fullness: its volume over that of the tight bag without pressure; more where it stretches.
+    """What a bag's share of gas makes of it: its pressure above that of the room, Pa, and its
+    volume over that of the tight bag without pressure, which is more where it stretches.
     """
 
     pressure: PerBag
@@ -76,8 +70,6 @@ def bag_state(gas: Gas, skin: Skin, stretch: PerBag, share: PerBag) -> BagState:
     missing, has w log 2 at a share of 1, and s is share - 1 beyond.
 
     Arguments:
-        gas: the gas.
-        skin: of the bags.
         stretch: `stretch_pressure` of each, Pa.
         share: mass of gas over that which fills the bag at the pressure of the room.
     """
@@ -89,18 +81,11 @@ def bag_state(gas: Gas, skin: Skin, stretch: PerBag, share: PerBag) -> BagState:
     return BagState(pressure, share / (1 + pressure / room))
 
 
-# The flow of gas through a hole: laminar, turbulent, choked.
-
 Numbers = Float[Array, "..."]
 
 
 class Hole(NamedTuple):
-    """A round hole.
-
-    Attributes:
-        diameter, length: m.
-        coefficient: the discharge coefficient.
-    """
+    """A round hole: its diameter and length, m, and its discharge coefficient."""
 
     diameter: Numbers
     length: Numbers
@@ -121,13 +106,7 @@ def mass_flow(gas: Gas, hole: Hole, before: Numbers, after: Numbers) -> Numbers:
     and has a slope at 0. Where the difference is small beside the pressure that is
     dp = 128 mu L Q / (pi d^4) + rho Q |Q| / (2 C^2 A^2).
 
-    Arguments:
-        gas: the gas.
-        hole: or several.
-        before, after: absolute pressures on both sides, Pa.
-
-    Returns:
-        Flow of mass, kg/s.
+    Pressures on both sides are absolute ones, Pa; the hole may be several.
     """
     k, rt = gas.heat_capacity_ratio, gas.specific_energy
     upstream = jnp.maximum(before, after)
@@ -152,9 +131,6 @@ def critical_ratio(gas: Gas) -> Scalar:
     """Pressure behind a hole over that before it, below which the flow is choked."""
     k = gas.heat_capacity_ratio
     return (2 / (k + 1)) ** (k / (k - 1))
-
-
-# Where the gas comes from: a flow meter, a regulator or a bottle.
 
 
 class Supply(eqx.Module):
@@ -192,42 +168,20 @@ def inflow(gas: Gas, supply: Supply, pressure: Scalar, supplied: Scalar) -> Scal
     """Gas that the supply feeds, kg/s.
 
     Arguments:
-        gas: the gas.
-        supply: what feeds.
         pressure: of the first bag above that of the room, Pa.
         supplied: what the supply has fed, kg.
     """
-    return _FEEDS[supply.kind](gas, supply, pressure, supplied)
-
-
-def _metered(gas: Gas, supply: Supply, pressure: Scalar, supplied: Scalar) -> Scalar:
-    return supply.flow * gas.density
-
-
-def _regulated(gas: Gas, supply: Supply, pressure: Scalar, supplied: Scalar) -> Scalar:
-    return _through_nozzle(gas, supply, supply.pressure, pressure)
-
-
-def _from_bottle(gas: Gas, supply: Supply, pressure: Scalar, supplied: Scalar) -> Scalar:
-    left = supply.bottle_pressure - supplied * gas.specific_energy / supply.bottle_volume
-    return _through_nozzle(gas, supply, left, pressure)
-
-
-def _through_nozzle(gas: Gas, supply: Supply, before: Scalar, after: Scalar) -> Scalar:
+    if supply.kind == "flow":
+        return supply.flow * gas.density
+    before = supply.pressure
+    if supply.kind == "bottle":
+        spent = supplied * gas.specific_energy / supply.bottle_volume
+        before = supply.bottle_pressure - spent
     hole = Hole(supply.nozzle_diameter, supply.nozzle_length, supply.nozzle_coefficient)
     room = gas.ambient_pressure
     # A step that the integrator tries may have emptied the bottle.
-    return mass_flow(gas, hole, jnp.maximum(room + before, room / 2), room + after)
+    return mass_flow(gas, hole, jnp.maximum(room + before, room / 2), room + pressure)
 
-
-_FEEDS: dict[str, Callable[[Gas, Supply, Scalar, Scalar], Scalar]] = {
-    "flow": _metered,
-    "regulator": _regulated,
-    "bottle": _from_bottle,
-}
-
-
-# How stiff an inflated link is.
 
 Floats = npt.NDArray[np.float64]
 
@@ -236,7 +190,7 @@ _ANGLES = np.linspace(0, np.pi, 4001)[:-1]
 
 
 def stiff_share(load: Floats) -> Floats:
-    """Bending stiffness of an inflated membrane tube over that without wrinkles.
+    """Bending stiffness of an inflated membrane tube over that without wrinkles: 0 where it folds.
 
     Comer and Levy (AIAA Journal 1, 1963): the side that would be compressed wrinkles over the
     angle 2 t, the rest is stressed in proportion to its distance from the wrinkles, and
@@ -244,13 +198,7 @@ def stiff_share(load: Floats) -> Floats:
         M / (p pi r^3) = (2 (pi - t) + sin 2t) / (4 ((pi - t) cos t + sin t)),
         M / (curvature E t pi r^3) = 1 - t / pi + sin 2t / (2 pi).
 
-    Wrinkles begin at half of p pi r^3, and at p pi r^3 the tube folds.
-
-    Arguments:
-        load: moment over p pi r^3.
-
-    Returns:
-        1 without wrinkles, 0 for a tube that folds.
+    Wrinkles begin at half of p pi r^3, the unit of `load`, and at p pi r^3 the tube folds.
     """
     t = _ANGLES
     moment = (2 * (np.pi - t) + np.sin(2 * t)) / (4 * ((np.pi - t) * np.cos(t) + np.sin(t)))
@@ -274,10 +222,6 @@ class Filling(eqx.Module):
 
     Arguments:
         arm: whose links are the bags; the paper's by default.
-        gas: what they are filled with.
-        skin: of the bags.
-        ports: between them.
-        supply: what feeds the first.
         shared: groups of neighbouring links, counted from 1, that are not welded apart and so are
             one bag.
 
@@ -316,16 +260,12 @@ class Filling(eqx.Module):
             InputError: as of the class.
         """
         values = section.values()
-        ports = {d.path: values.pop(d.path) for d in PORTS if d.path in values}
+        ports: dict[str, Any] = {
+            d.path.rpartition(".")[2]: values.pop(d.path) for d in PORTS if d.path in values
+        }
         shared = tuple(tuple(links) for links in section.shared or [])
-        named: dict[str, Any] = {path.rpartition(".")[2]: value for path, value in ports.items()}
-        made = cls(
-            arm=arm,
-            ports=Ports(**named),
-            supply=Supply(kind=section.supply or "flow"),
-            shared=shared,
-        )
-        return replace(made, values)
+        supply = Supply(kind=section.supply or "flow")
+        return replace(cls(arm=arm, ports=Ports(**ports), supply=supply, shared=shared), values)
 
     def definition(self) -> dict[str, Any]:
         """The `[filling]` section, with every key."""

@@ -27,15 +27,9 @@ Vectors = Float[Array, "3 pair"]
 
 
 class Lines(NamedTuple):
-    """Lines, each in the frame of a box.
-
-    Attributes:
-        start: first points, m.
-        direction: unit vectors.
-        length: m.
-        radius: m.
-        half: half of the sizes of the box, m.
-        shared: 1 for faces that are shared with another box, else 0: lower ones, upper ones.
+    """Lines, each in the frame of a box: first points, unit vectors, lengths and radii, m; half of
+    the sizes of the box, m; and 1 for faces that are shared with another box, else 0: lower, upper
+    ones.
     """
 
     start: Vectors
@@ -58,8 +52,7 @@ class Lines(NamedTuple):
 def within_faces(lines: Lines) -> tuple[PerPair, PerPair, tuple[Vectors, Vectors]]:
     """From where to where lines are not beyond shared faces, and the faces where that ends."""
     start, direction, half = lines.start, lines.direction, lines.half
-    first = jnp.zeros_like(start[0])
-    last = lines.length
+    first, last = jnp.zeros_like(start[0]), lines.length
     faces = [jnp.zeros_like(start), jnp.zeros_like(start)]
     flat = direction == 0
     for side, sign in enumerate((-1, 1)):
@@ -80,11 +73,8 @@ def within_faces(lines: Lines) -> tuple[PerPair, PerPair, tuple[Vectors, Vectors
 
 
 class Nearest(NamedTuple):
-    """The surface of boxes as seen from points.
-
-    Attributes:
-        distance: to the surface, m; negative inside.
-        normal: unit vector from the nearest point of the surface, in the frame of the box.
+    """The surface of boxes as seen from points: the distance, m, negative inside, and the unit
+    vector from the nearest point of the surface, in the frame of the box.
     """
 
     distance: Float[Array, "*shape"]
@@ -103,11 +93,7 @@ def nearest(
 
     Arguments:
         x: points in the frames of the boxes, m.
-        half: half of the sizes of the boxes, m.
-        shared: 1 for faces that are shared with other boxes, else 0: lower ones, upper ones.
-
-    Returns:
-        Distance, m, and normal.
+        half, shared: as of `Lines`.
     """
     outside = jnp.maximum(jnp.abs(x) - half, 0)
     length = safe_norm(outside)
@@ -139,7 +125,8 @@ class Patches(NamedTuple):
 
 class _Knot(NamedTuple):
     """A place on each line, and what it is: where it is as far away as its radius, or crosses the
-    plane of a face (whose normal `face` is), or neither, which is an end of the line."""
+    plane of a face (whose normal `face` is), or neither, which is an end of the line.
+    """
 
     place: PerPair
     on_radius: Bool[Array, " pair"]
@@ -254,7 +241,8 @@ def _crossing(
     planes: Float[Array, "6 pair"], lowest: PerPair, begin: _Knot, end: _Knot, sign: int
 ) -> _Knot:
     """The crossing of a face's plane next to the nearest place, before (-1) or after (1) it; where
-    there is none in the stretch, its end."""
+    there is none in the stretch, its end.
+    """
     beside = planes <= lowest[None] if sign < 0 else planes > lowest[None]
     inside = beside & (planes > begin.place[None]) & (planes < end.place[None])
     far = jnp.where(inside, sign * planes, jnp.inf)
@@ -268,10 +256,8 @@ def _crossing(
     )
 
 
-# The obstacles: boxes, planes, and walls with an opening.
-#
-# Each is made of boxes. Where two of them share a face, neither counts beyond it: what is there
-# is the other's, so that a flat wall of several boxes is one flat wall.
+# Each obstacle is made of boxes. Where two of them share a face, neither counts beyond it: what is
+# there is the other's, so that a flat wall of several boxes is one flat wall.
 
 # Half the sizes of the box of a plane, m: along it beyond all that an arm reaches, and so little
 # deep that single precision resolves a micrometre.
@@ -279,13 +265,9 @@ _PLANE = (1000.0, 1000.0, 8.0)
 
 
 class Part(eqx.Module):
-    """A box of an obstacle.
-
-    Attributes:
-        centre: in the frame of the obstacle, m.
-        half: half of its sizes, m.
-        shared: whether its face is shared with another box of the obstacle: of the lower and the
-            upper faces across x, y and z.
+    """A box of an obstacle, in whose frame its centre is; `half` of its sizes, m; and whether its
+    face is shared with another box of the obstacle: of the lower and the upper faces across x, y
+    and z.
     """
 
     centre: Float[Array, "3"]
@@ -380,9 +362,8 @@ class Plane(AbstractObstacle):
         x, y, z = self.normal / jnp.sqrt(jnp.sum(self.normal**2))
         # Half way between both: 1 + z and the cross product, made a unit; upside down, about x.
         down = z < -1 + 1e-12
-        zero, one = jnp.zeros_like(z), jnp.ones_like(z)
-        turn = jnp.stack([1 + z, -y, x, zero])
-        turn = jnp.where(down, jnp.stack([zero, one, zero, zero]), turn)
+        turn = jnp.stack([1 + z, -y, x, jnp.zeros_like(z)])
+        turn = jnp.where(down, jnp.asarray([0, 1, 0, 0], turn.dtype), turn)
         return turn / jnp.sqrt(jnp.sum(turn**2))
 
     def parts(self) -> list[Part]:
@@ -436,36 +417,29 @@ class WallWithOpening(AbstractObstacle):
             ((-half[1] - below, -half[1]), (-half[1], half[1]), (half[1], half[1] + above)),
         )
 
+        places = [(column, row) for column in range(3) for row in range(3)]
+        places.remove((1, 1))
+
         def part(column: int, row: int) -> Part:
             (y0, y1), (z0, z1) = bands[0][column], bands[1][row]
             zero = jnp.zeros_like(self.thickness)
-
-            def solid(column: int, row: int) -> bool:
-                return column in (0, 1, 2) and row in (0, 1, 2) and (column, row) != (1, 1)
-
             return Part(
                 jnp.stack([zero, (y0 + y1) / 2, (z0 + z1) / 2]),
                 jnp.stack([self.thickness / 2, (y1 - y0) / 2, (z1 - z0) / 2]),
                 (
-                    (False, solid(column - 1, row), solid(column, row - 1)),
-                    (False, solid(column + 1, row), solid(column, row + 1)),
+                    (False, (column - 1, row) in places, (column, row - 1) in places),
+                    (False, (column + 1, row) in places, (column, row + 1) in places),
                 ),
             )
 
-        places = [(column, row) for column in range(3) for row in range(3)]
-        return [part(*place) for place in places if place != (1, 1)]
+        return [part(*place) for place in places]
 
 
 class Solids(NamedTuple):
-    """The boxes of several obstacles.
-
-    Attributes:
-        centre: in the base frame, m, shape (3, box).
-        half: half of the sizes, m, shape (3, box).
-        frame: unit vectors along the sizes in the base frame, as columns: [:, k, box] is the
-            k-th.
-        shared: whether a face is shared with another box: of the lower and the upper faces across
-            each direction, shape (2, 3, box); numbers, and no part of what is traced.
+    """The boxes of several obstacles: centres in the base frame and half of the sizes, m; unit
+    vectors along the sizes in the base frame, `frame[:, k, box]` being the k-th; and whether a face
+    is shared with another box, of the lower and the upper ones: numbers, and no part of what is
+    traced.
     """
 
     centre: Float[Array, "3 box"]
@@ -475,26 +449,16 @@ class Solids(NamedTuple):
 
 
 def solids(obstacles: Sequence[AbstractObstacle]) -> Solids:
-    """The boxes of obstacles.
-
-    Arguments:
-        obstacles: at least one.
-    """
-    centres, halves, frames, shared = [], [], [], []
+    """The boxes of obstacles, of which there is at least one."""
+    boxes = []
     for obstacle in obstacles:
         turn = obstacle.turn()
         frame = jnp.stack([rotate(turn, axis) for axis in jnp.eye(3, dtype=turn.dtype)], axis=1)
         for part in obstacle.parts():
-            centres.append(obstacle.centre + frame @ part.centre)
-            halves.append(part.half)
-            frames.append(frame)
-            shared.append(part.shared)
-    return Solids(
-        jnp.stack(centres, axis=-1),
-        jnp.stack(halves, axis=-1),
-        jnp.stack(frames, axis=-1),
-        np.moveaxis(np.asarray(shared), 0, -1),
-    )
+            boxes.append((obstacle.centre + frame @ part.centre, part.half, frame, part.shared))
+    *placed, shared = zip(*boxes, strict=True)
+    centre, half, frame = (jnp.stack(each, axis=-1) for each in placed)
+    return Solids(centre, half, frame, np.moveaxis(np.asarray(shared), 0, -1))
 
 
 def owners(obstacles: Sequence[AbstractObstacle]) -> np.ndarray:

@@ -58,8 +58,6 @@ from ._protocol import AbstractModel, Channels, Scene
 from ._scenes import arm_scene
 from .capabilities import Integration
 
-# The state of an arm at the first sample of a run.
-
 Row = Float[np.ndarray, " joint"]
 
 # Rows that a rate is estimated from where none is recorded; enough to average noise, few enough
@@ -75,11 +73,17 @@ def initial_state(run: Run, times: np.ndarray, joints: int) -> tuple[Row, Row]:
     """
     section = run.definition.section(InitialSection)
     if not section.first_row:
-        values = section.values()
-        return (
-            _each(run, values.get(INITIAL.angle.path, INITIAL.angle.default), joints),
-            _each(run, values.get(INITIAL.rate.path, INITIAL.rate.default), joints),
-        )
+        stated = section.values()
+        state = []
+        for declared in (INITIAL.angle, INITIAL.rate):
+            values = np.asarray(stated.get(declared.path, declared.default), dtype=float)
+            if values.shape not in ((), (joints,)):
+                raise InputError(
+                    f"[initial] of '{run.name}' has {values.size} values for {joints} joints: "
+                    "give one number or one per joint"
+                )
+            state.append(np.broadcast_to(values, (joints,)))
+        return state[0], state[1]
     rates = [run.values.get(f"joint{joint:02d}_rate") for joint in range(1, joints + 1)]
     recorded = all(rate is not None and np.isfinite(rate[0]) for rate in rates)
     angles, slopes = np.zeros(joints), np.zeros(joints)
@@ -91,7 +95,10 @@ def initial_state(run: Run, times: np.ndarray, joints: int) -> tuple[Row, Row]:
                 "no value there: record the angle of every joint, or state angle_deg"
             )
         angles[joint - 1] = column[0]
-        slopes[joint - 1] = _slope(times[:_ROWS], column[:_ROWS])
+        measured = np.isfinite(column[:_ROWS])
+        if np.sum(measured) >= 2:
+            since = times[:_ROWS][measured] - times[0]
+            slopes[joint - 1] = np.polyfit(since, column[:_ROWS][measured], 1)[0]
     if recorded:
         return angles, np.asarray([float(rate[0]) for rate in rates if rate is not None])
     if not section.free:
@@ -100,23 +107,6 @@ def initial_state(run: Run, times: np.ndarray, joints: int) -> tuple[Row, Row]:
             "value there: record the rates, or let the fit find them with free = true"
         )
     return angles, slopes
-
-
-def _slope(times: np.ndarray, values: np.ndarray) -> float:
-    measured = np.isfinite(values)
-    if np.sum(measured) < 2:
-        return 0.0
-    return float(np.polyfit(times[measured] - times[0], values[measured], 1)[0])
-
-
-def _each(run: Run, values: npt.ArrayLike, joints: int) -> Row:
-    values = np.asarray(values, dtype=float)
-    if values.shape not in ((), (joints,)):
-        raise InputError(
-            f"[initial] of '{run.name}' has {values.size} values for {joints} joints: "
-            "give one number or one per joint"
-        )
-    return np.broadcast_to(values, (joints,))
 
 
 class InitialState(eqx.Module):
@@ -138,12 +128,7 @@ class ArmInputs(eqx.Module):
 
 
 def arm_inputs(arm: Arm, encoder: Encoder, run: Run) -> ArmInputs:
-    """A run prepared for an arm.
-
-    Arguments:
-        arm: its number of joints counts, and whether it takes a wind that changes.
-        encoder: the angle sensors, which saw the first row where the run starts from that.
-        run: of the arm.
+    """A run prepared for an arm, whose angle sensors saw the first row where it starts from that.
 
     Raises:
         InputError: a run of another model, of another number of joints, or whose wind or initial
@@ -151,33 +136,26 @@ def arm_inputs(arm: Arm, encoder: Encoder, run: Run) -> ArmInputs:
     """
     if run.model != "arm" or run.times is None:
         raise InputError(f"'{run.name}' is a run of the {run.model} model: give a run of an arm")
-    wind = _wind(arm, run, run.times)
+    times = run.times
+    wind = _wind(arm, run, times)
     check_wind(arm, wind)
     driven = any(run.channels[name].kind == "joint_torque" for name in run.commands)
-    command, pressure = _rows(arm, run, run.times, "joint_command"), _pressures(arm, run, run.times)
+    interpolation = run.definition.section(CommandSection).interpolation
+    command = logged(times, _table(arm, run, times, "joint_command"), interpolation)
+    pressure = _pressures(arm, run, times)
     check_muscles(arm, command, pressure)
-    return ArmInputs(
-        times=on_device(run.times, jnp.result_type(float)),
-        command=command,
-        wind=wind,
-        torque=_rows(arm, run, run.times, "joint_torque") if driven else None,
-        initial=_initial(arm, encoder, run, run.times),
-        pressure=pressure,
-    )
-
-
-def _initial(arm: Arm, encoder: Encoder, run: Run, times: np.ndarray) -> InitialState:
-    """The state at the first sample; a first row was seen by the angle sensors."""
+    torque = _table(arm, run, times, "joint_torque")
     angle, rate = map(on_device, initial_state(run, times, arm.count))
     if run.definition.section(InitialSection).first_row:
         angle, rate = encoder.true_angles(angle), encoder.true_rates(rate)
-    return InitialState(angle, rate)
-
-
-def _rows(arm: Arm, run: Run, times: np.ndarray, kind: str) -> Signal:
-    """Commands or torques of all joints; those without a column are zero."""
-    values = _table(arm, run, times, kind)
-    return logged(times, values, run.definition.section(CommandSection).interpolation)
+    return ArmInputs(
+        times=on_device(times, jnp.result_type(float)),
+        command=command,
+        wind=wind,
+        torque=logged(times, torque, interpolation) if driven else None,
+        initial=InitialState(angle, rate),
+        pressure=pressure,
+    )
 
 
 def _pressures(arm: Arm, run: Run, times: np.ndarray) -> Pressures | None:
@@ -195,6 +173,7 @@ def _pressures(arm: Arm, run: Run, times: np.ndarray) -> Pressures | None:
 
 
 def _table(arm: Arm, run: Run, times: np.ndarray, kind: str) -> np.ndarray:
+    """Commands, torques or pressures of all joints; those without a column are zero."""
     values = np.zeros((len(times), arm.count))
     for name, column in run.commands.items():
         if run.channels[name].kind != kind:
@@ -244,18 +223,9 @@ _MAX_STEPS = 50_000
 _STEPS_PER_SECOND = 2_000
 
 
-def step_limit(duration: float) -> int:
-    """Step limit for runs of a duration (s)."""
-    return max(_MAX_STEPS, int(np.ceil(_STEPS_PER_SECOND * duration)))
-
-
-def _array(value: Any) -> Scalar:
+def _array(value: Any) -> Any:
     # Strongly typed: another tolerance must not compile anything anew.
-    return jnp.asarray(value, dtype=jnp.result_type(float))
-
-
-def _array_or_none(value: Any) -> Scalar | None:
-    return None if value is None else _array(value)
+    return None if value is None else jnp.asarray(value, dtype=jnp.result_type(float))
 
 
 class ArmModel(AbstractModel):
@@ -274,7 +244,7 @@ class ArmModel(AbstractModel):
     kind: ClassVar[str] = "arm"
 
     arm: Arm = inline()
-    tolerance: Scalar | None = eqx.field(default=None, converter=_array_or_none)
+    tolerance: Scalar | None = eqx.field(default=None, converter=_array)
     # Its motion changes smoothly with the parameters; that of an explicit method, whose steps stiff
     # springs bring to the limit of stability, does not.
     solver: str = eqx.field(default="springs5", static=True)
@@ -299,7 +269,8 @@ class ArmModel(AbstractModel):
         """
         arm, sensors = agreed_parts(runs)
         durations = [float(np.ptp(run.times)) for run in runs if run.times is not None]
-        return cls(arm, max_steps=step_limit(max(durations, default=0.0)), sensors=sensors)
+        steps = int(np.ceil(_STEPS_PER_SECOND * max(durations, default=0.0)))
+        return cls(arm, max_steps=max(_MAX_STEPS, steps), sensors=sensors)
 
     @classmethod
     def from_definition(cls, definition: Mapping[str, Any]) -> Self:
@@ -417,26 +388,22 @@ class ArmModel(AbstractModel):
                 f"the tolerance is {tolerance:g}, and must be positive: give a number such as "
                 f"{_TOLERANCE:g}"
             )
-        model = self if solver is None else dataclasses.replace(self, solver=solver)
-        if tolerance is None:
-            return model
-        return dataclasses.replace(model, tolerance=_array(tolerance))
+        changes: dict[str, Any] = {"solver": solver, "tolerance": tolerance}
+        return dataclasses.replace(self, **{k: v for k, v in changes.items() if v is not None})
 
     def _tolerance(self) -> Scalar:
         return _array(_TOLERANCE) if self.tolerance is None else self.tolerance
 
     def conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
         """The scale that motion alone cannot determine, and what C_D and sensors refer to."""
-        scale = scale_conditions(self, self.arm, free, runs)
-        known = controller_conditions(self.arm, free, runs)
-        behind = [
-            sentence for run in runs if run.model == self.kind for sentence in self._behind(run)
-        ]
-        return scale + known + sensor_conditions(self, free, runs) + behind
-
-    def _behind(self, run: Run) -> list[str]:
-        pixels = [name for name in run.observations if run.channels[name].quantity == "pixel"]
-        return behind_conditions(run, self._unseen(self.prepare(run), pixels)) if pixels else []
+        sentences = scale_conditions(self, self.arm, free, runs)
+        sentences += controller_conditions(self.arm, free, runs)
+        sentences += sensor_conditions(self, free, runs)
+        for run in runs:
+            pixels = [name for name in run.observations if run.channels[name].quantity == "pixel"]
+            if run.model == self.kind and pixels:
+                sentences += behind_conditions(run, self._unseen(self.prepare(run), pixels))
+        return sentences
 
     def definition(self) -> dict[str, Any]:
         """The arm's constants, its sensors and the settings of the integrator."""
@@ -456,10 +423,7 @@ def _camera_angles(
     model: ArmModel, inputs: ArmInputs, cameras: tuple[str, ...]
 ) -> tuple[dict[str, Array], Bool[Array, ""]]:
     return seen_by_cameras(
-        model.sensors,
-        lambda times, end: model._motion(inputs, times, end),
-        inputs.times,
-        cameras,
+        model.sensors, lambda times, end: model._motion(inputs, times, end), inputs.times, cameras
     )
 
 

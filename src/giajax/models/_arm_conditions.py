@@ -1,7 +1,7 @@
 """On what a fit of an arm is conditional: the scale of all forces, and what sensors refer to."""
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import jax.numpy as jnp
 import numpy as np
@@ -76,17 +76,7 @@ _SENSORS: dict[str, str] = {
 def scale_conditions(
     model: AbstractModel, arm: Arm, free: Sequence[str], runs: Sequence[Run]
 ) -> list[str]:
-    """The scale that motion alone cannot determine, and what C_D refers to.
-
-    Arguments:
-        model: of the arm.
-        arm: its arm.
-        free: paths of the parameters that are fitted.
-        runs: what they are fitted to.
-
-    Returns:
-        A sentence for each condition.
-    """
+    """The scale that motion alone cannot determine, and what C_D refers to: a sentence for each."""
     fitted = {path.partition("[")[0] for path in free}
     kinds = {channel.kind for run in runs for channel in run.channels.values()}
     present = declared(model)
@@ -128,16 +118,7 @@ def scale_conditions(
 
 
 def controller_conditions(arm: Arm, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
-    """What the controller of muscles is taken to know.
-
-    Arguments:
-        arm: of the model.
-        free: paths of the parameters that are fitted.
-        runs: what they are fitted to.
-
-    Returns:
-        A sentence, or none.
-    """
+    """What the controller of muscles is taken to know: a sentence, or none."""
     known = [path for path in free if path.startswith(_OF_THE_CONTROLLER)]
     if arm.pneumatics is None or not known:
         return []
@@ -151,16 +132,7 @@ def controller_conditions(arm: Arm, free: Sequence[str], runs: Sequence[Run]) ->
 
 
 def sensor_conditions(model: AbstractModel, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
-    """What parameters of the sensors refer to.
-
-    Arguments:
-        model: of the arm.
-        free: paths of the parameters that are fitted.
-        runs: what they are fitted to.
-
-    Returns:
-        A sentence for each condition.
-    """
+    """What parameters of the sensors refer to: a sentence for each."""
     fitted = {path.partition("[")[0] for path in free}
     sentences = [f"{path}: {sentence}" for path, sentence in _SENSORS.items() if path in fitted]
     encoder = sorted(fitted & {"encoder.offset", "encoder.scale"})
@@ -190,65 +162,61 @@ def _values(model: AbstractModel, paths: Sequence[str]) -> str:
     return ", ".join(shown)
 
 
-# The arm with one choice made another way: where drag acts, what floats, and what air moves.
-
 _ADDED = AIR.added_mass_coefficient
 
 
 def arm_variants(arm: Arm) -> dict[str, Arm]:
-    """Arms that differ in one choice of `[arm]`.
-
-    Arguments:
-        arm: the arm.
-
-    Returns:
-        The other arms, by the key and the value of `[arm]` that make them.
-    """
-    return dict(_variants(arm))
-
-
-def _variants(arm: Arm) -> Iterator[tuple[str, Arm]]:
-    air = arm.air
+    """Arms that differ in one choice of `[arm]`, by the key and the value that make them."""
+    others, air = {}, arm.air
     if air.drag == "centre":
-        yield "arm.drag = strip", _in(arm, dataclasses.replace(air, drag="strip"))
+        others["arm.drag = strip"] = dataclasses.replace(
+            arm, air=dataclasses.replace(air, drag="strip")
+        )
     else:
         # Drag at the centres has the velocity along a link already.
         centre = dataclasses.replace(air, drag="centre", axial_coefficient=None)
-        yield "arm.drag = centre", _in(arm, centre)
+        others["arm.drag = centre"] = dataclasses.replace(arm, air=centre)
     curve = "cylinder" if air.drag_curve == "constant" else "constant"
-    yield f"arm.drag_curve = {curve}", _in(arm, dataclasses.replace(air, drag_curve=curve))
+    others[f"arm.drag_curve = {curve}"] = dataclasses.replace(
+        arm, air=dataclasses.replace(air, drag_curve=curve)
+    )
     if arm.joints.hysteresis.memory.strength is None:
         strength = JOINT_MEMORY.strength
         name = f"{strength.path} = {strength.default:g} {strength.unit}"
-        yield name, replace(arm, {strength.path: strength.default})
+        others[name] = replace(arm, {strength.path: strength.default})
     if arm.pneumatics is not None and arm.pneumatics.drive.lag is None:
         name = f"{DRIVE.lag.path} = {DRIVE.lag.default:g} {DRIVE.lag.unit}"
-        yield name, replace(arm, {DRIVE.lag.path: DRIVE.lag.default})
+        others[name] = replace(arm, {DRIVE.lag.path: DRIVE.lag.default})
     if air.added_mass_coefficient is not None:
         other = "inertia" if air.added_mass == "kirchhoff" else "kirchhoff"
-        yield f"arm.added_mass = {other}", _in(arm, dataclasses.replace(air, added_mass=other))
+        others[f"arm.added_mass = {other}"] = dataclasses.replace(
+            arm, air=dataclasses.replace(air, added_mass=other)
+        )
     else:
         # The coefficient is tested as a parameter, with all terms that follow from it. In other
         # engines it is inertia alone; and drag that is wrong along a link hides what it does.
         inertia = f"arm.added_mass = inertia, {_ADDED.path} = {_ADDED.default:g}"
-        yield inertia, _displacing(arm, dataclasses.replace(air, added_mass="inertia"))
+        others[inertia] = _displacing(arm, dataclasses.replace(air, added_mass="inertia"))
         if air.drag == "centre":
             both = dataclasses.replace(air, drag="strip", added_mass="inertia")
-            yield f"arm.drag = strip, {inertia}", _displacing(arm, both)
+            others[f"arm.drag = strip, {inertia}"] = _displacing(arm, both)
     if arm.buoyancy is None:
         for depth in (None, BUOYANCY.trim_depth.default):
             try:
                 floating = _floating(arm, depth)
             except InputError:  # It is too heavy to float, as the rods of a pendulum are.
-                return
+                break
             below = "" if depth is None else f", trim_depth = {depth:g} m"
-            yield f"arm.trim = true{below}", floating
+            others[f"arm.trim = true{below}"] = floating
+    return others
 
 
 def _displacing(arm: Arm, air: Air) -> Arm:
     """The arm in that air, of which its links move as much as they displace."""
     coefficient = jnp.asarray(_ADDED.default, jnp.result_type(float))
-    other = _in(arm, dataclasses.replace(air, added_mass_coefficient=coefficient))
+    other = dataclasses.replace(
+        arm, air=dataclasses.replace(air, added_mass_coefficient=coefficient)
+    )
     mass = float(jnp.sum(bodies(arm).mass))
     moved = _ADDED.default * float(jnp.sum(arm.air.density * arm.links.volume))
     return _moved_alike(other, arm, 1 + moved / mass)
@@ -280,7 +248,3 @@ def _moved_alike(other: Arm, arm: Arm, ratio: float) -> Arm:
     strength = [path for path in STRENGTHS if path in declared(arm)][:1]
     forces = [path for path in (*SCALE, *strength) if path not in MASSES and path in declared(arm)]
     return replace(other, {path: ratio * get(arm, path) for path in forces})
-
-
-def _in(arm: Arm, air: Air) -> Arm:
-    return dataclasses.replace(arm, air=air)

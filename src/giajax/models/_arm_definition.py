@@ -43,59 +43,37 @@ from ._cameras import Pinhole
 from ._protocol import parameter_values
 
 
-def obstacles_from(entries: Sequence[Obstacle]) -> tuple[AbstractObstacle, ...]:
-    """The obstacles that entries of `[[arm.obstacles]]` state."""
-    return tuple(_obstacle(entry) for entry in entries)
-
-
 def _obstacle(entry: Obstacle) -> AbstractObstacle:
+    """What an entry of `[[arm.obstacles]]` states."""
     about: dict[str, Any] = {"centre": entry.centre_m, "name": entry.name}
-    sizes: dict[str, Any]
     if entry.shape == "plane":
-        sizes = {"normal": entry.normal}
-        return Plane(**about, **sizes)
+        return Plane(**about | {"normal": entry.normal})
     about["rotation"] = np.deg2rad(entry.rotation_deg or [0.0, 0.0, 0.0])
     if entry.shape == "box":
-        sizes = {"size": entry.size_m}
-        return Box(**about, **sizes)
-    sizes = {
-        "opening": entry.opening_m,
-        "margins": entry.margins_m,
-        "thickness": entry.thickness_m,
-    }
-    return WallWithOpening(**about, **sizes)
-
-
-def entries_of(obstacles: Sequence[AbstractObstacle]) -> list[dict[str, Any]]:
-    """The entries of `[[arm.obstacles]]` that state obstacles."""
-    return [_entry(obstacle) for obstacle in obstacles]
+        return Box(**about | {"size": entry.size_m})
+    about |= {"opening": entry.opening_m, "margins": entry.margins_m}
+    return WallWithOpening(**about | {"thickness": entry.thickness_m})
 
 
 def _entry(obstacle: AbstractObstacle) -> dict[str, Any]:
-    def numbers(value: Any) -> Any:
-        return np.asarray(value, dtype=float).tolist()
+    """The entry of `[[arm.obstacles]]` that states an obstacle."""
 
-    about: dict[str, Any] = {"name": obstacle.name, "centre_m": numbers(obstacle.centre)}
+    def numbers(**values: Any) -> dict[str, Any]:
+        return {name: np.asarray(value, dtype=float).tolist() for name, value in values.items()}
+
+    about: dict[str, Any] = {"name": obstacle.name, **numbers(centre_m=obstacle.centre)}
     if isinstance(obstacle, Plane):
-        return {"shape": "plane", **about, "normal": numbers(obstacle.normal)}
+        return {"shape": "plane", **about, **numbers(normal=obstacle.normal)}
     if isinstance(obstacle, Box):
-        shape, sizes = "box", {"size_m": numbers(obstacle.size)}
+        shape, sizes = "box", numbers(size_m=obstacle.size)
     elif isinstance(obstacle, WallWithOpening):
-        shape, sizes = (
-            "wall",
-            {
-                "opening_m": numbers(obstacle.opening),
-                "margins_m": numbers(obstacle.margins),
-                "thickness_m": numbers(obstacle.thickness),
-            },
-        )
+        parts = {"opening_m": obstacle.opening, "margins_m": obstacle.margins}
+        shape, sizes = "wall", numbers(**parts, thickness_m=obstacle.thickness)
     else:
         raise TypeError(f"an obstacle of type {type(obstacle).__name__} has no entry in files")
-    turn = numbers(np.rad2deg(np.asarray(obstacle.rotation)))
-    return {"shape": shape, **about, **sizes, "rotation_deg": turn}
+    turn = numbers(rotation_deg=np.rad2deg(np.asarray(obstacle.rotation)))
+    return {"shape": shape, **about, **sizes, **turn}
 
-
-# From the TOML vocabulary to the sensors of an arm, its cameras and landmarks, and back.
 
 SECTIONS = ("sensors", "camera", "landmark")
 
@@ -147,18 +125,8 @@ def sensors_to_definition(sensors: Sensors) -> dict[str, dict[str, Any]]:
     return sections
 
 
-# From the TOML vocabulary to an arm and its sensors, and back.
-
 # Keys of [arm] that are arguments of `chain`.
-_CHOICES = (
-    "joint_axes",
-    "drag",
-    "strip_points",
-    "drag_curve",
-    "added_mass",
-    "buoyancy",
-    "trim",
-)
+_CHOICES = ("joint_axes", "drag", "strip_points", "drag_curve", "added_mass", "buoyancy", "trim")
 _ARGUMENTS = frozenset(signature(chain).parameters)
 
 
@@ -177,7 +145,8 @@ def arm_from_definition(definition: Definition) -> Arm:
     changes: dict[str, Any] = {name: keys[name] for name in _CHOICES if name in keys}
     others = dict(keys.get("parameters") or {})
     for path, value in values.items():
-        if (argument := _argument(path)) in _ARGUMENTS:
+        # `mass`, `air_density`
+        if (argument := path.removeprefix("links.").replace(".", "_")) in _ARGUMENTS:
             changes[argument] = value
         else:
             others.setdefault(path, value)
@@ -188,16 +157,17 @@ def arm_from_definition(definition: Definition) -> Arm:
     if "point_masses" in keys:
         changes["point_masses"] = _point_masses(section.point_masses or [])
     if section.obstacles:
-        changes["contact"] = Contact(obstacles=obstacles_from(section.obstacles))
+        changes["contact"] = Contact(obstacles=tuple(map(_obstacle, section.obstacles)))
     name = keys.get("preset", DEFAULT_PRESET)
-    return preset(name, keys.get("links") or _listed(section), **changes)
+    # The number of links of a section that does not state it is the length of its lists.
+    listed = next((len(value) for value in section.lists().values()), None)
+    return preset(name, keys.get("links") or listed, **changes)
 
 
 def _pair(section: ArmSection) -> JointPair:
     """The pair of muscles that the keys of a section state."""
-    blend = (
-        MUSCLE_BLEND if section.muscle_blend_deg is None else np.deg2rad(section.muscle_blend_deg)
-    )
+    stated = section.muscle_blend_deg
+    blend = MUSCLE_BLEND if stated is None else np.deg2rad(stated)
     correction = Correction(reading=section.muscle_correction or "continuous", blend=blend)
     return JointPair(Joint(correction=correction), LAWS[section.muscle_law or "braided"]())
 
@@ -225,16 +195,6 @@ def _degrees(radians: float) -> float:
     return next((float(each) for each in near if np.deg2rad(each) == radians), degrees)
 
 
-def _argument(path: str) -> str:
-    """The argument of `chain` for a parameter, if it has one: `mass`, `air_density`."""
-    return path.removeprefix("links.").replace(".", "_")
-
-
-def _listed(section: ArmSection) -> int | None:
-    """The number of links of a section that does not state it: the length of its lists."""
-    return next((len(value) for value in section.lists().values()), None)
-
-
 def _point_masses(entries: list[PointMass]) -> PointMasses | None:
     if not entries:
         return None
@@ -258,10 +218,11 @@ def arm_to_definition(arm: Arm) -> dict[str, Any]:
     """
     fitted = default_free(arm)
     constants = {path: v for path, v in parameter_values(arm).items() if path not in fitted}
+    usual_axes = arm.joints.axes == named_axes("pitch_yaw", arm.count)
     facts: dict[str, Any] = {
         "links": arm.count,
         **ArmSection.keys_of(constants),
-        "joint_axes": _axes(arm),
+        "joint_axes": "pitch_yaw" if usual_axes else [list(axis) for axis in arm.joints.axes],
         "drag": arm.air.drag,
         "strip_points": arm.air.strip_points,
         "drag_curve": arm.air.drag_curve,
@@ -272,7 +233,7 @@ def arm_to_definition(arm: Arm) -> dict[str, Any]:
     if arm.pneumatics is not None:
         facts |= _muscle_keys(arm.pneumatics, arm)
     if arm.contact is not None:
-        facts["obstacles"] = entries_of(arm.contact.obstacles)
+        facts["obstacles"] = list(map(_entry, arm.contact.obstacles))
     if arm.point_masses is not None:
         facts["point_masses"] = _entries(arm.point_masses)
     keyed = {part.path for parts in ArmSection.quantities.values() for part in parts}
@@ -316,14 +277,6 @@ def _entries(fixed: PointMasses) -> list[dict[str, Any]]:
     ]
 
 
-def _axes(arm: Arm) -> str | list[list[float]]:
-    if arm.joints.axes == named_axes("pitch_yaw", arm.count):
-        return "pitch_yaw"
-    return [list(axis) for axis in arm.joints.axes]
-
-
-# Whether the sidecars of runs that are fitted together agree.
-
 S = TypeVar("S", bound=Section)
 
 _SECTIONS = (ArmSection, SensorsSection, CamerasSection, LandmarksSection)
@@ -342,24 +295,20 @@ def agreed_parts(runs: Sequence[Run]) -> tuple[Arm, Sensors]:
     for other in others:
         if [other.definition.section(type(of)) for of in sections] == sections:
             continue
-        their_arm = arm_from_definition(other.definition)
-        their_sensors = sensors_from_definition(other.definition)
-        check_agreement(
-            "arm", (first, arm_to_definition(arm)), (other, arm_to_definition(their_arm))
+        ours, theirs = (
+            {"arm": arm_to_definition(an_arm), **sensors_to_definition(its)}
+            for an_arm, its in (
+                (arm, sensors),
+                (arm_from_definition(other.definition), sensors_from_definition(other.definition)),
+            )
         )
-        ours, theirs = sensors_to_definition(sensors), sensors_to_definition(their_sensors)
-        for name in SECTIONS:
+        for name in ("arm", *SECTIONS):
             check_agreement(name, (first, ours.get(name, {})), (other, theirs.get(name, {})))
     return arm, sensors
 
 
 def agreed_section(runs: Sequence[Run], name: str, of: type[S]) -> S:
-    """The section that the sidecars of some runs have alike.
-
-    Arguments:
-        runs: that are fitted together.
-        name: of the section.
-        of: its class.
+    """The section, of a name and a class, that the sidecars of some runs have alike.
 
     Raises:
         InputError: the sidecars disagree in it.
@@ -378,12 +327,7 @@ def agreed_section(runs: Sequence[Run], name: str, of: type[S]) -> S:
 def check_agreement(
     section: str, first: tuple[Run, Mapping[str, Any]], other: tuple[Run, Mapping[str, Any]]
 ) -> None:
-    """Refuse two runs whose sidecars state a key of a section differently.
-
-    Arguments:
-        section: its name.
-        first: a run, and what it states in the section, by key; None where it states nothing.
-        other: another one.
+    """Refuse two runs whose sidecars state a key of a section differently, None being nothing.
 
     Raises:
         InputError: naming the runs, the key and both values.

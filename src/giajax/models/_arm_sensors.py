@@ -150,18 +150,6 @@ class Sensors(eqx.Module):
                     "number, or one for each"
                 )
 
-    def link_positions(
-        self, arm: Arm, angles: Float[Array, "sample joint"]
-    ) -> Float[Array, "sample link 3"]:
-        """Recorded positions of the links' markers, m."""
-        return self.camera.sees(jax.vmap(lambda row: self.marker.on_links(arm, row))(angles))
-
-    def tip_positions(
-        self, arm: Arm, angles: Float[Array, "sample joint"]
-    ) -> Float[Array, "sample 3"]:
-        """Recorded positions of the tip's marker, m."""
-        return self.camera.sees(jax.vmap(lambda row: self.marker.at_tip(arm, row))(angles))
-
 
 def camera_of(sensors: Sensors, channel: Channel) -> str:
     """The name of the camera that shows a channel.
@@ -226,17 +214,10 @@ def projections(
     angles: Float[Array, "sample joint"],
     channels: Iterable[Channel],
 ) -> dict[tuple[str, int], Projection]:
-    """Where a camera shows what some channels are of.
+    """Where a camera shows what some of its channels are of.
 
-    Arguments:
-        arm: the arm.
-        sensors: its markers, landmarks and cameras.
-        name: of the camera.
-        angles: of the joints at the samples of this camera's clock, rad.
-        channels: that are of this camera.
-
-    Returns:
-        By row of the column table and number: pixels (sample, 2) and depths (sample,).
+    The joint angles (rad) are those at the samples of this camera's clock. By row of the column
+    table and number: pixels (sample, 2) and depths (sample,).
     """
     camera: Pinhole = sensors.camera.pinholes[name]
     # In an order of their own: both coordinates of a point are computed together.
@@ -281,17 +262,10 @@ def _unseen(
 def unseen(
     arm: Arm, sensors: Sensors, angles: Mapping[str, Array], channels: Iterable[str]
 ) -> dict[str, tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]]:
-    """Where cameras cannot see what channels are of.
+    """Where cameras cannot see what channels are of; those that are of no picture are left out.
 
-    Arguments:
-        arm: the arm.
-        sensors: its markers, landmarks and cameras.
-        angles: of the joints by camera, at the samples of its clock, rad.
-        channels: names; those that are of no picture are left out.
-
-    Returns:
-        By channel: at which samples the point is behind the camera, and at which it is not in
-        the picture.
+    The joint angles (rad) are by camera, at the samples of its clock. By channel: at which samples
+    the point is behind the camera, and at which it is not in the picture.
     """
     by_camera: dict[str, list[str]] = {}
     for name in channels:
@@ -310,14 +284,10 @@ def unseen(
 def behind_conditions(
     run: Run, unseen: Mapping[str, tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]]
 ) -> list[str]:
-    """That pixels were recorded of points that the model has behind the camera.
+    """That pixels were recorded of points that the model has behind the camera: a sentence for
+    each.
 
-    Arguments:
-        run: that was recorded.
-        unseen: by channel, at which samples the point is behind the camera, and out of the picture.
-
-    Returns:
-        A sentence for each camera, or none.
+    `unseen` is by channel, at which samples the point is behind the camera, and out of the picture.
     """
     cells: dict[str, list[tuple[str, int]]] = {}
     for name, (behind, _) in unseen.items():
@@ -333,8 +303,6 @@ def behind_conditions(
     ]
 
 
-# The motion of an arm as clocks that are late or early show it.
-
 Times = Float[Array, " sample"]
 
 
@@ -345,23 +313,19 @@ class Seen(NamedTuple):
     rates: Float[Array, "sample joint"]
 
 
+Motion = Callable[[Times, Scalar], Trajectory]
+"""The motion at increasing times (s) from the first sample on, simulated until a time (s)."""
+
+
 def seen_with_delays(
-    motion: Callable[[Times, Scalar], Trajectory], times: Times, delays: Sequence[Scalar | None]
+    motion: Motion, times: Times, delays: Sequence[Scalar | None]
 ) -> tuple[list[Seen], Bool[Array, ""]]:
-    """States at the samples less each delay, from one simulation.
+    """States at the samples less each delay (s; None: a clock that is right), from one simulation.
 
     The integrator's own interpolation gives them, at no more error than it has anyway, and with
     the derivative by the delay. Where a delay reaches back before the run, the arm has the rates
     of its first sample (it rests, if it starts at rest); where it reaches beyond the end, the run
-    goes on with its last command.
-
-    Arguments:
-        motion: the motion at increasing times, from the first sample until some time.
-        times: of the samples, s.
-        delays: of each clock, s; None for a clock that is right.
-
-    Returns:
-        What each clock shows, and whether the simulation succeeded.
+    goes on with its last command. Also whether the simulation succeeded.
     """
     first = times[0]
     clocks = [times if delay is None else times - delay for delay in delays]
@@ -388,24 +352,12 @@ _FRAME = "camera frame"
 _ENCODER = "angle sensors"
 
 
-Motion = Callable[[Times, Scalar], Trajectory]
-"""The motion at increasing times (s), simulated until a time (s)."""
-
-
 def recorded_channels(
     arm: Arm, sensors: Sensors, motion: Motion, times: Times, channels: tuple[str, ...]
 ) -> tuple[Channels, Bool[Array, ""]]:
-    """Channels (m, rad, rad/s, px) as the sensors show them.
+    """Channels (m, rad, rad/s, px) as the sensors show them, and whether the simulation succeeded.
 
-    Arguments:
-        arm: the arm.
-        sensors: its cameras, markers and angle sensors.
-        motion: of the arm.
-        times: of the samples, s, shape (sample,).
-        channels: names without unit.
-
-    Returns:
-        The channels, each of shape (sample,), and whether the simulation succeeded.
+    Times of the samples are in s; names of channels are without unit.
     """
     known = [Channel.named(name) for name in channels]
     kinds = {channel.kind for channel in known}
@@ -423,19 +375,15 @@ def recorded_channels(
         tables["joint_rate"] = sensors.encoder.shows_rates(seen[_ENCODER].rates)
     # Positions of all links are computed only where a channel asks for one.
     if "link_position" in kinds:
-        tables["link_position"] = sensors.link_positions(arm, seen[_FRAME].angles)
+        points = jax.vmap(lambda row: sensors.marker.on_links(arm, row))(seen[_FRAME].angles)
+        tables["link_position"] = sensors.camera.sees(points)
     if "tip_position" in kinds:
-        tables["tip_position"] = sensors.tip_positions(arm, seen[_FRAME].angles)[:, None]
-    pictures = {
-        name: projections(
-            arm,
-            sensors,
-            name,
-            seen[name].angles,
-            [channel for channel in known if shown.get(channel.name) == name],
-        )
-        for name in dict.fromkeys(shown.values())
-    }
+        points = jax.vmap(lambda row: sensors.marker.at_tip(arm, row))(seen[_FRAME].angles)
+        tables["tip_position"] = sensors.camera.sees(points)[:, None]
+    pictures = {}
+    for name in dict.fromkeys(shown.values()):
+        of = [channel for channel in known if shown.get(channel.name) == name]
+        pictures[name] = projections(arm, sensors, name, seen[name].angles, of)
     predicted = {}
     for channel in known:
         if channel.name in shown:

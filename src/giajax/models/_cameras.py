@@ -13,8 +13,6 @@ from ..runtime.text import InputError
 from ..schema import PINHOLE
 from ..schema.parameters import parameter
 
-# Distortion of a lens: OpenCV's model of five coefficients (Brown-Conrady), and its inverse.
-
 # Beyond this tangent of the angle to the optical axis (84 degrees) the polynomial is held: it is
 # fitted to what a picture shows, and grows with the seventh power.
 _STEEPEST = 10.0
@@ -26,18 +24,16 @@ _STEPS = 12
 def distorted(
     flat: Float[Array, "2 point"], coefficients: Float[Array, "5"] | None
 ) -> Float[Array, "2 point"]:
-    """Points of the plane at distance 1, as a lens shows them there.
+    """Points of the plane at distance 1, as a lens shows them there; without coefficients, the
+    same.
 
     With r^2 = x^2 + y^2
 
         x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2)
         y' = y (1 + k1 r^2 + k2 r^4 + k3 r^6) + p1 (r^2 + 2 y^2) + 2 p2 x y
 
-    ("Camera Calibration and 3D Reconstruction" of OpenCV's documentation).
-
-    Arguments:
-        flat: x and y over the depth, shape (2, point).
-        coefficients: k1, k2, p1, p2, k3 in OpenCV's order; None: no distortion.
+    (Brown-Conrady, as "Camera Calibration and 3D Reconstruction" of OpenCV's documentation has it);
+    the coefficients are k1, k2, p1, p2, k3 in OpenCV's order.
     """
     if coefficients is None:
         return flat
@@ -152,11 +148,8 @@ class Pinhole(eqx.Module):
     size: tuple[int, int] = eqx.field(default=(1920, 1080), static=True)
 
     def view(self, arm: Arm | None = None, angles: Float[Array, " joint"] | None = None) -> View:
-        """Where the camera is and how it looks.
-
-        Arguments:
-            arm: that carries it; not needed for a camera in the room.
-            angles: of the arm's joints, rad.
+        """Where the camera is and how it looks; one on an arm needs it, and the angles of its
+        joints, rad.
 
         Raises:
             InputError: the camera is on an arm, and none is given, or one with too few links.
@@ -201,23 +194,13 @@ class Pinhole(eqx.Module):
         arm: Arm | None = None,
         angles: Float[Array, " joint"] | None = None,
     ) -> Projection:
-        """Where points of the base frame appear in the picture.
+        """Where points of the base frame (m) appear in the picture: pixels, and depths (m).
 
         u = f x'' + c_u and v = f aspect y'' + c_v, where x'' and y'' are x / z and y / z before the
         camera as its lens distorts them: the model of OpenCV ("Camera Calibration and 3D
         Reconstruction"). Nearer than `NEAR` and behind the camera 1 / z goes on along its tangent,
-        so that pixels and derivatives stay finite; such points are not seen (`sees`).
-
-        Arguments:
-            points: m, in the base frame, shape (..., 3).
-            arm: that carries the camera; not needed for a camera in the room.
-            angles: of the arm's joints, rad.
-
-        Returns:
-            Pixels of shape (..., 2), and depths (m) of shape (...).
-
-        Raises:
-            InputError: as `view`.
+        so that pixels and derivatives stay finite; such points are not seen (`sees`). Arm and
+        angles are as of `view`, which may raise.
         """
         return self.project_from(self.view(arm, angles), points)
 
@@ -245,17 +228,11 @@ class Pinhole(eqx.Module):
         arm: Arm | None = None,
         angles: Float[Array, " joint"] | None = None,
     ) -> Float[Array, "*point 3"]:
-        """Unit vectors of the base frame along which the camera sees pixels.
+        """Unit vectors of the base frame along which the camera sees pixels, in the picture or near
+        it.
 
         The inverse of `project`, up to the distance; the distortion is undone by Newton's method.
-
-        Arguments:
-            pixels: u and v, px, shape (..., 2), in the picture or near it.
-            arm: that carries the camera; not needed for a camera in the room.
-            angles: of the arm's joints, rad.
-
-        Raises:
-            InputError: as `view`.
+        Arm and angles are as of `view`, which may raise.
         """
         axes = self.view(arm, angles).axes
         return (self.directions(pixels).reshape(-1, 3) @ axes.T).reshape(*pixels.shape[:-1], 3)

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Protocol, Self
+from typing import Any, ClassVar, Literal, Self
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,6 +11,7 @@ import numpy as np
 from ..mechanics.hysteresis import (
     AbstractOperator,
     BoucWen,
+    BoucWenOscillator,
     DeadZones,
     ModifiedPrandtlIshlinskii,
     PrandtlIshlinskii,
@@ -25,16 +26,13 @@ from ._arm_definition import agreed_section
 from ._protocol import AbstractModel, Channels
 from .capabilities import Derived
 
-# What models with one input and one output share: their columns, and Bouc-Wen products.
-
 
 @dataclasses.dataclass(frozen=True)
 class Columns:
-    """The columns of input and output in the runs of a model; empty where not known.
+    """The columns of input and output in the runs of a model, such as "command_deg" and
+    "angle_deg".
 
-    Attributes:
-        input: that drove the runs, such as "command_deg".
-        output: that they measured, such as "angle_deg".
+    They are empty where not known.
     """
 
     input: str = ""
@@ -135,15 +133,7 @@ def check_outputs(kind: str, channels: Sequence[str]) -> None:
             )
 
 
-class BoucWenParameters(Protocol):
-    """What an element of the Bouc-Wen equation has."""
-
-    beta: Scalar
-    gamma: Scalar
-    delta: Scalar
-
-
-def products(element: BoucWenParameters, unit: str) -> dict[str, Derived]:
+def products(element: BoucWen | BoucWenOscillator, unit: str) -> dict[str, Derived]:
     """The products of Bouc-Wen parameters that a history determines."""
     return {
         "beta*gamma": Derived(element.beta * element.gamma, unit),
@@ -160,8 +150,6 @@ def products_condition(free: Sequence[str]) -> list[str]:
     how = f"; held: {', '.join(held)}" if held else ""
     return [f"{', '.join(names)}: only the products beta gamma and beta delta are determined{how}"]
 
-
-# From the `[hysteresis]` section to an operator with start values, and back.
 
 Numbers = int | tuple[float, ...]
 
@@ -189,7 +177,7 @@ class HysteresisSettings:
     """The `[hysteresis]` section with nothing left open; see `giajax.schema.HysteresisSection`."""
 
     operator: str
-    elements: str
+    elements: Literal["play", "stop"]
     thresholds: Numbers
     upper_dead_zones: Numbers
     lower_dead_zones: Numbers
@@ -200,10 +188,7 @@ class HysteresisSettings:
     def to_dict(self) -> dict[str, Any]:
         """The section as plain data, with what this operator uses."""
         plain = {name: getattr(self, name) for name in hysteresis_keys(self.operator)}
-        return {
-            name: list(value) if isinstance(value, tuple) else value
-            for name, value in plain.items()
-        }
+        return {name: list(of) if isinstance(of, tuple) else of for name, of in plain.items()}
 
     @property
     def reach(self) -> float:
@@ -265,18 +250,14 @@ def operator_from_settings(settings: HysteresisSettings, scale: Scale) -> Abstra
             _array(slope * _ELASTIC),
             jnp.full_like(thresholds, slope * (1 - _ELASTIC) / len(thresholds)),
             thresholds,
-            elements=_elements(settings),
+            elements=settings.elements,
         )
     if settings.operator == "modified_prandtl_ishlinskii":
         thresholds = _even(settings.thresholds, reach)
         upper = _dense(settings.upper_dead_zones, abs(settings.input_range[1]) or reach)
         lower = _dense(settings.lower_dead_zones, abs(settings.input_range[0]) or reach)
         curve = DeadZones(
-            _array(slope),
-            upper,
-            jnp.full_like(upper, slope),
-            lower,
-            jnp.full_like(lower, slope),
+            _array(slope), upper, jnp.full_like(upper, slope), lower, jnp.full_like(lower, slope)
         )
         weights = jnp.full_like(thresholds, (1 / _ELASTIC - 1) / len(thresholds))
         return ModifiedPrandtlIshlinskii(curve, weights, thresholds)
@@ -301,28 +282,8 @@ def operator_from_settings(settings: HysteresisSettings, scale: Scale) -> Abstra
     )
 
 
-def check_keys(name: str, section: HysteresisSection) -> None:
-    """Refuse keys of `[hysteresis]` that the operator of a run does not have.
-
-    Raises:
-        InputError: naming the run, the keys and the operator.
-    """
-    operator = section.operator or "prandtl_ishlinskii"
-    known = hysteresis_keys(operator)
-    ignored = [key for key in section.model_dump(exclude_none=True) if key not in known]
-    if ignored:
-        raise InputError(
-            f"[hysteresis] of '{name}' states {', '.join(ignored)}, which {operator} does not "
-            "have: remove it, or state the operator that it belongs to"
-        )
-
-
 def _array(value: float | np.ndarray) -> Array:
     return jnp.asarray(value, dtype=jnp.result_type(float))
-
-
-def _elements(settings: HysteresisSettings) -> Any:
-    return settings.elements
 
 
 def _even(numbers: Numbers, reach: float) -> Array:
@@ -337,8 +298,6 @@ def _dense(numbers: Numbers, reach: float) -> Array:
         return _array(np.asarray(numbers))
     return _array(reach * (np.arange(1, numbers + 1) / (numbers + 1)) ** 2)
 
-
-# Turning points of an input: whether it has any, and what a fit of earlier ones starts from.
 
 # Where turning points before the run are looked for first, as a part of the reach of the input.
 _FIRST_EXTREME = 0.75
@@ -356,13 +315,8 @@ def first_extremes(
 ) -> list[np.ndarray]:
     """Turning points to start from, one list for each direction that the latest one came from.
 
-    Arguments:
-        settings: of the model.
-        now: its turning points before the run, of the input, SI, shape (extreme,).
-        free: paths of the elements to fit that have no start.
-
-    Returns:
-        Turning points of the shape of `now`; no list where none of them is to be moved.
+    `now` are those of the model before the run, of the input, SI; of `free`, the paths of the
+    elements to fit that have no start, those at 0 are moved. No list where there are none.
     """
     count = len(now)
     paths = [f"previous_extremes[{index}]" for index in range(count)]
@@ -377,14 +331,10 @@ def first_extremes(
 
 
 def unexplained(response: np.ndarray, run: Run) -> float:
-    """Sum of the squares that the best scale and offset of a response leave of a run, SI.
+    """Sum of the squares that the best scale and offset of a response leave of what a run measured,
+    SI.
 
-    Arguments:
-        response: at the samples of the run, shape (sample,).
-        run: whose measured channels it is compared with.
-
-    Returns:
-        The sum; infinite where the response is not finite.
+    It is infinite where the response is not finite.
     """
     if not np.all(np.isfinite(response)):
         return np.inf
@@ -436,7 +386,14 @@ class HysteresisModel(AbstractModel):
         outputs = [values for run in runs for values in run.observations.values()]
         first = runs[0]
         section = agreed_section(runs, cls.kind, HysteresisSection)
-        check_keys(first.name, section)
+        operator = section.operator or "prandtl_ishlinskii"
+        known = hysteresis_keys(operator)
+        ignored = [key for key in section.model_dump(exclude_none=True) if key not in known]
+        if ignored:
+            raise InputError(
+                f"[hysteresis] of '{first.name}' states {', '.join(ignored)}, which {operator} "
+                "does not have: remove it, or state the operator that it belongs to"
+            )
         settings = settings_for(section, inputs)
         if not any(turns(values) for values in inputs):
             raise InputError(
@@ -487,13 +444,11 @@ class HysteresisModel(AbstractModel):
         Each end is come to from the other one.
         """
         low, high = (jnp.asarray(end) for end in self.settings.input_range)
-        operator = self.operator
-        state = operator.travelled(operator.travelled(operator.reset(), low), high)
-        state = operator.travelled(state, low)
-        _, lowest = operator.step(state, low)
-        state = operator.travelled(state, high)
-        _, highest = operator.step(state, high)
-        return float(self.offset + lowest), float(self.offset + highest)
+        operator, state, found = self.operator, self.operator.reset(), []
+        for end in (low, high, low, high):
+            state = operator.travelled(state, end)
+            found.append(float(self.offset + operator.step(state, end)[1]))
+        return found[2], found[3]
 
     def prepare(self, run: Run) -> HysteresisInputs:
         """The input of a hysteresis run."""
@@ -529,14 +484,11 @@ class HysteresisModel(AbstractModel):
 
     def failure(self, inputs: HysteresisInputs) -> str:
         """The response is not finite, or the input moves too far between two samples."""
-        operator = self.operator
-        if isinstance(operator, BoucWen) and bool(
-            operator.too_coarse(inputs.values, self._response(inputs))
-        ):
+        operator, response = self.operator, self._response(inputs)
+        if isinstance(operator, BoucWen) and bool(operator.too_coarse(inputs.values, response)):
             return (
                 "the input moves too far between two samples for the narrow knee of the "
-                "Bouc-Wen operator: record more samples, or start with a smaller beta, gamma "
-                "or nu"
+                "Bouc-Wen operator: record more samples, or start with a smaller beta, gamma or nu"
             )
         return (
             "the response of the hysteresis model is not finite: choose start values with a "

@@ -19,12 +19,8 @@ from ._scenes import joint_scene
 
 
 class JointInputs(eqx.Module):
-    """What the joint needs of a run.
-
-    Attributes:
-        angle: bending angles of the muscle, rad.
-        inner: whether it is the inner one.
-        torque: on the joint, N m; None where the run does not record it.
+    """What the joint needs of a run: bending angles of the muscle (rad), whether it is the inner
+    one, and torques on the joint (N m; None where the run does not record it).
     """
 
     angle: Float[Array, " sample"]
@@ -50,12 +46,11 @@ class JointModel(AbstractModel):
         Raises:
             InputError: the sidecars disagree in [joint], or state an impossible joint.
         """
-        first, *others = runs
-        section = joint_to_section(joint_from_section(first.definition))
-        for other in others:
+        joint = joint_from_section(runs[0].definition)
+        section = joint_to_section(joint)
+        for other in runs[1:]:
             theirs = joint_to_section(joint_from_section(other.definition))
-            check_agreement("joint", (first, section), (other, theirs))
-        joint = joint_from_section(first.definition)
+            check_agreement("joint", (runs[0], section), (other, theirs))
         for run in runs:
             check_geometry(joint.geometry, run.values.get("angle"))
         return cls(joint)
@@ -131,11 +126,8 @@ class JointModel(AbstractModel):
         corrections = [path for path in free if path.startswith(("alpha.", "beta."))]
         if not corrections:
             return sentences
-        held = [
-            f"geometry.{name}"
-            for name in ("anchor_x", "anchor_y", "contact_x", "contact_y", "wire_length")
-        ]
-        held = [path for path in held if path not in free]
+        names = ("anchor_x", "anchor_y", "contact_x", "contact_y", "wire_length")
+        held = [path for name in names if (path := f"geometry.{name}") not in free]
         if held:
             shown = ", ".join(f"{path} = {float(get(self, path)):.4g} m" for path in held)
             sentences.append(

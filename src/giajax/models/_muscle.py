@@ -15,58 +15,22 @@ from ..schema.parameters import declared, get, parameter, replace
 from ._arm_definition import check_agreement
 from ._protocol import AbstractModel, Channels, parameter_values
 
-# What a muscle needs of a run: pressure, displacement and direction.
-
 _DIRECTION = {"fill": -1.0, "exhaust": 1.0}
 
 
 class MuscleInputs(eqx.Module):
     """What a muscle needs of a run.
 
-    Attributes:
-        pressure: Pa.
-        contraction: relative to the length at rest; None where only a position is recorded.
-        position: displacement, m; None where it is not recorded.
-        direction: +1 where the muscle is moved against its own pull (exhausting), -1 where it
-            moves by itself (filling); None without friction, or where it follows the displacement.
+    Pressures (Pa); contraction relative to the length at rest, None where only a position is
+    recorded, and displacement (m), None where it is not; and the direction: +1 where the muscle is
+    moved against its own pull (exhausting), -1 where it moves by itself (filling); None without
+    friction, or where it follows the displacement.
     """
 
     pressure: Float[Array, " sample"]
     contraction: Float[Array, " sample"] | None
     position: Float[Array, " sample"] | None
     direction: Float[Array, " sample"] | None
-
-
-def muscle_inputs(run: Run, *, mean: bool, directed: bool) -> MuscleInputs:
-    """A run prepared for a muscle.
-
-    Arguments:
-        run: of a muscle.
-        mean: take the mean of the pressure at all samples.
-        directed: take the direction of the motion, where the run records it.
-
-    Raises:
-        InputError: a run of another model, or without a pressure.
-    """
-    if run.model != "muscle":
-        raise InputError(f"'{run.name}' is a run of the {run.model} model: give a run of a muscle")
-    dtype = jnp.result_type(float)
-
-    def column(name: str) -> Array | None:
-        values = run.values.get(name)
-        return None if values is None else jnp.asarray(values, dtype=dtype)
-
-    pressure = column("pressure")
-    if pressure is None:
-        raise InputError(f"'{run.name}' has no pressure: add a column such as pressure_kPa")
-    phase = run.values.get("phase") if directed else None
-    direction = None if phase is None else [_DIRECTION[text] for text in phase]
-    return MuscleInputs(
-        pressure=jnp.full_like(pressure, jnp.mean(pressure)) if mean else pressure,
-        contraction=column("contraction"),
-        position=column("position"),
-        direction=None if direction is None else jnp.asarray(direction, dtype=dtype),
-    )
 
 
 _PASCAL = si_factor("pressure", "kPa")
@@ -153,7 +117,29 @@ class MuscleModel(AbstractModel):
 
     def prepare(self, run: Run) -> MuscleInputs:
         """Pressure, displacement and direction of a muscle run."""
-        return muscle_inputs(run, mean=self.mean_pressure, directed=self.friction is not None)
+        if run.model != self.kind:
+            raise InputError(
+                f"'{run.name}' is a run of the {run.model} model: give a run of a muscle"
+            )
+        dtype = jnp.result_type(float)
+
+        def column(name: str) -> Array | None:
+            values = run.values.get(name)
+            return None if values is None else jnp.asarray(values, dtype=dtype)
+
+        pressure = column("pressure")
+        if pressure is None:
+            raise InputError(f"'{run.name}' has no pressure: add a column such as pressure_kPa")
+        phase = None if self.friction is None else run.values.get("phase")
+        direction = None if phase is None else [_DIRECTION[text] for text in phase]
+        return MuscleInputs(
+            pressure=jnp.full_like(pressure, jnp.mean(pressure))
+            if self.mean_pressure
+            else pressure,
+            contraction=column("contraction"),
+            position=column("position"),
+            direction=None if direction is None else jnp.asarray(direction, dtype=dtype),
+        )
 
     def predict(
         self, inputs: MuscleInputs, channels: tuple[str, ...]
@@ -162,7 +148,13 @@ class MuscleModel(AbstractModel):
         for name in channels:
             if Channel.named(name).kind != "force":
                 raise InputError(f"'{name}' is not predicted by the muscle model: use force")
-        contraction, position = self._displaced(inputs)
+        # Contraction and displacement, each from the other where it is not recorded.
+        contraction, position = inputs.contraction, inputs.position
+        if contraction is None:
+            still = jnp.zeros_like(inputs.pressure)
+            contraction = still if position is None else position / self.length
+        if position is None:
+            position = contraction * self.length
         force = self.muscle.force(inputs.pressure, contraction, self.length)
         if self.friction is not None:
             share = inputs.direction
@@ -171,16 +163,6 @@ class MuscleModel(AbstractModel):
                 share = -self.muscle.own_motion * self.friction.engagement(position)
             force = force + self.friction.width(inputs.pressure) * share
         return dict.fromkeys(channels, force), jnp.all(jnp.isfinite(force))
-
-    def _displaced(self, inputs: MuscleInputs) -> tuple[Array, Array]:
-        """Contraction and displacement, each from the other where it is not recorded."""
-        contraction, position = inputs.contraction, inputs.position
-        if contraction is None:
-            still = jnp.zeros_like(inputs.pressure)
-            contraction = still if position is None else position / self.length
-        if position is None:
-            position = contraction * self.length
-        return contraction, position
 
     def failure(self, inputs: MuscleInputs) -> str:
         """The force is not finite."""

@@ -23,11 +23,8 @@ _UNEVEN = 1e-5
 
 
 class OscillatorInputs(eqx.Module):
-    """What the oscillator needs of a run.
-
-    Attributes:
-        forces: SI, at equal distances since the sample before; see `BoucWenOscillator.motion`.
-        intervals: s, since the sample before.
+    """What the oscillator needs of a run: forces at equal distances since the sample before, SI
+    (see `BoucWenOscillator.motion`), and the intervals since then, s.
     """
 
     forces: Float[Array, "sample part"]
@@ -122,8 +119,7 @@ def _forces(name: str, times: np.ndarray, values: np.ndarray, interpolation: str
     count = 2 * MOST_STEPS
     if interpolation == "linear":
         fractions = np.arange(1, count + 1) / count
-        steps = np.diff(values)[:, None] * fractions[None]
-        rows = values[:-1, None] + steps
+        rows = values[:-1, None] + np.diff(values)[:, None] * fractions[None]
     else:
         intervals = np.diff(times)
         if np.ptp(intervals) > _UNEVEN * np.mean(intervals):

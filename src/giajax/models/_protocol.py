@@ -15,19 +15,18 @@ from ..runtime.text import InputError
 from ..schema import KINDS
 from ..schema.parameters import declared, replace
 
-# Numbers only, so that whatever draws needs neither JAX nor the model.
+# What is seen is numbers only, so that whatever draws needs neither JAX nor the model.
 
 
 @dataclasses.dataclass(frozen=True)
 class Line:
-    """A polyline that moves: the axis of a round body, or a thread.
+    """A polyline that moves: the axis of a round body, or a thread; lines of one name look alike.
 
     Attributes:
-        name: what it is (`link`, `muscle`); lines of one name look alike.
-        points: m, shape (sample, point, 3).
-        radii: of the round body about it at each point, m, shape (point,); 0 for a thread.
-        loose: where a thread hangs slack, shape (sample,); None where it never does.
-        pressure: inside, above the surroundings, Pa, shape (sample,); None where it has none.
+        points: m.
+        radii: of the round body about it at each point, m; 0 for a thread.
+        loose: where a thread hangs slack; None where it never does.
+        pressure: inside, above the surroundings, Pa; None where it has none.
     """
 
     name: str
@@ -46,14 +45,7 @@ class Line:
 
 @dataclasses.dataclass(frozen=True)
 class Arrows:
-    """Vectors that act somewhere: forces of the air, or of what is touched.
-
-    Attributes:
-        name: what they are (`air`, `contact`).
-        unit: of their length (`N`).
-        origins: where they act, m, shape (sample, arrow, 3).
-        vectors: shape (sample, arrow, 3).
-    """
+    """Vectors of a unit that act at origins (m): forces of the air, or of what is touched."""
 
     name: str
     unit: str
@@ -70,13 +62,9 @@ class Arrows:
 
 @dataclasses.dataclass(frozen=True)
 class Block:
-    """A solid box that stays where it is.
+    """A solid box, a part of the obstacle of that name, that stays where it is.
 
-    Attributes:
-        name: of the obstacle that it is a part of.
-        centre: m, shape (3,).
-        size: along its own axes, m, shape (3,).
-        axes: unit vectors along its sizes, as columns, shape (3, 3).
+    Its centre and its size along its own axes are in m; the axes are unit vectors, as columns.
     """
 
     name: str
@@ -91,8 +79,8 @@ class Scene:
 
     Attributes:
         lines: bodies and threads.
-        markers: points by name, m, each of shape (sample, 3); NaN where there is none.
-        times: of the samples, s, shape (sample,); None where they are not in time.
+        markers: points by name, m; NaN where there is none.
+        times: of the samples, s; None where they are not in time.
         arrows: forces.
         blocks: what stands around.
     """
@@ -129,8 +117,6 @@ class Scene:
         everything = np.concatenate(corners)
         return np.stack([np.nanmin(everything, axis=0), np.nanmax(everything, axis=0)])
 
-
-# What a fit knows of a model: it predicts named channels for a run.
 
 Channels = dict[str, Float[Array, " sample"]]
 
@@ -191,21 +177,16 @@ def model_for(runs: Sequence[Run]) -> AbstractModel:
     Raises:
         InputError: the sidecars of runs contradict each other.
     """
-    model: AbstractModel = model_class("+".join(dict.fromkeys(run.model for run in runs))).for_runs(
-        runs
-    )
+    kinds = "+".join(dict.fromkeys(run.model for run in runs))
+    model: AbstractModel = model_class(kinds).for_runs(runs)
     return model
 
 
 def build_model(
     kind: str, definition: Mapping[str, Any], parameters: Mapping[str, Any]
 ) -> AbstractModel:
-    """The model that a stored result describes.
-
-    Arguments:
-        kind: name of the model.
-        definition: what its `definition()` gave.
-        parameters: values by path.
+    """The model that a stored result describes: a kind, what its `definition()` gave, values by
+    path.
 
     Raises:
         InputError: an unknown kind or path.

@@ -19,11 +19,9 @@ from ._protocol import Arrows, Block, Line, Scene
 
 
 def arm_scene(motion: Trajectory, marker: Marker | None = None) -> Scene:
-    """What is seen of an arm that moves.
+    """What is seen of an arm that moves, such as `giajax.simulate` gives.
 
-    Arguments:
-        motion: of the arm, such as `giajax.simulate` gives.
-        marker: where the tracked points lie; at the links' centres and the tip by default.
+    `marker` says where the tracked points lie; at the links' centres and the tip by default.
 
     Returns:
         One line `link` for each link, from its joint to its end; two lines `muscle` for each joint
@@ -44,10 +42,10 @@ def arm_scene(motion: Trajectory, marker: Marker | None = None) -> Scene:
     corners, centres, tip = map(
         np.asarray, _points(arm, Marker() if marker is None else marker, motion.angles)
     )
-    radii = np.broadcast_to(np.asarray(arm.links.diameter) / 2, (arm.count,))
+    radii = np.asarray(arm.links.diameter) / 2
     lines = tuple(
-        Line("link", corners[:, index : index + 2], np.full(2, radii[index]))
-        for index in range(arm.count)
+        Line("link", corners[:, index : index + 2], np.full(2, radius))
+        for index, radius in enumerate(radii)
     )
     markers = {f"link{index + 1:02d}": centres[:, index] for index in range(arm.count)}
     middles = (corners[:, 1:] + corners[:, :-1]) / 2
@@ -57,13 +55,8 @@ def arm_scene(motion: Trajectory, marker: Marker | None = None) -> Scene:
         pressed = np.asarray(contacts(motion).force).sum(axis=2)
         arrows.append(Arrows("contact", "N", middles, pressed))
         blocks = _blocks(arm)
-    return Scene(
-        lines + _muscles(motion),
-        {**markers, "tip": tip},
-        np.asarray(motion.times),
-        tuple(arrows),
-        blocks,
-    )
+    markers["tip"] = tip
+    return Scene(lines + _muscles(motion), markers, np.asarray(motion.times), tuple(arrows), blocks)
 
 
 def _muscles(motion: Trajectory) -> tuple[Line, ...]:
@@ -73,15 +66,10 @@ def _muscles(motion: Trajectory) -> tuple[Line, ...]:
         return ()
     assert motion.pressures is not None
     paths, pressures = np.asarray(_pairs(motion.arm, motion.angles)), np.asarray(motion.pressures)
+    places = [(joint - 1, side) for joint in pneumatics.joints for side in (0, 1)]
     return tuple(
-        Line(
-            "muscle",
-            paths[:, side, :, joint - 1],
-            np.zeros(3),
-            pressure=pressures[:, side, joint - 1],
-        )
-        for joint in pneumatics.joints
-        for side in (0, 1)
+        Line("muscle", paths[:, side, :, at], np.zeros(3), pressure=pressures[:, side, at])
+        for at, side in places
     )
 
 
@@ -162,8 +150,6 @@ def _pairs(
     return jax.vmap(at)(angles)
 
 
-# The scene of a joint at rest: balloons, muscle, wire and the lettered points of figs 7 and 8.
-
 # How far a balloon is drawn from the joint's centre, m: half of one link and more.
 _REACH = 1.0
 
@@ -186,15 +172,13 @@ def joint_scene(
     link, and all z are 0.
 
     Arguments:
-        geometry: of the joint.
         angles: bending angles of the muscle, rad, shape (sample,).
-        inner: whether it is the inner muscle, shape (sample,); by the sign of the angle by
-            default.
+        inner: whether it is the inner muscle; by the sign of the angle by default.
         times: of the samples, s, if they are in time.
 
     Returns:
-        The lines `balloon` (twice), `muscle` and `wire`, and the lettered points as markers: A,
-        B, C, D, E and H of an inner muscle; M, P, O, Q, N, B, D and E of an outer one.
+        The lines `balloon` (twice), `muscle` and `wire`, and the lettered points of figs 7 and 8 as
+        markers: A, B, C, D, E and H of an inner muscle; M, P, O, Q, N, B, D and E of an outer one.
 
     Raises:
         InputError: the joint cannot be built at one of the angles.
@@ -209,19 +193,12 @@ def joint_scene(
     )
     bush = np.stack([np.zeros_like(size), np.asarray(path.height)], axis=-1)
     slack = np.asarray(path.wire_slack)
+    muscle = _in_space(_muscle(anchor, bush, shoulder, side, np.asarray(path.engaged)))
+    wire = _in_space(_wire(wire_end, bush, slack))
     lines = (
         *(_balloon(geometry, size, sign) for sign in (-1.0, 1.0)),
-        Line(
-            "muscle",
-            _in_space(_muscle(anchor, bush, shoulder, side, np.asarray(path.engaged))),
-            np.zeros(4),
-        ),
-        Line(
-            "wire",
-            _in_space(_wire(wire_end, bush, slack)),
-            np.zeros(2 * _WIRE_POINTS),
-            loose=slack > 0,
-        ),
+        Line("muscle", muscle, np.zeros(4)),
+        Line("wire", wire, np.zeros(2 * _WIRE_POINTS), loose=slack > 0),
     )
     markers = {
         "A": _where(side, _mirrored(anchor)),
@@ -295,8 +272,6 @@ def _balloon(geometry: JointGeometry, angles: Float[np.ndarray, " sample"], sign
     return Line("balloon", _in_space(points), np.array([0.0, radius, radius]))
 
 
-# Where the markers of a scene were recorded.
-
 # Of the extent: where a recording's axes are those of the scene, they agree better than this.
 _ALIGNED = 1e-3
 
@@ -304,18 +279,14 @@ _ALIGNED = 1e-3
 def recorded_markers(
     scene: Scene, run: Run, predicted: Mapping[str, np.ndarray]
 ) -> dict[str, np.ndarray] | None:
-    """Where markers were recorded, in the frame of a scene.
+    """Where markers were recorded, in the frame of a scene of a model that follows the run.
 
-    Of a marker whose coordinates were recorded in part, the others are those of the model.
-
-    Arguments:
-        scene: of a model that follows the run.
-        run: the recording.
-        predicted: what the model predicts for it, SI, by channel.
+    Of a marker whose coordinates were recorded in part, the others are those of the model, whose
+    predictions are by channel, SI.
 
     Returns:
-        Points by the names of the markers, m, of shape (sample, 3), NaN where nothing was
-        recorded; None where the axes of the recording are not those of the scene.
+        Points by the names of the markers, m, NaN where nothing was recorded; None where the axes
+        of the recording are not those of the scene.
     """
     low, high = scene.extent()
     allowed = _ALIGNED * float(np.max(high - low))

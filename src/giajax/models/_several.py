@@ -23,12 +23,7 @@ from .capabilities import Derived, Integration
 
 
 class SeveralInputs(eqx.Module):
-    """What one of the models needs of a run.
-
-    Attributes:
-        kind: of the model.
-        inputs: as that model prepared them; their parameters keep their paths.
-    """
+    """What the model of a kind prepared of a run; its parameters keep their paths."""
 
     kind: str = eqx.field(static=True)
     inputs: Any = inline()
@@ -128,9 +123,12 @@ class SeveralModels(AbstractModel):
 
     def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
         """Each of them where it may start."""
-        return self._each(
-            lambda part: capabilities.at_start(part, _of_kind(runs, part), _paths_of(part, free))
-        )
+
+        def begun(part: AbstractModel) -> AbstractModel:
+            own = [run for run in runs if run.model == part.kind]
+            return capabilities.at_start(part, own, _paths_of(part, free))
+
+        return self._each(begun)
 
     def derived(self) -> dict[str, Derived]:
         """What each of them derives."""
@@ -179,13 +177,13 @@ class SeveralModels(AbstractModel):
         Raises:
             InputError: as of that model.
         """
-        return self._each(
-            lambda part: (
-                part
-                if capabilities.integration(part) is None
-                else capabilities.with_integration(part, solver=solver, tolerance=tolerance)
-            )
-        )
+
+        def changed(part: AbstractModel) -> AbstractModel:
+            if capabilities.integration(part) is None:
+                return part
+            return capabilities.with_integration(part, solver=solver, tolerance=tolerance)
+
+        return self._each(changed)
 
     def for_derivatives(self, paths: Sequence[str]) -> Self:
         """Each of them as exact in derivatives as in predictions."""
@@ -203,11 +201,8 @@ class SeveralModels(AbstractModel):
             if not parameter.is_shared:
                 continue
             usual = parameter.declaration.default
-            found = [
-                np.asarray(value)
-                for reach in parameter.getters
-                if (value := reach(self)) is not None
-            ]
+            values = (reach(self) for reach in parameter.getters)
+            found = [np.asarray(value) for value in values if value is not None]
             stated = [value for value in found if not np.all(value == usual)]
             if any(not np.array_equal(value, stated[0]) for value in stated[1:]):
                 raise InputError(
@@ -220,10 +215,6 @@ class SeveralModels(AbstractModel):
 
     def _each(self, change: Callable[[AbstractModel], AbstractModel]) -> Self:
         return dataclasses.replace(self, parts=tuple(map(change, self.parts)))
-
-
-def _of_kind(runs: Sequence[Run], part: AbstractModel) -> list[Run]:
-    return [run for run in runs if run.model == part.kind]
 
 
 def _paths_of(part: AbstractModel, paths: Sequence[str]) -> list[str]:

@@ -87,12 +87,8 @@ def at_start(model: AbstractModel, runs: Sequence[Run], free: Sequence[str]) -> 
     """The model from which a fit of some parameters to some runs may start.
 
     A model has the method where a parameter has, by default, a value at which nothing responds to
-    it. Without it, the model itself.
-
-    Arguments:
-        model: with the start values.
-        runs: what is fitted to.
-        free: paths of the elements to fit that have no start.
+    it. Without it, the model itself. `free` are the paths of the elements to fit that have no
+    start.
     """
     return _asked(model, "at_start", model, runs, free)
 
@@ -174,10 +170,7 @@ def for_derivatives(model: AbstractModel, paths: Sequence[str]) -> AbstractModel
     """The same model, as exact in derivatives by some parameters as in its predictions.
 
     A model that integrates may need shorter steps for them. Its predictions do not depend on
-    whether they are differentiated, so that a fit and a sensitivity study ask for this.
-
-    Arguments:
-        model: any.
-        paths: of parameters of the model, or of the prepared inputs (`free_inputs`).
+    whether they are differentiated, so that a fit and a sensitivity study ask for this. Paths are
+    of parameters of the model, or of the prepared inputs (`free_inputs`).
     """
     return _asked(model, "for_derivatives", model, paths)

@@ -15,28 +15,18 @@ from ._parts import Air
 # the wake, and the drag crisis. The coefficients are a least-squares fit to 247 digitised points
 # (Re 0.1 to 8.5e6) that scatter by 0.037 about it; `data/recorded/cylinder_cd` holds them and the
 # fit.
-
 _LINE = (3.75991, -0.90015)
 _HEIGHT = np.asarray([-0.27163, 2.87305, 0.48415])
 _PLACE = np.asarray([5.56961, 3.91454, 6.32711])
 _WIDTH = np.asarray([0.04694, 2.98417, 0.46406])
-
 # The curve goes on level outside; the points end at 0.1 and 8.5e6.
 _LOWEST, _HIGHEST = 0.01, 1e7
-
 # The Reynolds number at which `air.drag_coefficient` is meant.
 _REFERENCE = 1e5
 
 
 def cylinder_drag_coefficient(reynolds: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-    """C_D of a smooth circular cylinder in cross flow, referred to length times diameter.
-
-    Arguments:
-        reynolds: |V| d / nu, not negative.
-
-    Returns:
-        C_D, of the shape of the argument.
-    """
+    """C_D, by length times diameter, of a smooth cylinder in cross flow at Re = |V| d / nu."""
     return jnp.exp(np.log(10) * _log10(reynolds))
 
 
@@ -62,57 +52,12 @@ def drag_factor(
     return jnp.exp(np.log(10) * (_log10(reynolds) - float(reference)))
 
 
-def body_drag(arm: Arm, here: Pose, relative: Rows, omega: Rows) -> tuple[Rows, Rows] | None:
-    """Drag of the point masses, as it acts on the links that carry them.
-
-    F = -1/2 rho (C_D A) |V| V at each body, with V its velocity relative to the air: that of the
-    link's centre, and what the link's turning adds. C_D A does not depend on the direction, as
-    for a sphere, nor on the Reynolds number.
-
-    Arguments:
-        arm: the arm.
-        here: its pose.
-        relative: velocity of the links' centres relative to the air, m/s.
-        omega: angular velocity of the links, rad/s.
-
-    Returns:
-        Force on each link, N, and couple about its geometric centre, N m; None where no body has
-        a drag of its own.
-    """
-    bodies = arm.point_masses
-    if bodies is None or bodies.drag_area is None:
-        return None
-    carriers = np.asarray(bodies.links) - 1
-
-    def each(value: Array) -> Array:
-        return jnp.broadcast_to(value, carriers.shape)
-
-    along = each(bodies.position) - arm.links.length[carriers] / 2
-    lever = scaled(along, here.direction[:, carriers])
-    if bodies.left is not None:
-        assert here.left is not None
-        lever = lever + scaled(each(bodies.left), here.left[:, carriers])
-    if bodies.up is not None:
-        lever = lever + scaled(each(bodies.up), here.up[:, carriers])
-    velocity = relative[:, carriers] + cross(omega[:, carriers], lever)
-    size = 0.5 * arm.air.density * each(bodies.drag_area) * safe_norm(velocity)
-    force = -scaled(size, velocity)
-    # Sums over the bodies of each link, of which it may carry several.
-    carried = np.eye(arm.count, dtype=force.dtype)[carriers]
-    return force @ carried, cross(lever, force) @ carried
-
-
-# What the air does to the links: wind, drag at their centres or along them, and lift.
-
 Wind = Float[Array, "3"] | Float[Array, "link 3"]
 """Of the air: one vector for the whole arm, or one for each link."""
 
 
 class Flow(NamedTuple):
-    """The wind at one time: the velocity of the air (m/s) and its rate of change (m/s^2).
-
-    One column for the whole arm, or one for each link.
-    """
+    """The air's velocity (m/s) and its rate (m/s^2): a column for the arm, or one for each link."""
 
     velocity: Float[Array, "3 places"]
     rate: Float[Array, "3 places"]
@@ -145,20 +90,37 @@ def relative_velocity(arm: Arm, centre_velocity: Rows, wind: Flow) -> Rows:
 def drag(arm: Arm, here: Pose, relative: Rows, omega: Rows) -> Load:
     """Drag on each link, and on the bodies that it carries.
 
+    F = -1/2 rho (C_D A) |V| V at each body, with V its velocity relative to the air: that of the
+    link's centre, and what the link's turning adds. C_D A does not depend on the direction, as
+    for a sphere, nor on the Reynolds number.
+
     Arguments:
-        arm: the arm.
-        here: its pose.
-        relative: velocity of the links' centres relative to the air.
-        omega: angular velocity of the links.
+        relative: velocity of the links' centres relative to the air, m/s.
+        omega: angular velocity of the links, rad/s.
     """
-    load, carried = (
-        _drag_of_links(arm, here, relative, omega),
-        body_drag(arm, here, relative, omega),
-    )
-    if carried is None:
+    load, bodies = _drag_of_links(arm, here, relative, omega), arm.point_masses
+    if bodies is None or bodies.drag_area is None:
         return load
-    force, couple = carried
-    return Load(load.force + force, couple if load.couple is None else load.couple + couple)
+    carriers = np.asarray(bodies.links) - 1
+
+    def each(value: Array) -> Array:
+        return jnp.broadcast_to(value, carriers.shape)
+
+    along = each(bodies.position) - arm.links.length[carriers] / 2
+    lever = scaled(along, here.direction[:, carriers])
+    if bodies.left is not None:
+        assert here.left is not None
+        lever = lever + scaled(each(bodies.left), here.left[:, carriers])
+    if bodies.up is not None:
+        lever = lever + scaled(each(bodies.up), here.up[:, carriers])
+    velocity = relative[:, carriers] + cross(omega[:, carriers], lever)
+    size = 0.5 * arm.air.density * each(bodies.drag_area) * safe_norm(velocity)
+    force = -scaled(size, velocity)
+    # Sums over the bodies of each link, of which it may carry several.
+    carried = np.eye(arm.count, dtype=force.dtype)[carriers]
+    couple = cross(lever, force) @ carried
+    total = couple if load.couple is None else load.couple + couple
+    return Load(load.force + force @ carried, total)
 
 
 def _drag_of_links(arm: Arm, here: Pose, relative: Rows, omega: Rows) -> Load:
@@ -211,49 +173,33 @@ def drag_force(
     link of what acts across it, and the axial drag. Bodies with a drag of their own add theirs.
 
     Arguments:
-        arm: the arm.
-        angles: joint angles, rad.
-        rates: joint rates, rad/s.
-        wind: velocity of the air in the base frame, m/s, one for the arm or one for each link;
-            still air by default.
-
-    Returns:
-        Force in the base frame, N, shape (link, 3).
+        angles, rates: of the joints, rad and rad/s.
+        wind: of the air in the base frame, m/s; still air by default.
     """
-    return drag_in_motion(arm, angles, rates, wind).load.force.T
+    return drag_in_motion(arm, angles, rates, wind)[0].force.T
 
 
-class Dragged(NamedTuple):
-    """Drag on each link, and how the links move through the air."""
-
-    load: Load
-    velocity: Rows
-    omega: Rows
-
-
-def drag_in_motion(arm: Arm, angles: PerJoint, rates: PerJoint, wind: Wind | None) -> Dragged:
+def drag_in_motion(
+    arm: Arm, angles: PerJoint, rates: PerJoint, wind: Wind | None
+) -> tuple[Load, Rows, Rows]:
     """Drag in one state of motion, with the velocities of the links' centres and turns."""
     here = pose(arm, angles)
     omega = angular_velocities(here, rates)
     velocity = centre_velocities(arm, here, omega)
     relative = relative_velocity(arm, velocity, flow(arm, wind))
-    return Dragged(drag(arm, here, relative, omega), velocity, omega)
+    return drag(arm, here, relative, omega), velocity, omega
 
 
 # Added mass: the air that a link must move out of its way (Kirchhoff).
 
 
 class AddedMass(NamedTuple):
-    """The fluid that a link moves, a rod that has inertia across the link alone.
+    """The fluid that a link moves: a rod that has inertia across the link alone, kg and kg m^2.
 
     A long cylinder with added-mass coefficient C_a moves C_a times the air that it displaces
     when it moves across itself, and none along itself (Lamb, Hydrodynamics, art. 42; Newman,
     Marine Hydrodynamics, sec. 4.15). Its kinetic energy is that of this rod, and Kirchhoff's
     equations follow from it (Lamb, ch. VI).
-
-    Attributes:
-        mass: of the rod, across the link, kg.
-        inertia: about the link's centre, across the link, kg m^2.
     """
 
     mass: Float[Array, " link"]
@@ -287,14 +233,10 @@ def added_mass_load(
     gradient, which pushes the displaced volume: rho V du/dt.
 
     Arguments:
-        arm: the arm.
-        rod: its added mass.
-        here: its pose.
         relative: velocity of the links' centres relative to the air.
         turning: rate of change of the links' directions.
         omega, alpha: angular velocity and acceleration of the links.
         acceleration: of the links' centres.
-        wind: its rate of change counts here.
     """
     e = here.direction
     through = acceleration - wind.rate

@@ -97,13 +97,11 @@ class Arm(eqx.Module):
         return stiffest + self.pneumatics.stiffest(self.count)
 
 
-# The rigid body that each link is, with everything that moves with it.
-
 PerLink = Float[Array, " link"]
 
 
 class Bodies(NamedTuple):
-    """Mass, centre of mass and inertia of each link with all that it carries.
+    """The rigid body that each link is, with all that it carries.
 
     Attributes:
         mass: kg.
@@ -132,14 +130,7 @@ class _Point(NamedTuple):
 
 
 def bodies(arm: Arm) -> Bodies:
-    """The bodies of an arm's links, their own structure, helium, trim weights and point masses.
-
-    Arguments:
-        arm: the arm.
-
-    Returns:
-        Mass, centre of mass and inertia of each link with all that it carries.
-    """
+    """The bodies of an arm's links, their own structure, helium, trim weights and point masses."""
     links = arm.links
     transverse, axial = links.inertia_transverse, links.inertia_axial
     points = _points(arm)
@@ -184,11 +175,14 @@ def _points(arm: Arm) -> list[_Point]:
         points.append(_Point(row(held.trim_mass), row(held.trim_position), None, depth))
     if arm.point_masses is not None:
         fixed = arm.point_masses
-        for together in _no_link_twice(fixed.links):
-            places = np.asarray([fixed.links[i] - 1 for i in together])
+        # In groups in which no link is named twice.
+        turns = np.asarray([fixed.links[:i].count(link) for i, link in enumerate(fixed.links)])
+        for turn in range(max(turns) + 1):
+            which = np.flatnonzero(turns == turn)
 
-            def spread_out(value: Array, places: Any = places, which: Any = together) -> PerLink:
-                each = jnp.broadcast_to(value, (len(fixed.links),))[np.asarray(which)]
+            def spread_out(value: Array, which: Any = which) -> PerLink:
+                each = jnp.broadcast_to(value, (len(fixed.links),))[which]
+                places = np.asarray(fixed.links)[which] - 1
                 return jnp.zeros(count, value.dtype).at[places].set(each)
 
             y, z = (None if v is None else spread_out(v) for v in (fixed.left, fixed.up))
@@ -196,27 +190,8 @@ def _points(arm: Arm) -> list[_Point]:
     return points
 
 
-def _no_link_twice(links: tuple[int, ...]) -> list[list[int]]:
-    """Positions in the list, in groups in which no link is named twice."""
-    groups: list[list[int]] = []
-    for index, link in enumerate(links):
-        free = [group for group in groups if link not in {links[i] for i in group}]
-        if free:
-            free[0].append(index)
-        else:
-            groups.append([index])
-    return groups
-
-
 def lift(arm: Arm) -> PerLink | None:
-    """Force of the air on each link at its centre, upwards, N; None without buoyancy.
-
-    Arguments:
-        arm: the arm.
-
-    Returns:
-        Force, N, shape (link,), or None.
-    """
+    """Force of the air on each link at its centre, upwards, N; None without buoyancy."""
     if arm.buoyancy is None:
         return None
     upwards = arm.air.density * arm.links.volume * arm.gravity
@@ -225,17 +200,10 @@ def lift(arm: Arm) -> PerLink | None:
     return upwards
 
 
-# How arms are made: the general constructor, the weights that trim links, and presets.
-
-
 def net_lift(arm: Arm) -> Float[Array, " link"]:
-    """Mass that each link could still carry: displaced air less all that moves with it, kg.
+    """Mass that each link could still carry, kg: displaced air less all that moves with it.
 
-    Arguments:
-        arm: an arm with buoyancy.
-
-    Returns:
-        Mass, kg, shape (link,); negative where a link is too heavy to float.
+    Negative where a link is too heavy to float.
 
     Raises:
         InputError: the arm leaves buoyancy out.
@@ -246,15 +214,11 @@ def net_lift(arm: Arm) -> Float[Array, " link"]:
 
 
 def trimmed(arm: Arm, *, level: bool = False) -> Arm:
-    """The arm with the trim weights that make each link float.
+    """The arm with the trim weights that make each link float, in place of those that it has.
 
     Arguments:
-        arm: an arm with buoyancy; its trim weights are replaced.
         level: also hang them where each link floats level: its centre of mass is then at the
             same distance along the link as its lift. Otherwise they hang where they are.
-
-    Returns:
-        The arm with other trim weights and, if it shall float level, other trim positions.
 
     Raises:
         InputError: it leaves buoyancy out, a link is too heavy to float, or its weight would
@@ -270,10 +234,10 @@ def trimmed(arm: Arm, *, level: bool = False) -> Arm:
             f"link {link} is {-float(weights[link - 1]):.3g} kg too heavy to float, so no trim "
             "weight balances it: make it lighter or larger"
         )
-    held = dataclasses.replace(bare, trim_mass=weights)
+    changes = {"trim_mass": weights}
     if level:
-        held = dataclasses.replace(held, trim_position=_level(arm, bare, weights))
-    return dataclasses.replace(arm, buoyancy=held)
+        changes["trim_position"] = _level(arm, bare, weights)
+    return dataclasses.replace(arm, buoyancy=dataclasses.replace(bare, **changes))
 
 
 def _level(arm: Arm, bare: Buoyancy, weights: Float[Array, " link"]) -> Float[Array, " link"]:
@@ -320,9 +284,7 @@ def chain(
     """Build an arm; by default that of the paper (`takeichi_20m`).
 
     Arguments:
-        links: number of links.
-        length, diameter: of a link, m; a number for all links or one per link.
-        mass: of a link, kg; likewise.
+        length, diameter, mass: of a link, m and kg; a number for all links or one per link.
         centre_of_mass: from the link's joint along the link, m; half the length by default.
         inertia_transverse, inertia_axial: about the centre of mass, kg m^2; those of a
             thin-walled tube of the link's mass, length and diameter by default.
@@ -330,10 +292,7 @@ def chain(
         base_rotation: rotation vector of the straight arm, rad, shape (3,).
         gravity: along -z, m/s^2.
         air_density: kg/m^3.
-        drag: "centre" (eq. 1) or "strip" (cross flow along the link, by `strip_points` points).
-        strip_points: Gauss points of strip drag.
-        drag_curve: "constant", or "cylinder": C_D follows the Reynolds number.
-        added_mass: "kirchhoff", or "inertia": without the products of velocities.
+        drag, strip_points, drag_curve, added_mass: as of `Air`.
         buoyancy: whether displaced air, helium and trim weights count; without gravity only
             their masses do.
         trim: hang the trim weights that make each link float, and float level unless
@@ -346,9 +305,6 @@ def chain(
         contact: obstacles around the arm, and how links press against them; none by default.
         parameters: values of any parameters by path, SI (`giajax parameters` lists them); one
             that is left out by default, such as `air.added_mass_coefficient`, is switched on.
-
-    Returns:
-        The arm, with the default stiffnesses, damping and drag coefficient.
 
     Raises:
         InputError: a pair without joints, a list whose length is not the number of links, a number
@@ -386,7 +342,9 @@ def chain(
     diameter = per_link("diameter", diameter)
     mass = per_link("mass", mass)
     axial = mass * (diameter / 2) ** 2
-    air = {} if air_density is None else {"density": air_density}
+    air: dict[str, Any] = {"drag": drag, "strip_points": strip_points}
+    air |= {"drag_curve": drag_curve, "added_mass": added_mass}
+    air |= {} if air_density is None else {"density": air_density}
     joints = Joints(axes=named_axes(joint_axes, links))
     pneumatics = None if muscles is None else muscles_in(muscles, pair, joints)
     arm = Arm(
@@ -402,13 +360,7 @@ def chain(
             **{name: per_link(name, None) for name in _OTHERS},
         ),
         joints=joints,
-        air=Air(
-            drag=drag,
-            strip_points=strip_points,
-            drag_curve=drag_curve,
-            added_mass=added_mass,
-            **air,
-        ),
+        air=Air(**air),
         buoyancy=Buoyancy(trim_position=length / 2) if buoyancy or trim else None,
         point_masses=point_masses,
         pneumatics=pneumatics,
@@ -423,8 +375,7 @@ def chain(
         )
     arm = _with_parameters(arm, values)
     if pneumatics is not None:
-        idle = without_idle_springs(arm.joints, pneumatics)
-        arm = dataclasses.replace(arm, joints=idle)
+        arm = dataclasses.replace(arm, joints=without_idle_springs(arm.joints, pneumatics))
     return trimmed(arm, level="buoyancy.trim_position" not in values) if trim else arm
 
 
@@ -451,8 +402,6 @@ def _with_parameters(arm: Arm, values: Mapping[str, Any]) -> Arm:
     return checked(arm)
 
 
-# Ready-made arms.
-
 STANDARD_GRAVITY = 9.80665
 
 
@@ -461,14 +410,8 @@ def takeichi_20m(links: int = 20, **changes: Any) -> Arm:
 
     Alternating pitch and yaw joints, links of 0.99 m, 0.30 m and 0.047 kg (table 2), drag by
     eq. (1), no gravity because trim weights balance the buoyancy. Stiffnesses, damping and C_D
-    are assumed: the paper gives none, and finding them is a fit's job.
-
-    Arguments:
-        links: number of links; the paper's arm has 20.
-        changes: arguments of `chain`.
-
-    Returns:
-        The arm.
+    are assumed: the paper gives none, and finding them is a fit's job. `changes` are arguments of
+    `chain`.
 
     Example:
         >>> import giajax
@@ -484,13 +427,6 @@ def takeichi_20m_full(links: int = 20, **changes: Any) -> Arm:
     Cross-flow drag along the links with C_D by Reynolds number, added mass, gravity and
     buoyancy, trim weights that make each link float level and hang 0.15 m below its axis, and
     the camera of 3 g at the tip.
-
-    Arguments:
-        links: number of links.
-        changes: arguments of `chain`.
-
-    Returns:
-        The arm.
     """
     extras = {AIR.added_mass_coefficient.path: AIR.added_mass_coefficient.default}
     if changes.get("drag", "strip") == "strip":
@@ -520,13 +456,6 @@ def pendulum(links: int = 1, **changes: Any) -> Arm:
     Rods of 1 m, 2 cm and 1 kg; all joints have the same axis, and all angles are 0 where the
     pendulum hangs at rest. Free the damping, or give what is known of it.
 
-    Arguments:
-        links: number of links.
-        changes: arguments of `chain`.
-
-    Returns:
-        The pendulum.
-
     Example:
         >>> import giajax
         >>> double = giajax.pendulum(2, length=[0.3, 0.2], parameters={"joints.damping": 1e-3})
@@ -555,14 +484,6 @@ PRESETS: dict[str, Callable[..., Arm]] = {
 
 def preset(name: str, links: int | None = None, **changes: Any) -> Arm:
     """The preset of a name, changed by arguments of `chain`.
-
-    Arguments:
-        name: a key of `PRESETS`.
-        links: number of links; by default that of the preset.
-        changes: arguments of `chain`.
-
-    Returns:
-        The arm.
 
     Raises:
         InputError: there is no such preset.

@@ -31,20 +31,10 @@ class Meeting(NamedTuple):
     """Points along the links' axes that are nearer to a box than the radius.
 
     The force is the derivative of the energy as it is computed, however few the points: a link
-    that is let go has the energy that it took to press it.
-
-    Attributes:
-        link: the link of each pair.
-        energy: of the flattened links, J.
-        force: elastic force on the link of each pair, N.
-        couple: its moment about the link's joint, N m.
-        place: in the base frame, m.
-        normal: unit vector away from the box.
-        distance: of the axis from the surface, m.
-        depth: radius less distance, m; 0 where nothing touches.
-        load: elastic force that the point stands for, N.
-        closing: how fast the depth grows, m/s.
-        sliding: velocity of the link's skin along the surface, m/s.
+    that is let go has the energy that it took to press it. Forces and couples (about the links'
+    joints) are elastic ones, N and N m; each point stands for its `load`, N. `normal` is away from
+    the box, `distance` that of the axis from the surface, `depth` what the radius has more, m;
+    `closing` is how fast that grows, `sliding` how the link's skin moves along the surface, m/s.
     """
 
     link: Int[Array, " pair"]
@@ -71,17 +61,20 @@ def meeting(arm: Arm, contact: Contact, here: Pose, rates: PerJoint, pairs: Pair
     nodes, weights = (jnp.asarray(x / 2, lines.start.dtype) for x in (1 + places, sizes))
     line = contact.line(arm.count)[pairs.link, None]
 
+    def flat(pieces: Float[Array, "pair piece point"]) -> Numbers:
+        return pieces.reshape(len(pieces), -1)
+
     def flattened(start: Array, direction: Array) -> tuple[Scalar, tuple[Array, ...]]:
         """Energy, and the points that it is a sum of."""
         moved = lines._replace(start=start, direction=direction)
         found = patches(moved)
         # Three pieces, in each of which the distance is smooth.
         wide = jnp.diff(found.knots, axis=0).T[:, :, None]
-        at = _flat(found.knots[:-1].T[:, :, None] + wide * nodes[None, None])
+        at = flat(found.knots[:-1].T[:, :, None] + wide * nodes[None, None])
         near = _look(moved, at)
         deep = jnp.maximum(lines.radius[:, None] - near.distance, 0)
         depth = jnp.where(found.touching[:, None], deep, 0)
-        load = line * depth * _flat(wide * weights[None, None])
+        load = line * depth * flat(wide * weights[None, None])
         return jnp.sum(load * depth) / 2, (at, near.distance, near.normal, depth, load)
 
     energy, slopes, (along, distance, normal, depth, load) = jax.vjp(
@@ -112,16 +105,11 @@ def meeting(arm: Arm, contact: Contact, here: Pose, rates: PerJoint, pairs: Pair
     )
 
 
-def _flat(pieces: Float[Array, "pair piece point"]) -> Numbers:
-    return pieces.reshape(len(pieces), -1)
-
-
 def flattening(arm: Arm, contact: Contact, here: Pose, pairs: Pairs) -> Float[Array, " pair"]:
     """By how much the axes of links are nearer to boxes than their radius, m, at the most.
 
-    Outside a box that is at the nearest place. Inside, where the axis is in a wall, the distance
-    is the largest of those to six planes: convex, and lowest where two of them are alike, or at
-    an end.
+    Outside a box that is at the nearest place. Inside, the distance is the largest of those to six
+    planes: convex, and lowest where two of them are alike, or at an end.
     """
     lines, _ = _lines(arm, contact, here, pairs)
     found = patches(lines)
@@ -169,8 +157,6 @@ def _look(lines: Lines, places: Numbers) -> Nearest:
     return nearest(x, lines.half[..., None], lines.shared[..., None])
 
 
-# What contact does to an arm: torques, energy, and the stiffness that integrators need.
-
 T = TypeVar("T")
 
 # Pairs of links and boxes that are looked at together where no more are near each other.
@@ -178,13 +164,8 @@ _FEW = 24
 
 
 class Touch(NamedTuple):
-    """What obstacles do to an arm in one state.
-
-    Attributes:
-        torque: of the joints, N m.
-        slip: how fast the stretch of each link's skin grows while it sticks, m/s; 0 where nothing
-            touches.
-        normal: force that presses each link, N.
+    """What obstacles do to an arm in one state: torques of the joints (N m), how fast the stretch
+    of each link's skin grows while it sticks (m/s), and the force that presses each link (N).
     """
 
     torque: PerJoint
@@ -201,31 +182,21 @@ def touch(
     they are those of an arm that does not touch.
 
     Arguments:
-        arm: the arm.
-        angles: joint angles, rad.
-        rates: joint rates, rad/s.
+        angles, rates: of the joints, rad and rad/s.
         strain: stretch of the links' skin, m, where contact has friction; none by default.
-
-    Returns:
-        Torque, N m, of shape (joint,), rate of the stretch and normal forces.
     """
     assert arm.contact is not None
     contact, here = arm.contact, pose(arm, angles)
-
-    def of(pairs: Pairs) -> Touch:
-        return _touch(arm, contact, here, rates, strain, pairs)
-
-    return of_near(arm, contact, here, of)
+    return of_near(arm, contact, here, lambda p: _touch(arm, contact, here, rates, strain, p))
 
 
 def contact_energy(
     arm: Arm, angles: PerJoint, strain: Float[Array, "3 link"] | None = None
 ) -> Scalar:
-    """Energy of flattened links and stretched skin, J.
+    """Energy of flattened links and stretched skin, J; 0 without obstacles.
 
     Arguments:
-        arm: the arm; without obstacles it is 0.
-        angles: joint angles, rad.
+        angles: of the joints, rad.
         strain: stretch of the links' skin, m, where contact has friction; none by default.
     """
     if arm.contact is None:
@@ -269,10 +240,7 @@ def pressing(contact: Contact, met: Meeting) -> Numbers:
 def friction_force(
     contact: Contact, met: Meeting, normal: Numbers, total: Float[Array, " link"], strain: Rows
 ) -> Points:
-    """Forces of friction at the points of a meeting, in proportion to the normal ones, N.
-
-    `total` are the normal forces of the links.
-    """
+    """Friction at points, in proportion to the normal forces there, N; `total`: those of links."""
     held = -contact.friction_stiffness * contact.hold(strain, total)
     share = normal / jnp.where(total > 0, total, 1)[met.link, None]
     force = jnp.broadcast_to(held[:, met.link, None], met.normal.shape)
@@ -305,16 +273,11 @@ def _touch(
 def touched(
     arm: Arm, angles: PerJoint, rates: PerJoint, strain: Float[Array, "3 link"] | None = None
 ) -> tuple[Float[Array, "link obstacle"], Float[Array, "link obstacle 3"]]:
-    """Flattening of each link by each obstacle, and the force of the obstacle on it.
+    """Flattening of each link by each obstacle, m, and the force of the obstacle on it, N.
 
     Arguments:
-        arm: an arm with obstacles.
-        angles: joint angles, rad.
-        rates: joint rates, rad/s.
+        angles, rates: of the joints, rad and rad/s.
         strain: stretch of the links' skin, m, where contact has friction; none by default.
-
-    Returns:
-        Flattening, m, and force in the base frame, N.
     """
     assert arm.contact is not None
     contact, here = arm.contact, pose(arm, angles)
@@ -358,13 +321,8 @@ def contact_stiffness(
     """How the torques of pressed contacts change, but for the turning of normals.
 
     Arguments:
-        arm: an arm with obstacles.
-        angles: joint angles, rad.
-        rates: joint rates, rad/s.
+        angles, rates: of the joints, rad and rad/s.
         strain: stretch of the links' skin, m, where contact has friction; none by default.
-
-    Returns:
-        Stiffness and damping, and what sticks.
     """
     assert arm.contact is not None
     contact, here = arm.contact, pose(arm, angles)

@@ -48,21 +48,11 @@ def acceleration(
     """Joint accelerations of the arm under its commands, rad/s^2: its equation of motion.
 
     Arguments:
-        arm: the arm.
-        angles: joint angles, rad.
-        rates: joint rates, rad/s.
-        command: commanded angles, rad.
-        wind: velocity of the air in the base frame, m/s, one for the arm or one for each
-            link; still air by default.
-        wind_rate: its rate of change, m/s^2, which added mass feels; 0 by default.
+        angles, rates, command: of the joints, rad, rad/s and rad.
+        wind, wind_rate: of the air in the base frame, m/s and m/s^2; still air by default.
         torque: of the joints' drives, beside springs and dampers, N m; none by default.
-        memory: states of the joints' hysteresis (`JointHysteresis`); without strain by default.
-        pressures: in the muscles of joints that have some (`Pneumatics`), Pa; by default those with
-            which their controller holds the command.
+        memory, pressures: as of `joint_torque`.
         skin: stretch of the links' skin along obstacles (`Contact`), m; none by default.
-
-    Returns:
-        Accelerations, rad/s^2, shape (joint,).
     """
     total = joint_torque(arm, angles, rates, command, memory, pressures)
     if torque is not None:
@@ -87,16 +77,10 @@ def joint_torque(
     by c v + f tanh(v / v0).
 
     Arguments:
-        arm: the arm.
-        angles: joint angles, rad.
-        rates: joint rates, rad/s.
-        command: commanded angles, rad.
+        angles, rates, command: of the joints, rad, rad/s and rad.
         memory: states of the joints' hysteresis (`JointHysteresis`); without strain by default.
         pressures: in the muscles of joints that have some (`Pneumatics`), Pa; by default those with
             which their controller holds the command.
-
-    Returns:
-        Torques, N m, shape (joint,).
     """
     torque = arm.spring_stiffness * (command - angles) - arm.joints.resistance(rates)
     if arm.pneumatics is not None:
@@ -116,19 +100,11 @@ def forward_dynamics(
     wind: Wind | None = None,
     wind_rate: Wind | None = None,
 ) -> PerJoint:
-    """Joint accelerations under joint torques, gravity and drag, rad/s^2.
+    """Joint accelerations under joint torques (N m), gravity and drag, rad/s^2.
 
     Arguments:
-        arm: the arm.
-        angles: joint angles, rad.
-        rates: joint rates, rad/s.
-        torques: joint torques, N m.
-        wind: velocity of the air in the base frame, m/s, one for the arm or one for each
-            link; still air by default.
-        wind_rate: its rate of change, m/s^2, which added mass feels; 0 by default.
-
-    Returns:
-        Accelerations, rad/s^2, shape (joint,).
+        angles, rates: of the joints, rad and rad/s.
+        wind, wind_rate: of the air in the base frame, m/s and m/s^2; still air by default.
     """
     return _accelerations(arm, angles, rates, torques, flow(arm, wind, wind_rate))
 
@@ -153,9 +129,7 @@ def _accelerations_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> t
         return torques - required_torque(arm, here, rates, accelerations, wind)
 
     _, tangent = eqx.filter_jvp(
-        unbalanced,
-        (arm, here, rates, torques, wind),
-        (t_arm, t_here, t_rates, t_torques, t_wind),
+        unbalanced, (arm, here, rates, torques, wind), (t_arm, t_here, t_rates, t_torques, t_wind)
     )
     return accelerations, solve_eliminated(pieces, tangent)
 
@@ -170,20 +144,8 @@ def _eliminate_and_solve(
     return eliminate_and_solve(motion, momentum, arm.joints.armature, torque)
 
 
-# Energy of the arm, and the powers that change it.
-
-
 def kinetic_energy(arm: Arm, angles: PerJoint, rates: PerJoint) -> Scalar:
-    """Kinetic energy of the links, and of the air that they move where added mass is on, J.
-
-    Arguments:
-        arm: the arm.
-        angles: joint angles, rad.
-        rates: joint rates, rad/s.
-
-    Returns:
-        Energy, J, shape ().
-    """
+    """Energy of the links' motion (rad, rad/s), and of the air's where added mass is on, J."""
     return rates @ mass_matrix(arm, angles) @ rates / 2
 
 
@@ -204,15 +166,9 @@ def potential_energy(
     drag and of the joints alone.
 
     Arguments:
-        arm: the arm.
-        angles: joint angles, rad.
-        command: commanded angles, rad.
-        wind: steady velocity of the air in the base frame, m/s, one for the arm or one for each
-            link; still air by default.
+        angles, command: of the joints, rad.
+        wind: steady, of the air in the base frame, m/s; still air by default.
         memory: states of the joints' hysteresis (`JointHysteresis`); without strain by default.
-
-    Returns:
-        Energy, J, shape ().
     """
     here = pose(arm, angles)
     springs = (arm.spring_stiffness * (angles - command) ** 2).sum() / 2
@@ -235,15 +191,7 @@ def potential_energy(
 def drag_power(arm: Arm, angles: PerJoint, rates: PerJoint, wind: Wind | None = None) -> Scalar:
     """Power that the air's drag delivers to the links, W; negative in still air.
 
-    Arguments:
-        arm: the arm.
-        angles: joint angles, rad.
-        rates: joint rates, rad/s.
-        wind: velocity of the air in the base frame, m/s, one for the arm or one for each
-            link; still air by default.
-
-    Returns:
-        Power, W, shape ().
+    Arguments: as of `drag_force`.
     """
     (force, couple), velocity, omega = drag_in_motion(arm, angles, rates, wind)
     power = dot(force, velocity)
@@ -253,49 +201,22 @@ def drag_power(arm: Arm, angles: PerJoint, rates: PerJoint, wind: Wind | None = 
 
 
 def damping_power(arm: Arm, rates: PerJoint) -> Scalar:
-    """Power that the joints' damping and friction deliver, W; never positive.
-
-    Arguments:
-        arm: the arm.
-        rates: joint rates, rad/s.
-
-    Returns:
-        Power, W, shape ().
-    """
+    """Power that the joints' damping and friction deliver at rates (rad/s), W; never positive."""
     return -(arm.joints.resistance(rates) * rates).sum()
 
 
 def hysteresis_power(arm: Arm, angles: PerJoint, rates: PerJoint, memory: States) -> Scalar:
-    """Power that the joints' hysteresis takes from the motion for good, W; never positive.
-
-    Arguments:
-        arm: the arm.
-        angles: joint angles, rad.
-        rates: joint rates, rad/s.
-        memory: states of the joints' hysteresis (`JointHysteresis`).
-
-    Returns:
-        Power, W, shape ().
-    """
+    """Power that the joints' hysteresis takes from the motion for good, W; never positive."""
     return -arm.joints.hysteresis.dissipation(angles, rates, memory).sum()
 
 
 def muscle_power(
     arm: Arm, angles: PerJoint, rates: PerJoint, pressures: Float[Array, "2 joint"]
 ) -> Scalar:
-    """Power that the pressures in the muscles deliver to the joints, W.
+    """Power that the pressures in the muscles (Pa) deliver to the joints, W; 0 without muscles.
 
     Muscles are without friction, so that it is the pressure times the rate of the volume where
     the law is virtual work of the gas (the ideal braid).
-
-    Arguments:
-        arm: an arm with muscles; without, it is 0.
-        angles: joint angles, rad.
-        rates: joint rates, rad/s.
-        pressures: of both muscles of each joint, Pa.
-
-    Returns:
-        Power, W, shape ().
     """
     if arm.pneumatics is None:
         return jnp.zeros(())

@@ -25,8 +25,7 @@ class Stops(eqx.Module):
     Reference: W. D. Iwan, J. Appl. Mech. 33 (1966) 893-900.
 
     Arguments:
-        strength: torque at which each slides, N m, shape (stop,) or () for one; None where joints
-            have none.
+        strength: torque at which each slides, N m; None where joints have none.
         yield_angle: strain at which each slides, rad; one for all or one for each.
 
     Raises:
@@ -115,11 +114,6 @@ class Stops(eqx.Module):
         return jnp.broadcast_to(self.yield_angle, (self.rows,))[:, None]
 
 
-# Hysteresis of a joint beside its spring, as a differential equation.
-#
-# It depends on the way of the joint and not on its rate: after a motion to and fro the joint does
-# not come back to where it was, however slowly it moves.
-
 Each = Float[Array, ""] | PerJoint
 
 
@@ -196,11 +190,9 @@ class Memory(eqx.Module):
 class JointHysteresis(eqx.Module):
     """Hysteresis of the joints, beside their springs; by default there is none.
 
-    Its states are a table of shape (row, joint): those of `memory`, and then those of `stops`.
-
-    Arguments:
-        memory: a Bouc-Wen element in each joint.
-        stops: elastic springs in parallel that slide.
+    It depends on the way of a joint and not on its rate: after a motion to and fro the joint does
+    not come back to where it was, however slowly it moves. Its states are a table of shape (row,
+    joint): those of `memory`, and then those of `stops`.
     """
 
     memory: Memory = eqx.field(default_factory=Memory)
@@ -213,8 +205,7 @@ class JointHysteresis(eqx.Module):
 
     def unstrained(self, angles: PerJoint) -> States:
         """The states of joints that were never moved from these angles (rad)."""
-        parts = [self.memory.unstrained(angles), self.stops.unstrained(angles)]
-        return jnp.concatenate(parts)
+        return jnp.concatenate([self.memory.unstrained(angles), self.stops.unstrained(angles)])
 
     def _split(self, states: Array) -> tuple[Array, Array]:
         return states[: self.memory.rows], states[self.memory.rows :]

@@ -37,15 +37,7 @@ from ._kinematics import (
 
 
 def mass_matrix(arm: Arm, angles: PerJoint) -> Float[Array, "joint joint"]:
-    """Joint-space mass matrix M(q), kg m^2; symmetric and positive definite.
-
-    Arguments:
-        arm: the arm.
-        angles: joint angles, rad.
-
-    Returns:
-        M(q), kg m^2, shape (joint, joint).
-    """
+    """Joint-space mass matrix M(q) at angles (rad), kg m^2; symmetric and positive definite."""
     here = pose(arm, angles)
     motion, momentum = motion_and_momentum(arm, here, sum_from_tip(carried_inertia(arm, here)))
     upper = jnp.triu(mass_matrix_upper(motion, momentum))
@@ -59,12 +51,8 @@ def motion_and_momentum(
 ) -> tuple[Float[Array, "6 joint"], Float[Array, "6 joint"]]:
     """Of each joint's unit rate: the motion S, and the momentum I S of all links that it carries.
 
-    Both about the base origin, three angular rows before three linear ones.
-
-    Arguments:
-        arm: the arm.
-        here: its pose.
-        carried: `carried_inertia`, summed from the tip.
+    Both about the base origin, three angular rows before three linear ones; `carried` is
+    `carried_inertia`, summed from the tip.
     """
     rod = added_mass(arm)
     mass = bodies(arm).mass if rod is None else bodies(arm).mass + rod.mass
@@ -181,12 +169,9 @@ _TOGETHER = 48
 
 
 class Piece(NamedTuple):
-    """Joints that are eliminated together.
-
-    Attributes:
-        motion: their a.
-        factor: lower Cholesky factor L of their part of the matrix, where all that follow are free.
-        reach: their b, of what is left of the inertia, times L^-T; None of the first joints.
+    """Joints that are eliminated together: their a, the lower Cholesky factor L of their part of
+    the matrix, where all that follow are free, and their reach: b, of what is left of the inertia,
+    times L^-T; None of the first joints.
     """
 
     motion: Float[Array, "6 joint"]
@@ -200,12 +185,11 @@ def eliminate_and_solve(
     armature: Array | None,
     torque: PerJoint,
 ) -> tuple[tuple[Piece, ...], PerJoint]:
-    """The pieces from the tip to the base, and the accelerations that a torque gives the joints.
+    """The pieces from the tip to the base, and the accelerations that a torque (N m) gives the
+    joints.
 
-    Arguments:
-        motion, momentum: a and b of the matrix.
-        armature: what is added to its diagonal, of one number or of one for each joint.
-        torque: of the joints, N m.
+    `motion` and `momentum` are a and b of the matrix, to whose diagonal `armature` is added, one
+    number or one for each joint.
     """
     count = len(torque)
     pieces, halves = [], []
@@ -232,12 +216,7 @@ def eliminate_and_solve(
 
 
 def solve_eliminated(pieces: tuple[Piece, ...], torque: PerJoint) -> PerJoint:
-    """The accelerations that another torque gives the joints of an arm.
-
-    Arguments:
-        pieces: of `eliminate_and_solve`.
-        torque: of the joints, N m.
-    """
+    """The accelerations that another torque (N m) gives the joints whose pieces these are."""
     halves = []
     taken: Array | None = None
     for piece, (begin, end) in zip(pieces, _from_tip(len(torque)), strict=True):
@@ -288,16 +267,8 @@ def inverse_dynamics(
     `joint_torque`.
 
     Arguments:
-        arm: the arm.
-        angles: joint angles, rad.
-        rates: joint rates, rad/s.
-        accelerations: joint accelerations, rad/s^2.
-        wind: velocity of the air in the base frame, m/s, one for the arm or one for each
-            link; still air by default.
-        wind_rate: its rate of change, m/s^2, which added mass feels; 0 by default.
-
-    Returns:
-        Torques, N m, shape (joint,).
+        angles, rates, accelerations: of the joints, rad, rad/s and rad/s^2.
+        wind, wind_rate: of the air in the base frame, m/s and m/s^2; still air by default.
     """
     return required_torque(arm, pose(arm, angles), rates, accelerations, flow(arm, wind, wind_rate))
 
@@ -321,10 +292,7 @@ def load_torque(here: Pose, carried: Float[Array, "6 link"]) -> PerJoint:
 def carried_load(
     arm: Arm, here: Pose, rates: PerJoint, accelerations: PerJoint | None, wind: Flow
 ) -> Float[Array, "6 link"]:
-    """Force that each link needs and its moment about the origin, to be summed from the tip.
-
-    Accelerations of None count as zero.
-    """
+    """Force that each link needs and its moment about the origin, to be summed from the tip."""
     links, body, e = arm.links, bodies(arm), here.direction
 
     turning = scaled(rates, here.axis)

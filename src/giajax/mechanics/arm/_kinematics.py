@@ -32,13 +32,9 @@ Rows = Float[Array, "3 link"]
 class Pose(NamedTuple):
     """Configuration of the chain in the base frame, component first.
 
-    Attributes:
-        direction: unit vector along each link.
-        axis: unit vector of each joint's axis.
-        joint: position of each link's joint, m.
-        centre: position of each link's geometric centre, m.
-        mass_centre: position of each link's centre of mass, with all that it carries, m.
-        left: unit vector to the left of each link; None where nothing lies off the axis.
+    Unit vectors along each link and of each joint's axis; positions of each link's joint, of its
+    geometric centre and of its centre of mass, with all that it carries, m; and the unit vector to
+    the left of each link, None where nothing lies off the axis.
     """
 
     direction: Rows
@@ -111,16 +107,7 @@ def _orient_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[An
 
 
 def pose(arm: Arm, angles: PerJoint, *, sideways: bool = False) -> Pose:
-    """Forward kinematics; `sideways` asks for the links' whole frames.
-
-    Arguments:
-        arm: the arm.
-        angles: joint angles, rad.
-        sideways: whether the links' whole frames are needed.
-
-    Returns:
-        Positions and directions of links and joints in the base frame.
-    """
+    """Forward kinematics at joint angles (rad); `sideways` asks for the links' whole frames."""
     base = rotation_vector_to_quaternion(arm.base_rotation)
     body = bodies(arm)
     sideways = sideways or body.across is not None
@@ -152,41 +139,16 @@ def centre_velocities(arm: Arm, pose: Pose, angular_velocity: Rows) -> Rows:
 
 
 def link_centres(arm: Arm, angles: PerJoint) -> Float[Array, "link 3"]:
-    """Positions of the links' geometric centres in the base frame, m.
-
-    Arguments:
-        arm: the arm.
-        angles: joint angles, rad.
-
-    Returns:
-        Positions, m, shape (link, 3).
-    """
+    """Positions of the links' geometric centres in the base frame at joint angles (rad), m."""
     return pose(arm, angles).centre.T
 
 
 def tip_position(arm: Arm, angles: PerJoint) -> Float[Array, "3"]:
-    """Position of the end of the last link in the base frame, m.
-
-    Arguments:
-        arm: the arm.
-        angles: joint angles, rad.
-
-    Returns:
-        Position, m, shape (3,).
-    """
+    """Position of the end of the last link in the base frame at joint angles (rad), m."""
     return scaled(arm.links.length, pose(arm, angles).direction).sum(axis=-1)
 
 
 def link_velocities(arm: Arm, angles: PerJoint, rates: PerJoint) -> Float[Array, "link 3"]:
-    """Velocities of the links' geometric centres in the base frame, m/s.
-
-    Arguments:
-        arm: the arm.
-        angles: joint angles, rad.
-        rates: joint rates, rad/s.
-
-    Returns:
-        Velocities, m/s, shape (link, 3).
-    """
+    """Velocities of the links' geometric centres in the base frame, m/s, in rad and rad/s."""
     here = pose(arm, angles)
     return centre_velocities(arm, here, angular_velocities(here, rates)).T

@@ -24,15 +24,11 @@ YAW: Axis = (0.0, 0.0, 1.0)
 
 
 def named_axes(axes: str | Sequence[str | Sequence[float]], count: int) -> tuple[Axis, ...]:
-    """Unit axes of the joints from their names.
+    """Unit axes (x, y, z) of so many joints from their names, in the frame of the straight arm.
 
     Arguments:
         axes: "pitch_yaw" (odd joints pitch, even joints yaw) or, for each joint, "pitch", "yaw"
             or a vector, which is normalised.
-        count: number of joints.
-
-    Returns:
-        One unit vector (x, y, z) for each joint, in the frame of the straight arm.
 
     Raises:
         InputError: an unknown name, a zero vector, or a list of another length.
@@ -66,8 +62,6 @@ def _unit_axis(axis: str | Sequence[float]) -> Axis:
     x, y, z = (float(component) for component in unit)
     return x, y, z
 
-
-# The air around an arm: its properties, and which of its effects count.
 
 DRAGS = ("centre", "strip")
 """Where drag acts: at each link's centre (eq. 1), or along the link."""
@@ -107,9 +101,10 @@ class Air(eqx.Module):
     added_mass: str = eqx.field(static=True, default="kirchhoff")
 
     def __check_init__(self) -> None:
-        _check_choice("drag", self.drag, DRAGS)
-        _check_choice("drag_curve", self.drag_curve, DRAG_CURVES)
-        _check_choice("added_mass", self.added_mass, ADDED_MASSES)
+        choices = {"drag": DRAGS, "drag_curve": DRAG_CURVES, "added_mass": ADDED_MASSES}
+        for name, known in choices.items():
+            if (value := getattr(self, name)) not in known:
+                raise InputError(f"{name} is {value!r}: use one of {', '.join(known)}")
         if self.strip_points < 1:
             raise InputError(f"strip_points is {self.strip_points}: give at least 1")
         if self.axial_coefficient is not None and self.drag == "centre":
@@ -117,16 +112,6 @@ class Air(eqx.Module):
                 "drag = 'centre' has the full velocity already and no axial coefficient: "
                 "use drag = 'strip', or leave air.axial_coefficient out"
             )
-
-
-def _check_choice(name: str, value: str, choices: Sequence[str]) -> None:
-    """Refuse a value that is not among the choices.
-
-    Raises:
-        InputError: naming the choices.
-    """
-    if value not in choices:
-        raise InputError(f"{name} is {value!r}: use one of {', '.join(choices)}")
 
 
 class Links(eqx.Module):
@@ -204,8 +189,6 @@ class Joints(eqx.Module):
         _, slope = jax.vjp(self.resistance, still)
         return slope(jnp.ones_like(still))[0]
 
-
-# What hangs on the links and what lifts them: helium, trim weights and point masses.
 
 PerLink = Float[Array, ""] | Float[Array, " link"]
 PerBody = Float[Array, ""] | Float[Array, " body"]
@@ -310,7 +293,7 @@ class Contact(eqx.Module):
         return 0 if self.friction is None else 3
 
     def line(self, links: int) -> Float[Array, " link"]:
-        """Force of each metre of link over its penetration, N/m^2."""
+        """Force of each metre of so many links over its penetration, N/m^2."""
         return self.shape_factor * jnp.broadcast_to(self.pressure, (links,))
 
     def hold(

@@ -6,6 +6,7 @@ motion.
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -33,8 +34,6 @@ from ..joint import (
 from ._hysteresis import PerJoint
 from ._parts import Joints
 
-# How stiff muscles make a joint at most: what steps of the integration must resolve.
-
 # Angles at which the steepest slope is looked for.
 _ANGLES = np.linspace(-LARGEST_ANGLE, LARGEST_ANGLE, 121)
 
@@ -43,9 +42,6 @@ def stiffest_pair(pair: JointPair) -> Scalar:
     """Bound of the stiffness of a pair at any pressures within its range, N m/rad.
 
     One pressure may be high where the other is low, so that what each muscle adds counts by itself.
-
-    Arguments:
-        pair: the joint and its muscles.
     """
     angles = jnp.asarray(_ANGLES)
     ahead, pressures = angles >= 0, jnp.full(2, 1.0) * pair.muscle.pressure_limit
@@ -59,13 +55,8 @@ def stiffest_pair(pair: JointPair) -> Scalar:
 
 
 class MuscleDrive(eqx.Module):
-    """Lag of the pressures, and what else acts on joints with muscles.
-
-    Arguments:
-        lag: time in which a pressure follows its command to 63 %, s; None where it does at once.
-        passive_stiffness: of what else pulls a joint with muscles to its straight pose, N m/rad;
-            None for nothing.
-        stop_stiffness: with which a joint stops beyond 60 deg, N m/rad.
+    """Lag of the pressures (None: they follow at once), and what else acts on joints with muscles:
+    a passive stiffness to the straight pose (None for nothing), and a stop beyond 60 deg.
     """
 
     lag: Scalar | None = parameter(DRIVE.lag)
@@ -81,10 +72,6 @@ _END = LARGEST_ANGLE * (1 + 1e-14)
 
 # A pressure as a state of the motion is in this unit, Pa: of the size of an angle.
 _UNIT = 1e5
-
-
-def _blended() -> Joint:
-    return Joint(correction=Correction(blend=MUSCLE_BLEND))
 
 
 class Pneumatics(eqx.Module):
@@ -107,7 +94,9 @@ class Pneumatics(eqx.Module):
 
     joints: tuple[int, ...] = eqx.field(static=True)
     # A recording of an arm hardly tells them: a fit finds those that it is asked for.
-    joint: Joint = held(inline=True, default_factory=_blended)
+    joint: Joint = held(
+        inline=True, default_factory=lambda: Joint(correction=Correction(blend=MUSCLE_BLEND))
+    )
     muscle: AbstractMuscle = held(default_factory=BraidedMuscle)
     drive: MuscleDrive = eqx.field(default_factory=MuscleDrive)
 
@@ -252,19 +241,14 @@ def muscles_in(muscles: str | Sequence[int], pair: JointPair | None, joints: Joi
         raise InputError(
             f'muscles is {muscles!r}: use "pitch", "all" or a list of numbers of joints'
         )
-    chosen = tuple(numbers.tolist())
-    if pair is None:
-        return Pneumatics(chosen)
-    return Pneumatics(chosen, joint=pair.joint, muscle=pair.muscle)
+    own: dict[str, Any] = {} if pair is None else {"joint": pair.joint, "muscle": pair.muscle}
+    return Pneumatics(tuple(numbers.tolist()), **own)
 
 
 def without_idle_springs(joints: Joints, pneumatics: Pneumatics) -> Joints:
     """Joints in which a stiffness that no spring has is 0, so that no fit looks for it."""
     sprung = np.setdiff1d(np.arange(len(joints.axes)), np.asarray(pneumatics.joints) - 1)
     yaws = joints.is_yaw[sprung]
-    none = jnp.zeros(())
-    return dataclasses.replace(
-        joints,
-        pitch_stiffness=joints.pitch_stiffness if np.any(~yaws) else none,
-        yaw_stiffness=joints.yaw_stiffness if np.any(yaws) else none,
-    )
+    idle: dict[str, Any] = {} if np.any(yaws) else {"yaw_stiffness": jnp.zeros(())}
+    idle |= {} if np.any(~yaws) else {"pitch_stiffness": jnp.zeros(())}
+    return dataclasses.replace(joints, **idle)

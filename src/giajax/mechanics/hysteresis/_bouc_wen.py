@@ -30,16 +30,7 @@ def bouc_wen_rate(
     delta: Float[Array, "*shape"],
     nu: Float[Array, "*shape"],
 ) -> Float[Array, "*shape"]:
-    """dz/dt = alpha v - beta (gamma |v| |z|^(nu-1) z + delta v |z|^nu).
-
-    Arguments:
-        velocity: v, rate of the input.
-        z: the hysteretic part.
-        alpha, beta, gamma, delta, nu: parameters of the equation.
-
-    Returns:
-        dz/dt, of the shape of the arguments.
-    """
+    """dz/dt = alpha v - beta (gamma |v| |z|^(nu-1) z + delta v |z|^nu), v the rate of the input."""
     # |z|^(nu-1) as a number that has a derivative also at z = 0, where the motion begins.
     zero = z == 0
     power = jnp.where(zero, 1, jnp.abs(z)) ** (nu - 1)
@@ -119,14 +110,7 @@ class BoucWen(AbstractOperator):
     def too_coarse(
         self, inputs: Float[Array, " sample"], outputs: Float[Array, " sample"]
     ) -> Bool[Array, ""]:
-        """Whether a move between two samples is too long for the substeps.
-
-        Arguments:
-            inputs, outputs: a history and what `history` gave for it.
-
-        Returns:
-            True where it is.
-        """
+        """Whether a move of a history, with what `history` gave, is too long for the substeps."""
         z = jnp.max(jnp.abs(outputs - self.elastic * inputs))
         longest = jnp.max(jnp.abs(jnp.diff(inputs)), initial=0)
         return longest * self.stiffness(z) > _COARSE * self.substeps
@@ -167,11 +151,6 @@ class BoucWen(AbstractOperator):
         return history_by_steps(self, inputs, state)
 
 
-# A mass on a spring and a damper, with a Bouc-Wen element beside them: force in, motion out.
-#
-# Reference: J. P. Noel, M. Schoukens, "Hysteretic benchmark with a dynamic nonlinearity",
-# Workshop on Nonlinear System Identification Benchmarks, Brussels 2016.
-
 # Forces are kept for so many steps a sample, so that a finer solution needs no others.
 MOST_STEPS = 16
 
@@ -181,10 +160,9 @@ State = Float[Array, "3"]
 class BoucWenOscillator(eqx.Module):
     """mass y'' + damping y' + stiffness y + z = force, with z of the Bouc-Wen equation.
 
-    Starts at rest. The defaults are those of the benchmark.
+    A mass on a spring and a damper starts at rest. The defaults are those of the benchmark.
 
     Arguments:
-        mass, damping, stiffness: of the linear part.
         alpha, beta, gamma, delta, nu: of z, as in `BoucWen`.
         steps: Runge-Kutta steps from one sample to the next, a divisor of `MOST_STEPS`.
 
@@ -228,19 +206,16 @@ class BoucWenOscillator(eqx.Module):
     def motion(
         self, forces: Float[Array, "sample half"], intervals: Float[Array, " sample"]
     ) -> Float[Array, "sample 3"]:
-        """State at every sample, by classical Runge-Kutta steps from rest.
+        """Displacement (m), velocity (m/s) and hysteretic force (N) at every sample, from rest.
 
-        The force is smooth within a step, and its values at the ends and in the middle are what
-        the method uses: no interpolation enters here.
+        By classical Runge-Kutta steps. The force is smooth within a step, and its values at the
+        ends and in the middle are what the method uses: no interpolation enters here.
 
         Arguments:
             forces: N, at equal distances after the sample before, the last one at the sample
                 itself; twice `MOST_STEPS` of them. The first row is not driven through: its last
                 force is that at the first sample.
             intervals: s, from the sample before; the first one is not used.
-
-        Returns:
-            Displacement (m), velocity (m/s) and hysteretic force (N), shape (sample, 3).
         """
         samples, count = forces.shape
         stride = count // (2 * self.steps)

@@ -16,12 +16,7 @@ _LEAST = 4
 
 
 class MonotoneCurve(eqx.Module):
-    """Increasing piecewise linear curve through points; constant beyond its ends.
-
-    Arguments:
-        x: strictly increasing, shape (point,).
-        y: not decreasing, shape (point,).
-    """
+    """Piecewise linear curve, x increasing and y never falling; constant beyond its ends."""
 
     x: Float[Array, " point"]
     y: Float[Array, " point"]
@@ -86,16 +81,8 @@ class BranchCompensator(AbstractExactOperator):
         return self._command(inputs, plays), plays[-1]
 
     def transition(self, inputs: Float[Array, " sample"]) -> Float[Array, " sample"]:
-        """xi along a history.
-
-        Arguments:
-            inputs: desired outputs, shape (sample,).
-
-        Returns:
-            Between 0 and 1, shape (sample,).
-        """
-        plays = play(inputs, self.travel[None] / 2)[:, 0]
-        return self._xi(inputs, plays)
+        """xi along a history of desired outputs, between 0 and 1."""
+        return self._xi(inputs, play(inputs, self.travel[None] / 2)[:, 0])
 
     def _xi(self, value: Array, memory: Array) -> Array:
         return (value - memory) / self.travel + 0.5
@@ -108,7 +95,7 @@ class BranchCompensator(AbstractExactOperator):
 def branches_from_loop(
     inputs: npt.ArrayLike, outputs: npt.ArrayLike, travel: float
 ) -> BranchCompensator:
-    """The compensator that a measured loop gives.
+    """The compensator, from a desired output to the command, that a measured loop gives.
 
     Each branch is made monotone by isotonic regression (pool adjacent violators), so that noise
     and a fold of the measurement leave a curve that has an inverse.
@@ -117,9 +104,6 @@ def branches_from_loop(
         inputs: the command at each sample, shape (sample,).
         outputs: the measured output, NaN where there is none, shape (sample,).
         travel: see `BranchCompensator`.
-
-    Returns:
-        The compensator, from a desired output to the command.
 
     Raises:
         InputError: a history without both branches, too short for them, or with falling ones.
@@ -173,23 +157,13 @@ def _inverse_curve(u: np.ndarray, y: np.ndarray) -> MonotoneCurve:
 
 
 def isotonic(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """The nearest sequence that never decreases, in least squares (pool adjacent violators).
-
-    Arguments:
-        values: shape (sample,).
-
-    Returns:
-        The sequence, of the same shape.
-    """
-    means: list[float] = []
-    counts: list[int] = []
+    """The nearest sequence that never decreases, in least squares (pool adjacent violators)."""
+    pools: list[tuple[float, int]] = []
     for value in values:
         mean, count = float(value), 1
-        while means and means[-1] > mean:
-            mean = (means[-1] * counts[-1] + mean * count) / (counts[-1] + count)
-            count += counts[-1]
-            means.pop()
-            counts.pop()
-        means.append(mean)
-        counts.append(count)
-    return np.repeat(means, counts)
+        while pools and pools[-1][0] > mean:
+            before, size = pools.pop()
+            mean = (before * size + mean * count) / (size + count)
+            count += size
+        pools.append((mean, count))
+    return np.repeat([mean for mean, _ in pools], [count for _, count in pools])

@@ -28,45 +28,22 @@ class AbstractOperator(eqx.Module):
 
     @abc.abstractmethod
     def step(self, state: Any, value: Scalar) -> tuple[Any, Array]:
-        """Memory and output after the input has moved to a value.
-
-        Arguments:
-            state: memory, as `reset` or an earlier step gave it.
-            value: the new input, shape ().
-
-        Returns:
-            The memory and the output after the move.
-        """
+        """Memory and output after the input has moved to a value, from an earlier memory."""
 
     @abc.abstractmethod
     def refined(self, factor: float) -> Self:
-        """The same operator with its numerical error multiplied by about a factor.
-
-        Arguments:
-            factor: positive, below 1 for a smaller error.
-        """
+        """The same operator with its numerical error multiplied by about a factor."""
 
     @abc.abstractmethod
     def for_moves_of(self, width: float) -> Self:
-        """The same operator, accurate also for single moves of a width.
+        """The same operator, accurate also for single moves of a width, in the unit of the input.
 
         The parameters must be known (no tracers).
-
-        Arguments:
-            width: of a move, in the unit of the input.
         """
 
     @abc.abstractmethod
     def travelled(self, state: Any, value: Scalar) -> Any:
-        """Memory after a move that may be much longer than those between two samples.
-
-        Arguments:
-            state: memory before the move.
-            value: the input after it, shape ().
-
-        Returns:
-            The memory after it.
-        """
+        """Memory after a move to a value that may be much longer than those between samples."""
 
     @abc.abstractmethod
     def history(
@@ -74,12 +51,7 @@ class AbstractOperator(eqx.Module):
     ) -> tuple[Float[Array, "sample *output"], Any]:
         """Outputs of a whole input history, one row a sample, and the memory at its end.
 
-        Arguments:
-            inputs: shape (sample,).
-            state: memory before the first sample; virgin by default.
-
-        Returns:
-            Outputs, one row a sample, and the memory at the end.
+        `state` is the memory before the first sample; virgin by default.
 
         Example:
             >>> import jax.numpy as jnp
@@ -96,12 +68,10 @@ class AbstractExactOperator(AbstractOperator):
 
     def refined(self, factor: float) -> Self:
         """The same."""
-        del factor
         return self
 
     def for_moves_of(self, width: float) -> Self:
         """The same."""
-        del width
         return self
 
     def travelled(self, state: Any, value: Scalar) -> Any:
@@ -112,16 +82,7 @@ class AbstractExactOperator(AbstractOperator):
 def history_by_steps(
     operator: AbstractOperator, inputs: Float[Array, " sample"], state: Any
 ) -> tuple[Float[Array, "sample *output"], Any]:
-    """The history of an operator for which nothing is faster than one step after the other.
-
-    Arguments:
-        operator: the operator.
-        inputs: shape (sample,).
-        state: memory before the first sample; None for that of the virgin operator.
-
-    Returns:
-        Outputs, one row a sample, and the memory at the end.
-    """
+    """The history of an operator for which nothing is faster than one step after the other."""
     state = operator.reset() if state is None else state
 
     def one(state: Any, value: Scalar) -> tuple[Any, Array]:
@@ -163,13 +124,12 @@ def play(
     methods give the same bits; on a CPU the scan over time is many times faster.
 
     Arguments:
-        inputs: shape (sample,).
-        thresholds: r, not negative, in the unit of the input, shape (threshold,).
-        state: w before the first sample, shape (threshold,); 0 by default.
+        thresholds: r, not negative, in the unit of the input.
+        state: w before the first sample; 0 by default.
         method: "scan" or "associative"; by default the first on a CPU.
 
     Returns:
-        w after each sample, shape (sample, threshold).
+        w after each sample.
 
     Raises:
         InputError: an unknown method.
@@ -217,91 +177,93 @@ def stop(
 ) -> Float[Array, "sample threshold"]:
     """Stop operators of many thresholds, e = u - w: what the play of the same threshold leaves.
 
-    Arguments:
-        inputs, thresholds, method: as of `play`.
-        state: that of the play, w, before the first sample; 0 by default.
-
-    Returns:
-        e after each sample, shape (sample, threshold).
+    Arguments as of `play`: the state is that of the play, w.
     """
     return inputs[:, None] - play(inputs, thresholds, state, method)
 
 
-class Play(AbstractExactOperator):
-    """Play operators side by side: backlash of half-widths `thresholds`.
+class AbstractPlays(AbstractExactOperator):
+    """An operator that remembers plays of its thresholds, and nothing else."""
 
-    Arguments:
-        thresholds: half-widths, not negative, in the unit of the input, shape (threshold,).
-    """
+    @property
+    @abc.abstractmethod
+    def thresholds(self) -> PerThreshold:
+        """Of the plays, in the unit of the input."""
+
+    @abc.abstractmethod
+    def output(
+        self, inputs: Float[Array, "*sample"], plays: Float[Array, "*sample threshold"]
+    ) -> Array:
+        """Outputs at one sample or at many."""
+
+    def reset(self) -> PerThreshold:
+        """All plays at 0."""
+        return jnp.zeros_like(self.thresholds)
+
+    def step(self, state: PerThreshold, value: Scalar) -> tuple[PerThreshold, Array]:
+        """Plays and output after the input has moved."""
+        state = clip(state, value - self.thresholds, value + self.thresholds)
+        return state, self.output(value, state)
+
+    def history(
+        self, inputs: Float[Array, " sample"], state: PerThreshold | None = None
+    ) -> tuple[Float[Array, "sample *output"], PerThreshold]:
+        """Outputs at all samples."""
+        plays = play(inputs, self.thresholds, state)
+        return self.output(inputs, plays), plays[-1]
+
+
+class Play(AbstractPlays):
+    """Play operators side by side: backlash of half-widths `thresholds`, in the input's unit."""
 
     thresholds: PerThreshold = parameter(PLAY.thresholds)
 
     def __check_init__(self) -> None:
         check_thresholds(self.thresholds)
 
-    def reset(self) -> PerThreshold:
-        """All plays at 0."""
-        return jnp.zeros_like(self.thresholds)
-
-    def step(self, state: PerThreshold, value: Scalar) -> tuple[PerThreshold, PerThreshold]:
-        """Plays after the input has moved."""
-        state = clip(state, value - self.thresholds, value + self.thresholds)
-        return state, state
-
-    def history(
-        self, inputs: Float[Array, " sample"], state: PerThreshold | None = None
-    ) -> tuple[Float[Array, "sample threshold"], PerThreshold]:
-        """Plays at all samples."""
-        outputs = play(inputs, self.thresholds, state)
-        return outputs, outputs[-1]
+    def output(
+        self, inputs: Float[Array, "*sample"], plays: Float[Array, "*sample threshold"]
+    ) -> Array:
+        """The plays."""
+        return plays
 
 
-class Stop(AbstractExactOperator):
-    """Stop operators side by side: elastic up to `thresholds`, then sliding. Remembers plays.
-
-    Arguments:
-        thresholds: not negative, in the unit of the input, shape (threshold,).
-    """
+class Stop(AbstractPlays):
+    """Stop operators side by side: elastic up to `thresholds`, then sliding. Remembers plays."""
 
     thresholds: PerThreshold = parameter(STOP.thresholds)
 
     def __check_init__(self) -> None:
         check_thresholds(self.thresholds)
 
-    def reset(self) -> PerThreshold:
-        """All elements unstrained."""
-        return jnp.zeros_like(self.thresholds)
-
-    def step(self, state: PerThreshold, value: Scalar) -> tuple[PerThreshold, PerThreshold]:
-        """Stops after the input has moved."""
-        state = clip(state, value - self.thresholds, value + self.thresholds)
-        return state, value - state
-
-    def history(
-        self, inputs: Float[Array, " sample"], state: PerThreshold | None = None
-    ) -> tuple[Float[Array, "sample threshold"], PerThreshold]:
-        """Stops at all samples."""
-        plays = play(inputs, self.thresholds, state)
-        return inputs[:, None] - plays, plays[-1]
+    def output(
+        self, inputs: Float[Array, "*sample"], plays: Float[Array, "*sample threshold"]
+    ) -> Array:
+        """What the plays leave."""
+        return inputs[..., None] - plays
 
 
-def check_thresholds(thresholds: Array) -> None:
-    """Refuse thresholds that are no list of numbers of at least 0.
+def check_thresholds(thresholds: Array, weights: Array | None = None) -> None:
+    """Refuse thresholds that are no list of numbers of at least 0, or have other weights.
 
     Raises:
         InputError: where the values are known, not while a program is traced.
     """
-    if not eqx.is_array(thresholds) or not is_concrete(thresholds):
-        return
-    if thresholds.ndim != 1 or thresholds.shape[0] == 0:
+    if eqx.is_array(thresholds) and is_concrete(thresholds):
+        if thresholds.ndim != 1 or thresholds.shape[0] == 0:
+            raise InputError(
+                f"thresholds have the shape {thresholds.shape}: give a list of at least one number"
+            )
+        if not bool(jnp.all(jnp.isfinite(thresholds) & (thresholds >= 0))):
+            raise InputError(
+                "a threshold is negative or not finite: give finite numbers of at least 0"
+            )
+    if weights is not None and is_concrete(weights) and weights.shape != thresholds.shape:
         raise InputError(
-            f"thresholds have the shape {thresholds.shape}: give a list of at least one number"
+            f"there are weights of shape {weights.shape} and thresholds of shape "
+            f"{thresholds.shape}: give one weight for each threshold"
         )
-    if not bool(jnp.all(jnp.isfinite(thresholds) & (thresholds >= 0))):
-        raise InputError("a threshold is negative or not finite: give finite numbers of at least 0")
 
-
-# The inverse of an operator that has no formula for it: by bisection, step by step.
 
 # Each halves the bracket: after 60 of them it is below rounding.
 _HALVINGS = 60
@@ -319,10 +281,6 @@ class InverseByBisection(AbstractExactOperator):
 
     The answer is differentiable, by the implicit function theorem, where the operator's output
     rises there and the bracket does not end there.
-
-    Arguments:
-        operator: the operator to invert.
-        lower, upper: bracket of its input.
     """
 
     operator: AbstractOperator
@@ -335,7 +293,6 @@ class InverseByBisection(AbstractExactOperator):
 
     def step(self, state: Any, value: Scalar) -> tuple[Any, Scalar]:
         """Memory of the operator after its input moved to where its output is the value."""
-
         fixed, memory, goal = jax.lax.stop_gradient((self.operator, state, value))
 
         def halve(_: int, bracket: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:

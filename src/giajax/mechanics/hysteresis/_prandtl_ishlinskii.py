@@ -15,11 +15,7 @@ from ...runtime.arrays import Array, Float, Scalar
 from ...runtime.text import InputError
 from ...schema import DEAD_ZONES, MODIFIED_PRANDTL_ISHLINSKII, PRANDTL_ISHLINSKII
 from ...schema.parameters import is_concrete, parameter
-from ._operator import AbstractExactOperator, PerThreshold, check_thresholds, clip, play
-
-# A memoryless, monotone, piecewise linear curve: a superposition of one-sided dead zones.
-#
-# Reference: K. Kuhnen, Eur. J. Control 9 (2003) 407-418.
+from ._operator import AbstractExactOperator, AbstractPlays, PerThreshold, check_thresholds
 
 # A piece whose slope is less than this part of the largest is level, as far as an inverse goes.
 _LEVEL = 1e-6
@@ -28,15 +24,14 @@ _LEVEL = 1e-6
 class DeadZones(eqx.Module):
     """S(x) = slope x between the dead zones nearest to 0, with a slope of its own beyond each.
 
-    In the usual notation the weight of a dead zone is the change of the slope at its threshold.
-    Here the slopes are the parameters: S increases where all of them are positive.
+    A memoryless, monotone, piecewise linear curve: a superposition of one-sided dead zones. In the
+    usual notation the weight of a dead zone is the change of the slope at its threshold. Here the
+    slopes are the parameters: S increases where all of them are positive.
 
     Arguments:
         slope: at 0.
-        upper_thresholds: positive, where the slope changes, shape (upper,).
-        upper_slopes: slope beyond each of them, shape (upper,).
-        lower_thresholds: distances below 0, positive, shape (lower,).
-        lower_slopes: slope beyond each of them, shape (lower,).
+        upper_thresholds, upper_slopes: positive, where the slope changes, and that beyond each.
+        lower_thresholds, lower_slopes: distances below 0, positive, and the slopes beyond them.
 
     Raises:
         InputError: a list of slopes that is not as long as its thresholds, or a threshold that
@@ -126,13 +121,13 @@ Elements = Literal["play", "stop"]
 ELEMENTS = ("play", "stop")
 
 
-class PrandtlIshlinskii(AbstractExactOperator):
+class PrandtlIshlinskii(AbstractPlays):
     """y = elastic u + sum of weights times plays (or stops) of the input.
 
     Arguments:
         elastic: w_0, output per input of the element without memory.
-        weights: w_i, output per input, shape (threshold,).
-        thresholds: r_i, in the unit of the input, shape (threshold,).
+        weights: w_i, output per input.
+        thresholds: r_i, in the unit of the input.
         elements: "play" or "stop".
 
     Raises:
@@ -145,14 +140,9 @@ class PrandtlIshlinskii(AbstractExactOperator):
     elements: Elements = eqx.field(default="play", static=True)
 
     def __check_init__(self) -> None:
-        check_thresholds(self.thresholds)
+        check_thresholds(self.thresholds, self.weights)
         if self.elements not in ELEMENTS:
             raise InputError(f"there are no elements '{self.elements}': use play or stop")
-        if is_concrete(self.weights) and self.weights.shape != self.thresholds.shape:
-            raise InputError(
-                f"there are weights of shape {self.weights.shape} and thresholds of shape "
-                f"{self.thresholds.shape}: give one weight for each threshold"
-            )
 
     def of_plays(self) -> tuple[Scalar, PerThreshold]:
         """Elastic weight and weights of the same operator written with plays.
@@ -163,23 +153,12 @@ class PrandtlIshlinskii(AbstractExactOperator):
             return self.elastic, self.weights
         return self.elastic + jnp.sum(self.weights), -self.weights
 
-    def reset(self) -> PerThreshold:
-        """All plays at 0."""
-        return jnp.zeros_like(self.thresholds)
-
-    def step(self, state: PerThreshold, value: Scalar) -> tuple[PerThreshold, Scalar]:
-        """Plays and output after the input has moved."""
+    def output(
+        self, inputs: Float[Array, "*sample"], plays: Float[Array, "*sample threshold"]
+    ) -> Array:
+        """The elastic part, and the weighted plays."""
         elastic, weights = self.of_plays()
-        state = clip(state, value - self.thresholds, value + self.thresholds)
-        return state, elastic * value + weights @ state
-
-    def history(
-        self, inputs: Float[Array, " sample"], state: PerThreshold | None = None
-    ) -> tuple[Float[Array, " sample"], PerThreshold]:
-        """Outputs at all samples."""
-        elastic, weights = self.of_plays()
-        plays = play(inputs, self.thresholds, state)
-        return elastic * inputs + plays @ weights, plays[-1]
+        return elastic * inputs + plays @ weights
 
     def loading(self, amplitude: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
         """The initial loading curve: output of the virgin operator on the way up from 0."""
@@ -226,12 +205,7 @@ class PrandtlIshlinskii(AbstractExactOperator):
         return (elastic + below) * state + above
 
 
-# The modified Prandtl-Ishlinskii operator: dead zones behind, for loops without symmetry.
-#
-# Reference: K. Kuhnen, Eur. J. Control 9 (2003) 407-418.
-
-
-class ModifiedPrandtlIshlinskii(AbstractExactOperator):
+class ModifiedPrandtlIshlinskii(AbstractPlays):
     """y = S(H[u]): a memoryless curve of the output of a Prandtl-Ishlinskii operator of plays.
 
     H alone is odd and does not know where 0 is; S is neither: it gives loops without symmetry,
@@ -242,8 +216,8 @@ class ModifiedPrandtlIshlinskii(AbstractExactOperator):
 
     Arguments:
         dead_zones: S.
-        weights: of the plays, relative to that of the input, shape (threshold,).
-        thresholds: of the plays, in the unit of the input, shape (threshold,).
+        weights: of the plays, relative to that of the input.
+        thresholds: of the plays, in the unit of the input.
 
     Raises:
         InputError: lists of different lengths, or a negative threshold.
@@ -254,12 +228,7 @@ class ModifiedPrandtlIshlinskii(AbstractExactOperator):
     thresholds: PerThreshold = parameter(MODIFIED_PRANDTL_ISHLINSKII.thresholds)
 
     def __check_init__(self) -> None:
-        check_thresholds(self.thresholds)
-        if is_concrete(self.weights) and self.weights.shape != self.thresholds.shape:
-            raise InputError(
-                f"there are weights of shape {self.weights.shape} and thresholds of shape "
-                f"{self.thresholds.shape}: give one weight for each threshold"
-            )
+        check_thresholds(self.thresholds, self.weights)
 
     @property
     def hysteresis(self) -> PrandtlIshlinskii:
@@ -267,21 +236,11 @@ class ModifiedPrandtlIshlinskii(AbstractExactOperator):
         total = 1 + jnp.sum(self.weights)
         return PrandtlIshlinskii(1 / total, self.weights / total, self.thresholds)
 
-    def reset(self) -> PerThreshold:
-        """All plays at 0."""
-        return jnp.zeros_like(self.thresholds)
-
-    def step(self, state: PerThreshold, value: Scalar) -> tuple[PerThreshold, Scalar]:
-        """Plays and output after the input has moved."""
-        state, output = self.hysteresis.step(state, value)
-        return state, self.dead_zones(output)
-
-    def history(
-        self, inputs: Float[Array, " sample"], state: PerThreshold | None = None
-    ) -> tuple[Float[Array, " sample"], PerThreshold]:
-        """Outputs at all samples."""
-        outputs, state = self.hysteresis.history(inputs, state)
-        return self.dead_zones(outputs), state
+    def output(
+        self, inputs: Float[Array, "*sample"], plays: Float[Array, "*sample threshold"]
+    ) -> Array:
+        """The curve of the outputs of H."""
+        return self.dead_zones(self.hysteresis.output(inputs, plays))
 
     def inverse(self) -> "InverseModified":
         """The operator that undoes this one: first the inverse curve, then the inverse of H.
@@ -297,12 +256,7 @@ class ModifiedPrandtlIshlinskii(AbstractExactOperator):
 
 
 class InverseModified(AbstractExactOperator):
-    """u = H^-1[S^-1(y)]: the exact inverse of a modified Prandtl-Ishlinskii operator.
-
-    Arguments:
-        dead_zones: the inverse of S.
-        hysteresis: the inverse of H.
-    """
+    """u = H^-1[S^-1(y)]: the exact inverse of a modified operator, of inverses of S and H."""
 
     dead_zones: DeadZones
     hysteresis: PrandtlIshlinskii

@@ -16,10 +16,10 @@ from ...runtime.arrays import Array, Float, Scalar
 from ...runtime.text import InputError
 from ...schema import PREISACH
 from ...schema.parameters import parameter
-from ._operator import AbstractExactOperator, clip, play
+from ._operator import AbstractPlays, clip
 
 
-class Preisach(AbstractExactOperator):
+class Preisach(AbstractPlays):
     """y = slope u + saturation times the mean of all relays, weighted by their density.
 
     The density is a log-normal distribution of the half-width r of the relays times a normal
@@ -61,6 +61,11 @@ class Preisach(AbstractExactOperator):
         fractions = (jnp.arange(self.rows, dtype=jnp.result_type(float)) + 0.5) / self.rows
         return self.extent * fractions
 
+    @property
+    def thresholds(self) -> Float[Array, " row"]:
+        """Those of the plays: 0 is the demagnetised state, relays below s = 0 up, above down."""
+        return self.half_widths
+
     def cells(self) -> Float[Array, "row cell"]:
         """Weight of each cell: the density times its area, in total 1."""
         r = self.half_widths[:, None]
@@ -75,33 +80,20 @@ class Preisach(AbstractExactOperator):
         weights = jnp.exp(logarithm - jnp.max(logarithm))
         return weights / jnp.sum(weights)
 
-    def reset(self) -> Float[Array, " row"]:
-        """The demagnetised state: relays below s = 0 are up, those above down."""
-        return jnp.zeros_like(self.half_widths)
-
-    def step(
-        self, state: Float[Array, " row"], value: Scalar
-    ) -> tuple[Float[Array, " row"], Scalar]:
-        """Plays and output after the input has moved."""
-        state = clip(state, value - self.half_widths, value + self.half_widths)
-        return state, self._output(value[None], state[None])[0]
-
-    def history(
-        self, inputs: Float[Array, " sample"], state: Float[Array, " row"] | None = None
-    ) -> tuple[Float[Array, " sample"], Float[Array, " row"]]:
-        """Outputs at all samples."""
-        plays = play(inputs, self.half_widths, state)
-        return self._output(inputs, plays), plays[-1]
-
-    def _output(self, inputs: Array, plays: Array) -> Array:
+    def output(
+        self, inputs: Float[Array, "*sample"], plays: Float[Array, "*sample threshold"]
+    ) -> Array:
+        """The weight of the relays that are up, and the reversible part."""
         weights = self.cells()
         nothing = jnp.zeros_like(weights[:, :1])
         below = jnp.concatenate([nothing, jnp.cumsum(weights, axis=1)], axis=1)
         # Where the dividing line cuts each row, counted in cells.
-        position = (plays / (self.extent - self.half_widths)[None] + 1) * self.rows
+        position = (
+            plays.reshape(-1, self.rows) / (self.extent - self.half_widths)[None] + 1
+        ) * self.rows
         position = clip(position, jnp.zeros_like(position), jnp.full_like(position, 2 * self.rows))
         cell = jnp.clip(jnp.floor(position).astype(int), 0, 2 * self.rows - 1)
         row = jnp.arange(self.rows)[None]
         within = position - cell.astype(position.dtype)
-        up = jnp.sum(below[row, cell] + within * weights[row, cell], axis=1)
+        up = jnp.sum(below[row, cell] + within * weights[row, cell], axis=1).reshape(inputs.shape)
         return self.slope * inputs + self.saturation * (2 * up - 1)

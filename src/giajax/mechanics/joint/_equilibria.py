@@ -77,11 +77,6 @@ class Equilibria:
         return np.asarray([equilibrium.angle for equilibrium in self.every])
 
 
-# Search for every angle of one side at which the torque of a pair vanishes or jumps through 0.
-#
-# The torque is evaluated on an even grid and at its kinks; each interval is divided at the
-# extremum of the torque where there is one inside, so that neither of two near roots is missed.
-
 # Intervals of the search on either side of 0: 0.1 deg each. Within one the torque is smooth or
 # has one kink, and its extremum parts two roots.
 _INTERVALS = 600
@@ -101,17 +96,11 @@ _APART = 1e-9
 class Roots(eqx.Module):
     """Roots of the torque on one side of 0.
 
-    The first `count` elements of each array belong to them, the last one to the angle 0.
-
-    Attributes:
-        count: how many there are.
-        angles: rad.
-        slopes: of the torque, N m/rad.
-        resistance: slopes of the corrections, N m/rad.
-        below, above: torques just beside each root, N m.
-        engaged: of the first and the second muscle, whether the wire is taut or the muscle wraps.
-        first, last: torques at the ends of the side, N m.
-        idle: whether there is no torque anywhere between two nodes.
+    The first `count` elements of each array belong to them, the last one to the angle 0: angles
+    (rad), slopes of the torque and of the corrections (N m/rad), and torques just beside each root
+    (N m). `engaged` is whether the wire of the first and of the second muscle is taut or the muscle
+    wraps, `first` and `last` the torques at the ends of the side (N m), `idle` whether there is no
+    torque anywhere between two nodes.
     """
 
     count: Int[Array, ""]
@@ -211,12 +200,8 @@ def equilibria(
     extremum of the torque where there is one inside, so that neither of two near roots is missed.
 
     Arguments:
-        pair: the joint and its muscles.
-        pressures: of the first and the second muscle, Pa, shape (2,).
+        pressures: of the first and the second muscle, Pa.
         load: torque from outside, towards negative angles, N m.
-
-    Returns:
-        The equilibria by angle, and what the torque does at the ends of the range.
 
     Raises:
         InputError: pressures that are not two numbers of at least 0, or an impossible geometry.
@@ -264,6 +249,11 @@ def _in_jump(roots: Roots, row: int) -> dict[str, Any]:
     falls = above < below
     if min(abs(below), abs(above)) <= JUMP:
         return {"stable": falls and bool(roots.slopes[row] < 0)}
+    return _step(roots, row, falls=falls)
+
+
+def _step(roots: Roots, row: int, *, falls: bool) -> dict[str, Any]:
+    """What is different where the torque steps through 0: it is stable where it falls."""
     slope = float(roots.slopes[row] + roots.resistance[row])
     stiffness = math.inf if falls else -math.inf
     return {"stiffness": stiffness, "muscle_stiffness": -slope, "stable": falls, "at_step": True}
@@ -276,16 +266,12 @@ def _equilibrium(roots: Roots, row: int, ahead: bool, **more: Any) -> Equilibriu
         "stiffness": stiffness,
         "muscle_stiffness": stiffness - float(roots.resistance[row]),
         "stable": stiffness > 0,
-        "branches": (
-            _branch(ahead, bool(roots.engaged[0][row])),
-            _branch(not ahead, bool(roots.engaged[1][row])),
+        "branches": tuple(
+            BRANCHES[1 - int(engaged[row]) if inner else 2 + int(engaged[row])]
+            for inner, engaged in zip((ahead, not ahead), roots.engaged, strict=True)
         ),
     }
     return Equilibrium(**{**facts, **more})
-
-
-def _branch(inner: bool, engaged: bool) -> str:
-    return BRANCHES[(0 if engaged else 1) if inner else (3 if engaged else 2)]
 
 
 def _at_zero(behind: Roots, ahead: Roots) -> list[Equilibrium]:
@@ -304,17 +290,4 @@ def _at_zero(behind: Roots, ahead: Roots) -> list[Equilibrium]:
             return [_equilibrium(side, _ZERO, is_ahead, stable=stable)]
     if before * after > 0:
         return []
-    stable = before > 0
-    stiffness = math.inf if stable else -math.inf
-    muscles = -float(ahead.slopes[_ZERO] + ahead.resistance[_ZERO])
-    return [
-        _equilibrium(
-            ahead,
-            _ZERO,
-            True,
-            stiffness=stiffness,
-            muscle_stiffness=muscles,
-            stable=stable,
-            at_step=True,
-        )
-    ]
+    return [_equilibrium(ahead, _ZERO, True, **_step(ahead, _ZERO, falls=before > 0))]

@@ -84,14 +84,6 @@ def is_possible(
 
     A wire that is too short for the outer muscle is no matter here: the outer equations do not
     know of it, and a fit may pass through such a joint. `check_geometry` refuses it.
-
-    Arguments:
-        geometry: of the joint.
-        angle: bending angles of the muscle, rad.
-        inner: whether the muscle is the inner one, of the same shape.
-
-    Returns:
-        Of the same shape.
     """
     possible = jnp.ones(angle.shape, bool)
     for bad, _ in _complaints(geometry, angle, inner=True):
@@ -102,10 +94,9 @@ def is_possible(
 
 
 def check_geometry(geometry: JointGeometry, angles: np.ndarray | None = None) -> None:
-    """Refuse a geometry that has no path or no wire at some angle.
+    """Refuse a geometry that has no path or no wire at some angle; nothing is checked in a trace.
 
     Arguments:
-        geometry: with concrete numbers; while a program is traced nothing is checked.
         angles: bending angles of the muscle to check, rad; by default -60 to 60 deg.
 
     Raises:
@@ -207,15 +198,9 @@ class MusclePath(eqx.Module):
 def muscle_path(
     geometry: JointGeometry, angle: Shaped, inner: Bool[Array, "*shape"] | None = None
 ) -> MusclePath:
-    """Path of a muscle (eqs 2, 3, 7, 8): geometry only, no force.
+    """Path of a muscle at bending angles (rad; eqs 2, 3, 7, 8): geometry only, no force.
 
-    Arguments:
-        geometry: of the joint.
-        angle: bending angles of the muscle, rad.
-        inner: the side, which matters at 0 only; by default a muscle at 0 is the inner one.
-
-    Returns:
-        The path, in arrays of the shape of the angle.
+    `inner` is the side, which matters at 0 only; by default a muscle at 0 is the inner one.
     """
     inner = angle >= 0 if inner is None else inner
     anchor_x, anchor_y = geometry.anchor(angle)
@@ -226,11 +211,7 @@ def muscle_path(
     contact_x, contact_y = geometry.contact(jnp.where(inner, 0, angle))
     wrapped = anchor_y < contact_y
     engaged = jnp.where(inner, taut, wrapped)
-    height = jnp.where(
-        inner,
-        jnp.where(taut, held, anchor_y),
-        outer_bush_height(geometry, angle),
-    )
+    height = jnp.where(inner, jnp.where(taut, held, anchor_y), outer_bush_height(geometry, angle))
     # Where the path bends: at the bush, or at the balloon's shoulder.
     corner_x = jnp.where(inner, 0, contact_x)
     bent = corner_x + jnp.hypot(anchor_x - corner_x, anchor_y - height)
@@ -250,12 +231,6 @@ def branch_angles(geometry: JointGeometry) -> tuple[float, float]:
     The second is in closed form, tan(angle / 2) = -(N_y - Q_y) / (N_x - Q_x) in the frame of the
     link; the first is a root of C_y = H_y, by bisection. 0 where a muscle is on its branch at
     every angle of that side, and NaN where a branch is not reached within 90 deg.
-
-    Arguments:
-        geometry: of the joint.
-
-    Returns:
-        The angle of the inner wire, and that of the outer muscle, rad.
     """
     taut, wrap = _branch_angles(geometry)
     return float(taut), float(wrap)

@@ -47,25 +47,23 @@ class PressureAnswer(eqx.Module):
         return self.code == REACHED
 
     def message(self, index: int | tuple[int, ...] = ()) -> str:
-        """What the code of one element means, and what to do.
-
-        Arguments:
-            index: of the element.
-
-        Returns:
-            The sentence; "reached" where the force is.
-        """
+        """What the code of one element means, and what to do."""
         return _MEANING[int(self.code[index])]
 
 
-# What every muscle law offers: force from pressure and contraction, and the inverse.
+PressureAndGain = tuple[Shaped, Shaped]
+"""Pressure for a force, Pa, and the force gained per pascal, N/Pa."""
 
 # Below this (N) a force is the rounding of zero, not a push.
 _NO_FORCE = 1e-9
 
 
 class AbstractMuscle(eqx.Module):
-    """A muscle, or another actuator, by its statics without friction."""
+    """A muscle, or another actuator, by its statics without friction.
+
+    Its methods take pressures above the surroundings (Pa), forces (N), contractions relative to the
+    length at rest, and that length (m).
+    """
 
     name: ClassVar[str]
     own_motion: ClassVar[int]
@@ -76,63 +74,26 @@ class AbstractMuscle(eqx.Module):
     """Highest pressure, Pa."""
 
     @abc.abstractmethod
-    def signed_force(
-        self, pressure: Shaped, contraction: Shaped, length: Float[Array, ""]
-    ) -> Shaped:
-        """Force by the law alone, N; negative beyond its reach.
-
-        Arguments:
-            pressure: above the surroundings, Pa.
-            contraction: relative to the length at rest.
-            length: of the muscle at rest, m.
-
-        Returns:
-            Force, N.
-        """
+    def signed_force(self, pressure: Shaped, contraction: Shaped, length: Scalar) -> Shaped:
+        """Force by the law alone, N; negative beyond its reach."""
 
     @abc.abstractmethod
-    def pressure_for(
-        self, force: Shaped, contraction: Shaped, length: Float[Array, ""]
-    ) -> tuple[Shaped, Shaped]:
+    def pressure_for(self, force: Shaped, contraction: Shaped, length: Scalar) -> PressureAndGain:
         """Pressure that the law says for a force >= 0, Pa, and the force gained per pascal.
 
         Where nothing is gained there is no such pressure, and its value means nothing.
-
-        Arguments:
-            force: at least 0, N.
-            contraction: relative to the length at rest.
-            length: of the muscle at rest, m.
-
-        Returns:
-            Pressure, Pa, and force gained per pascal, N/Pa.
         """
 
-    def force(self, pressure: Shaped, contraction: Shaped, length: Float[Array, ""]) -> Shaped:
-        """Force, N: that of the law, or 0 where the actuator is slack.
-
-        Arguments:
-            pressure: above the surroundings, Pa.
-            contraction: relative to the length at rest.
-            length: of the muscle at rest, m.
-
-        Returns:
-            Force, N.
-        """
+    def force(self, pressure: Shaped, contraction: Shaped, length: Scalar) -> Shaped:
+        """Force, N: that of the law, or 0 where the actuator is slack."""
         force = self.signed_force(pressure, contraction, length)
         return force if self.pushes else jnp.maximum(force, 0)
 
-    def answer(
-        self, force: Shaped, contraction: Shaped, length: Float[Array, ""]
-    ) -> PressureAnswer:
-        """Pressure for a force at a contraction; nothing is checked.
+    def answer(self, force: Shaped, contraction: Shaped, length: Scalar) -> PressureAnswer:
+        """Pressure for a force at a contraction, or the nearest one, and why the force is out of
+        reach.
 
-        Arguments:
-            force: to be reached, N.
-            contraction: relative to the length at rest.
-            length: of the muscle at rest, m.
-
-        Returns:
-            The pressure, or the nearest one, and why the force is out of reach.
+        Nothing is checked.
         """
         needed, gain = self.pressure_for(jnp.maximum(force, 0), contraction, length)
         able = gain > 0
@@ -165,10 +126,9 @@ class Friction(eqx.Module):
     would have no derivative.
 
     Arguments:
-        pressures: of the half-widths, increasing, Pa; between them they are
-            linear, beyond them constant.
-        half_width: half of the force between the two directions, N, shape (node,).
+        half_width: half of the force between the two directions at `pressures`, N.
         presliding: displacement from rest to full friction, m.
+        pressures: increasing, Pa; between them half-widths are linear, beyond them constant.
     """
 
     half_width: Float[Array, " node"] = parameter(FRICTION.half_width)
@@ -201,9 +161,6 @@ class Friction(eqx.Module):
         """
         thresholds = jnp.atleast_1d(self.presliding)
         return stop(displacement - displacement[0], thresholds)[:, 0] / self.presliding
-
-
-# Braided muscles: the statics of Chou and Hannaford, as Tondu and Lopez write them.
 
 
 class BraidedMuscle(AbstractMuscle):
@@ -243,15 +200,11 @@ class BraidedMuscle(AbstractMuscle):
         shrunk = 3 / jnp.tan(self.braid_angle) ** 2 * left**2
         return self.effectiveness * area * (shrunk - 1 / jnp.sin(self.braid_angle) ** 2)
 
-    def signed_force(
-        self, pressure: Shaped, contraction: Shaped, length: Float[Array, ""]
-    ) -> Shaped:
+    def signed_force(self, pressure: Shaped, contraction: Shaped, length: Scalar) -> Shaped:
         """Force by the law, N."""
         return jnp.maximum(pressure - self.dead_band, 0) * self._per_pascal(contraction)
 
-    def pressure_for(
-        self, force: Shaped, contraction: Shaped, length: Float[Array, ""]
-    ) -> tuple[Shaped, Shaped]:
+    def pressure_for(self, force: Shaped, contraction: Shaped, length: Scalar) -> PressureAndGain:
         """Pressure for a force, Pa, and the force per pascal."""
         gain = self._per_pascal(contraction)
         return self.dead_band + force / jnp.where(gain > 0, gain, 1), gain
@@ -285,7 +238,7 @@ class EmpiricalMuscle(AbstractMuscle):
     length_scale: Scalar = parameter(EMPIRICAL.length_scale)
     pressure_limit: Scalar = parameter(EMPIRICAL.pressure_limit)
 
-    def largest_force(self, length: Float[Array, ""]) -> Float[Array, ""]:
+    def largest_force(self, length: Scalar) -> Scalar:
         """F_max of a muscle of this length at rest (m), N."""
         reach = jnp.maximum(length - self.end_length, 0) / self.length_scale
         return self.force_limit * (2 / jnp.pi) * jnp.arctan(reach)
@@ -294,17 +247,13 @@ class EmpiricalMuscle(AbstractMuscle):
         rise = jnp.expm1(-self.decay * strain) / jnp.expm1(-self.decay)
         return jnp.exp(-(self.bell**2)) * rise
 
-    def signed_force(
-        self, pressure: Shaped, contraction: Shaped, length: Float[Array, ""]
-    ) -> Shaped:
+    def signed_force(self, pressure: Shaped, contraction: Shaped, length: Scalar) -> Shaped:
         """Force by the law, N; 0 or less without pressure."""
         strain = contraction / self.contraction_limit
         active = pressure / self.pressure_limit * jnp.exp(-((self.bell * strain) ** 2))
         return self.largest_force(length) * (active - self._passive(strain))
 
-    def pressure_for(
-        self, force: Shaped, contraction: Shaped, length: Float[Array, ""]
-    ) -> tuple[Shaped, Shaped]:
+    def pressure_for(self, force: Shaped, contraction: Shaped, length: Scalar) -> PressureAndGain:
         """Pressure for a force, Pa, and the force per pascal."""
         strain = contraction / self.contraction_limit
         largest = self.largest_force(length)
@@ -333,15 +282,11 @@ class Piston(AbstractMuscle):
         """Cross-section of the bore, m^2."""
         return jnp.pi / 4 * self.bore**2
 
-    def signed_force(
-        self, pressure: Shaped, contraction: Shaped, length: Float[Array, ""]
-    ) -> Shaped:
+    def signed_force(self, pressure: Shaped, contraction: Shaped, length: Scalar) -> Shaped:
         """Force by the law, N."""
         return pressure * self.area + self.offset
 
-    def pressure_for(
-        self, force: Shaped, contraction: Shaped, length: Float[Array, ""]
-    ) -> tuple[Shaped, Shaped]:
+    def pressure_for(self, force: Shaped, contraction: Shaped, length: Scalar) -> PressureAndGain:
         """Pressure for a force, Pa, and the force per pascal."""
         return (force - self.offset) / self.area, jnp.broadcast_to(self.area, force.shape)
 
@@ -358,16 +303,12 @@ def muscle_force(
     contraction: npt.ArrayLike | Array,
     length: npt.ArrayLike | Array = 1.96,
 ) -> Shaped:
-    """Force of a muscle without friction, N.
+    """Force of a muscle without friction, N; 0 where it is slack.
 
     Arguments:
-        muscle: the law.
         pressure: above the surroundings, Pa, of any shape.
         contraction: relative to the length at rest, of the same shape or one number.
         length: of the muscle at rest, m.
-
-    Returns:
-        Force, N, of the shape of the arguments; 0 where the muscle is slack.
 
     Raises:
         InputError: a number that is not finite, a negative pressure, or a contraction of 1 or
@@ -392,13 +333,9 @@ def muscle_pressure(
     """Pressure at which a muscle pulls with a force at a contraction, in closed form.
 
     Arguments:
-        muscle: the law.
         force: to be reached, N, of any shape.
         contraction: relative to the length at rest, of the same shape or one number.
         length: of the muscle at rest, m.
-
-    Returns:
-        The pressure, or where the force is out of reach the nearest one, and why.
 
     Raises:
         InputError: a number that is not finite, or a contraction of 1 or more.

@@ -1,6 +1,6 @@
 """The bending-angle controller (fig. 6): two muscles against each other, and their pressures."""
 
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -15,8 +15,6 @@ from ...schema.parameters import is_concrete
 from ._geometry import LARGEST_ANGLE, Shaped, check_geometry
 from ._muscle import AbstractMuscle, BraidedMuscle, PressureAnswer
 from ._statics import Joint, MuscleState, balanced, muscle_balance, resistance
-
-T = TypeVar("T")
 
 
 class JointPair(eqx.Module):
@@ -75,18 +73,14 @@ def pair_command(
 ) -> PairCommand:
     """Pressures that hold a pair at an angle against a load (fig. 6).
 
-    The inner muscle balances the co-contraction torque, alpha and what of the load acts against
-    the bending; the outer one the co-contraction torque and beta.
+    The inner muscle balances the co-contraction torque, alpha and what of the load acts against the
+    bending; the outer one the co-contraction torque and beta. Where no pressure gives a force, its
+    answer says why.
 
     Arguments:
-        pair: the joint and its muscles.
         angle: to be held, rad, any shape, within -60 to 60 deg.
         load: torque from outside, towards negative angles, N m, one number or one an angle.
         cocontraction: torque of each muscle against the other, N m; the joint's 0.3 by default.
-
-    Returns:
-        Contractions, forces and pressures of both muscles. Where no pressure gives a
-        force, its answer says why.
 
     Raises:
         InputError: an angle beyond 60 deg, a number that is not finite, or an impossible
@@ -104,7 +98,13 @@ def pair_command(
     torque = pair.joint.torque if cocontraction is None else cocontraction
     torque = jnp.broadcast_to(jnp.asarray(torque, dtype=dtype), angle.shape)
     if is_concrete((pair, angle, load, torque)):
-        check_range(angle)
+        inside = jnp.abs(angle) <= LARGEST_ANGLE * (1 + 1e-12)
+        if not bool(jnp.all(inside)):
+            worst = float(jnp.rad2deg(angle.ravel()[jnp.argmin(inside)]))
+            raise InputError(
+                f"the angle is {worst:.4g} deg, and a joint bends by at most 60 deg: give "
+                "radians, and a smaller angle"
+            )
         if not bool(jnp.all(jnp.isfinite(load) & jnp.isfinite(torque))):
             raise InputError("a load or co-contraction torque is not finite: give finite numbers")
         angles = np.asarray(angle).ravel()
@@ -112,28 +112,13 @@ def pair_command(
     return _pair_command(pair, angle, load, torque)
 
 
-def check_range(angle: Array) -> None:
-    """Refuse angles beyond the range of the joint."""
-    inside = jnp.abs(angle) <= LARGEST_ANGLE * (1 + 1e-12)
-    if not bool(jnp.all(inside)):
-        worst = float(jnp.rad2deg(angle.ravel()[jnp.argmin(inside)]))
-        raise InputError(
-            f"the angle is {worst:.4g} deg, and a joint bends by at most 60 deg: give "
-            "radians, and a smaller angle"
-        )
-
-
 def commanded(pair: JointPair, angle: Array, load: Array, torque: Array) -> PairCommand:
     """What holds a pair at an angle, as `pair_command` does; nothing is checked.
 
     Arguments:
-        pair: the joint and its muscles.
         angle: to be held, rad.
         load: torque from outside, towards negative angles, N m, of the same shape.
         torque: co-contraction torque, N m, of the same shape.
-
-    Returns:
-        Contractions, forces and pressures of both muscles.
     """
     ahead = angle >= 0
     share = jnp.stack([jnp.where(ahead, load, 0), jnp.where(ahead, 0, -load)])
@@ -141,17 +126,11 @@ def commanded(pair: JointPair, angle: Array, load: Array, torque: Array) -> Pair
     # Both muscles at once are half of the operations.
     state = balanced(pair.joint, angles, torque[None] + share, sides)
     answer = pair.muscle.answer(state.force, state.contraction, pair.length)
-
-    def of(muscle: int, both: T) -> T:
-        return jax.tree.map(lambda values: values[muscle], both)
-
-    return PairCommand(
-        angle=angle,
-        first=of(0, state),
-        second=of(1, state),
-        first_pressure=of(0, answer),
-        second_pressure=of(1, answer),
+    (first, reached), (second, other) = (
+        jax.tree.map(lambda values, muscle=muscle: values[muscle], (state, answer))
+        for muscle in (0, 1)
     )
+    return PairCommand(angle, first, second, reached, other)
 
 
 _pair_command = program(commanded)
@@ -169,15 +148,11 @@ def net_torque(
     The corrections resist the bending: alpha - beta, towards 0, whichever side is bent to.
 
     Arguments:
-        pair: the joint and its muscles.
         pressures: of the first and the second muscle, Pa, the same at all angles or each with a
             last axis for each of theirs.
         load: torque from outside, towards negative angles, N m.
         angle: of the pair, rad.
-        ahead: whether the first muscle is the inner one, of the angle's shape; what decides at 0.
-
-    Returns:
-        Torque, N m, of the shape of the angle.
+        ahead: whether the first muscle is the inner one; what decides at 0.
     """
     first, second = muscle_torques(pair, pressures, angle, ahead)
     return first - second - resistance(pair.joint.correction, angle, ahead) - load
@@ -195,13 +170,8 @@ def muscle_torques(
 
 
 class OneSide(NamedTuple):
-    """A pair at two pressures, and the side of 0 on which it is looked at.
-
-    Attributes:
-        pair: the joint and its muscles.
-        pressures: of the first and the second muscle, Pa, shape (2,).
-        load: torque from outside, towards negative angles, N m.
-        ahead: whether the side is that of positive angles; it counts at 0.
+    """A pair at two pressures (Pa) and a load (N m), and the side of 0 on which it is looked at:
+    `ahead` where it is that of positive angles, which counts at 0.
     """
 
     pair: JointPair
@@ -250,9 +220,7 @@ def checked_pressures(pressures: npt.ArrayLike | Array) -> Float[Array, "2"]:
 class Spring(eqx.Module):
     """A joint held by two pressures, near one stable equilibrium: what a joint of the arm needs.
 
-    Attributes:
-        rest_angle: rad, the command of the arm's joint.
-        stiffness: N m/rad, the stiffness of the arm's joint.
+    Its rest angle (rad) is the command of the arm's joint.
     """
 
     rest_angle: Scalar
@@ -265,20 +233,16 @@ def joint_spring(
     near: float | Array,
     load: float | Array = 0.0,
 ) -> Spring:
-    """Rest angle and stiffness of the equilibrium near an angle; differentiable.
+    """Rest angle (rad) and stiffness (N m/rad) of the equilibrium near an angle; differentiable.
 
     The derivative of the rest angle is that of the equation which it solves (implicit), so it is
     right whatever led to the root. To be used as the spring of section III.A, whose constant
     and initial length change.
 
     Arguments:
-        pair: the joint and its muscles.
-        pressures: of the first and the second muscle, Pa, shape (2,).
+        pressures: of the first and the second muscle, Pa.
         near: where to look, rad; not 0, where the corrections have their step.
         load: torque from outside, towards negative angles, N m.
-
-    Returns:
-        Rest angle (rad) and stiffness (N m/rad).
 
     Raises:
         InputError: there is no equilibrium near, or it is not stable, or it lies at 0.

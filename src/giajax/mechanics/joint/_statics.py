@@ -132,32 +132,23 @@ def _beyond(angle: Array, threshold: Array) -> Array:
     return jnp.maximum(angle - threshold, 0)
 
 
-# What a joint itself resists to bending, whatever its muscles do: alpha and beta of both sides.
-
 # Of the Gauss rule of two points, on an interval from 0 to 1; exact for a cubic.
 _POINTS = (0.5 - np.sqrt(1 / 12), 0.5 + np.sqrt(1 / 12))
 
 
 def resistance(correction: Correction, angle: Shaped, ahead: Bool[Array, "*shape"]) -> Shaped:
-    """Torque with which the corrections of both muscles resist, towards 0, N m.
+    """Torque with which the corrections of both muscles of a pair resist, towards 0, N m.
 
-    Arguments:
-        correction: of either side.
-        angle: of the pair, rad.
-        ahead: whether the first muscle is the inner one; what decides at 0.
+    At angles (rad); `ahead`, whether the first muscle is the inner one, decides at 0.
     """
     return correction(angle, ahead) - correction(-angle, ~ahead)
 
 
 def resistance_energy(correction: Correction, angle: Shaped) -> Shaped:
-    """Energy that bending stores against `resistance`, J; 0 in the straight joint.
+    """Energy that bending to angles (rad) stores against `resistance`, J; 0 in the straight joint.
 
     Between two kinks the resistance is a cubic of the angle, so that the sum over the pieces is
-    exact.
-
-    Arguments:
-        correction: of either side, in the continuous reading or none.
-        angle: of the pair, rad.
+    exact. The reading must be the continuous one, or none.
     """
     size = jnp.abs(angle)
     beta = correction.beta
@@ -171,11 +162,6 @@ def resistance_energy(correction: Correction, angle: Shaped) -> Shaped:
             at = start + point * width
             energy = energy + width / 2 * resistance(correction, at, jnp.ones(at.shape, bool))
     return energy
-
-
-# Forces of one muscle that balance a torque on a joint at rest (eqs 4 to 6, 9 to 11).
-#
-# The frame, the angle and the four branches are those of the muscle's path.
 
 
 class MuscleState(eqx.Module):
@@ -216,18 +202,10 @@ def muscle_balance(
     torque: Shaped,
     inner: Bool[Array, "*shape"] | None = None,
 ) -> MuscleState:
-    """Forces that balance a torque, the correction already in it (eqs 4 to 6, 9 to 11).
+    """Forces that balance a torque (N m), the correction already in it (eqs 4 to 6, 9 to 11).
 
-    Everything is in closed form: the paper's equations are linear in the forces.
-
-    Arguments:
-        geometry: of the joint.
-        angle: bending angles of the muscle, rad.
-        torque: balanced torque, N m.
-        inner: the side, as in `muscle_path`.
-
-    Returns:
-        The state of the muscle; nothing is checked.
+    Everything is in closed form: the paper's equations are linear in the forces. Bending angles are
+    those of the muscle, rad; `inner` is the side, as in `muscle_path`. Nothing is checked.
     """
     path = muscle_path(geometry, angle, inner)
     anchor = geometry.anchor(angle)
@@ -317,17 +295,15 @@ def muscle_state(
 ) -> MuscleState:
     """Contraction and forces of one muscle that balances a torque on the joint at rest.
 
+    The state is in closed form on every branch. It is continuous across the branches; at 0 the
+    force steps by the difference of alpha and beta, unless the correction is blended.
+
     Arguments:
-        joint: the joint.
         angle: bending angle of the muscle, rad, of any shape: positive where the joint bends
             towards it (inner), negative where it bends away (outer).
         torque: on the joint, without the correction, N m, a number or of the angle's shape; that
             of the joint (0.3 N m) by default.
         side: "inner" or "outer" at an angle of 0, where both hold; "inner" by default.
-
-    Returns:
-        The state, in closed form on every branch. It is continuous across the branches; at 0 the
-        force steps by the difference of alpha and beta, unless the correction is blended.
 
     Raises:
         InputError: the geometry is impossible at one of the angles, an angle beyond 90 deg, a
@@ -356,25 +332,13 @@ def muscle_state(
     return _muscle_state(joint, angle, torque, inner)
 
 
-@program
-def _muscle_state(joint: Joint, angle: Array, torque: Array, inner: Array) -> MuscleState:
-    return balanced(joint, angle, torque, inner)
-
-
 def balanced(joint: Joint, angle: Array, torque: Array, inner: Array) -> MuscleState:
-    """State of a muscle, its correction added to the torque; nothing is checked.
-
-    Arguments:
-        joint: the joint.
-        angle: bending angles of the muscle, rad.
-        torque: on the joint, N m, of the same shape.
-        inner: whether the muscle is the inner one, of the same shape.
-
-    Returns:
-        The state of the muscle.
-    """
+    """State of a muscle at angles (rad) with its correction beside a torque (N m); unchecked."""
     corrected = torque + joint.correction(angle, inner)
     return muscle_balance(joint.geometry, angle, corrected, inner)
+
+
+_muscle_state = program(balanced)
 
 
 def _check(joint: Joint, angle: Array, torque: Array, side: str | None) -> None:
