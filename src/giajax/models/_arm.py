@@ -54,7 +54,7 @@ from ._arm_sensors import (
     seen_by_cameras,
     unseen,
 )
-from ._protocol import AbstractModel, Channels, Scene
+from ._protocol import AbstractModel, Prediction, Scene
 from ._scenes import arm_scene
 from .capabilities import Integration
 
@@ -333,9 +333,7 @@ class ArmModel(AbstractModel):
             pressure=inputs.pressure,
         )
 
-    def predict(
-        self, inputs: ArmInputs, channels: tuple[str, ...]
-    ) -> tuple[Channels, Bool[Array, ""]]:
+    def predict(self, inputs: ArmInputs, channels: tuple[str, ...]) -> Prediction:
         """Predicted channels (m, rad, rad/s) as the sensors show them, each (sample,)."""
         return recorded_channels(
             self.arm,

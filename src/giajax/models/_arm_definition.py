@@ -203,12 +203,8 @@ def _point_masses(entries: list[PointMass]) -> PointMasses | None:
     for declaration in POINT_MASSES:
         row = [values.get(declaration.path, 0.0) for values in bodies]
         if not declaration.optional or any(row):
-            columns[_name(declaration)] = jnp.asarray(row, dtype=float)
+            columns[declaration.path.rpartition(".")[2]] = jnp.asarray(row, dtype=float)
     return PointMasses(links=tuple(entry.link for entry in entries), **columns)
-
-
-def _name(declaration: Declaration) -> str:
-    return declaration.path.rpartition(".")[2]
 
 
 def arm_to_definition(arm: Arm) -> dict[str, Any]:
@@ -264,7 +260,7 @@ def _plain(values: Any) -> Any:
 
 def _entries(fixed: PointMasses) -> list[dict[str, Any]]:
     def row(declaration: Declaration) -> Any:
-        value = getattr(fixed, _name(declaration))
+        value = getattr(fixed, declaration.path.rpartition(".")[2])
         return np.broadcast_to(0.0 if value is None else np.asarray(value), len(fixed.links))
 
     rows = {declaration.path: row(declaration) for declaration in POINT_MASSES}

@@ -26,7 +26,7 @@ from ..schema import CAMERA, ENCODER, LANDMARK, MARKER
 from ..schema.parameters import declared, inline, parameter
 from ..simulation import Trajectory
 from ._cameras import NEAR, Pinhole, Projection
-from ._protocol import Channels
+from ._protocol import Prediction
 
 # What records an arm: a camera with its frame, scale and clock, markers, and angle sensors.
 #
@@ -354,7 +354,7 @@ _ENCODER = "angle sensors"
 
 def recorded_channels(
     arm: Arm, sensors: Sensors, motion: Motion, times: Times, channels: tuple[str, ...]
-) -> tuple[Channels, Bool[Array, ""]]:
+) -> Prediction:
     """Channels (m, rad, rad/s, px) as the sensors show them, and whether the simulation succeeded.
 
     Times of the samples are in s; names of channels are without unit.

@@ -18,12 +18,12 @@ from ..mechanics.hysteresis import (
     Preisach,
 )
 from ..recordings import Channel, Definition, Run, parse_column
-from ..runtime.arrays import Array, Bool, Float, Scalar
+from ..runtime.arrays import Array, Float, Scalar
 from ..runtime.text import InputError, shown
 from ..schema import KINDS, LOOP, HysteresisSection
 from ..schema.parameters import inline, parameter
 from ._arm_definition import agreed_section
-from ._protocol import AbstractModel, Channels
+from ._protocol import AbstractModel, Prediction
 from .capabilities import Derived
 
 
@@ -456,9 +456,7 @@ class HysteresisModel(AbstractModel):
         self.columns.check(run)
         return HysteresisInputs(jnp.asarray(values, jnp.result_type(float)))
 
-    def predict(
-        self, inputs: HysteresisInputs, channels: tuple[str, ...]
-    ) -> tuple[Channels, Bool[Array, ""]]:
+    def predict(self, inputs: HysteresisInputs, channels: tuple[str, ...]) -> Prediction:
         """The output, SI, under the name of each channel, of shape (sample,)."""
         check_outputs(self.kind, channels)
         response = self._response(inputs)

@@ -14,7 +14,7 @@ from ..runtime.text import InputError
 from ..schema import JointSection
 from ..schema.parameters import get, inline, replace
 from ._arm_definition import check_agreement
-from ._protocol import AbstractModel, Channels, Scene, parameter_values
+from ._protocol import AbstractModel, Prediction, Scene, parameter_values
 from ._scenes import joint_scene
 
 
@@ -84,9 +84,7 @@ class JointModel(AbstractModel):
         inputs = self.prepare(run)
         return joint_scene(self.joint.geometry, inputs.angle, inputs.inner, times=run.times)
 
-    def predict(
-        self, inputs: JointInputs, channels: tuple[str, ...]
-    ) -> tuple[Channels, Bool[Array, ""]]:
+    def predict(self, inputs: JointInputs, channels: tuple[str, ...]) -> Prediction:
         """Contraction and force (N) at the samples; fails where the joint cannot be built."""
         torque = self.joint.torque if inputs.torque is None else inputs.torque
         torque = jnp.broadcast_to(torque, inputs.angle.shape)

@@ -8,12 +8,12 @@ import jax.numpy as jnp
 
 from ..mechanics.joint import MUSCLE_LAWS, AbstractMuscle, BraidedMuscle, Friction, Piston
 from ..recordings import Channel, Definition, Run
-from ..runtime.arrays import Array, Bool, Float, Scalar
+from ..runtime.arrays import Array, Float, Scalar
 from ..runtime.text import InputError
 from ..schema import AT_REST, MuscleSection, si_factor
 from ..schema.parameters import declared, get, parameter, replace
 from ._arm_definition import check_agreement
-from ._protocol import AbstractModel, Channels, parameter_values
+from ._protocol import AbstractModel, Prediction, parameter_values
 
 _DIRECTION = {"fill": -1.0, "exhaust": 1.0}
 
@@ -141,9 +141,7 @@ class MuscleModel(AbstractModel):
             direction=None if direction is None else jnp.asarray(direction, dtype=dtype),
         )
 
-    def predict(
-        self, inputs: MuscleInputs, channels: tuple[str, ...]
-    ) -> tuple[Channels, Bool[Array, ""]]:
+    def predict(self, inputs: MuscleInputs, channels: tuple[str, ...]) -> Prediction:
         """Force, N, at the samples."""
         for name in channels:
             if Channel.named(name).kind != "force":

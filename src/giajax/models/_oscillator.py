@@ -9,13 +9,13 @@ import numpy as np
 
 from ..mechanics.hysteresis import MOST_STEPS, BoucWenOscillator
 from ..recordings import Definition, Run
-from ..runtime.arrays import Array, Bool, Float, Scalar
+from ..runtime.arrays import Array, Float, Scalar
 from ..runtime.text import InputError
 from ..schema import LOOP, OscillatorSection
 from ..schema.parameters import inline, parameter
 from ._arm_definition import agreed_section
 from ._hysteresis import Columns, check_outputs, input_values, products, products_condition
-from ._protocol import AbstractModel, Channels
+from ._protocol import AbstractModel, Prediction
 from .capabilities import Derived
 
 # Neighbouring intervals that differ by more than this part are not rounding of a file.
@@ -86,9 +86,7 @@ class OscillatorModel(AbstractModel):
             jnp.asarray(np.diff(run.times, prepend=run.times[0]), dtype),
         )
 
-    def predict(
-        self, inputs: OscillatorInputs, channels: tuple[str, ...]
-    ) -> tuple[Channels, Bool[Array, ""]]:
+    def predict(self, inputs: OscillatorInputs, channels: tuple[str, ...]) -> Prediction:
         """The displacement, SI, under the name of each channel, of shape (sample,)."""
         check_outputs(self.kind, channels)
         output = self.offset + self.oscillator.motion(inputs.forces, inputs.intervals)[:, 0]

@@ -119,6 +119,8 @@ class Scene:
 
 
 Channels = dict[str, Float[Array, " sample"]]
+Prediction = tuple[Channels, Bool[Array, ""]]
+"""Channels (SI) at the samples of a run, and whether the prediction succeeded."""
 
 
 class AbstractModel(eqx.Module):
@@ -155,7 +157,7 @@ class AbstractModel(eqx.Module):
         """
 
     @abc.abstractmethod
-    def predict(self, inputs: Any, channels: tuple[str, ...]) -> tuple[Channels, Bool[Array, ""]]:
+    def predict(self, inputs: Any, channels: tuple[str, ...]) -> Prediction:
         """Predicted channels (SI) at the samples of a prepared run, and whether that succeeded.
 
         Must be differentiable in forward mode with respect to the declared parameters.

@@ -189,7 +189,8 @@ def joint_scene(
     side = size >= 0 if inner is None else np.asarray(inner, dtype=bool)
     path = muscle_path(geometry, bend, jnp.asarray(side))
     anchor, wire_end, shoulder = (
-        _plane(point(bend)) for point in (geometry.anchor, geometry.wire_end, geometry.contact)
+        np.stack([np.asarray(part) for part in point(bend)], axis=-1)
+        for point in (geometry.anchor, geometry.wire_end, geometry.contact)
     )
     bush = np.stack([np.zeros_like(size), np.asarray(path.height)], axis=-1)
     slack = np.asarray(path.wire_slack)
@@ -214,10 +215,6 @@ def joint_scene(
         "D": wire_end,
     }
     return Scene(lines, {name: _in_space(points) for name, points in markers.items()}, times)
-
-
-def _plane(point: tuple[Array, Array]) -> Points:
-    return np.stack([np.asarray(part) for part in point], axis=-1)
 
 
 def _mirrored(points: Points) -> Points:

@@ -13,12 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ..recordings import Run
-from ..runtime.arrays import Array, Bool
 from ..runtime.text import InputError
 from ..schema import KINDS
 from ..schema.parameters import declared, inline, left_out, replace
 from . import capabilities
-from ._protocol import AbstractModel, Channels, Scene, model_class
+from ._protocol import AbstractModel, Prediction, Scene, model_class
 from .capabilities import Derived, Integration
 
 
@@ -101,9 +100,7 @@ class SeveralModels(AbstractModel):
         """What the model of the run's kind prepares."""
         return SeveralInputs(run.model, self.part(run.model).prepare(run))
 
-    def predict(
-        self, inputs: SeveralInputs, channels: tuple[str, ...]
-    ) -> tuple[Channels, Bool[Array, ""]]:
+    def predict(self, inputs: SeveralInputs, channels: tuple[str, ...]) -> Prediction:
         """Channels of the model of the run's kind."""
         return self.part(inputs.kind).predict(inputs.inputs, channels)
 

@@ -48,16 +48,12 @@ class Stops(eqx.Module):
     @property
     def rows(self) -> int:
         """States of each joint."""
-        if self.strength is None:
-            return 0
-        return max(self.strength.size, self.yield_angle.size)
+        return 0 if self.strength is None else max(self.strength.size, self.yield_angle.size)
 
     @property
     def stiffness(self) -> Scalar:
         """Stiffness of all together where none slides, N m/rad."""
-        if self.strength is None:
-            return jnp.zeros(())
-        return jnp.sum(jnp.broadcast_to(self.strength / self.yield_angle, (self.rows,)))
+        return jnp.sum(self._strengths / self._yield_angles)
 
     def unstrained(self, angles: PerJoint) -> States:
         """The states of a joint that was never moved from these angles (rad), rad."""
@@ -69,21 +65,15 @@ class Stops(eqx.Module):
 
     def torque(self, angles: PerJoint, slipped: States) -> PerJoint:
         """Torque against the strain, N m."""
-        if self.strength is None:
-            return jnp.zeros_like(angles)
         return jnp.sum(self._strengths * self.strain(angles, slipped), axis=0)
 
     def tangent(self, angles: PerJoint, rates: PerJoint, slipped: States) -> PerJoint:
         """Stiffness in one state: of those that do not slide on, N m/rad."""
-        if self.strength is None:
-            return jnp.zeros_like(angles)
         stiffness = self._strengths / self._yield_angles
         return jnp.sum(jnp.where(self._slides(angles, rates, slipped), 0, stiffness), axis=0)
 
     def dissipation(self, angles: PerJoint, rates: PerJoint, slipped: States) -> PerJoint:
         """Power that becomes heat where elements slide, W."""
-        if self.strength is None:
-            return jnp.zeros_like(angles)
         heat = self._strengths * jnp.abs(rates)[None]
         return jnp.sum(jnp.where(self._slides(angles, rates, slipped), heat, 0), axis=0)
 
@@ -94,8 +84,6 @@ class Stops(eqx.Module):
 
     def energy(self, angles: PerJoint, slipped: States) -> PerJoint:
         """Energy of the strain, J."""
-        if self.strength is None:
-            return jnp.zeros_like(angles)
         stored = self._strengths * self._yield_angles * self.strain(angles, slipped) ** 2 / 2
         return jnp.sum(stored, axis=0)
 
@@ -107,7 +95,8 @@ class Stops(eqx.Module):
 
     @property
     def _strengths(self) -> Float[Array, "row 1"]:
-        return jnp.broadcast_to(jnp.asarray(self.strength), (self.rows,))[:, None]
+        strength = jnp.zeros(()) if self.strength is None else self.strength
+        return jnp.broadcast_to(strength, (self.rows,))[:, None]
 
     @property
     def _yield_angles(self) -> Float[Array, "row 1"]:

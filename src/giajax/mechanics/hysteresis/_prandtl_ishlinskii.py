@@ -90,9 +90,10 @@ class DeadZones(eqx.Module):
         )
 
 
-def per_row(values: Float[Array, " n"], x: Array) -> Array:
-    """Values along a new last axis, beside any number of axes of x."""
-    return jnp.reshape(values, (1,) * x.ndim + values.shape)
+def _over(x: Array, thresholds: Float[Array, " n"]) -> Array:
+    """By how much numbers are over each threshold, along a new last axis."""
+    row = jnp.reshape(thresholds, (1,) * x.ndim + thresholds.shape)
+    return jnp.maximum(jnp.expand_dims(x, -1) - row, 0)
 
 
 def _sorted(thresholds: Array, slopes: Array) -> tuple[Array, Array]:
@@ -107,8 +108,7 @@ def _before(slope: Array, slopes: Array) -> Array:
 
 def _beyond(x: Array, slope: Array, thresholds: Array, slopes: Array) -> Array:
     thresholds, slopes = _sorted(thresholds, slopes)
-    over = jnp.maximum(jnp.expand_dims(x, -1) - per_row(thresholds, x), 0)
-    return over @ (slopes - _before(slope, slopes))
+    return _over(x, thresholds) @ (slopes - _before(slope, slopes))
 
 
 def _inverted(slope: Array, thresholds: Array, slopes: Array) -> tuple[Array, Array]:
@@ -163,8 +163,7 @@ class PrandtlIshlinskii(AbstractPlays):
     def loading(self, amplitude: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
         """The initial loading curve: output of the virgin operator on the way up from 0."""
         elastic, weights = self.of_plays()
-        over = jnp.maximum(jnp.expand_dims(amplitude, -1) - per_row(self.thresholds, amplitude), 0)
-        return elastic * amplitude + over @ weights
+        return elastic * amplitude + _over(amplitude, self.thresholds) @ weights
 
     def inverse(self) -> Self:
         """The operator that undoes this one, a Prandtl-Ishlinskii operator of plays.

@@ -72,11 +72,6 @@ def taut_bush_height(geometry: JointGeometry, angle: Shaped) -> Array:
     return end_y + jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), jnp.nan)
 
 
-def outer_bush_height(geometry: JointGeometry, angle: Shaped) -> Array:
-    """O_y: where the outer muscle crosses the bisector, m."""
-    return jnp.maximum(geometry.anchor(angle)[1], geometry.contact(angle)[1])
-
-
 def is_possible(
     geometry: JointGeometry, angle: Shaped, inner: Bool[Array, "*shape"]
 ) -> Bool[Array, "*shape"]:
@@ -211,7 +206,9 @@ def muscle_path(
     contact_x, contact_y = geometry.contact(jnp.where(inner, 0, angle))
     wrapped = anchor_y < contact_y
     engaged = jnp.where(inner, taut, wrapped)
-    height = jnp.where(inner, jnp.where(taut, held, anchor_y), outer_bush_height(geometry, angle))
+    # H, or O: where the outer muscle crosses the bisector.
+    crossing = jnp.maximum(anchor_y, contact_y)
+    height = jnp.where(inner, jnp.where(taut, held, anchor_y), crossing)
     # Where the path bends: at the bush, or at the balloon's shoulder.
     corner_x = jnp.where(inner, 0, contact_x)
     bent = corner_x + jnp.hypot(anchor_x - corner_x, anchor_y - height)

@@ -98,23 +98,15 @@ class AbstractMuscle(eqx.Module):
         needed, gain = self.pressure_for(jnp.maximum(force, 0), contraction, length)
         able = gain > 0
         pressure = jnp.where(able, jnp.clip(needed, 0, self.pressure_limit), self.pressure_limit)
-        code = jnp.where(
-            able,
-            jnp.where(
-                needed > self.pressure_limit,
-                NEEDS_PRESSURE,
-                jnp.where(needed * gain < -_NO_FORCE, PULLS_ANYWAY, REACHED),
-            ),
-            jnp.where(force > _NO_FORCE, TOO_SHORT, REACHED),
-        )
+        push, nothing = force < -_NO_FORCE, ~able & (force <= _NO_FORCE)
         # Where the muscle cannot pull, it has no force without pressure.
-        pressure = jnp.where(~able & (force <= _NO_FORCE), 0, pressure)
-        push = force < -_NO_FORCE
-        return PressureAnswer(
-            pressure=jnp.where(push, 0, pressure),
-            force=self.force(jnp.where(push, 0, pressure), contraction, length),
-            code=jnp.where(push, NEEDS_PUSH, code),
+        pressure = jnp.where(push | nothing, 0, pressure)
+        code = jnp.select(
+            [push, nothing, ~able, needed > self.pressure_limit, needed * gain < -_NO_FORCE],
+            [NEEDS_PUSH, REACHED, TOO_SHORT, NEEDS_PRESSURE, PULLS_ANYWAY],
+            REACHED,
         )
+        return PressureAnswer(pressure, self.force(pressure, contraction, length), code)
 
 
 class Friction(eqx.Module):

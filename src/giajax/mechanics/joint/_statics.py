@@ -44,7 +44,7 @@ class Alpha(eqx.Module):
 
     def __call__(self, angle: Shaped) -> Shaped:
         """Alpha at bending angles (rad), N m."""
-        return self.offset + self.curvature * _beyond(angle, self.threshold) ** 2
+        return self.offset + self.curvature * jnp.maximum(angle - self.threshold, 0) ** 2
 
 
 class Beta(eqx.Module):
@@ -63,7 +63,7 @@ class Beta(eqx.Module):
         """Beta at bending angles (rad, of either sign), N m, in the continuous reading."""
         size = jnp.abs(angle)
         wedge = self.offset * jnp.maximum(1 - size / self.width, 0)
-        return wedge - self.curvature * _beyond(size, self.threshold) ** 2
+        return wedge - self.curvature * jnp.maximum(size - self.threshold, 0) ** 2
 
     def printed(self, angle: Shaped) -> Shaped:
         """Beta as the paper prints it, for angles <= 0 (rad), N m; 0 where it says nothing."""
@@ -126,10 +126,6 @@ class Correction(eqx.Module):
             + s**2 * (3 - 2 * s) * end
             + 2 * width * s * (1 - s) * ((1 - s) * start_slope - s * end_slope)
         )
-
-
-def _beyond(angle: Array, threshold: Array) -> Array:
-    return jnp.maximum(angle - threshold, 0)
 
 
 # Of the Gauss rule of two points, on an interval from 0 to 1; exact for a cubic.
@@ -217,12 +213,13 @@ def muscle_balance(
     # Force of the muscle on the right link at C or N, per newton of tension. A straight muscle
     # pulls along -x.
     bend = (jnp.where(path.inner, 0, contact[0]), path.height)
-    pull = _where(path.engaged, _unit(anchor, bend), _leftwards(angle))
+    bent = _unit(anchor, bend)
+    pull = jnp.where(path.engaged, bent[0], -1), jnp.where(path.engaged, bent[1], 0)
     # Eq. (4): the wire takes what the muscle pushes the bush along the bisector.
     hold = _unit(wire_end, bush)
     tension = jnp.where(taut, -pull[1] / jnp.where(taut, hold[1], 1), 0)
     # Eq. (9): the push on the balloon's shoulder; the muscle leaves it towards N and towards P.
-    push = _where(wrapped, _add(_minus(pull), _leftwards(angle)), _nothing(angle))
+    push = jnp.where(wrapped, -pull[0] - 1, 0), jnp.where(wrapped, 0 - pull[1], 0)
     # Moments about E (eqs 5, 6, 10, 11), per newton of tension.
     lever = (
         _moment(anchor, pull)
@@ -251,26 +248,6 @@ def _unit(tail: Point, head: Point) -> Point:
 
 def _moment(at: Point, force: Point) -> Array:
     return at[0] * force[1] - at[1] * force[0]
-
-
-def _add(a: Point, b: Point) -> Point:
-    return a[0] + b[0], a[1] + b[1]
-
-
-def _minus(a: Point) -> Point:
-    return -a[0], -a[1]
-
-
-def _leftwards(like: Array) -> Point:
-    return -jnp.ones_like(like), jnp.zeros_like(like)
-
-
-def _nothing(like: Array) -> Point:
-    return jnp.zeros_like(like), jnp.zeros_like(like)
-
-
-def _where(condition: Array, a: Point, b: Point) -> Point:
-    return jnp.where(condition, a[0], b[0]), jnp.where(condition, a[1], b[1])
 
 
 class Joint(eqx.Module):
