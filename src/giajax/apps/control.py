@@ -1,5 +1,6 @@
 """Commands that take a hysteretic joint to its targets."""
 
+import dataclasses
 from typing import Any, cast
 
 import jax.numpy as jnp
@@ -24,6 +25,7 @@ _TRAVEL = 1 / 3
 _ROUNDING = 1e-6
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
 class Compensator:
     """From a history of target outputs to one of inputs, both SI.
 
@@ -31,26 +33,18 @@ class Compensator:
     `compensator_for_loop` (eq. 12 of the paper).
 
     Attributes:
+        operator: that takes an output less the offset (SI) to an input, from its state.
         reachable: least and greatest output that some input gives, SI.
         input_channel: what is commanded.
         output_channel: what was measured; None where that is not known.
     """
 
-    def __init__(
-        self,
-        operator: AbstractOperator,
-        state: Any,
-        offset: float,
-        reachable: tuple[float, float],
-        channel: Channel,
-        output: Channel | None = None,
-    ) -> None:
-        self.operator = operator
-        self.state = state
-        self.offset = offset
-        self.reachable = reachable
-        self.input_channel = channel
-        self.output_channel = output
+    operator: AbstractOperator
+    state: Any
+    offset: float
+    reachable: tuple[float, float]
+    input_channel: Channel
+    output_channel: Channel | None = None
 
     def commands(self, target: np.ndarray) -> np.ndarray:
         """Inputs for a history of target outputs, both SI, shape (sample,)."""
@@ -98,11 +92,7 @@ class Compensator:
 
 
 def target_channel(run: Run) -> Channel:
-    """The one channel of a run that is a target.
-
-    Raises:
-        InputError: a run without one, or with several.
-    """
+    """The one channel of a run that is a target."""
     targets = [channel for channel in run.channels.values() if channel.kind in run.kind.outputs]
     if len(targets) != 1:
         raise InputError(
@@ -126,8 +116,7 @@ def compensator_for_model(model: AbstractModel) -> Compensator:
             "hysteresis"
         )
     model = cast(HysteresisModel, model)
-    operator = model.operator
-    state = model.memory()
+    operator, state = model.operator, model.memory()
     inverse: AbstractOperator
     if isinstance(operator, PrandtlIshlinskii | ModifiedPrandtlIshlinskii):
         inverse, memory = operator.inverse(), operator.inverse_state(state)
@@ -136,23 +125,15 @@ def compensator_for_model(model: AbstractModel) -> Compensator:
         longest = max(2 * model.settings.reach, *map(abs, model.settings.input_range))
         fine = operator.for_moves_of(longest)
         inverse, memory = InverseByBisection(fine, *model.settings.input_range), state
-    return Compensator(
-        inverse,
-        memory,
-        float(get(model, "offset")),
-        model.reachable(),
-        model.columns.input_channel,
-        model.columns.output_channel,
-    )
+    channels = model.columns.input_channel, model.columns.output_channel
+    return Compensator(inverse, memory, float(get(model, "offset")), model.reachable(), *channels)
 
 
 def compensator_for_loop(run: Run, travel: float | None = None) -> Compensator:
-    """Eq. (12) of the paper with the branches of a recorded loop.
+    """Eq. (12) of the paper with the branches of a recorded loop over the whole range.
 
-    Arguments:
-        run: a hysteresis run that goes up and down over the whole range.
-        travel: within which the transition coefficient goes from 0 to 1, SI; a third of the
-            range of the output by default.
+    The transition coefficient goes from 0 to 1 within the travel, SI; a third of the range of the
+    output by default.
 
     Raises:
         InputError: a run of another model, or one that does not have both branches.

@@ -1,7 +1,7 @@
 """One joint at rest in pictures and numbers, figs 9 and 10 of the paper among them."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -33,6 +33,7 @@ from ..report import (
     LIGHT,
     MINUS,
     VERMILLION,
+    columns_of,
     draw_scene,
     new_figure,
     plain,
@@ -57,29 +58,28 @@ def angle_axis(panel: Axes, name: str) -> None:
     panel.set_xlabel(f"{name} ({DEGREE})")
 
 
-# One muscle of a joint against its bending angle: figs 9 and 10 of the paper.
+def _of_both(
+    step_deg: float, columns: Callable[[str, np.ndarray], dict[str, Any]]
+) -> dict[str, np.ndarray]:
+    """Columns of the outer and of the inner muscle, over all angles (deg); 0 is there twice."""
+    end = np.rad2deg(LARGEST_ANGLE)
+    sizes = np.linspace(0, end, round(end / step_deg) + 1)
+    outer, inner = columns("outer", -sizes[::-1]), columns("inner", sizes)
+    return {name: np.concatenate([outer[name], inner[name]]) for name in outer}
 
 
 def angle_table(joint: Joint, *, corrected: bool, step_deg: float = 0.5) -> dict[str, np.ndarray]:
     """Everything about one muscle against its bending angle: the numbers of figs 9 and 10.
 
-    Arguments:
-        joint: the joint.
-        corrected: with its corrections (fig. 10), or with none (fig. 9).
-        step_deg: between two angles, deg.
-
-    Returns:
-        Columns of equal length, in the units that their names say. The angle 0 is there twice,
-        as the outer and as the inner muscle.
+    With the joint's corrections (fig. 10), or with none (fig. 9). Columns are in the units that
+    their names say. The angle 0 is there twice, as the outer and as the inner muscle.
     """
     if not corrected:
         joint = Joint(joint.geometry, Correction(reading="none"), joint.torque)
-    end = np.rad2deg(LARGEST_ANGLE)
-    sizes = np.linspace(0, end, round(end / step_deg) + 1)
-    columns: dict[str, list[np.ndarray]] = {}
-    for side, degrees in (("outer", -sizes[::-1]), ("inner", sizes)):
+
+    def columns(side: str, degrees: np.ndarray) -> dict[str, Any]:
         state = muscle_state(joint, np.deg2rad(degrees), side=side)
-        for name, values in {
+        return {
             "angle_deg": degrees + 0.0,
             "side": np.full(len(degrees), side),
             "torque_N_m": state.torque,
@@ -90,31 +90,25 @@ def angle_table(joint: Joint, *, corrected: bool, step_deg: float = 0.5) -> dict
             "push_x_N": state.push_x,
             "push_y_N": state.push_y,
             "branch": np.asarray(BRANCHES)[np.asarray(state.branch)],
-        }.items():
-            columns.setdefault(name, []).append(np.asarray(values))
-    return {name: np.concatenate(parts) for name, parts in columns.items()}
+        }
+
+    return _of_both(step_deg, columns)
+
+
+_SMALL: Any = {"fontsize": 8, "frameon": False}
 
 
 def angle_figure(joint: Joint, *, corrected: bool) -> Figure:
     """Contraction and force of one muscle against its bending angle: figs 9 and 10 of the paper.
 
-    The grey band is where the muscle runs straight.
-
-    Arguments:
-        joint: the joint.
-        corrected: with its corrections (fig. 10), or with none (fig. 9).
-
-    Returns:
-        The picture.
+    With the joint's corrections (fig. 10), or with none (fig. 9). The grey band is where the muscle
+    runs straight.
     """
     table = angle_table(joint, corrected=corrected)
     what = "with alpha and beta" if corrected else "without corrections"
-    title = f"One muscle under {float(joint.torque):g} N m, {what}"
-    figure = new_figure(10, 3.9, title)
-    axes = figure.subplots(1, 2)
-    for panel, name, label in zip(
-        axes, ("contraction", "force_N"), ("contraction", "force (N)"), strict=True
-    ):
+    figure = new_figure(10, 3.9, f"One muscle under {float(joint.torque):g} N m, {what}")
+    names = {"contraction": "contraction", "force_N": "force (N)"}
+    for panel, (name, label) in zip(figure.subplots(1, 2), names.items(), strict=True):
         shade_branches(panel, joint)
         for side, colour in (("outer", VERMILLION), ("inner", BLUE)):
             rows = table["side"] == side
@@ -126,9 +120,7 @@ def angle_figure(joint: Joint, *, corrected: bool) -> Figure:
         Line2D([], [], color=BLUE, linewidth=1.6, label="inner muscle"),
         Line2D([], [], color=VERMILLION, linewidth=1.6, label="outer muscle"),
     ]
-    figure.legend(
-        handles=handles, loc="outside upper right", ncols=len(handles), fontsize=8, frameon=False
-    )
+    figure.legend(handles=handles, loc="outside upper right", ncols=len(handles), **_SMALL)
     return figure
 
 
@@ -137,49 +129,38 @@ def correction_table(
 ) -> dict[str, np.ndarray]:
     """Alpha and beta of a joint against the bending angle of a muscle.
 
-    Arguments:
-        joint: the joint, whose own alpha and beta these are.
-        reading: of beta, "continuous" or "printed".
-        step_deg: between two angles, deg.
-
-    Returns:
-        Columns of equal length, in the units that their names say. The angle 0 is there twice.
+    The reading is of beta, "continuous" or "printed". Columns are in the units that their names
+    say. The angle 0 is there twice.
     """
     correction = dataclasses.replace(joint.correction, reading=reading)
     form = dataclasses.replace(joint, correction=correction)
-    end = np.rad2deg(LARGEST_ANGLE)
-    sizes = np.linspace(0, end, round(end / step_deg) + 1)
-    columns: dict[str, list[np.ndarray]] = {}
-    for side, degrees in (("outer", -sizes[::-1]), ("inner", sizes)):
+
+    def columns(side: str, degrees: np.ndarray) -> dict[str, Any]:
         torque = muscle_state(form, np.deg2rad(degrees), side=side).torque
-        for name, values in {
+        return {
             "reading": np.full(len(degrees), reading),
             "side": np.full(len(degrees), side),
             "angle_deg": degrees + 0.0,
             "added_torque_N_m": np.asarray(torque) - float(joint.torque),
-        }.items():
-            columns.setdefault(name, []).append(values)
-    return {name: np.concatenate(parts) for name, parts in columns.items()}
+        }
+
+    return _of_both(step_deg, columns)
 
 
 def correction_figure(joint: Joint) -> Figure:
     """Alpha and beta of a joint in both readings of the paper: the erratum."""
     figure = new_figure(8, 3.6, "Corrections: with the size of the angle, and as printed")
     panel = figure.subplots()
-    end = np.rad2deg(LARGEST_ANGLE)
+    end, least = np.rad2deg(LARGEST_ANGLE), -float(joint.torque)
     for reading, colour, style in (("printed", GREY, (0, (3, 2))), ("continuous", VERMILLION, "-")):
         table = correction_table(joint, reading=reading)
         for side in ("outer", "inner"):
             rows = table["side"] == side
-            panel.plot(
-                table["angle_deg"][rows],
-                table["added_torque_N_m"][rows],
-                color=BLUE if side == "inner" and reading == "continuous" else colour,
-                linestyle=style,
-                linewidth=1.4,
-            )
-    panel.axhline(-float(joint.torque), color=INK, linewidth=0.8, linestyle=(0, (1, 2)))
-    panel.text(end - 1, -float(joint.torque), "below this the muscle would have to push",
+            ink = BLUE if side == "inner" and reading == "continuous" else colour
+            curve = table["angle_deg"][rows], table["added_torque_N_m"][rows]
+            panel.plot(*curve, color=ink, linestyle=style, linewidth=1.4)
+    panel.axhline(least, color=INK, linewidth=0.8, linestyle=(0, (1, 2)))
+    panel.text(end - 1, least, "below this the muscle would have to push",
                fontsize=8, color=INK, ha="right", va="bottom")  # fmt: skip
     plain(panel, "added torque (N m)")
     angle_axis(panel, "bending angle of the muscle")
@@ -188,11 +169,9 @@ def correction_figure(joint: Joint) -> Figure:
         Line2D([], [], color=VERMILLION, label="beta, continuous"),
         Line2D([], [], color=GREY, linestyle=(0, (3, 2)), label="beta, as printed"),
     ]
-    panel.legend(handles=handles, fontsize=8, frameon=False, loc="lower center")
+    panel.legend(handles=handles, loc="lower center", **_SMALL)
     return figure
 
-
-# The joint itself at some bending angles: links, muscle, wire and contact points, to scale.
 
 _DRAWN = (60.0, 30.0, 10.0, 2.0, -2.0, -10.0, -30.0, -60.0)
 
@@ -204,16 +183,9 @@ _LEFT, _BELOW = frozenset("AMBP"), frozenset("EBD")
 
 
 def joint_figure(joint: Joint, degrees: Sequence[float] = _DRAWN) -> Figure:
-    """The joint at some bending angles: links, muscle, wire and contact points, to scale.
+    """The joint at some bending angles (deg): links, muscle, wire and contact points, to scale.
 
     One muscle is drawn, on +y: the inner one at positive angles, the outer one at negative ones.
-
-    Arguments:
-        joint: the joint.
-        degrees: bending angles, deg.
-
-    Returns:
-        The picture.
     """
     columns = 2 if len(degrees) > 1 else 1
     rows = -(-len(degrees) // columns)
@@ -222,32 +194,25 @@ def joint_figure(joint: Joint, degrees: Sequence[float] = _DRAWN) -> Figure:
     scene = joint_scene(joint.geometry, np.deg2rad(degrees))
     # Down the columns, so that one shows the inner and one the outer muscle.
     for index, panel in enumerate(grid.T.flat):
-        if index >= len(degrees):
+        if index < len(degrees):
+            _draw_joint(panel, joint, scene, index, degrees[index])
+        else:
             panel.set_visible(False)
-            continue
-        _draw_joint(panel, joint, scene, index, degrees[index])
     handles = [
         Line2D([], [], color=BLUE, linewidth=2, label="muscle"),
         Line2D([], [], color=GREEN, linewidth=1.4, label="wire, taut"),
         Line2D([], [], color=GREEN, linewidth=1.4, linestyle=(0, (2, 2)), label="wire, slack"),
         Line2D([], [], color=GREY, linewidth=6, alpha=0.3, label="balloon"),
     ]
-    figure.legend(
-        handles=handles, loc="outside upper right", ncols=len(handles), fontsize=8, frameon=False
-    )
+    figure.legend(handles=handles, loc="outside upper right", ncols=len(handles), **_SMALL)
     return figure
 
 
 def joint_points(joint: Joint, angle: float) -> dict[str, np.ndarray]:
-    """Where the lettered points of figs 7 and 8 are at a bending angle.
+    """Where the lettered points of figs 7 and 8 are at a bending angle of the muscle (rad), m.
 
-    Arguments:
-        joint: the joint.
-        angle: bending angle of the muscle, rad.
-
-    Returns:
-        Points in the frame of the bisector, m, each of shape (2,): A, B, C, D, E and H of an
-        inner muscle; M, P, O, Q, N, B, D and E of an outer one.
+    In the frame of the bisector, each of shape (2,): A, B, C, D, E and H of an inner muscle; M, P,
+    O, Q, N, B, D and E of an outer one.
     """
     markers = joint_scene(joint.geometry, [angle]).markers
     points = {name: at[0, :2] for name, at in markers.items()}
@@ -261,65 +226,54 @@ def _draw_joint(panel: Axes, joint: Joint, scene: Scene, sample: int, degrees: f
         point = points[sample, :2]
         if not np.all(np.isfinite(point)):
             continue
-        left = name in _LEFT
+        left, below = name in _LEFT, name in _BELOW
         panel.annotate(
-            name,
-            (point[0], point[1]),
-            xytext=(-3 if left else 3, -3 if name in _BELOW else 3),
-            textcoords="offset points",
-            fontsize=7.5,
-            color=INK,
-            ha="right" if left else "left",
-            va="top" if name in _BELOW else "bottom",
-        )
+            name, (point[0], point[1]), (-3 if left else 3, -3 if below else 3),
+            textcoords="offset points", fontsize=7.5, color=INK,
+            ha="right" if left else "left", va="top" if below else "bottom",
+        )  # fmt: skip
     state = muscle_state(joint, angle)
     force = f"{float(state.force):.2f}".replace("-", MINUS)
     shown = f"{degrees:g}".replace("-", MINUS)
-    branch = BRANCHES[int(state.branch)]
-    plain(
-        panel, f"{shown}{DEGREE}: {branch}; contraction {float(state.contraction):.3f}, {force} N"
-    )
+    facts = f"{BRANCHES[int(state.branch)]}; contraction {float(state.contraction):.3f}, {force} N"
+    plain(panel, f"{shown}{DEGREE}: {facts}")
     panel.set_xlim(-1.02, 1.02)
     height = float(np.sin(angle / 2))
     panel.set_ylim(min(-0.22, height - 0.18), max(0.34, height + 0.3))
 
 
+_EQUILIBRIA = (
+    "target_deg", "reached", "first_pressure_kPa", "second_pressure_kPa", "angle_deg",
+    "stable", "stiffness_N_m_per_rad", "muscle_stiffness_N_m_per_rad", "at_step",
+    "first_branch", "second_branch", "at_lower_stop", "at_upper_stop", "indifferent",
+)  # fmt: skip
+
+
 def equilibria_table(
     pair: JointPair, degrees: np.ndarray
 ) -> tuple[dict[str, np.ndarray], list[Equilibria]]:
-    """Pressures of the controller for some angles, and every equilibrium of each pair of them.
+    """Pressures of the controller for some angles (deg), and all equilibria of each pair of them.
 
-    Arguments:
-        pair: joint and muscles.
-        degrees: target angles, deg, shape (angle,).
-
-    Returns:
-        Columns, one row an equilibrium, in the units that their names say; and the equilibria of
-        each target angle.
+    Columns have one row an equilibrium, in the units that their names say; beside them are the
+    equilibria of each target angle.
     """
     command = pair_command(pair, np.deg2rad(degrees))
     pressures = np.asarray(command.pressures)
     everything = [equilibria(pair, both) for both in pressures]
-    rows: dict[str, list[object]] = {
-        name: []
-        for name in (
-            "target_deg", "reached", "first_pressure_kPa", "second_pressure_kPa", "angle_deg",
-            "stable", "stiffness_N_m_per_rad", "muscle_stiffness_N_m_per_rad", "at_step",
-            "first_branch", "second_branch", "at_lower_stop", "at_upper_stop", "indifferent",
-        )
-    }  # fmt: skip
+    rows: list[tuple[object, ...]] = []
     for target, reached, both, rests in zip(
         degrees, np.asarray(command.reached), pressures, everything, strict=True
     ):
-        for item in rests.every:
-            cells: tuple[object, ...] = (
+        rows += [
+            (
                 target, bool(reached), both[0] / 1e3, both[1] / 1e3, np.rad2deg(item.angle),
                 item.stable, item.stiffness, item.muscle_stiffness, item.at_step, *item.branches,
                 rests.at_lower_stop, rests.at_upper_stop, rests.indifferent,
-            )  # fmt: skip
-            for column, cell in zip(rows.values(), cells, strict=True):
-                column.append(cell)
-    return {name: np.asarray(values) for name, values in rows.items()}, everything
+            )
+            for item in rests.every
+        ]  # fmt: skip
+    table = columns_of(_EQUILIBRIA, rows)
+    return {name: np.asarray(values) for name, values in table.items()}, everything
 
 
 def equilibria_figure(pair: JointPair, table: dict[str, np.ndarray], example_deg: float) -> Figure:
@@ -329,9 +283,6 @@ def equilibria_figure(pair: JointPair, table: dict[str, np.ndarray], example_deg
         pair: joint and muscles.
         table: of `equilibria_table`.
         example_deg: target angle whose two pressures are drawn, deg.
-
-    Returns:
-        The picture.
     """
     figure = new_figure(11, 4.2, "Two pressures hold a joint at more than one angle")
     left, right = figure.subplots(1, 2)
@@ -346,44 +297,29 @@ def equilibria_figure(pair: JointPair, table: dict[str, np.ndarray], example_deg
     angle_axis(left, "target angle")
     left.set_ylim(-end, end)
     left.set_yticks(np.arange(-end, end + 1, 20))
-    left.legend(fontsize=8, frameon=False, loc="upper left")
-
+    left.legend(loc="upper left", **_SMALL)
     shade_branches(right, pair.joint)
-    _draw_torque(right, pair, example_deg)
-    return figure
-
-
-def _draw_torque(panel: Axes, pair: JointPair, example_deg: float) -> None:
     pressures = pair_command(pair, np.deg2rad(example_deg)).pressures
     sizes = np.deg2rad(np.linspace(0, np.rad2deg(LARGEST_ANGLE), 601))
     load = jnp.asarray(0.0, dtype=pressures.dtype)
     for ahead in (False, True):
-        angle = jnp.asarray(sizes if ahead else -sizes[::-1], dtype=pressures.dtype)
-        side = jnp.full(angle.shape, ahead)
-        torque = net_torque(pair, pressures, load, angle, side)
-        panel.plot(np.rad2deg(angle), torque, color=INK, linewidth=1.4)
-    panel.axhline(0, color=GREY, linewidth=0.8)
+        bent = jnp.asarray(sizes if ahead else -sizes[::-1], dtype=pressures.dtype)
+        side = jnp.full(bent.shape, ahead)
+        torque = net_torque(pair, pressures, load, bent, side)
+        right.plot(np.rad2deg(bent), torque, color=INK, linewidth=1.4)
+    right.axhline(0, color=GREY, linewidth=0.8)
     for item in equilibria(pair, pressures).every:
         colour = BLUE if item.stable else VERMILLION
-        panel.plot(np.rad2deg(item.angle), 0, "o", color=colour, markersize=6)
+        right.plot(np.rad2deg(item.angle), 0, "o", color=colour, markersize=6)
     kilopascals = " and ".join(f"{float(p) / 1e3:.1f}" for p in pressures)
-    plain(panel, f"torque at {kilopascals} kPa, for {example_deg:g}{DEGREE} (N m)")
-    angle_axis(panel, "angle")
+    plain(right, f"torque at {kilopascals} kPa, for {example_deg:g}{DEGREE} (N m)")
+    angle_axis(right, "angle")
+    return figure
 
-
-# One joint at rest as files: pictures, and the numbers in them.
 
 JOINT_FILES = (
-    "fig09.png",
-    "fig09.csv",
-    "fig10.png",
-    "fig10.csv",
-    "corrections.png",
-    "corrections.csv",
-    "joint.png",
-    "points.csv",
-    "equilibria.png",
-    "equilibria.csv",
+    *("fig09.png", "fig09.csv", "fig10.png", "fig10.csv", "corrections.png", "corrections.csv"),
+    *("joint.png", "points.csv", "equilibria.png", "equilibria.csv"),
 )
 """What `joint_files` makes."""
 
@@ -391,13 +327,7 @@ JOINT_FILES = (
 def joint_files(pair: JointPair, degrees: Sequence[float], target: float) -> dict[str, bytes]:
     """Pictures (PNG) and numbers (CSV) of a joint, by the names of `JOINT_FILES`.
 
-    Arguments:
-        pair: joint and muscles.
-        degrees: angles at which the joint is drawn, deg.
-        target: angle whose two pressures are drawn, deg.
-
-    Returns:
-        Contents by name of the file.
+    It is drawn at some angles, deg. The target is the angle whose two pressures are drawn, deg.
     """
     joint = pair.joint
     readings = [correction_table(joint, reading=name) for name in ("continuous", "printed")]
@@ -405,20 +335,25 @@ def joint_files(pair: JointPair, degrees: Sequence[float], target: float) -> dic
     # A joint bends from -60 to 60 deg: in whole degrees.
     end = round(float(np.rad2deg(LARGEST_ANGLE)))
     holding, _ = equilibria_table(pair, np.linspace(-end, end, 2 * end + 1))
-    points: dict[str, list[Any]] = {"angle_deg": [], "point": [], "x_m": [], "y_m": []}
-    for angle in degrees:
-        for name, (x, y) in joint_points(joint, np.deg2rad(angle)).items():
-            for column, cell in zip(points.values(), (angle, name, x, y), strict=True):
-                column.append(cell)
-    return {
-        "fig09.png": to_png(angle_figure(joint, corrected=False)),
-        "fig09.csv": to_csv(angle_table(joint, corrected=False)),
-        "fig10.png": to_png(angle_figure(joint, corrected=True)),
-        "fig10.csv": to_csv(angle_table(joint, corrected=True)),
-        "corrections.png": to_png(correction_figure(joint)),
-        "corrections.csv": to_csv(corrections),
-        "joint.png": to_png(joint_figure(joint, degrees)),
-        "points.csv": to_csv(points),
-        "equilibria.png": to_png(equilibria_figure(pair, holding, target)),
-        "equilibria.csv": to_csv(holding),
+    points = [
+        (angle, name, x, y)
+        for angle in degrees
+        for name, (x, y) in joint_points(joint, np.deg2rad(angle)).items()
+    ]
+    tables: dict[str, Any] = {
+        "fig09.csv": angle_table(joint, corrected=False),
+        "fig10.csv": angle_table(joint, corrected=True),
+        "corrections.csv": corrections,
+        "points.csv": columns_of(("angle_deg", "point", "x_m", "y_m"), points),
+        "equilibria.csv": holding,
     }
+    pictures = {
+        "fig09.png": angle_figure(joint, corrected=False),
+        "fig10.png": angle_figure(joint, corrected=True),
+        "corrections.png": correction_figure(joint),
+        "joint.png": joint_figure(joint, degrees),
+        "equilibria.png": equilibria_figure(pair, holding, target),
+    }
+    made = {name: to_csv(table) for name, table in tables.items()}
+    made |= {name: to_png(figure) for name, figure in pictures.items()}
+    return {name: made[name] for name in JOINT_FILES}

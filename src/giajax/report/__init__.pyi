@@ -58,6 +58,7 @@ from ._style import (
     LIGHT as LIGHT,
     MINUS as MINUS,
     VERMILLION as VERMILLION,
+    columns_of as columns_of,
     draw_blocks as draw_blocks,
     draw_scene as draw_scene,
     new_figure as new_figure,

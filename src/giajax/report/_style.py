@@ -33,8 +33,8 @@ def new_figure(width: float, height: float, title: str) -> Figure:
     return figure
 
 
-def plain(axes: Axes, title: str = "") -> None:
-    """A light grid, two spines, small print."""
+def plain(axes: Axes, title: str = "", across: str = "", up: str = "") -> None:
+    """A light grid, two spines, small print; a title and labels where they are given."""
     axes.grid(True, color=LIGHT, linewidth=0.6)
     axes.set_axisbelow(True)
     for side in ("top", "right"):
@@ -42,6 +42,10 @@ def plain(axes: Axes, title: str = "") -> None:
     for side in ("left", "bottom"):
         axes.spines[side].set_color(GREY)
     axes.tick_params(labelsize=8, color=GREY, labelcolor=INK, length=3)
+    if across:
+        axes.set_xlabel(across)
+    if up:
+        axes.set_ylabel(up)
     axes.xaxis.label.set_fontsize(8)
     axes.yaxis.label.set_fontsize(8)
     if title:
@@ -96,6 +100,11 @@ def new_plot(height: int, across: str, up: str, **more: Any) -> Any:
 def small(values: np.ndarray) -> np.ndarray:
     """As seven digits, which no screen shows: half of the page's size."""
     return np.asarray(values, dtype=np.float32)
+
+
+def columns_of(headings: Sequence[str], rows: Sequence[Sequence[Any]]) -> dict[str, list[Any]]:
+    """Rows as columns by heading, which are there without any row, too."""
+    return {heading: [row[at] for row in rows] for at, heading in enumerate(headings)}
 
 
 def to_csv(columns: Mapping[str, Iterable[Any]]) -> bytes:

@@ -5,7 +5,7 @@ import itertools
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 
@@ -31,8 +31,6 @@ from ._search import (
     starts_of,
 )
 
-# Which markers to film: the choice of a few out of many that tells most.
-
 Informations = Float[np.ndarray, "body draw parameter parameter"]
 
 # Up to so many choices all are looked at.
@@ -40,11 +38,7 @@ _ALL = 3000
 
 
 def check_count(count: int, bodies: int) -> None:
-    """Refuse a number of markers that cannot be chosen.
-
-    Raises:
-        InputError: fewer than 1, or more than there are.
-    """
+    """Refuse a number of markers that cannot be chosen."""
     if not 1 <= count <= bodies:
         raise InputError(
             f"{count} markers are to be filmed out of {bodies}: give a number from 1 to {bodies}"
@@ -54,18 +48,10 @@ def check_count(count: int, bodies: int) -> None:
 def chosen_markers(
     error: Callable[[np.ndarray], float], informations: Informations, count: int
 ) -> tuple[int, ...]:
-    """Positions of the bodies to record.
+    """Positions of the bodies to record, increasing, by an error to expect of their information.
 
     All choices are compared where they are few; else one is added after the other, each the one
     that helps most, and then exchanged as long as that helps (Fedorov).
-
-    Arguments:
-        error: to expect of an information, shape (draw, parameter, parameter).
-        informations: of each body, shape (body, draw, parameter, parameter).
-        count: how many may be recorded.
-
-    Returns:
-        Increasing positions, of shape (count,).
 
     Raises:
         InputError: fewer than 1, or more than there are.
@@ -92,28 +78,18 @@ def chosen_markers(
         some = best
 
 
-# The error to expect of a command, over what is uncertain, as a function with a gradient.
-
-Over = Literal["mean", "worst"]
-_OVER: tuple[str, ...] = get_args(Over)
+_OVER = ("mean", "worst")
 
 
 @dataclasses.dataclass
 class RobustError:
     """Logarithm of the error to expect: its mean over draws, or the worst of them.
 
-    Arguments:
-        experiment: what is recorded.
-        series: of the command.
-        draws: values of the parameters that may be true, SI, shape (draw, parameter).
+    Attributes:
+        draws: values of the parameters that may be true, SI.
         known: information that priors are, in the scales of the experiment.
-        criterion: what is to be small.
-        count: how many bodies may be recorded.
         over: "mean" or "worst".
         markers: positions of the bodies that are recorded at present.
-
-    Raises:
-        InputError: another word for `over`, or more bodies than there are.
     """
 
     experiment: Experiment
@@ -194,14 +170,13 @@ class Expected:
     Attributes:
         run: what will be commanded, and when rows are recorded, without recorded values.
         drive: the corners of the command.
-        markers: bodies that are filmed (`link06`).
+        markers, channels: bodies that are filmed (`link06`), and their channels.
         errors: standard errors by path, in the unit of the parameter; infinite where the
             experiment does not determine one.
         criterion: error that the criterion is about; that of one parameter in its unit. None where
             the experiment does not determine it, to a hundred times the value at least.
-        times: of the samples, s, shape (sample,).
-        predicted: all candidates by name as the model foresees them, SI, each (sample,).
-        channels: those of the markers.
+        times: of the samples, s.
+        predicted: all candidates by name as the model foresees them, SI.
     """
 
     run: Run
@@ -219,12 +194,10 @@ class Design:
     """The experiment that was found, beside the paper's base step under the same limits.
 
     Attributes:
-        limits: what the command may do.
         criterion: "c", "A" or "D".
         wanted: paths of the parameters of interest.
         parameters: of all that a fit would have free: value and unit, by path.
         noise: standard deviation of a cell, SI, by channel that may be recorded.
-        designed: the experiment.
         base_step: the paper's, with markers chosen for it.
         before: standard errors by path of the result that the design began from; may be empty.
         spread: smallest and largest criterion of the design over draws of what is uncertain, over
@@ -232,8 +205,6 @@ class Design:
         draws: how many, without those with which the base step cannot be simulated.
         status: "converged", "iteration limit" where the search for the best one ended there, or
             "interrupted" with the best so far.
-        evaluations: of the search.
-        seconds: that it took.
     """
 
     limits: Limits
@@ -276,22 +247,15 @@ def expected(
     objective: RobustError,
     markers: tuple[int, ...] | None = None,
 ) -> Expected:
-    """What is to be expected of a command.
+    """What is to be expected of a command, which a run of that name has.
 
-    Arguments:
-        asked: the question.
-        command: that is given.
-        name: of the run.
-        objective: says what is small, and chooses markers.
-        markers: positions of the bodies that are filmed; by default those that tell most.
-
-    Raises:
-        InputError: the arm cannot follow the command.
+    The bodies that are filmed are those of the markers, by default those that tell most.
     """
     experiment = asked.experiment
     found = informed(experiment, command, asked.values[None])
     if not np.all(found.successful):
-        why = asked.model.failure(asked.model.prepare(asked.run_of(command.drive(), name)))
+        model = experiment.model
+        why = model.failure(model.prepare(asked.run_of(command.drive(), name)))
         raise InputError(f"the command of {name} cannot be simulated: {why}")
     some = objective.chosen(found.values) if markers is None else markers
     whole = found.values[0, list(some)].sum(axis=0) + asked.known
@@ -343,6 +307,8 @@ def design_experiment(
 ) -> Design:
     """Find the command series, and the markers, that most lower standard errors to be expected.
 
+    It stands beside the paper's base step under the same limits.
+
     Arguments:
         source: the arm at the present values of its parameters, or a fit of it. Of a fit, what was
             free, priors, ties, noise and uncertainty are taken, unless they are given.
@@ -368,9 +334,6 @@ def design_experiment(
         definition: what a sidecar of the experiment says, such as `{"initial": {"free": True}}`.
         progress: called after each evaluation; may raise KeyboardInterrupt, which keeps the best.
 
-    Returns:
-        The experiment beside the paper's base step under the same limits.
-
     Raises:
         InputError: an unknown path, joint, channel, criterion, or numbers that make no sense.
         KeyboardInterrupt: before anything was evaluated.
@@ -389,14 +352,9 @@ def design_experiment(
         source,
         wanted,
         limits,
-        free=free,
-        channels=channels,
-        noise=noise,
-        priors=priors,
-        ties=ties,
-        uncertainty=uncertainty,
-        definition=definition,
-    )
+        free=free, channels=channels, noise=noise, priors=priors, ties=ties,
+        uncertainty=uncertainty, definition=definition,
+    )  # fmt: skip
     per_joint = min(_KNOTS, max(_FEWEST, _NUMBERS // len(limits.joints)), limits.rows)
     series = CommandSeries.of(limits, per_joint if knots is None else knots)
     objective = RobustError(
@@ -436,7 +394,9 @@ def design_experiment(
         draws=len(objective.draws),
         status="interrupted"
         if search.interrupted
-        else ("iteration limit" if search.limited else "converged"),
+        else "iteration limit"
+        if search.limited
+        else "converged",
         evaluations=tuple(search.evaluations),
         seconds=time.perf_counter() - began,
     )

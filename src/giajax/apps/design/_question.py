@@ -3,11 +3,11 @@
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, cast, get_args
+from typing import Any, cast
 
 import numpy as np
 
-from ...fitting import FitResult, Tie, checked_priors, prior_of, prior_row, resolved_ties, tied
+from ...fitting import FitResult, checked_priors, prior_of, prior_row, resolved_ties, tied
 from ...models import AbstractModel, ArmModel
 from ...recordings import Channel, Definition, Run
 from ...runtime.arrays import Float
@@ -29,8 +29,7 @@ from ._search import Experiment, Limits, base_step
 #
 # C counts each parameter in a scale of its own, its value by default; D does not depend on it.
 
-Kind = Literal["c", "A", "D"]
-_KINDS: tuple[str, ...] = get_args(Kind)
+_KINDS = ("c", "A", "D")
 
 Matrix = Float[np.ndarray, "parameter parameter"]
 
@@ -43,10 +42,8 @@ _LOOSE = 100.0
 class Criterion:
     """The logarithm of an error to expect.
 
-    Arguments:
-        kind: "c", "A" or "D".
-        weights: of each parameter: its part of the combination of "c"; for "A" and "D" that of the
-            parameters of interest is not 0.
+    The weights are, for "c", those of each parameter in the combination; for "A" and "D" that of
+    the parameters of interest is not 0.
 
     Raises:
         InputError: no such kind, or no parameter of interest.
@@ -106,8 +103,6 @@ def covariance_of(information: Matrix) -> Matrix:
     return np.asarray(np.linalg.inv(whole / np.outer(sizes, sizes)) / np.outer(sizes, sizes))
 
 
-# What is known of the parameters before the experiment, and draws of it.
-
 # Standard deviation over the value of what is free, where no fit and no caller says it.
 _UNCERTAIN = 0.2
 
@@ -125,17 +120,10 @@ def draws(
     correlation: Float[np.ndarray, "parameter parameter"],
     count: int,
 ) -> Float[np.ndarray, "draw parameter"]:
-    """Values of the parameters that may be true, the first of which are the present ones.
+    """Values of the parameters that may be true, the first of which are the present ones (SI).
 
     What must be positive is log-normal, and within a factor of four. The others are normal; all
-    are points of a Sobol sequence.
-
-    Arguments:
-        parameters: each declares its bounds.
-        values: present ones, SI.
-        deviations: standard deviations by path, SI; others are known.
-        correlation: between them.
-        count: how many.
+    are points of a Sobol sequence. What has no deviation is known.
     """
     if count < 1:
         raise InputError(f"the number of draws is {count}: give at least 1")
@@ -163,9 +151,11 @@ def draws(
 
 
 def known_before(
-    result: FitResult, paths: Sequence[str]
+    result: FitResult | None, paths: Sequence[str]
 ) -> tuple[dict[str, float], Float[np.ndarray, "parameter parameter"]]:
     """Standard errors of a result, SI, by path, and the correlation of some parameters."""
+    if result is None:
+        return {}, np.eye(len(paths))
     errors = {
         path: float(error)
         for path in paths
@@ -191,14 +181,7 @@ def uncertain(
 ) -> dict[str, float]:
     """Standard deviations by path, SI: what the caller says, else a fit, else a fifth.
 
-    Arguments:
-        stated: over the present value, of all that is free or by path.
-        errors: standard errors of a fit, SI, by path.
-        result: that fit.
-        values: present ones of all that is free, SI, by path.
-
-    Raises:
-        InputError: a path that is not free, or a number that is negative or infinite.
+    What is stated is over the present value, of all that is free or by path.
     """
     if stated is None and result is not None:
         # What a fit did not find is not known for that.
@@ -230,24 +213,17 @@ class Question:
     """What a design is asked.
 
     Attributes:
-        model: the arm at the present values.
-        limits: what the command may do.
         parameters: what is free in a fit, with the bounds that each declares.
-        values: present ones, SI, shape (parameter,).
+        values, deviations: present ones, and what each is uncertain by, SI.
         wanted: the weight of each parameter of interest, by path, in 1 over its unit.
         weighted: whether the caller gave these weights.
-        deviations: what each is uncertain by, SI, by path.
-        correlation: of that, shape (parameter, parameter).
         known: information that priors are, in scales, with what is free in the run alone.
-        experiment: what is recorded.
-        bodies: names of what may be recorded.
-        noise: of a cell, SI, by channel.
-        ties: parameters that follow from others.
+        experiment: what is recorded of the arm, at the present values.
+        bodies, noise: names of what may be recorded, and the noise of a cell, SI, by channel.
         before: standard errors of the fit that was given; may be empty.
         definition: what the sidecar of the experiment says.
     """
 
-    model: ArmModel
     limits: Limits
     parameters: tuple[Parameter, ...]
     values: Float[np.ndarray, " parameter"]
@@ -259,16 +235,11 @@ class Question:
     experiment: Experiment
     bodies: tuple[str, ...]
     noise: dict[str, float]
-    ties: tuple[Tie, ...]
     before: dict[str, float]
     definition: dict[str, Any]
 
     def weights(self, criterion: str) -> tuple[float, ...]:
-        """Weights of all that is free, as `Criterion` takes them.
-
-        Raises:
-            InputError: several parameters without weights for "c".
-        """
+        """Weights of all that is free, as `Criterion` takes them."""
         if criterion == "c" and len(self.wanted) > 1 and not self.weighted:
             raise InputError(
                 f"criterion c is of one number, and {len(self.wanted)} are wanted: give one "
@@ -298,11 +269,7 @@ def question_of(
     uncertainty: float | Mapping[str, float] | None,
     definition: Mapping[str, Any] | None,
 ) -> Question:
-    """The arguments of `design_experiment`, checked and resolved.
-
-    Raises:
-        InputError: as `design_experiment`.
-    """
+    """The arguments of `design_experiment`, checked and resolved; it raises what that raises."""
     result = source if isinstance(source, FitResult) else None
     model = _arm_of(source)
     if model.tolerance is None:
@@ -331,7 +298,8 @@ def question_of(
     before = checked_priors(settings.get("priors", {}) if priors is None else priors)
     values = np.asarray([float(part.value(model)) for part in parts.values()])
     scales = np.where(values != 0, np.abs(values), 1.0)
-    names = tuple(channels or _positions(model.arm.count))
+    links = range(1, model.arm.count + 1)
+    names = tuple(channels or [f"link{i:02d}_{axis}" for i in links for axis in "xyz"])
     stated = _definition(model, result, definition)
     run = _planned(limits, base_step(limits, 3).drive(), names, stated, "design", noise)
     for name in names:
@@ -339,21 +307,30 @@ def question_of(
             raise InputError(f"'{name}' is commanded, not recorded: give another channel")
     inputs = model.prepare(run)
     own = tuple((path, get(inputs, path).size) for path in model.free_inputs(run))
-    beside = [(f"{path}[{at}]", value) for path, _ in own for at, value in _numbered(inputs, path)]
+    beside = [
+        (f"{path}[{at}]", value)
+        for path, _ in own
+        for at, value in enumerate(np.ravel(get(inputs, path)).tolist())
+    ]
     if priors is not None:
-        _check_free(model, before, [*parts, *(path for path, _ in beside)])
+        may_have = {*parts, *(path for path, _ in beside)}
+        may_have |= {path.partition("[")[0] for path in may_have}
+        odd = next((path for path in before if path not in may_have), None)
+        if odd is not None:
+            # Refused as no parameter, where it is none.
+            elements(model, odd)
+            raise InputError(
+                f"'{odd}' has a prior and is not free: free it, or leave the prior out"
+            )
     counted = [*zip(parts, values, scales, strict=True), *((*one, 1.0) for one in beside)]
     rows = [
         0.0 if (prior := prior_of(before, path)) is None else prior_row(prior, value)[1] * scale
         for path, value, scale in counted
     ]
-    errors, correlation = (
-        ({}, np.eye(len(parts))) if result is None else known_before(result, list(parts))
-    )
+    errors, correlation = known_before(result, list(parts))
     bodies = tuple(dict.fromkeys(body_of(name) for name in names))
     deviations = _noise(run, names, result)
     return Question(
-        model=model,
         limits=limits,
         parameters=tuple(parts.values()),
         values=values,
@@ -376,18 +353,13 @@ def question_of(
         ),
         bodies=bodies,
         noise=deviations,
-        ties=order,
         before=errors,
         definition=stated,
     )
 
 
 def joint_count(source: AbstractModel | FitResult) -> int:
-    """How many joints an arm has, or that of a fit.
-
-    Raises:
-        InputError: it is no arm.
-    """
+    """How many joints an arm has, or that of a fit."""
     return _arm_of(source).arm.count
 
 
@@ -396,26 +368,6 @@ def _arm_of(source: AbstractModel | FitResult) -> ArmModel:
     if given.kind != ARM.name:
         raise InputError(f"the model is that of a {given.kind}: give that of an arm")
     return cast("ArmModel", given)
-
-
-def _numbered(inputs: Any, path: str) -> list[tuple[int, float]]:
-    """Position and present value of each number of what is free in the run alone."""
-    return list(enumerate(np.ravel(get(inputs, path)).tolist()))
-
-
-def _check_free(model: ArmModel, priors: Mapping[str, Prior], free: Sequence[str]) -> None:
-    """Refuse priors of what is not free, or is no parameter."""
-    known = {*free, *(path.partition("[")[0] for path in free)}
-    for path in priors:
-        if path not in known:
-            elements(model, path)
-            raise InputError(
-                f"'{path}' has a prior and is not free: free it, or leave the prior out"
-            )
-
-
-def _positions(count: int) -> list[str]:
-    return [f"link{i:02d}_{axis}" for i in range(1, count + 1) for axis in "xyz"]
 
 
 def _definition(

@@ -26,11 +26,7 @@ _FAR_APART = 30.0
 def design_rows(found: Design) -> list[tuple[Any, ...]]:
     """Of each free parameter the standard errors to expect, those of interest first.
 
-    Arguments:
-        found: the design.
-
-    Returns:
-        A row for each, as `DESIGN_HEADINGS` says; None where the result before has no error.
+    A row for each, as `DESIGN_HEADINGS` says; None where the result before has no error.
     """
     order = [*found.wanted, *(path for path in found.parameters if path not in found.wanted)]
     rows = []
@@ -44,11 +40,7 @@ def design_rows(found: Design) -> list[tuple[Any, ...]]:
 
 
 def design_json(found: Design) -> str:
-    """A design as JSON text.
-
-    Arguments:
-        found: the design.
-    """
+    """A design as JSON text."""
     limits = found.limits
     smallest, largest = (None, None) if found.designed.criterion is None else found.spread
     facts: dict[str, Any] = {
@@ -89,15 +81,7 @@ def _expected_json(expected: Expected) -> dict[str, Any]:
 
 
 def design_figure(found: Design, title: str = "") -> Figure:
-    """The command, where the outermost marker goes, and the errors to expect.
-
-    Arguments:
-        found: the design.
-        title: of the whole.
-
-    Returns:
-        The picture.
-    """
+    """The command, where the outermost marker goes, and the errors to expect."""
     rows = min(len(found.parameters), _MOST_NAMES)
     figure = new_figure(10, max(4.6, 2.6 + 0.4 * rows), title or "The next experiment")
     grid = figure.add_gridspec(2, 2, width_ratios=[3, 2])
@@ -112,18 +96,10 @@ def _commands(axes: Axes, both: Sequence[Expected]) -> None:
     for (label, colour, style), one in zip(_STYLES, both, strict=True):
         assert one.run.times is not None
         for index, (name, row) in enumerate(one.run.commands.items()):
-            shade = max(1 - 0.25 * index, 0.25)
-            axes.plot(
-                one.run.times,
-                np.degrees(row),
-                style,
-                color=colour,
-                alpha=shade,
-                label=f"{label}, {name.removesuffix('_command')}",
-            )
-    plain(axes, "command")
-    axes.set_xlabel("time (s)")
-    axes.set_ylabel(f"angle ({DEGREE})")
+            drawn: Any = {"color": colour, "alpha": max(1 - 0.25 * index, 0.25)}
+            named = f"{label}, {name.removesuffix('_command')}"
+            axes.plot(one.run.times, np.degrees(row), style, label=named, **drawn)
+    plain(axes, "command", "time (s)", f"angle ({DEGREE})")
     axes.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(1, 1))
 
 
@@ -134,10 +110,8 @@ def _path(axes: Axes, both: Sequence[Expected]) -> None:
     most = max(names, key=lambda name: max(float(np.ptp(one.predicted[name])) for one in both))
     for (label, colour, style), one in zip(_STYLES, both, strict=True):
         axes.plot(one.times, one.predicted[most], style, color=colour, label=label)
-    plain(axes, f"where {last} goes")
-    axes.set_xlabel("time (s)")
     unit = Channel.named(most).si_unit
-    axes.set_ylabel(f"{most} ({unit})" if unit else most)
+    plain(axes, f"where {last} goes", "time (s)", f"{most} ({unit})" if unit else most)
 
 
 def _errors(axes: Axes, found: Design) -> None:
@@ -163,8 +137,7 @@ def _errors(axes: Axes, found: Design) -> None:
         axes.barh(middle, finite, 0.9 * high, color=colour, label=label)
     if sizes and max(sizes) > _FAR_APART * min(sizes):
         axes.set_xscale("log")
-    plain(axes, "standard errors to expect, of the value")
+    plain(axes, "standard errors to expect, of the value", "%")
     axes.grid(False, axis="y")
     axes.set_yticks(places, [path.replace(".", ".\n", 1) for path in paths])
-    axes.set_xlabel("%")
     axes.legend(fontsize=8, frameon=False)

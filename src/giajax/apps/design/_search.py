@@ -27,8 +27,6 @@ from ...schema.parameters import get, replace
 from ...simulation import Signal
 from ..synthetic import Drive
 
-# What an experiment may do: which joints move, how far and how fast, and for how long.
-
 _MOST_ROWS = 100_000
 
 
@@ -87,11 +85,7 @@ class Limits:
         return round(self.duration * self.sampling)
 
     def check_joints(self, count: int) -> None:
-        """Refuse joints that an arm of `count` joints does not have.
-
-        Raises:
-            InputError: naming the joint.
-        """
+        """Refuse joints that an arm of `count` joints does not have."""
         for joint in self.joints:
             if not 1 <= joint <= count:
                 raise InputError(
@@ -120,7 +114,6 @@ class CommandSeries:
     """The command series that some limits allow, with knots at rows of the experiment.
 
     Attributes:
-        limits: what a series may do.
         times: of the knots, the first of which is at 0 s, shape (knot,).
     """
 
@@ -129,11 +122,7 @@ class CommandSeries:
 
     @classmethod
     def of(cls, limits: Limits, knots: int) -> "CommandSeries":
-        """Series of so many knots after the first one, as evenly spaced as rows allow.
-
-        Raises:
-            InputError: fewer than 2, or more than rows.
-        """
+        """Series of so many knots after the first one, as evenly spaced as rows allow."""
         if not 2 <= knots <= limits.rows:
             raise InputError(
                 f"the command has {knots} knots, and the experiment {limits.rows} intervals: give "
@@ -187,13 +176,10 @@ def knotted(
     moving: tuple[int, ...],
     count: int,
 ) -> Signal:
-    """The command of an arm through angles at knots, which may be differentiated by the angles.
+    """The command through angles (rad) at all knots but the first, where they are 0.
 
-    Arguments:
-        times: of the knots, s, shape (knot,).
-        angles: at all knots but the first, where they are 0, rad, shape (knot - 1, moving joint).
-        moving: numbers of the joints that move.
-        count: joints of the arm.
+    It may be differentiated by the angles. The joints that move are numbers from 1; `count` is how
+    many the arm has.
     """
     places = np.asarray(moving) - 1
     values = jnp.zeros((len(times), count), angles.dtype).at[1:, places].set(angles)
@@ -206,11 +192,7 @@ def base_step(limits: Limits, knots: int) -> "Command":
     """The paper's experiment: one joint to the largest angle at the largest rate.
 
     That is joint 1 if it may move, else the first that may. Knots beyond the three of its corners
-    come after the end.
-
-    Arguments:
-        limits: what it may do.
-        knots: how many there are to be, so that one program does for all commands.
+    come after the end, so that one program does for all commands.
     """
     begin = min(_LEAD, 0.5 * limits.duration)
     corners = [0.0, begin, begin + limits.angle / limits.rate]
@@ -223,13 +205,7 @@ def base_step(limits: Limits, knots: int) -> "Command":
 
 @dataclasses.dataclass(frozen=True)
 class Command:
-    """One command series.
-
-    Attributes:
-        limits: what it may do, and which joints it moves.
-        times: of its knots, s, shape (knot,).
-        numbers: angles at all knots but the first over the largest, shape (number,).
-    """
+    """One command series: times of knots, s, and angles at all but the first over the largest."""
 
     limits: Limits
     times: Float[np.ndarray, " knot"]
@@ -269,14 +245,12 @@ class Experiment:
     Attributes:
         model: the arm; its parameters are replaced.
         inputs: a prepared run, whose command is replaced.
-        joints: of the arm.
         paths: scalar parameters of the model, free in the fit.
-        scales: what each is counted in, SI, shape (parameter,).
+        scales: what each is counted in, SI.
         own: what is free in the run alone, by path, and how many numbers that is.
-        ties: parameters that follow from others.
         channels: all that may be recorded.
-        noise: of each channel, SI, shape (channel,).
-        bodies: which body each channel is of, shape (channel,).
+        noise: of each channel, SI.
+        bodies: which body each channel is of.
     """
 
     model: ArmModel
@@ -293,14 +267,7 @@ class Experiment:
 
 @dataclasses.dataclass(frozen=True)
 class Informed:
-    """Information of each draw and body, by the numbers of the command.
-
-    Attributes:
-        values: shape (draw, body, parameter, parameter).
-        slopes: derivatives, shape (draw, number, body, parameter, parameter).
-        predicted: SI, shape (draw, sample, channel).
-        successful: whether each draw could be simulated, shape (draw,).
-    """
+    """Information of each draw and body, and its derivatives by the numbers of the command."""
 
     values: Float[np.ndarray, "draw body parameter parameter"]
     slopes: Float[np.ndarray, "draw number body parameter parameter"]
@@ -311,22 +278,11 @@ class Informed:
 def informed(
     experiment: Experiment, command: Command, draws: Float[np.ndarray, "draw parameter"]
 ) -> Informed:
-    """The information of an experiment with a command, and its derivatives; draws on all cores.
-
-    Arguments:
-        experiment: what is recorded.
-        command: that is given.
-        draws: values of the parameters, SI.
-    """
+    """The information of an experiment with a command, and its derivatives; draws on all cores."""
     dtype = jnp.result_type(float)
-    arrays = (
-        experiment.scales,
-        1 / experiment.noise,
-        command.numbers,
-        command.times,
-        command.limits.angle,
-    )
-    scales, weights, at, times, angle = (jnp.asarray(array, dtype) for array in arrays)
+    arrays = (experiment.scales, 1 / experiment.noise, command.numbers, command.times)
+    scales, weights, at, times = (jnp.asarray(array, dtype) for array in arrays)
+    angle = jnp.asarray(command.limits.angle, dtype)
     places = np.asarray(experiment.bodies)
     bodies = jnp.asarray(places[None, :] == np.arange(places.max() + 1)[:, None], dtype)
     shared = (
@@ -336,8 +292,7 @@ def informed(
         (experiment.paths, experiment.own, experiment.ties, experiment.channels),
     )
     batch = Batch(_informed, np.asarray(draws, dtype), shared, np.ones(len(draws)), 1)
-    (answer,) = run_on_all_cores([batch])
-    return Informed(*answer)
+    return Informed(*run_on_all_cores([batch])[0])
 
 
 @program
@@ -367,9 +322,8 @@ def _informed(
         command = knotted(times, at.reshape(len(times) - 1, -1) * angle, joints, count)
         moved = eqx.tree_at(lambda prepared: prepared.command, moved, command)
         predicted, successful = there.predict(moved, channels)
-        return jnp.stack([predicted[name] for name in channels], axis=-1) * weights[
-            None
-        ], successful
+        columns = jnp.stack([predicted[name] for name in channels], axis=-1)
+        return columns * weights[None], successful
 
     def information(at: Array) -> tuple[Array, tuple[Array, Array, Array]]:
         def push(tangent: Array) -> tuple[Array, Array, Array]:
@@ -423,7 +377,6 @@ class Evaluation(NamedTuple):
         number: of the evaluation, from 1.
         start: number of the start that is followed, from 1; 0 while starts are compared.
         value: logarithm of the error to expect.
-        best: the smallest one so far.
     """
 
     number: int
@@ -437,14 +390,9 @@ class Search:
     """A search that can be interrupted, and then has the best so far.
 
     Attributes:
-        objective: what is minimised.
-        series: of the command.
         progress: hears of each evaluation; may raise KeyboardInterrupt.
         best: numbers of the best command so far; None before the first evaluation.
-        markers: that were chosen for it.
-        value: of it.
-        evaluations: all of them.
-        interrupted: whether it was stopped.
+        markers, value: of that command.
         limited: whether the descent to the best one ended at the iteration limit.
     """
 
@@ -460,18 +408,12 @@ class Search:
     _start: int = 0
 
     def follow(self, starts: Sequence[Numbers], most: int, iterations: int) -> None:
-        """Look at all starts, and follow the best ones.
-
-        Arguments:
-            starts: numbers of commands within the limits.
-            most: how many of them to follow.
-            iterations: of the optimiser, from each.
-
-        Raises:
-            KeyboardInterrupt: nothing was evaluated yet.
-        """
+        """Look at all starts, and follow the `most` best ones; before any, Ctrl-C is passed on."""
         try:
-            values = [self._begin(start) for start in starts]
+            values = []
+            for start in starts:
+                self.objective.choose(start)
+                values.append(self._evaluate(start)[0])
             order = np.argsort(np.nan_to_num(values, nan=np.inf), kind="stable")
             for number, index in enumerate(order[:most], 1):
                 self._start = number
@@ -481,10 +423,6 @@ class Search:
             if self.best is None:
                 raise
             self.interrupted = True
-
-    def _begin(self, numbers: Numbers) -> float:
-        self.objective.choose(numbers)
-        return self._evaluate(numbers)[0]
 
     def _descend(self, numbers: Numbers, iterations: int) -> None:
         # Slow to import, and only needed here.
@@ -533,11 +471,8 @@ class Search:
 def starts_of(series: CommandSeries, count: int) -> list[Numbers]:
     """Commands to begin from: the paper's base step, swings to and fro, and random ones.
 
-    Half of the angles of a random one are at a limit, as those of good experiments are.
-
-    Arguments:
-        series: of the command.
-        count: how many; the same ones each time.
+    Half of the angles of a random one are at a limit, as those of good experiments are. They are
+    the same ones each time.
     """
     base = series.base_step()
     knots, joints = len(series.times) - 1, len(series.limits.joints)
@@ -546,5 +481,4 @@ def starts_of(series: CommandSeries, count: int) -> list[Numbers]:
         np.repeat(np.where(np.arange(knots) // turn % 2 == 0, 1.0, -1.0), joints) for turn in (1, 2)
     ]
     random = np.random.default_rng(_SEED).uniform(-2, 2, (max(count - 3, 0), series.size))
-    wanted = [base, *swings, *random]
-    return [series.within(numbers) for numbers in wanted[:count]]
+    return [series.within(numbers) for numbers in [base, *swings, *random][:count]]

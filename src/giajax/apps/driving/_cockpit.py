@@ -26,40 +26,30 @@ if TYPE_CHECKING:
     from websockets.http11 import Request, Response
     from websockets.sync.server import ServerConnection
 
-# What the camera at the tip shows, some time ago.
-
 LATENCY = 0.2
 """Of a picture on its way to the operator, s, unless stated."""
 
 
-def usual() -> Pinhole:
-    """A camera that looks ahead from the end of the arm, 90 deg wide: where the arm has none."""
-    return Pinhole(
-        position=jnp.zeros(3),
-        rotation=jnp.zeros(3),
-        focal_length=jnp.asarray(320.0),
-        centre=jnp.asarray([319.5, 239.5]),
-        mount="tip",
-        size=(640, 480),
-    )
-
-
 class TipCamera:
-    """The view of a camera on the arm, as an operator has it: late, and rolling with the arm.
+    """The view of a camera on the arm, as an operator has it: late (s), and rolling with the arm.
 
-    Arguments:
-        model: of the arm; its camera at the tip is taken, if it has one.
-        latency: of the picture, s.
-
-    Raises:
-        InputError: a latency that is negative or longer than a minute.
+    The arm's camera at the tip is taken, if it has one.
     """
 
     def __init__(self, model: ArmModel, latency: float = LATENCY) -> None:
         if not 0 <= latency <= 60:
             raise InputError(f"the latency is {latency:g} s: give one from 0 to 60")
+        # Where the arm has none: one that looks ahead from its end, 90 deg wide.
+        usual = Pinhole(
+            position=jnp.zeros(3),
+            rotation=jnp.zeros(3),
+            focal_length=jnp.asarray(320.0),
+            centre=jnp.asarray([319.5, 239.5]),
+            mount="tip",
+            size=(640, 480),
+        )
         pinholes = model.sensors.camera.pinholes.values()
-        self.camera = next((each for each in pinholes if each.mount == "tip"), usual())
+        self.camera = next((each for each in pinholes if each.mount == "tip"), usual)
         self.latency = latency
         self._arm = model.arm
         self._views: deque[tuple[float, View]] = deque()
@@ -108,12 +98,9 @@ class Cockpit:
     told where it is, and the scene is drawn. Each takes the latest pose, and none is queued.
 
     Arguments:
-        session: the drive.
         camera: of the picture at the tip.
-        host, port: where to listen, as of `giajax.apps.viewer.Viewer`.
-
-    Raises:
-        InputError: viser is not installed, or the port is in use.
+        host, port: where to listen, as of `giajax.apps.viewer.Viewer`, and whoever has the
+            `address`, drives.
     """
 
     def __init__(
@@ -150,22 +137,13 @@ class Cockpit:
             self._place.close()
             self._stage.close()
             raise
+        self.address, self.is_open = self._gate.address, self._gate.is_open
         self._threads = [
             threading.Thread(target=target, daemon=True)
             for target in (self._server.serve_forever, self._drive, self._draw)
         ]
         for thread in self._threads:
             thread.start()
-
-    @property
-    def address(self) -> str:
-        """Where a browser finds the page; whoever has it, drives."""
-        return self._gate.address
-
-    @property
-    def is_open(self) -> bool:
-        """Whether other machines can reach the page."""
-        return self._gate.is_open
 
     @property
     def ended(self) -> bool:
@@ -232,8 +210,6 @@ class Cockpit:
 
     def _scene(self, pose: Pose) -> Scene:
         """The arm as it is; forces of the air on a still are none."""
-        import jax.numpy as jnp
-
         model = self.session.record.model
         return arm_scene(at_rest(model.arm, jnp.asarray(pose.angles)), model.sensors.marker)
 

@@ -15,8 +15,6 @@ from ...runtime.limits import TEXT_BYTES
 from ...runtime.text import InputError
 from ...schema import PadFile, PadSection
 
-# What a game pad does: sticks turn joints, buttons go to presets.
-
 # Of a standard pad: the sticks, and the two buttons below and to the right.
 _LEFT_X, _LEFT_Y, _RIGHT_X, _RIGHT_Y = range(4)
 _SOUTH, _EAST = 0, 1
@@ -33,13 +31,10 @@ class PadMapping:
         axes: of each stick that does something: the rates of all joints at full deflection,
             rad/s, shape (joint,).
         presets: angles by name, rad, shape (joint,); NaN for joints that stay where they are.
-        buttons: the preset that a button goes to.
-        stops: buttons that stop everything.
+        buttons, stops: the preset that a button goes to; buttons that stop everything.
         dead_men: buttons of which one must be held for anything to move; none: nothing must.
-        dead_zone: deflection below which a stick is at rest.
-        exponent: of the rate over the deflection.
-        largest_rate: of any joint's command, rad/s.
-        largest_angle: of any joint's command, rad.
+        dead_zone, exponent: deflection below which a stick is at rest; of the rate over it.
+        largest_rate, largest_angle: of any joint's command, rad/s and rad.
         timeout: without a word for so long everything stops, s.
         smoothing: time in which rates follow a stick, s.
     """
@@ -96,16 +91,7 @@ class PadMapping:
 
     @classmethod
     def from_section(cls, section: PadSection, joints: int, source: str) -> Self:
-        """What a `[pad]` says.
-
-        Arguments:
-            section: the section.
-            joints: number of joints of the arm.
-            source: what has the section, for errors.
-
-        Raises:
-            InputError: a joint that the arm does not have, or something that is said twice.
-        """
+        """What a `[pad]` says; the source is what errors call it."""
         axes: dict[int, np.ndarray] = {}
         for entry in section.axes or []:
             row = axes.setdefault(entry.axis, np.zeros(joints))
@@ -127,25 +113,20 @@ class PadMapping:
             places = _places(preset.joints, joints, f"the preset '{preset.name}'", source)
             row[places] = np.deg2rad(preset.angles_deg)
             presets[preset.name] = row
-        buttons, stops, dead_men = {}, set(), set()
-        for button in section.buttons or []:
-            if button.preset is not None:
-                if button.preset not in presets:
-                    raise InputError(
-                        f"{source}: button {button.button} goes to '{button.preset}', which is no "
-                        f"preset: add it to [[pad.presets]]"
-                    )
-                buttons[button.button] = button.preset
-            if button.stop:
-                stops.add(button.button)
-            if button.dead_man:
-                dead_men.add(button.button)
+        stated = section.buttons or []
+        buttons = {each.button: each.preset for each in stated if each.preset is not None}
+        for button, name in buttons.items():
+            if name not in presets:
+                raise InputError(
+                    f"{source}: button {button} goes to '{name}', which is no preset: add it to "
+                    "[[pad.presets]]"
+                )
         return cls(
             axes,
             presets,
             buttons,
-            frozenset(stops),
-            frozenset(dead_men),
+            frozenset(each.button for each in stated if each.stop),
+            frozenset(each.button for each in stated if each.dead_man),
             section.dead_zone,
             section.exponent,
             float(np.deg2rad(section.largest_rate_deg_per_s)),
@@ -195,10 +176,6 @@ class Operator:
     A stick sets rates, a slider or a preset a target that is approached no faster than the largest
     rate. Where nothing is heard for a while, or the pad is gone, rates become 0, targets are given
     up, and the command stays where it is, until something is moved again.
-
-    Arguments:
-        mapping: what the pad does.
-        joints: number of joints.
     """
 
     def __init__(self, mapping: PadMapping, joints: int) -> None:
@@ -214,13 +191,12 @@ class Operator:
         self._pressed: frozenset[int] = frozenset()
 
     def receive(self, message: Mapping[str, Any], now: float) -> None:
-        """One message of the page.
+        """One message of the page, that came at a time (s).
 
         Arguments:
             message: `{"type": "pad", "axes": [...], "buttons": [...]}` of a pad that is there,
                 `{"type": "no_pad"}` once it is gone, `{"type": "joint", "joint": 3, "deg": 10}`,
                 `{"type": "preset", "name": ...}`, `{"type": "stop"}`, or `{"type": "alive"}`.
-            now: time, s.
 
         Raises:
             InputError: a message that says nothing of this kind.
@@ -243,30 +219,22 @@ class Operator:
         self._heard = now
 
     def advance(self, now: float, elapsed: float) -> Float[np.ndarray, " joint"]:
-        """The command an interval later, rad, shape (joint,).
-
-        Arguments:
-            now: time at its end, s.
-            elapsed: its length, s.
-        """
+        """The command at a time (s) at which so much (s) has elapsed, rad."""
         if self._heard is not None and now - self._heard > self.mapping.timeout:
             self._stop(SILENT)
-        largest = self.mapping.largest_rate
+        most, smoothing = self.mapping.largest_rate * elapsed, self.mapping.smoothing
         # What follows with a lag; where everything stops it stops at once.
-        share = 1.0
-        if self.mapping.smoothing > 0:
-            share = -np.expm1(-elapsed / self.mapping.smoothing)
+        share = -np.expm1(-elapsed / smoothing) if smoothing > 0 else 1.0
         self._rates = self._rates + share * (self._wanted - self._rates)
         if self.stopped is not None:
             self._rates[:] = 0
         change = self._rates * elapsed
         aimed = np.isfinite(self._target)
         change[aimed] += (self._target - self.command)[aimed]
-        change = np.clip(change, -largest * elapsed, largest * elapsed)
         limit = self.mapping.largest_angle
         # A joint that is beyond the limit already may come back.
         low, high = np.minimum(self.command, -limit), np.maximum(self.command, limit)
-        self.command = np.clip(self.command + change, low, high)
+        self.command = np.clip(self.command + np.clip(change, -most, most), low, high)
         self._target[aimed & (self._target == self.command)] = np.nan
         return self.command
 
@@ -277,8 +245,7 @@ class Operator:
         held = frozenset(i for i, value in enumerate(buttons) if value > _PRESSED)
         fresh, self._pressed = held - self._pressed, held
         self._pad_here = True
-        dead_men = self.mapping.dead_men
-        if dead_men and not held & dead_men:
+        if self.mapping.dead_men and not held & self.mapping.dead_men:
             if np.any(self._wanted) or np.any(np.isfinite(self._target)):
                 self._stop(LET_GO)
             return

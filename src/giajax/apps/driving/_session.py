@@ -12,15 +12,22 @@ import numpy as np
 
 from ...mechanics.hysteresis import AbstractOperator
 from ...models import ArmModel, Channels, recorded_channels
-from ...recordings import Definition, Run, read_numbers
+from ...recordings import Run, read_numbers
 from ...runtime.arrays import Array, Float
 from ...runtime.limits import POSES, STEPS
 from ...runtime.programs import program
 from ...runtime.text import InputError
 from ...schema.parameters import replace
-from ...simulation import RESULTS, Moment, Stepper, Trajectory, logged
+from ...simulation import Moment, Stepper, Trajectory
 from ..control import Compensator
-from ..synthetic import Drive, RecordingErrors, with_errors
+from ..synthetic import (
+    Drive,
+    RecordingErrors,
+    command_columns,
+    driven_run,
+    logged_motion,
+    with_errors,
+)
 from ._operator import Operator, PadMapping
 
 
@@ -29,9 +36,8 @@ class Pose(NamedTuple):
 
     Attributes:
         time: that was driven, s.
-        angles: of the joints, rad.
-        command: commanded angles, rad.
-        wind: velocity of the air, m/s, shape (3,).
+        angles, command: of the joints, and commanded ones, rad.
+        wind: velocity of the air, m/s.
         stopped: why nothing moves, or None.
         lost: time that the simulation fell behind the clock for good, s.
     """
@@ -47,10 +53,6 @@ class Pose(NamedTuple):
 class Compensation:
     """The inverse of one joint's hysteresis, in every joint, one sample after the other.
 
-    Arguments:
-        compensator: of a joint whose command and angle were measured.
-        joints: number of joints.
-
     Raises:
         InputError: what is inverted is not from angle to angle.
     """
@@ -63,26 +65,17 @@ class Compensation:
                 "joints of an arm by angles: give a fit from commanded to measured angles"
             )
         self._compensator = compensator
-        self._joints = joints
-        self._state: Any = None
-        self._begun = False
+        self._state = jax.tree.map(
+            lambda leaf: jnp.broadcast_to(jnp.asarray(leaf), (joints, *jnp.shape(leaf))),
+            compensator.state,
+        )
 
     def __call__(self, wanted: Float[np.ndarray, " joint"]) -> Float[np.ndarray, " joint"]:
         """Commands for wanted angles, both rad, shape (joint,); what cannot be reached is cut."""
         low, high = self._compensator.reachable
         values = jnp.asarray(np.clip(wanted, low, high) - self._compensator.offset)
-        if not self._begun:
-            self._state, self._begun = self._of_each(), True
         inputs, self._state = _step(self._compensator.operator, values, self._state)
         return np.asarray(inputs)
-
-    def _of_each(self) -> Any:
-        def wide(leaf: Any) -> Array:
-            leaf = jnp.asarray(leaf)
-            return jnp.broadcast_to(leaf, (self._joints, *leaf.shape))
-
-        state = self._compensator.state
-        return None if state is None else jax.tree.map(wide, state)
 
 
 @eqx.filter_jit
@@ -95,56 +88,42 @@ def _step(operator: AbstractOperator, values: Array, state: Any) -> tuple[Array,
 
 
 class Record:
-    """What an arm was told and what it did, row by row.
-
-    Arguments:
-        model: of the arm, with its sensors.
-    """
+    """What an arm was told and what it did, row by row; the model has the sensors that see it."""
 
     def __init__(self, model: ArmModel) -> None:
         self.model = model
-        self._times: list[float] = []
-        self._commands: list[np.ndarray] = []
-        self._states: list[np.ndarray] = []
-        self._winds: list[np.ndarray] = []
+        self._rows: list[tuple[float, np.ndarray, np.ndarray, np.ndarray]] = []
 
     def __len__(self) -> int:
         """Number of rows."""
-        return len(self._times)
+        return len(self._rows)
 
     def add(self, time: float, command: np.ndarray, state: np.ndarray, wind: np.ndarray) -> None:
-        """One row.
+        """One row: of all joints commands (rad), angles (rad) and rates (rad/s); wind (m/s)."""
+        self._rows.append((time, command, state, wind))
 
-        Arguments:
-            time: s.
-            command: of all joints, rad, shape (joint,).
-            state: angles (rad) and rates (rad/s), shape (2, joint).
-            wind: velocity of the air, m/s, shape (3,).
-        """
-        self._times.append(time)
-        self._commands.append(command)
-        self._states.append(state)
-        self._winds.append(wind)
+    def _column(self, at: int) -> np.ndarray:
+        return np.asarray([row[at] for row in self._rows])
 
     @property
     def times(self) -> Float[np.ndarray, " row"]:
         """Of the rows, s."""
-        return np.asarray(self._times)
+        return self._column(0)
 
     @property
     def commands(self) -> Float[np.ndarray, "row joint"]:
         """Commanded angles, rad."""
-        return np.asarray(self._commands)
+        return self._column(1)
 
     @property
     def angles(self) -> Float[np.ndarray, "row joint"]:
         """Angles of the joints, rad."""
-        return np.asarray(self._states)[:, 0]
+        return self._column(2)[:, 0]
 
     @property
     def winds(self) -> Float[np.ndarray, "row 3"]:
         """Velocities of the air, m/s."""
-        return np.asarray(self._winds)
+        return self._column(3)
 
     def run(
         self,
@@ -163,65 +142,39 @@ class Record:
 
         Arguments:
             channels: what is recorded (`link06_z`, `tip_x`).
-            name: of the run.
             noise: standard deviations by the keys of `[noise]` (`position_m`).
             every: in which rows there is a recording.
-            seed: of the noise.
-            origin: where the run is from, for its sidecar.
 
         Raises:
             InputError: too short a drive, one in which no joint was moved, or an unknown channel.
         """
         if len(self) < 2:
             raise InputError("nothing was driven: there is no run to save")
-        moved = np.flatnonzero(np.any(self.commands != 0, axis=0))
-        if not moved.size:
+        values = command_columns(self.commands)
+        if not values:
             raise InputError("no joint was moved: there is no run to save")
-        seen = _seen(self.model, self._trajectory(), tuple(channels))
+        states = self._column(2)
+        rows = (self.times, states[:, 0], states[:, 1], self.commands, self.winds)
+        motion = logged_motion(self.model.arm, *rows)
+        seen = _seen(self.model, motion, tuple(channels))
         hidden = np.arange(len(self)) % every != 0
-        values = {f"joint{joint + 1:02d}_command": self.commands[:, joint] for joint in moved} | {
+        values |= {
             channel: np.where(hidden, np.nan, np.asarray(column))
             for channel, column in seen.items()
         }
         if np.any(self.winds):
-            values |= dict(zip(("wind_x", "wind_y", "wind_z"), self.winds.T, strict=True))
-        constants = self.model.definition()
-        facts = {key: value for key, value in constants.items() if key in Definition.model_fields}
-        facts |= {"model": self.model.kind, "command": {"interpolation": "linear"}}
-        if np.any(self.winds):
-            facts["wind"] = {"interpolation": "linear"}
-        facts |= {"noise": dict(noise)} if noise else {}
-        facts |= {"origin": origin} if origin else {}
-        definition = Definition.parse(facts, name)
-        run = Run.from_arrays(self.times, values, name=name, definition=definition)
+            values |= dict(zip(_WIND, self.winds.T, strict=True))
+        run = driven_run(self.model, self.times, values, name=name, noise=noise, origin=origin)
         if not noise:
             return run
         white = {channel: deviation for channel in seen if (deviation := run.noise(channel))}
         return with_errors(run, RecordingErrors(white=white), seed=seed)
 
-    def _trajectory(self) -> Trajectory:
-        states = jnp.asarray(np.asarray(self._states))
-        return Trajectory(
-            times=jnp.asarray(self.times),
-            angles=states[:, 0],
-            rates=states[:, 1],
-            memory=None,
-            pressures=None,
-            skin=None,
-            arm=self.model.arm,
-            command=logged(self.times, self.commands),
-            wind=logged(self.times, self.winds),
-            result=RESULTS.successful,  # type: ignore[arg-type]
-            steps=jnp.zeros(2, dtype=int),
-        )
-
 
 @program
 def _seen(model: ArmModel, motion: Trajectory, channels: tuple[str, ...]) -> Channels:
-    def at(times: Array, end: Array) -> Trajectory:
-        return motion
-
-    return recorded_channels(model.arm, model.sensors, at, motion.times, channels)[0]
+    given = (model.arm, model.sensors, lambda times, end: motion, motion.times, channels)
+    return recorded_channels(*given)[0]
 
 
 RATE = 30.0
@@ -231,9 +184,6 @@ RATE = 30.0
 _BEHIND = 1.0
 
 _WIND = ("wind_x", "wind_y", "wind_z")
-
-# The strengths of what joints remember, by the names of their parameters.
-_MEMORY = ("joints.memory.strength", "joints.stops.strength")
 
 
 class Session:
@@ -248,7 +198,6 @@ class Session:
         rate: poses a second.
         steps: of the integrator in each.
         gusts: wind over time, one for the whole arm; repeated at its end. None: still air.
-        compensation: makes commands of wanted angles.
         memory: whether joints remember; the arm without its hysteresis where not.
 
     Raises:
@@ -274,7 +223,14 @@ class Session:
             raise InputError("gusts of a drive are one wind for the whole arm: give x, y and z")
         arm = model.arm
         if not memory:
-            arm = replace(arm, dict.fromkeys(_remembered(model), 0.0))
+            hysteresis = arm.joints.hysteresis
+            strengths = {"memory": hysteresis.memory.rows, "stops": hysteresis.stops.rows}
+            left_out = {f"joints.{name}.strength": 0.0 for name, rows in strengths.items() if rows}
+            if not left_out:
+                raise InputError(
+                    "the joints of this arm remember nothing: there is nothing to leave out"
+                )
+            arm = replace(arm, left_out)
         self.model = model
         self.mapping = PadMapping.usual(arm.count) if mapping is None else mapping
         self.operator = Operator(self.mapping, arm.count)
@@ -283,13 +239,15 @@ class Session:
         self.compensated = compensation is not None
         self.lost = 0.0
         self.record = Record(ArmModel(arm, sensors=model.sensors))
+        self.can_gust = self.gusty
+        self.can_compensate = self.compensated
         self._gusts = gusts
         self._compensation = compensation
         self._stepper = Stepper(arm, jnp.asarray(self.interval), steps)
         self._wind = self._wind_at(0.0)
-        self._moment: Moment = self._stepper.start(wind=self._wind)
+        self.moment: Moment = self._stepper.start(wind=self._wind)
         # Compiled before the clock runs.
-        self._stepper.advance(self._moment, self._moment.command, jnp.asarray(self._wind))
+        self._stepper.advance(self.moment, self.moment.command, jnp.asarray(self._wind))
         self._count = 0
         self._began: float | None = None
         self._add()
@@ -299,28 +257,10 @@ class Session:
         """That was driven, s."""
         return self._count * self.interval
 
-    @property
-    def moment(self) -> Moment:
-        """The state of the arm."""
-        return self._moment
-
-    @property
-    def can_gust(self) -> bool:
-        """Whether there are gusts to switch on."""
-        return self._gusts is not None
-
-    @property
-    def can_compensate(self) -> bool:
-        """Whether there is a compensation to switch on."""
-        return self._compensation is not None
-
     def receive(self, message: Mapping[str, Any], now: float) -> None:
-        """One message of a page: of `Operator.receive`, or a switch.
+        """One message of a page at a time of the clock (s): of `Operator.receive`, or a switch.
 
-        Arguments:
-            message: beside those of the operator `{"type": "gusts", "on": true}` and
-                `{"type": "compensation", "on": true}`.
-            now: time of the clock, s.
+        Switches are `{"type": "gusts", "on": true}` and `{"type": "compensation", "on": true}`.
 
         Raises:
             InputError: a message that says nothing of these kinds; the drive goes on.
@@ -334,11 +274,9 @@ class Session:
             self.operator.receive(message, now)
 
     def tick(self, now: float, most: int | None = None) -> Pose:
-        """Advance to the time of the clock, and say where the arm is.
+        """Advance to the time of the clock (s), and say where the arm is.
 
-        Arguments:
-            now: time of the clock, s.
-            most: intervals at once; all that are missing by default.
+        At most so many intervals are made up for at once; all that are missing by default.
         """
         if self._began is None:
             self._began = now - self.time
@@ -365,18 +303,15 @@ class Session:
             command = compensated if self.compensated else wanted
         self._count += 1
         self._wind = self._wind_at(self.time)
-        self._moment = self._stepper.advance(
-            self._moment, jnp.asarray(command), jnp.asarray(self._wind)
-        )
+        given = jnp.asarray(command), jnp.asarray(self._wind)
+        self.moment = self._stepper.advance(self.moment, *given)
         self._add()
 
     @property
     def pose(self) -> Pose:
         """Where the arm is."""
-        angles = np.asarray(self._moment.angles)
-        command = np.asarray(self._moment.command)
-        why = self.operator.stopped
-        return Pose(self.time, angles, command, self._wind, why, self.lost)
+        angles, command = np.asarray(self.moment.angles), np.asarray(self.moment.command)
+        return Pose(self.time, angles, command, self._wind, self.operator.stopped, self.lost)
 
     def _wind_at(self, time: float) -> Float[np.ndarray, "3"]:
         if self._gusts is None or not self.gusty:
@@ -386,23 +321,13 @@ class Session:
         return np.array([float(at[name][0]) for name in _WIND])
 
     def _add(self) -> None:
-        state = np.asarray(self._moment.state[:2])
+        state = np.asarray(self.moment.state[:2])
         if not np.all(np.isfinite(state)):
             raise InputError(
                 f"the arm became infinite or NaN at {self.time:.2f} s: check its parameters, or "
                 "take more steps"
             )
-        self.record.add(self.time, np.asarray(self._moment.command), state, self._wind)
-
-
-def _remembered(model: ArmModel) -> list[str]:
-    """Paths of the strengths of what joints remember."""
-    hysteresis = model.arm.joints.hysteresis
-    there = [hysteresis.memory.rows > 0, hysteresis.stops.rows > 0]
-    paths = [path for path, has in zip(_MEMORY, there, strict=True) if has]
-    if not paths:
-        raise InputError("the joints of this arm remember nothing: there is nothing to leave out")
-    return paths
+        self.record.add(self.time, np.asarray(self.moment.command), state, self._wind)
 
 
 # A drive without an operator: what a pad did, from a file.
@@ -421,8 +346,7 @@ def read_pad(path: str | Path) -> Mapping[str, Float[np.ndarray, " row"]]:
     """
     path = Path(path)
     columns = read_numbers(path)
-    known = {name for name in columns if name.startswith(("axis", "button"))}
-    if "time_s" not in columns or not any(name.startswith("axis") for name in known):
+    if "time_s" not in columns or not any(name.startswith("axis") for name in columns):
         raise InputError(f"{path} is of a pad without axes: give the columns time_s and axis0")
     odd = [name for name in columns if name != "time_s" and _place(name) is None]
     if odd:
@@ -438,15 +362,7 @@ def read_pad(path: str | Path) -> Mapping[str, Float[np.ndarray, " row"]]:
 
 
 def check_length(seconds: float, interval: float) -> None:
-    """Refuse a drive that would fill the memory.
-
-    Arguments:
-        seconds: of the drive.
-        interval: between two poses, s.
-
-    Raises:
-        InputError: naming the longest.
-    """
+    """Refuse a drive (s) that would fill the memory with a pose in each interval (s)."""
     if not seconds <= POSES * interval:
         raise InputError(
             f"the drive is {seconds:g} s long, but may be {POSES * interval:g} s long at "
@@ -464,7 +380,6 @@ def replay(
     """Drive an arm by what a pad did, as fast as it can be simulated.
 
     Arguments:
-        session: of the arm.
         pad: as of `read_pad`; a row holds until the next one.
         until: end of the drive, s; the last row by default.
         on_progress: is called now and then with the time that was driven, and the whole, s.

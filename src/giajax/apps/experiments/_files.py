@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,25 +11,27 @@ from matplotlib.figure import Figure
 
 from ...models import OscillatorModel
 from ...recordings import Run, check_output_folder, make_folder, write_files, write_run
-from ...report import BLUE, GREEN, GREY, INK, VERMILLION, new_figure, plain, to_csv, to_png
+from ...report import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    VERMILLION,
+    columns_of,
+    new_figure,
+    plain,
+    to_csv,
+    to_png,
+)
 from ...schema.parameters import get
 from ..synthetic import synthesise
 from ._one_link import OneLink, Trial
 
-# Fig. 12 of the paper: measured against target angles, without and with compensation.
-
-
-class _Column(NamedTuple):
-    """How the trials of a compensation are drawn."""
-
-    title: str
-    colour: str
-
-
+# Title and colour by compensation.
 _COLUMNS = {
-    "none": _Column("without compensation", VERMILLION),
-    "branches": _Column("eq. (12)", BLUE),
-    "inverse": _Column("inverse of the modified Prandtl-Ishlinskii form", GREEN),
+    "none": ("without compensation", VERMILLION),
+    "branches": ("eq. (12)", BLUE),
+    "inverse": ("inverse of the modified Prandtl-Ishlinskii form", GREEN),
 }
 _HISTORIES = {"paper": "the paper's history", "other": "other amplitudes and minor loops"}
 
@@ -50,70 +52,51 @@ def figure_12(study: OneLink) -> Figure:
             if row == len(histories) - 1:
                 axes.set_xlabel("target angle (deg)")
             if row == 0:
-                axes.set_title(_COLUMNS[compensation].title, fontsize=9, loc="left", color=INK)
+                axes.set_title(_COLUMNS[compensation][0], fontsize=9, loc="left", color=INK)
     return figure
 
 
 def _draw(axes: Axes, trial: Trial) -> None:
     ends = np.asarray([-65.0, 65.0])
     axes.plot(ends, ends, color=GREY, linewidth=0.8, linestyle=(0, (4, 3)))
-    measured = trial.history.measured
-    axes.plot(
-        trial.history.target[measured],
-        trial.angles[measured],
-        color=_COLUMNS[trial.compensation].colour,
-        linewidth=0.9,
-        marker="o",
-        markersize=1.8,
-        markeredgewidth=0,
-    )
+    measured, colour = trial.history.measured, _COLUMNS[trial.compensation][1]
+    small: Any = {"linewidth": 0.9, "marker": "o", "markersize": 1.8, "markeredgewidth": 0}
+    axes.plot(trial.history.target[measured], trial.angles[measured], color=colour, **small)
     plain(axes)
     axes.set_xlim(*ends)
     axes.set_ylim(-70, 70)
     axes.set_xticks(range(-60, 61, 20))
     axes.set_yticks(range(-60, 61, 20))
-    axes.text(
-        0.03,
-        0.97,
-        f"error: mean {trial.mean:.1f}, largest {trial.largest:.1f} deg",
-        transform=axes.transAxes,
-        fontsize=8,
-        color=INK,
-        va="top",
-    )
+    errors = f"error: mean {trial.mean:.1f}, largest {trial.largest:.1f} deg"
+    axes.text(0.03, 0.97, errors, transform=axes.transAxes, fontsize=8, color=INK, va="top")
 
 
 ONE_LINK_FILES = (
-    "fig12.png",
-    "fig12.csv",
-    "errors.csv",
-    "result.json",
-    "recording.csv",
-    "recording.toml",
+    *("fig12.png", "fig12.csv", "errors.csv", "result.json"),
+    *("recording.csv", "recording.toml"),
 )
 """What the 1-link experiment writes."""
 
+_ERRORS = ("history", "compensation", "mean_error_deg", "largest_error_deg")
+_TABLE = ("history", "compensation", "time_s", "target_deg", "command_deg", "angle_deg")
+
 
 def write_one_link(study: OneLink, folder: Path, *, force: bool = False) -> list[Path]:
-    """Write the picture, its numbers, the errors, the recording and the fit.
-
-    Arguments:
-        study: what to write.
-        folder: where; made if it is missing.
-        force: write over files that are there.
-
-    Returns:
-        The paths of the files.
+    """Write the picture, its numbers, the errors, the recording and the fit; the paths of them.
 
     Raises:
         InputError: the folder cannot be made, or (without `force`) a file is there.
     """
     check_output_folder(folder, ONE_LINK_FILES, force=force)
     make_folder(folder)
+    errors = [
+        (trial.history.name, trial.compensation, f"{trial.mean:.4f}", f"{trial.largest:.4f}")
+        for trial in study.trials
+    ]
     contents = {
         folder / "fig12.png": to_png(figure_12(study)),
         folder / "fig12.csv": to_csv(one_link_table(study)),
-        folder / "errors.csv": _errors(study).encode(),
+        folder / "errors.csv": to_csv(columns_of(_ERRORS, errors)),
         folder / "result.json": study.result.to_json().encode(),
     }
     write_files(contents, force=force)
@@ -124,42 +107,17 @@ def write_one_link(study: OneLink, folder: Path, *, force: bool = False) -> list
 
 
 def one_link_table(study: OneLink) -> dict[str, list[str]]:
-    """Every sample of every trial: the numbers of fig. 12.
-
-    Arguments:
-        study: the experiment.
-
-    Returns:
-        Columns of equal length, in the units that their names say; an empty cell was not measured.
-    """
-    columns: dict[str, list[str]] = {
-        name: []
-        for name in ("history", "compensation", "time_s", "target_deg", "command_deg", "angle_deg")
-    }
+    """Every sample of every trial, the numbers of fig. 12; an empty cell was not measured."""
+    rows = []
     for trial in study.trials:
         plan = trial.history
         for time, target, command, angle in zip(
             plan.times, plan.target, trial.commands, trial.angles, strict=True
         ):
-            cells = (
-                plan.name,
-                trial.compensation,
-                f"{time:g}",
-                f"{target:g}",
-                f"{command:.4f}",
-                "" if np.isnan(angle) else f"{angle:.4f}",
-            )
-            for column, cell in zip(columns.values(), cells, strict=True):
-                column.append(cell)
-    return columns
-
-
-def _errors(study: OneLink) -> str:
-    lines = ["history,compensation,mean_error_deg,largest_error_deg"]
-    for trial in study.trials:
-        names = f"{trial.history.name},{trial.compensation}"
-        lines.append(f"{names},{trial.mean:.4f},{trial.largest:.4f}")
-    return "\n".join(lines) + "\n"
+            seen = "" if np.isnan(angle) else f"{angle:.4f}"
+            cells = (f"{time:g}", f"{target:g}", f"{command:.4f}", seen)
+            rows.append((plan.name, trial.compensation, *cells))
+    return columns_of(_TABLE, rows)
 
 
 # The benchmark of a mass on a spring and damper with a Bouc-Wen element, generated here.
@@ -211,14 +169,9 @@ def bouc_wen_benchmark(seed: int = 0) -> BoucWenBenchmark:
         name="bouc_wen_multisine",
     )
     times, force = sweep()
-    swept = synthesise(
-        OscillatorModel().refined(1e-3),
-        times,
-        {"input": force},
-        ["output"],
-        definition={"truth": truth},
-        name="bouc_wen_sweep",
-    )
+    about: Any = {"definition": {"truth": truth}, "name": "bouc_wen_sweep"}
+    model = OscillatorModel().refined(1e-3)
+    swept = synthesise(model, times, {"input": force}, ["output"], **about)
     return BoucWenBenchmark(recorded, swept, truth)
 
 

@@ -17,9 +17,7 @@ from ...fitting import FitResult, fit
 from ...mechanics.hysteresis import BoucWen, Preisach
 from ...models import model_for
 from ...recordings import Run
-from ..control import Compensator, compensator_for_loop, compensator_for_model
-
-# Histories of target angles: the paper's, and another one with minor loops.
+from ..control import compensator_for_loop, compensator_for_model
 
 Degrees = npt.NDArray[np.float64]
 
@@ -34,13 +32,10 @@ PAPER = (0, 60, -60, 0)
 
 @dataclass(frozen=True)
 class History:
-    """Target angles one degree apart.
+    """Target angles one degree apart, and when the joint has come to rest and is measured, s.
 
     Attributes:
-        name: what to call it.
-        times: when the joint has come to rest and is measured, s, shape (sample,).
-        target: deg, shape (sample,).
-        measured: which samples are measured, after the preparatory movement; shape (sample,).
+        measured: which samples are measured, after the preparatory movement.
     """
 
     name: str
@@ -50,16 +45,9 @@ class History:
 
 
 def history(name: str, turns: Sequence[float]) -> History:
-    """The paper's preparatory movement, then from turn to turn by 1 deg.
+    """The paper's preparatory movement, then from turn to turn (deg) by 1 deg.
 
     A step takes 5 s, and 20 s where the command is within 30 deg of 0.
-
-    Arguments:
-        name: what to call it.
-        turns: angles that it goes to, one after the other, deg.
-
-    Returns:
-        The history, with the preparation in it.
     """
     before = _steps(PAPER)
     target = np.concatenate([before, _steps(turns)[1:]])
@@ -101,17 +89,14 @@ class SimulatedJoint:
 
     Attributes:
         gap: angles on the positive and the negative side where the joint does not stay, deg.
-        decay: drive within which the effect of the gap goes down, above the gap, deg.
-        snap: drive at which it snaps through, deg.
+        decay, snap: drives, deg.
         film: share of the film in the drive; `film_width`, `film_spread` and `film_scatter` are
             half-width (deg), spread and centre spread (deg) of its Preisach density.
         muscle: share of the muscles' hysteresis in the drive.
         muscle_travel: command (deg) within which a muscle goes from one branch to the other.
         pressure_noise: standard deviation of the drive from step to step, deg.
         inclination: of the camera, added to every measured angle, deg.
-        marker_noise: standard deviation of a marker's position, m.
-        marker_distance: between the two markers, m.
-        seed: of the noise.
+        marker_noise, marker_distance: deviation of a marker's position, and between the two, m.
     """
 
     gap: tuple[float, float] = (12.6, 12.3)
@@ -161,13 +146,9 @@ class SimulatedJoint:
         for x in drive:
             if abs(x) > self.snap:
                 upper = bool(x > 0)
-            settled.append(
-                self._beyond(x, self.gap[0]) if upper else -self._beyond(-x, self.gap[1])
-            )
+            side, gap = (1, self.gap[0]) if upper else (-1, self.gap[1])
+            settled.append(float(side * (side * x + gap * np.exp(-side * x / self.decay))))
         return np.asarray(settled)
-
-    def _beyond(self, drive: float, gap: float) -> float:
-        return float(drive + gap * np.exp(-drive / self.decay))
 
     def angles(self, commands: npt.ArrayLike, *, trial: int = 0) -> Degrees:
         """The true angle after each step of a history of commands, deg, shape (sample,)."""
@@ -176,21 +157,12 @@ class SimulatedJoint:
         return self.rest_angles(drive + self.pressure_noise * random.standard_normal(len(drive)))
 
     def measured(self, commands: npt.ArrayLike, *, trial: int = 0) -> Degrees:
-        """The angle as two markers on the link show it to an inclined camera, deg.
-
-        Arguments:
-            commands: shape (sample,), deg.
-            trial: another repetition has other noise.
-
-        Returns:
-            Shape (sample,), deg.
-        """
+        """The angle as two markers show it to an inclined camera, deg; each trial has its noise."""
         true = np.deg2rad(self.angles(commands, trial=trial) + self.inclination)
         random = np.random.default_rng([self.seed, trial, 2])
         ahead = self.marker_distance * np.stack([np.cos(true), np.sin(true)])
-        seen = ahead + self.marker_noise * (
-            random.standard_normal(ahead.shape) - random.standard_normal(ahead.shape)
-        )
+        one, other = (random.standard_normal(ahead.shape) for _ in range(2))
+        seen = ahead + self.marker_noise * (one - other)
         return np.rad2deg(np.arctan2(seen[1], seen[0]))
 
 
@@ -209,9 +181,8 @@ class Trial:
     """One history followed with one compensation.
 
     Attributes:
-        history: the target.
         compensation: "none", "branches" (eq. 12) or "inverse".
-        commands: what was sent, deg, shape (sample,).
+        commands: what was sent, deg.
         angles: what was measured, the offset removed, deg, NaN during the preparation.
     """
 
@@ -242,7 +213,7 @@ class OneLink:
 
     Attributes:
         trials: by history, then by compensation.
-        recording: what was identified on, as a run.
+        recording: what was identified on.
         result: the fit of the modified Prandtl-Ishlinskii operator.
         offset: of the camera, by the paper's history, deg.
     """
@@ -271,18 +242,10 @@ def one_link(
 
     Offsets are removed as the paper does: on its own history the one that makes the mean error
     least, for each trial. On the other history the camera has not moved: the offset is that of the
-    recording.
+    recording. Ctrl-C ends it.
 
     Arguments:
-        joint: the simulated joint.
         travel: of eq. (12), rad.
-        progress: called with what is being done.
-
-    Returns:
-        The trials, the recording and the fit.
-
-    Raises:
-        KeyboardInterrupt: after Ctrl-C, where a fit alone keeps the best so far.
     """
     joint = SimulatedJoint() if joint is None else joint
     say = progress or (lambda text: None)
@@ -303,10 +266,15 @@ def one_link(
         for name, compensator in (("none", None), ("branches", branches), ("inverse", inverse)):
             say(f"the {plan.name} history, compensation: {name}")
             number += 1
-            commands = _commands(compensator, plan.target)
+            commands = plan.target
+            if compensator is not None:
+                aimed = np.clip(np.deg2rad(plan.target), *compensator.reachable)
+                # The joint takes no command beyond its range.
+                commands = np.clip(np.rad2deg(compensator.commands(aimed)), -RANGE, RANGE)
             seen = joint.measured(commands, trial=number)
             error = (seen - plan.target)[plan.measured]
-            removed = _least_offset(error) if plan is paper else offset
+            # The median makes the mean error least.
+            removed = float(np.median(error)) if plan is paper else offset
             shown = np.where(plan.measured, seen - removed, np.nan)
             trials.append(Trial(plan, name, commands, shown))
     return OneLink(tuple(trials), recording, result, offset)
@@ -321,8 +289,7 @@ def record_joint(joint: SimulatedJoint | None = None) -> Run:
 def _record(joint: SimulatedJoint) -> tuple[Run, float]:
     plan, paper = history("identification", (*PAPER, *_NESTED[1:])), paper_history()
     angles = joint.measured(plan.target)
-    error = (angles[: len(paper.target)] - paper.target)[paper.measured]
-    offset = _least_offset(error)
+    offset = float(np.median((angles[: len(paper.target)] - paper.target)[paper.measured]))
     return _run(plan, angles - offset), offset
 
 
@@ -333,20 +300,6 @@ def identify(recording: Run) -> FitResult:
     return fit(
         model_for([recording]), recording, noise_model="white", check=False, max_iterations=150
     )
-
-
-def _least_offset(errors: Degrees) -> float:
-    """What the measured angles are too large by: the median makes the mean error least."""
-    return float(np.median(errors))
-
-
-def _commands(compensator: Compensator | None, target: Degrees) -> Degrees:
-    if compensator is None:
-        return target
-    low, high = compensator.reachable
-    commands = np.rad2deg(compensator.commands(np.clip(np.deg2rad(target), low, high)))
-    # The joint takes no command beyond its range.
-    return np.clip(commands, -RANGE, RANGE)
 
 
 def _run(plan: History, angles: Degrees) -> Run:

@@ -31,36 +31,20 @@ from ...runtime.text import InputError
 from ...schema import GAS, PORTS, SKIN, SUPPLY
 from ...schema.parameters import check_within_bounds, declared, get, replace
 
-# The gas of all bags over time.
-
 MOST_STEPS = 20_000
 
 
 class State(NamedTuple):
-    """What changes while bags are filled.
-
-    Attributes:
-        share: gas of each bag over that which fills it.
-        supplied: gas that the supply has fed over that which fills all.
-    """
+    """What changes: gas of each bag, and all that the supply has fed, over what fills them."""
 
     share: PerBag
     supplied: Scalar
 
 
 class Course(NamedTuple):
-    """Gas over time, at times that are evenly spaced.
+    """Gas over time, at evenly spaced times (s) from 0 to the end, as `Filled` has it.
 
-    Attributes:
-        times: s, from 0 to the end.
-        share: gas of each bag over that which fills it.
-        supplied: gas that the supply has fed over that which fills all.
-        full: when each bag first has what fills it, s; NaN where it never has.
-        lifts: when each link's lift first bears the link, s; NaN where it never does.
-        lifts_all: when the lift of all first bears the arm, s.
-        finished: whether all bags were filled.
-        succeeded: whether the integration came to its end.
-        steps: of the integration.
+    Shares and what was supplied are over what fills a bag, or all. Times of what never came: NaN.
     """
 
     times: Float[Array, " time"]
@@ -107,16 +91,10 @@ def net_lift_of_links(filling: Filling, share: PerBag) -> Float[Array, " link"]:
 
 @program
 def course(filling: Filling, end: Scalar, tolerance: Scalar, *, times: int) -> Course:
-    """Fill until every bag has what fills it, or until the end.
+    """Fill until every bag has what fills it, or until the end (s); told of at so many times.
 
-    Arguments:
-        filling: what is filled.
-        end: time at which to give up, s.
-        tolerance: of the steps, relative to what fills a bag.
-        times: how many to tell of.
+    The tolerance of the steps is relative to what fills a bag.
     """
-    start = State(jnp.zeros_like(filling.volume), jnp.zeros_like(end))
-
     exact = 100 * float(jnp.finfo(end.dtype).eps)
 
     def missing(t: Scalar, y: State, args: Filling, **_: object) -> Scalar:
@@ -129,7 +107,7 @@ def course(filling: Filling, end: Scalar, tolerance: Scalar, *, times: int) -> C
         t0=jnp.zeros_like(end),
         t1=end,
         dt0=end * 1e-5,
-        y0=start,
+        y0=State(jnp.zeros_like(filling.volume), jnp.zeros_like(end)),
         args=filling,
         stepsize_controller=diffrax.PIDController(rtol=tolerance, atol=tolerance),
         saveat=diffrax.SaveAt(dense=True, t1=True),
@@ -199,7 +177,6 @@ class Filled:
     Links of one bag have the same fullness, pressure and times.
 
     Attributes:
-        filling: what was filled.
         times: s, from 0 until all is full, shape (time,).
         fullness: volume of each link over that of its tube, shape (time, link).
         pressure: of each link above that of the room, Pa, shape (time, link).
@@ -239,9 +216,8 @@ class Filled:
     @property
     def imbalance(self) -> float:
         """Largest difference of what was fed and what is in the links, over what fills them."""
-        return float(np.max(np.abs(self.supplied - self.gas.sum(axis=1)))) / float(
-            np.sum(np.asarray(self.filling.full_mass))
-        )
+        off = np.max(np.abs(self.supplied - self.gas.sum(axis=1)))
+        return float(off) / float(np.sum(np.asarray(self.filling.full_mass)))
 
 
 def fill(filling: Filling | None = None, *, limit: float = LIMIT) -> Filled:
@@ -250,10 +226,6 @@ def fill(filling: Filling | None = None, *, limit: float = LIMIT) -> Filled:
     Arguments:
         filling: arm, gas, ports and supply; those of the paper by default.
         limit: when to give up, s.
-
-    Returns:
-        Fullness, pressure, lift and stiffness of each link over time, and when each is full and
-        lifts itself.
 
     Raises:
         InputError: a number that is out of its bounds, or steps that do not come to an end.
@@ -268,24 +240,26 @@ def fill(filling: Filling | None = None, *, limit: float = LIMIT) -> Filled:
     if not 0 < limit < np.inf:
         raise InputError(f"the limit is {limit:g} s: give a positive number of seconds")
     check_filling(made)
-    found = _integrated(made, limit)
-    here = made.bag_of_link
-    links = made.arm.links
-    states = _states(made, found)
-    pressure, fullness, flow, lift = (np.asarray(each) for each in states)
+    found = tried(made, limit, _TOLERANCE)
+    if not bool(found.succeeded):
+        raise InputError(
+            f"the filling cannot be followed beyond {float(found.times[-1]):.3g} s, after "
+            f"{int(found.steps)} steps: give narrower holes, or a larger skin_slack"
+        )
+    here, links = made.bag_of_link, made.arm.links
+    pressure, fullness, flow, lift = map(np.asarray, _states(made, found))
     radius, mass = np.asarray(links.diameter) / 2, np.asarray(links.mass)
     fold = np.pi * radius**3 * pressure[:, here]
     own = mass * STANDARD_GRAVITY * np.asarray(links.length) / 2
     with np.errstate(divide="ignore"):
         load = own / fold
     without_wrinkles = float(made.skin.stiffness) * np.pi * radius**3
-    each_gas = np.asarray(found.share)[:, here] * np.asarray(made.gas.density * links.volume)
     return Filled(
         filling=made,
         times=np.asarray(found.times),
         fullness=fullness[:, here],
         pressure=pressure[:, here],
-        gas=each_gas,
+        gas=np.asarray(found.share)[:, here] * np.asarray(made.gas.density * links.volume),
         supplied=np.asarray(found.supplied) * float(jnp.sum(made.full_mass)),
         flow=flow,
         net_lift=lift,
@@ -298,21 +272,6 @@ def fill(filling: Filling | None = None, *, limit: float = LIMIT) -> Filled:
     )
 
 
-def _integrated(filling: Filling, limit: float) -> Course:
-    """The gas over time.
-
-    Raises:
-        InputError: the steps did not come to an end.
-    """
-    found = tried(filling, limit, _TOLERANCE)
-    if not bool(found.succeeded):
-        raise InputError(
-            f"the filling cannot be followed beyond {float(found.times[-1]):.3g} s, after "
-            f"{int(found.steps)} steps: give narrower holes, or a larger skin_slack"
-        )
-    return found
-
-
 def tried(filling: Filling, limit: float, tolerance: float) -> Course:
     """The gas over time, as far as its steps came."""
     if jnp.result_type(float) == jnp.float32:
@@ -322,11 +281,7 @@ def tried(filling: Filling, limit: float, tolerance: float) -> Course:
 
 
 def check_filling(filling: Filling) -> None:
-    """Refuse numbers that are out of bounds.
-
-    Raises:
-        InputError: naming the parameter, its value and its bounds.
-    """
+    """Refuse numbers that are out of bounds."""
     own = {declaration.path for group in (GAS, SKIN, PORTS, SUPPLY) for declaration in group}
     for path, parameter in declared(filling).items():
         if path in own or path.startswith("links.") or path == "air.density":
@@ -350,8 +305,6 @@ def _states(filling: Filling, found: Course) -> tuple[Array, Array, Array, Array
     return jax.vmap(at)(found.share, found.supplied)
 
 
-# Ports and supplies with which filling takes as long as it did.
-
 PAPER_DURATION = 23 * 60.0
 """How long filling took, s (IV.B)."""
 
@@ -366,10 +319,9 @@ _CLOSE = 1e-6
 
 @dataclasses.dataclass(frozen=True)
 class FillingCurve:
-    """Pairs of port and supply with which filling takes a given time.
+    """Pairs of port and supply with which filling takes a given time (s).
 
     Attributes:
-        duration: that time, s.
         diameters: of all ports, m, shape (pair,).
         strengths: what the supply must have, SI: the parameter `path`; NaN where no supply will do.
         path: of the supply's parameter: flow, pressure of the regulator, nozzle of the bottle.
@@ -391,15 +343,12 @@ def filling_curve(
     duration: float = PAPER_DURATION,
     diameters: Sequence[float] = DIAMETERS,
 ) -> FillingCurve:
-    """The supply for each diameter of the ports with which filling takes a given time.
+    """The supply for each diameter (m) of the ports with which filling takes a given time (s).
 
     Arguments:
         filling: arm, gas, ports and supply; all ports are given the same diameter.
-        duration: how long filling takes, s; that of the paper by default.
-        diameters: of the ports, m.
-
-    Returns:
-        Diameter, supply and the pressure that comes of them.
+        duration: how long filling takes; that of the paper by default.
+        diameters: of the ports.
 
     Raises:
         InputError: a number that is out of its bounds, or an arm without ports.

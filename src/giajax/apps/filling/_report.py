@@ -19,12 +19,7 @@ _MINUTE, _LITRE_PER_MINUTE = 60.0, 1e-3 / 60
 
 
 def filling_files(filled: Filled, curve: FillingCurve | None = None) -> dict[str, bytes]:
-    """Numbers and pictures of a filling, by the names of `FILLING_FILES` and `CURVE_FILES`.
-
-    Arguments:
-        filled: the arm over time.
-        curve: ports and supplies; None: without it.
-    """
+    """Numbers and pictures of a filling, by the names of `FILLING_FILES` and `CURVE_FILES`."""
     files = {
         "filling.json": f"{filling_json(filled, curve)}\n".encode(),
         "filling.csv": to_csv(_columns(filled)),
@@ -83,20 +78,12 @@ def filling_json(filled: Filled, curve: FillingCurve | None = None) -> str:
         "filling": made.definition(),
     }
     if curve is not None:
+        names = ("port_diameter_m", "supply", "supply_flow_m3_per_s", "largest_pressure_Pa")
+        rows = zip(curve.diameters, curve.strengths, curve.flows, curve.pressures, strict=True)
         facts["curve"] = {
             "duration_s": curve.duration,
             "supply": curve.path,
-            "pairs": [
-                {
-                    "port_diameter_m": diameter,
-                    "supply": strength,
-                    "supply_flow_m3_per_s": flow,
-                    "largest_pressure_Pa": pressure,
-                }
-                for diameter, strength, flow, pressure in zip(
-                    curve.diameters, curve.strengths, curve.flows, curve.pressures, strict=True
-                )
-            ],
+            "pairs": [dict(zip(names, row, strict=True)) for row in rows],
         }
     return json.dumps(plain_data(facts), indent=2)
 
@@ -115,9 +102,7 @@ def filling_figure(filled: Filled) -> Figure:
     for place, (title, (table, unit)) in enumerate(panels.items(), start=1):
         axes = figure.add_subplot(2, 2, place)
         _curves(axes, minutes, table)
-        plain(axes, title)
-        axes.set_ylabel(unit)
-        axes.set_xlabel("time (min)")
+        plain(axes, title, "time (min)", unit)
         if place == 2:
             axes.legend(fontsize=8, frameon=False, loc="upper left")
         if place == 3:
@@ -127,14 +112,9 @@ def filling_figure(filled: Filled) -> Figure:
                 axes.axvline(when, color=INK, linewidth=0.8, linestyle="--")
                 low, high = axes.get_ylim()
                 axes.set_ylim(low, high + 0.2 * (high - low))
-                axes.annotate(
-                    f"the arm lifts itself: {when:.1f} min",
-                    (when, high + 0.08 * (high - low)),
-                    (-4, 0),
-                    textcoords="offset points",
-                    ha="right",
-                    fontsize=8,
-                )
+                said, above = f"the arm lifts itself: {when:.1f} min", high + 0.08 * (high - low)
+                small: Any = {"ha": "right", "fontsize": 8}
+                axes.annotate(said, (when, above), (-4, 0), textcoords="offset points", **small)
     return figure
 
 
@@ -154,14 +134,11 @@ def curve_figure(curve: FillingCurve) -> Figure:
     diameters = curve.diameters * 1e3
     axes = figure.add_subplot(1, 2, 1)
     axes.plot(curve.flows / _LITRE_PER_MINUTE, diameters, "o-", color=BLUE, ms=4)
-    plain(axes, "Port against supply")
-    axes.set_xlabel("flow of the supply when it begins (l/min)")
-    axes.set_ylabel("diameter of the ports (mm)")
+    port = "diameter of the ports (mm)"
+    plain(axes, "Port against supply", "flow of the supply when it begins (l/min)", port)
     axes.set_ylim(bottom=0)
     axes = figure.add_subplot(1, 2, 2)
     axes.semilogy(diameters, curve.pressures, "o-", color=VERMILLION, ms=4)
-    plain(axes, "What it costs")
+    plain(axes, "What it costs", port, "largest pressure in the first bag (Pa)")
     axes.tick_params(which="both", labelsize=8)
-    axes.set_xlabel("diameter of the ports (mm)")
-    axes.set_ylabel("largest pressure in the first bag (Pa)")
     return figure

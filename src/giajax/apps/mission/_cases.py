@@ -18,12 +18,8 @@ class Case:
 
     Attributes:
         wind: speed of the air, m/s.
-        seed: of its arm and its air.
-        reached: after so long, s; None: it was not.
-        reason: why not.
-        flattening: of a link at most, m.
-        force: on a link at most, N.
-        touched: names of the obstacles.
+        reached: after so long, s; None: it was not, for the reason.
+        flattening, force: of a link at most, m and N.
     """
 
     wind: float
@@ -41,7 +37,6 @@ class Tally:
 
     Attributes:
         wind: speed of the air, m/s.
-        cases: the missions, at least one.
     """
 
     wind: float
@@ -59,10 +54,7 @@ class Tally:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Between which shares that of success is, with 95 %.
-
-        Wilson, J. Am. Stat. Assoc. 22 (1927) 209.
-        """
+        """Between which shares success is, with 95 % (Wilson, J. Am. Stat. Assoc. 22, 1927)."""
         count, square, share = len(self.cases), 1.959964**2, self.inside / len(self.cases)
         middle = share + square / (2 * count)
         half = np.sqrt(square * (share * (1 - share) / count + square / (4 * count**2)))
@@ -80,9 +72,8 @@ class Tally:
     @property
     def reasons(self) -> dict[str, int]:
         """How often it failed for each reason, the most frequent first."""
-        return dict(
-            Counter(case.reason for case in self.cases if case.reached is None).most_common()
-        )
+        failed = Counter(case.reason for case in self.cases if case.reached is None)
+        return dict(failed.most_common())
 
     @property
     def touched(self) -> int:
@@ -157,15 +148,10 @@ def fly_cases(
                     tell(lambda: on_case(len(took), len(todo)))
             except KeyboardInterrupt:
                 return None
-            return Case(
-                wind,
-                number,
-                outcome.reached,
-                outcome.reason,
-                outcome.flattening,
-                max((each.force for each in outcome.touched), default=0.0),
-                tuple(each.obstacle for each in outcome.touched if each.links),
-            )
+            came = outcome.reached, outcome.reason, outcome.flattening
+            force = max((each.force for each in outcome.touched), default=0.0)
+            touched = tuple(each.obstacle for each in outcome.touched if each.links)
+            return Case(wind, number, *came, force, touched)
 
         return fly
 

@@ -22,11 +22,9 @@ from ...runtime.programs import program
 from ...runtime.text import InputError
 from ...schema import MissionSection
 from ...schema.parameters import replace
-from ...simulation import RESULTS, Moment, Stepper, Trajectory, logged
-from ..synthetic import gusts
+from ...simulation import Moment, Stepper, Trajectory
+from ..synthetic import command_columns, driven_run, gusts, logged_motion
 from ._operator import Opening, Operator, Sight, opening_of
-
-# The air of a mission: a mean flow and gusts along the arm, of a speed.
 
 # Between two rows of the gusts, s; the wind is linear between them.
 _WIND_INTERVAL = 1.0
@@ -40,15 +38,11 @@ def air(
     A level mean flow in a direction that is drawn, and about it gusts that are coherent along the
     arm where it is straight, so strong that the root mean square of the velocity is the speed.
 
-    Arguments:
-        section: the `[mission]`.
-        arm: the arm.
-        times: s.
-        seed: of the random numbers.
+    Random numbers come from the seed.
     """
-    wind, width = section.wind, 3 * arm.count
+    wind = section.wind
     if wind.speed_m_per_s == 0:
-        return np.zeros((len(times), width))
+        return np.zeros((len(times), 3 * arm.count))
     random = np.random.default_rng(seed)
     turn = random.uniform(0, 2 * np.pi)
     mean = wind.mean * wind.speed_m_per_s
@@ -64,21 +58,14 @@ def air(
         seed=int(random.integers(2**31)),
         places=np.asarray(link_centres(arm, jnp.zeros(arm.count))),
     )
-    values = drive.at(times)
-    names = [f"link{link:02d}_wind_{axis}" for link in range(1, arm.count + 1) for axis in "xyz"]
-    return np.stack([values[name] for name in names], axis=1)
+    return np.stack(list(drive.at(times).values()), axis=1)
 
 
 class Rows(NamedTuple):
-    """What happened, row by row.
+    """What happened, row by row: as of `Outcome`, and what stands here.
 
     Attributes:
-        time: s.
         state: of the joints and of what sticks, as of `Moment`.
-        command: commanded angles, rad.
-        tip: where it is, m.
-        believed: where the operator believes the camera to be, m.
-        corners: of the opening that are in the picture.
         pressing: force of obstacles on each link, N.
         inside: for how long the tip has been inside, s.
     """
@@ -97,10 +84,8 @@ class Task(NamedTuple):
     """What is to be done, and how it is computed.
 
     Attributes:
-        opening: to go through.
         beyond: how far behind its outer face the tip is inside, m.
         hold: for how long it must be there, s.
-        interval: between two decisions, s.
         tolerance: of the motion, as of `Stepper`.
     """
 
@@ -112,11 +97,9 @@ class Task(NamedTuple):
 
 
 class _Picture(NamedTuple):
-    """What a camera shows, and what was commanded then.
+    """The opening's corners on a picture, which of them are on it, and what was commanded then.
 
     Attributes:
-        pixels: of the opening's corners.
-        seen: which of them are in the picture.
         room: whether it shows what is behind the opening.
         commanded: where commands would have the camera.
     """
@@ -151,15 +134,9 @@ def flight(
 ) -> Rows:
     """A mission until its end; rows after that are as the last one.
 
-    Arguments:
-        arm: as it is.
-        drawn: as the operator takes it to be.
-        camera: at its tip.
-        operator: who drives.
-        task: what is to be done.
-        wind: velocity of the air at the beginning and at the end of each interval, m/s.
-        error: of what the operator sees in each, px.
-        late: of pictures, in intervals.
+    The operator takes the arm to be the drawn one. Pictures are late by so many intervals, at whose
+    ends there is a row of the wind (m/s), and in each of which the operator sees the corners with
+    an error (px).
     """
     opening, interval = task.opening, task.interval
     stepper = Stepper(arm, interval, tolerance=task.tolerance)
@@ -217,17 +194,10 @@ def flight(
     moment = stepper.start(wind=wind[0])
     first = picture(moment, jnp.zeros_like(error[0]))
     waiting = jax.tree.map(lambda x: jnp.broadcast_to(x, (late + 1, *x.shape)), first)
-    now = _Now(
-        moment,
-        waiting,
-        operator.tracking.start(first.commanded),
-        operator.patience + interval,
-        jnp.zeros_like(interval),
-    )
+    sight, blind = operator.tracking.start(first.commanded), operator.patience + interval
+    now = _Now(moment, waiting, sight, blind, jnp.zeros_like(interval))
     return jax.lax.scan(row, now, (wind[1:], error))[1]
 
-
-# What came of a mission.
 
 # Rows whose contacts are computed at once.
 _CHUNK = 64
@@ -238,11 +208,9 @@ class Touched:
     """What an obstacle did to the arm.
 
     Attributes:
-        obstacle: its name.
         links: numbers of the links that touched it.
         duration: of any contact, s.
-        flattening: of a link at most, m.
-        force: on a link at most, N.
+        flattening, force: of a link at most, m and N.
         impulse: of all forces on all links, by their size, N s.
     """
 
@@ -262,14 +230,11 @@ class Outcome:
         reached: time from which on the tip was inside, s; None: it was not, for as long as needed.
         reason: why not; empty where it was.
         nearest: distance of the tip from the middle of the opening at the least, m.
-        touched: what each obstacle did.
         times: of the rows below, s, from 0 until the end of the mission.
-        angles: of the joints, rad.
-        rates: of the joints, rad/s.
+        angles, rates: of the joints, rad and rad/s.
         command: commanded angles, rad.
         wind: velocity of the air at the links, m/s.
-        tip: where it was, m.
-        believed: where the operator believed the camera to be, m.
+        tip, believed: where the tip was, and the operator believed the camera to be, m.
         corners: of the opening that were in the picture.
     """
 
@@ -295,8 +260,7 @@ class Outcome:
 def outcome_of(mission: "Mission", rows: Rows, wind: Float[np.ndarray, "row width"]) -> Outcome:
     """What rows of a mission, and the air in it, come to."""
     table: Rows = jax.tree.map(np.asarray, rows)
-    section = mission.section
-    held = table.inside >= section.hold_s
+    held = table.inside >= mission.section.hold_s
     end = int(np.argmax(held)) + 1 if held.any() else len(held)
     table = jax.tree.map(lambda each: each[:end], table)
     arm = mission.model.arm
@@ -373,11 +337,7 @@ def _touched(arm: Arm, rows: Rows) -> tuple[Touched, ...]:
 def _contacts(arm: Arm, states: Float[Array, "row part joint"]) -> tuple[Array, Array]:
     assert arm.contact is not None
     rows = arm.contact.rows
-
-    def one(state: Array) -> tuple[Array, Array]:
-        return touched(arm, state[0], state[1], state[-rows:] if rows else None)
-
-    return jax.vmap(one)(states)
+    return jax.vmap(lambda x: touched(arm, x[0], x[1], x[-rows:] if rows else None))(states)
 
 
 # Between two decisions of an operator, s, and the tolerance of the motion.
@@ -390,10 +350,6 @@ class Mission:
 
     Attributes:
         model: of the arm, with its obstacles and its cameras.
-        section: what its file says.
-        opening: to go through.
-        camera: at the arm's tip.
-        operator: who drives.
     """
 
     model: ArmModel
@@ -405,10 +361,6 @@ class Mission:
     @classmethod
     def from_definition(cls, definition: Definition, source: str = "the file") -> Self:
         """The mission of a file.
-
-        Arguments:
-            definition: what is in it.
-            source: what errors call it.
 
         Raises:
             InputError: it has no `[mission]`, no opening, or no camera at the tip of its arm.
@@ -476,9 +428,6 @@ class Mission:
         Arguments:
             seed: of the air, and of what the operator sees wrong.
             drawn: the mission whose arm the operator takes this one's for; itself by default.
-
-        Raises:
-            InputError: a file that is not consistent.
         """
         section, arm = self.section, self.model.arm
         wind = self.wind(seed)
@@ -501,48 +450,19 @@ class Mission:
 def motion(mission: Mission, outcome: Outcome) -> Trajectory:
     """The motion of the arm, as far as it was followed."""
     sound = int(np.sum(np.cumprod(np.all(np.isfinite(outcome.angles), axis=1))))
-    times = outcome.times[:sound]
-    return Trajectory(
-        times=jnp.asarray(times),
-        angles=jnp.asarray(outcome.angles[:sound]),
-        rates=jnp.asarray(outcome.rates[:sound]),
-        memory=None,
-        pressures=None,
-        skin=None,
-        arm=mission.model.arm,
-        command=logged(times, outcome.command[:sound]),
-        wind=logged(times, outcome.wind[:sound]),
-        result=RESULTS.successful,  # type: ignore[arg-type]
-        steps=jnp.zeros(2, dtype=int),
-    )
+    rows = (outcome.times, outcome.angles, outcome.rates, outcome.command, outcome.wind)
+    return logged_motion(mission.model.arm, *(each[:sound] for each in rows))
 
 
 def recorded(mission: Mission, outcome: Outcome, *, name: str, origin: str = "") -> Run:
-    """A run that `giajax view` plays and `giajax fit` reads.
+    """A run of this name that `giajax view` plays and `giajax fit` reads.
 
-    Arguments:
-        mission: whose arm it was.
-        outcome: what came of it.
-        name: of the run.
-        origin: where it is from, for its sidecar.
+    Its sidecar says the origin.
     """
-    model: ArmModel = mission.model
-    facts = {
-        key: value for key, value in model.definition().items() if key in Definition.model_fields
-    }
-    facts |= {"model": model.kind, "command": {"interpolation": "linear"}}
-    facts |= {"wind": {"interpolation": "linear"}} if np.any(outcome.wind) else {}
-    facts |= {"origin": origin} if origin else {}
-    values = {
-        f"joint{joint:02d}_command": column
-        for joint, column in enumerate(outcome.command.T, start=1)
-        if np.any(column)
-    }
+    values = command_columns(outcome.command)
     if np.any(outcome.wind):
-        names = [
-            f"link{k:02d}_wind_{axis}" for k in range(1, model.arm.count + 1) for axis in "xyz"
-        ]
+        links = range(1, mission.model.arm.count + 1)
+        names = [f"link{link:02d}_wind_{axis}" for link in links for axis in "xyz"]
         values |= dict(zip(names, outcome.wind.T, strict=True))
     values |= dict(zip(("tip_x", "tip_y", "tip_z"), outcome.tip.T, strict=True))
-    definition = Definition.parse(facts, name)
-    return Run.from_arrays(outcome.times, values, name=name, definition=definition)
+    return driven_run(mission.model, outcome.times, values, name=name, origin=origin)

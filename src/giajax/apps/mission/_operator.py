@@ -31,7 +31,6 @@ class Opening(NamedTuple):
         centre: of its outer face in the base frame, m.
         frame: unit vectors outwards, to the left and up, as columns.
         half: half of its width and height, m.
-        thickness: of the wall, m.
     """
 
     centre: Float[Array, "3"]
@@ -57,11 +56,7 @@ class Opening(NamedTuple):
 
 
 def opening_of(arm: Arm, name: str | None = None) -> Opening:
-    """The opening of a wall around an arm.
-
-    Arguments:
-        arm: with its obstacles.
-        name: of the wall; not needed where there is one.
+    """The opening of a wall around an arm, by its name where there are several.
 
     Raises:
         InputError: there is no such wall, or several.
@@ -115,8 +110,6 @@ def posed(camera: Pinhole, opening: Opening, pixels: Float[Array, "4 2"]) -> Vie
     return View(opening.centre - axes @ plane[:, 2], axes)
 
 
-# What an operator makes of pictures: where the camera is, how fast, and how sure that is.
-
 # Position, velocity and turn of the camera.
 _PLACE, _SPEED, _TURN = slice(0, 3), slice(3, 6), slice(6, 9)
 
@@ -136,7 +129,6 @@ class Sight(NamedTuple):
     """Where an operator believes the camera to be.
 
     Attributes:
-        view: of the camera.
         velocity: m/s.
         covariance: of position, velocity and turn.
     """
@@ -202,27 +194,15 @@ class Tracking(eqx.Module):
         commanded: View,
         interval: Scalar,
     ) -> Sight:
-        """After a look at a picture.
+        """After a look at a picture: pixels of the opening's corners, and which of them are seen.
 
-        Arguments:
-            sight: before.
-            camera: whose picture it is.
-            opening: whose corners are in it.
-            pixels: where they are.
-            seen: which of them are.
-            commanded: where commands would have the camera.
-            interval: since the picture before, s.
+        Commands would have the camera elsewhere; the picture before is an interval (s) old.
         """
         # Where the whole opening is in view, and not where it was believed to be, anew from there.
         off = camera.project_from(sight.view, opening.corners).pixels - pixels
         lost = jnp.all(seen) & (jnp.max(jnp.abs(off)) > self.astonishing)
-        fresh = self.start(
-            posed(
-                camera,
-                opening,
-                jnp.where(seen[:, None], pixels, jnp.asarray(_SQUARE, pixels.dtype)),
-            )
-        )
+        corners = jnp.where(seen[:, None], pixels, jnp.asarray(_SQUARE, pixels.dtype))
+        fresh = self.start(posed(camera, opening, corners))
         sight = jax.tree.map(lambda new, old: jnp.where(lost, new, old), fresh, sight)
         here = sight.view
         visible = jnp.repeat(seen, 2, total_repeat_length=8)
@@ -244,13 +224,8 @@ class Tracking(eqx.Module):
         used = jnp.concatenate([visible, jnp.ones(6, bool)])
         slopes = jnp.where(used[:, None], slopes, 0)
         missed = jnp.where(used, wanted - found, 0)
-        spread = jnp.concatenate(
-            [
-                jnp.full(8, self.pixel**2),
-                jnp.full(3, self.astray**2 * share),
-                jnp.full(3, self.askew**2 * share),
-            ]
-        )
+        sizes = ((8, self.pixel**2), (3, self.astray**2 * share), (3, self.askew**2 * share))
+        spread = jnp.concatenate([jnp.full(count, size) for count, size in sizes])
         covariance = sight.covariance
         cross_covariance = covariance @ slopes.T
         total = slopes @ cross_covariance + jnp.diag(spread)
@@ -289,8 +264,7 @@ class Operator(eqx.Module):
         approach_rate: of the joint that turns the most, rad/s.
         latency: of picture and hand, s.
         speed: of the tip at most, m/s.
-        largest_rate: of the command of a joint, rad/s.
-        largest_angle: of the command of a joint, rad.
+        largest_rate, largest_angle: of the command of a joint, rad/s and rad.
         stand_off: distance before the opening at which the tip goes to its axis, m.
         patience: without a picture of the opening, s.
         near: distance from the opening's axis within which the tip goes in, m.
@@ -299,7 +273,6 @@ class Operator(eqx.Module):
         push: how much faster a command moves than what is missing in speed.
         looking: how fast the camera is turned to where it shall look, 1/s.
         posture: how fast what the task leaves open goes back to the approach, 1/s.
-        tracking: what is made of pictures.
     """
 
     approach: Float[Array, " joint"]
@@ -320,11 +293,7 @@ class Operator(eqx.Module):
 
     @classmethod
     def from_section(cls, section: MissionSection, joints: int) -> Self:
-        """Who a `[mission]` says.
-
-        Raises:
-            InputError: its approach is of a joint that the arm does not have.
-        """
+        """Who a `[mission]` says."""
         stated = section.operator
         approach = np.zeros(joints)
         for joint, angle in zip(stated.approach.joints, stated.approach.angles_deg, strict=True):
@@ -334,19 +303,16 @@ class Operator(eqx.Module):
                     "correct it"
                 )
             approach[joint - 1] = np.deg2rad(angle)
-        numbers = {
-            "approach_rate": np.deg2rad(stated.approach_rate_deg_per_s),
-            "latency": stated.latency_s,
-            "speed": stated.speed_m_per_s,
-            "largest_rate": np.deg2rad(stated.largest_rate_deg_per_s),
-            "largest_angle": np.deg2rad(stated.largest_angle_deg),
-            "stand_off": stated.stand_off_m,
-            "patience": stated.patience_s,
-            "deep": 2 * section.beyond_m,
-        }
         return cls(
             approach=jnp.asarray(approach),
-            **{name: jnp.asarray(number) for name, number in numbers.items()},
+            approach_rate=jnp.asarray(np.deg2rad(stated.approach_rate_deg_per_s)),
+            latency=jnp.asarray(stated.latency_s),
+            speed=jnp.asarray(stated.speed_m_per_s),
+            largest_rate=jnp.asarray(np.deg2rad(stated.largest_rate_deg_per_s)),
+            largest_angle=jnp.asarray(np.deg2rad(stated.largest_angle_deg)),
+            stand_off=jnp.asarray(stated.stand_off_m),
+            patience=jnp.asarray(stated.patience_s),
+            deep=jnp.asarray(2 * section.beyond_m),
             tracking=Tracking(pixel=jnp.asarray(2 * stated.pixel_px)),
         )
 
@@ -360,16 +326,12 @@ class Operator(eqx.Module):
         blind: Scalar,
         interval: Scalar,
     ) -> Float[Array, " joint"]:
-        """The commands an interval later, rad.
+        """The commands an interval (s) later, rad, by the drawn lengths and axes of the arm.
 
         Arguments:
-            arm: as it is drawn: its lengths and axes.
-            camera: at its tip.
-            opening: to go through.
             command: the commands so far, rad.
-            sight: where the camera is believed to be.
+            sight: where the camera at the tip is believed to be.
             blind: for how long the opening was not seen, s.
-            interval: s.
         """
         back = self.approach - command
         away = jnp.maximum(jnp.max(jnp.abs(back)) / self.approach_rate, interval)

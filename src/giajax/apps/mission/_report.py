@@ -29,8 +29,6 @@ from ...simulation import at_rest
 from ._cases import Cases
 from ._mission import Mission, Outcome
 
-# A mission as pictures and plain data.
-
 MISSION_FILES = ("mission.json", "mission.png")
 
 # Larger than a building, m.
@@ -51,15 +49,15 @@ def mission_files(mission: Mission, outcome: Outcome) -> dict[str, bytes]:
 def mission_json(mission: Mission, outcome: Outcome) -> str:
     """What came of a mission as JSON text."""
     facts = {
-        "reached_s": _rounded(outcome.reached),
+        "reached_s": None if outcome.reached is None else round(outcome.reached, 6),
         "reason": outcome.reason or None,
-        "ended_s": _rounded(float(outcome.times[-1])),
+        "ended_s": round(float(outcome.times[-1]), 6),
         "nearest_m": outcome.nearest,
         "touched": [
             {
                 "obstacle": each.obstacle,
                 "links": list(each.links),
-                "duration_s": _rounded(each.duration),
+                "duration_s": round(each.duration, 6),
                 "flattening_m": each.flattening,
                 "force_N": each.force,
                 "impulse_N_s": each.impulse,
@@ -71,17 +69,11 @@ def mission_json(mission: Mission, outcome: Outcome) -> str:
     return json.dumps(plain_data(facts), indent=2)
 
 
-def _rounded(seconds: float | None) -> float | None:
-    return None if seconds is None else round(seconds, 6)
-
-
 def mission_figure(mission: Mission, outcome: Outcome) -> Figure:
     """Shapes of the arm from the side and from above, and the way of the tip to the opening."""
-    how = (
-        f"not reached: {outcome.reason}"
-        if outcome.reached is None
-        else f"inside after {outcome.reached:.0f} s"
-    )
+    how = f"not reached: {outcome.reason}"
+    if outcome.reached is not None:
+        how = f"inside after {outcome.reached:.0f} s"
     wind = mission.section.wind.speed_m_per_s
     figure = new_figure(11.0, 7.0, f"Mission in air of {wind:g} m/s: {how}")
     grid = figure.add_gridspec(4, 2)
@@ -118,9 +110,8 @@ def _shapes(panel: Axes, mission: Mission, outcome: Outcome, axes: str) -> None:
         draw_blocks(panel, blocks, axes=axes)
     outline = corners[[0, 1, 2, 3, 0]]
     panel.plot(*outline.T, color=VERMILLION, linewidth=2.0, label="opening", zorder=6)
-    panel.set_xlabel(f"{axes[0]} (m)")
-    panel.set_ylabel(f"{axes[1]} (m)")
-    plain(panel, "From the side" if axes == "xz" else "From above")
+    title = "From the side" if axes == "xz" else "From above"
+    plain(panel, title, f"{axes[0]} (m)", f"{axes[1]} (m)")
     panel.set_aspect("equal")
     if axes == "xz":
         panel.legend(fontsize=7, frameon=False, loc="upper right")
@@ -139,9 +130,7 @@ def _way(panel: Axes, mission: Mission, outcome: Outcome) -> None:
         panel.axvspan(outcome.times[first], outcome.times[end - 1], color=LIGHT, linewidth=0)
     panel.axhline(-mission.section.beyond_m, color=GREY, linewidth=0.8, linestyle="--")
     panel.set_ylim(-2, min(16, max(4.0, float(np.nanmax(np.abs(outcome.tip))))))
-    panel.set_xlabel("time (s)")
-    panel.set_ylabel("m")
-    plain(panel, "The tip and the opening (grey: in the picture)")
+    plain(panel, "The tip and the opening (grey: in the picture)", "time (s)", "m")
     panel.legend(fontsize=7, frameon=False)
 
 
@@ -152,13 +141,9 @@ def _commands(panel: Axes, outcome: Outcome) -> None:
         ends = joint in (0, outcome.command.shape[1] - 1)
         label = f"joint {joint + 1}" if ends else None
         panel.plot(outcome.times, np.rad2deg(column), color=colour, linewidth=0.8, label=label)
-    panel.set_xlabel("time (s)")
-    panel.set_ylabel("deg")
-    plain(panel, "Commands")
+    plain(panel, "Commands", "time (s)", "deg")
     panel.legend(fontsize=7, frameon=False)
 
-
-# Many missions as pictures, tables and plain data.
 
 CASES_FILES = ("cases.json", "cases.csv", "cases.png")
 
@@ -212,8 +197,8 @@ def cases_figure(mission: Mission, cases: Cases) -> Figure:
     span = 100 * np.maximum([inside - low, high - inside], 0)
     share.errorbar(winds, 100 * inside, span, fmt="o-", color=BLUE, capsize=3)
     share.set_ylim(0, 105)
-    share.set_ylabel("%")
-    plain(share, f"Inside within {limit / 60:g} min (95 % interval)")
+    across = "speed of the air (m/s)"
+    plain(share, f"Inside within {limit / 60:g} min (95 % interval)", across, "%")
     spread = 0.2 * (np.min(np.diff(winds)) if len(winds) > 1 else 0.1)
     random = np.random.default_rng(0)
     for tally in tallies:
@@ -223,8 +208,5 @@ def cases_figure(mission: Mission, cases: Cases) -> Figure:
             times.plot(tally.wind, tally.quartiles[1], "_", color=VERMILLION, markersize=18)
     times.axhline(limit, color=GREY, linewidth=0.8, linestyle="--")
     times.set_ylim(0, 1.05 * limit)
-    times.set_ylabel("s")
-    plain(times, "Time until it was inside (median in red)")
-    for panel in (share, times):
-        panel.set_xlabel("speed of the air (m/s)")
+    plain(times, "Time until it was inside (median in red)", across, "s")
     return figure

@@ -1,7 +1,7 @@
 """Figs 5 and 19 and table 3 of the paper, and what nobody printed of its experiment."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -12,7 +12,18 @@ from matplotlib.figure import Figure
 
 from ...mechanics.arm import Arm, takeichi_20m
 from ...recordings import Run
-from ...report import BLUE, DEGREE, GREEN, GREY, INK, LIGHT, VERMILLION, new_figure, plain
+from ...report import (
+    BLUE,
+    DEGREE,
+    GREEN,
+    GREY,
+    INK,
+    LIGHT,
+    VERMILLION,
+    columns_of,
+    new_figure,
+    plain,
+)
 from ...runtime.arrays import Array, Float
 from ...runtime.programs import program
 from ...schema.parameters import replace
@@ -43,12 +54,9 @@ _REMEMBERING = {"joints.memory.strength": 0.03, "joints.memory.yield_angle": 0.0
 
 
 class Unknown(NamedTuple):
-    """A number of the comparison that the paper does not print.
+    """A number of the comparison that the paper does not print: its label in tables, and its range.
 
-    Attributes:
-        label: what tables call it, with its unit.
-        lower, upper: ends of the range in which it is looked for, in that unit.
-        unit: of the label in SI.
+    The label has the unit of the range, and `unit` is that unit in SI.
     """
 
     label: str
@@ -80,10 +88,9 @@ class Compared(NamedTuple):
     """What comes out of a comparison.
 
     Attributes:
-        cells: of table 3, %: links 2, 6, 12, 20 with air, then without, shape (8,).
-        nearest: how near to 0 the arm's displacement of each link comes where it is compared, m,
-            shape (4,).
-        crossed: whether it changes its sign there, shape (4,).
+        cells: of table 3, %: links 2, 6, 12, 20 with air, then without.
+        nearest: how near to 0 the arm's displacement of each link comes where it is compared, m.
+        crossed: whether it changes its sign there.
     """
 
     cells: Float[Array, " cell"]
@@ -92,18 +99,13 @@ class Compared(NamedTuple):
 
 
 def compared_arms(values: Float[Any, " unknown"]) -> Compared:
-    """Table 3 as it would be for one arm and one model.
+    """Table 3 as it would be for one arm and one model, from `UNKNOWNS` in their order, SI.
 
     The arm is the paper's with joints that remember; the model has none of that, and its C_D
     or none. Where the arm's displacement passes 0 a term of the concordance has a pole, so that
     cells are smooth between such parameters and not across them; at a displacement of exactly 0
-    there is no term, and no derivative.
-
-    Arguments:
-        values: of `UNKNOWNS`, in their order, SI; may be differentiated in forward mode.
-
-    Returns:
-        Its cells; NaN where a simulation fails.
+    there is no term, and no derivative. Derivatives are in forward mode; cells are NaN where a
+    simulation fails.
     """
     known = dict(zip(UNKNOWNS, values, strict=True))
     paper = takeichi_20m()
@@ -204,8 +206,6 @@ def _concordance(
     return jnp.sum(terms, axis=0) / jnp.sum(counts, axis=0, dtype=terms.dtype)
 
 
-# What may have differed between the paper's model and the arm that it was compared with.
-
 _SHARED = ("stiffness", "damping", "drag")
 
 
@@ -214,7 +214,6 @@ class Reading:
     """What is taken to differ between the arm and the paper's model.
 
     Attributes:
-        label: in words.
         free: names of `UNKNOWNS` that are looked for.
         shared: names of those that the model has from the arm.
     """
@@ -256,8 +255,6 @@ READINGS = {
 """The paper's own explanation of its errors, and one that allows for any."""
 
 
-# Fig. 5: displacements of links 6, 12 and 20 in the models with and without air resistance.
-
 SHOWN_LINKS = {6: GREEN, 12: BLUE, 20: VERMILLION}
 STEP_DEG, STEP_AT = 30.0, 0.5
 DURATION, RATE = 25.0, 20.0
@@ -278,15 +275,7 @@ _FIG05_SOURCES = Sources(
 
 
 def heights(tolerance: float = TOLERANCE) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Heights of the links' centres after a step of joint 1.
-
-    Arguments:
-        tolerance: relative and absolute tolerance of the integrator.
-
-    Returns:
-        Times, s, shape (sample,), and the height z of all links, m, shape (sample, link), "with"
-        and "without" air.
-    """
+    """Times, s, and heights of all links, m, after a step of joint 1 "with" and "without" air."""
     arm = takeichi_20m()
     arms = {"with": arm, "without": replace(arm, {"air.drag_coefficient": 0.0})}
     command = joint_steps(arm.count, {1: np.deg2rad(STEP_DEG)}, time=STEP_AT)
@@ -304,38 +293,34 @@ def fig05() -> Reproduced:
     headings = ("link", *(f"z at {at} s {air} air, m" for at in AT for air in z))
     rows = []
     columns = {"time_s": times}
+    at = [round(seconds * RATE) for seconds in AT]
     for link in SHOWN_LINKS:
         curves = {air: z[air][:, link - 1] for air in z}
-        at = [round(seconds * RATE) for seconds in AT]
         rows.append((link, *(float(curve[row]) for row in at for curve in curves.values())))
         columns |= {f"link{link:02d}_z_{air}_air_m": curves[air] for air in curves}
-    return Reproduced(
-        "Heights of links 6, 12 and 20 after a step of the base joint",
-        _FIG05_SOURCES,
-        _fig05_drawn(times, z),
-        headings,
-        tuple(rows),
-        columns,
-    )
-
-
-def _fig05_drawn(times: np.ndarray, z: Mapping[str, np.ndarray]) -> Figure:
     figure = new_figure(8, 4.8, "Fig. 5: links 6, 12 and 20 with (solid) and without (dotted) air")
     axes = figure.subplots()
-    for link, colour in SHOWN_LINKS.items():
-        axes.plot(times, z["with"][:, link - 1], color=colour, linewidth=1.6, label=f"link {link}")
-        axes.plot(
-            times, z["without"][:, link - 1], color=colour, linewidth=1.2, linestyle=(0, (1, 1.5))
-        )
-    plain(axes)
+    solid_and_dotted(axes, times, (z["with"], z["without"]), SHOWN_LINKS, "link")
+    plain(axes, "", "time (s)", "z of the link's centre (m)")
     axes.set_xlim(times[0], times[-1])
-    axes.set_xlabel("time (s)")
-    axes.set_ylabel("z of the link's centre (m)")
     axes.legend(fontsize=8, frameon=False, ncols=3, loc="upper left")
-    return figure
+    title = "Heights of links 6, 12 and 20 after a step of the base joint"
+    return Reproduced(title, _FIG05_SOURCES, figure, headings, tuple(rows), columns)
 
 
-# Fig. 19: the same operation in the model and in the experiment.
+def solid_and_dotted(
+    panel: Axes,
+    times: np.ndarray,
+    both: Sequence[np.ndarray],
+    colours: Mapping[int, str],
+    what: str,
+) -> None:
+    """Some columns of two tables, of shape (sample, number), against time."""
+    for number, colour in colours.items():
+        solid, dotted = (values[:, number - 1] for values in both)
+        panel.plot(times, solid, color=colour, linewidth=1.6, label=f"{what} {number}")
+        panel.plot(times, dotted, color=colour, linewidth=1.2, linestyle=(0, (1, 1.5)))
+
 
 STYLES = {
     "with_air": (BLUE, "-"),
@@ -362,11 +347,7 @@ _FIG19_SOURCES = Sources(
 
 
 def fig19(fits: Fits) -> Reproduced:
-    """Fig. 19, for the first run of the stand-in.
-
-    Arguments:
-        fits: of the stand-in's runs.
-    """
+    """Fig. 19, for the first run of the stand-in."""
     run = fits.runs[0]
     curves = {name: fits.predicted(name, run) for name in STYLES}
     times = times_of(run)
@@ -384,8 +365,8 @@ def fig19(fits: Fits) -> Reproduced:
         for name in curves:
             model = curves[name][channel]
             columns[f"{channel}_{name}_m"] = model
-            row.append(f"{100 * concordance(model[window], recorded[window]):.0f}")
-            row.append(f"{100 * relative_error(model[window], recorded[window]):.0f}")
+            both = model[window], recorded[window]
+            row += [f"{100 * of(*both):.0f}" for of in (concordance, relative_error)]
         rows.append(tuple(row))
     for panel in panels[1]:
         panel.set_xlabel("time (s)")
@@ -394,39 +375,20 @@ def fig19(fits: Fits) -> Reproduced:
     headings = ["link"]
     for name in curves:
         headings += [f"{CONTENDERS[name].label}: concordance, %", "RMS error, %"]
-    return Reproduced(
-        "Fig. 19: the same operation in the models and in the experiment's stand-in",
-        _FIG19_SOURCES,
-        figure,
-        tuple(headings),
-        tuple(rows),
-        columns,
-        {"fits": fits.record()},
-    )
+    title = "Fig. 19: the same operation in the models and in the experiment's stand-in"
+    table = tuple(headings), tuple(rows), columns
+    return Reproduced(title, _FIG19_SOURCES, figure, *table, {"fits": fits.record()})
 
 
 def _draw(panel: Axes, run: Run, channel: str, curves: dict[str, np.ndarray]) -> None:
-    recorded = run.values[channel]
+    times, recorded = times_of(run), run.values[channel]
     panel.axvspan(*WINDOW, color=LIGHT, linewidth=0, zorder=0, alpha=0.6)
-    panel.plot(
-        times_of(run),
-        recorded,
-        color=GREY,
-        marker=".",
-        markersize=2.5,
-        linewidth=0,
-        label="stand-in",
-    )
+    dots: Any = {"marker": ".", "markersize": 2.5, "linewidth": 0, "label": "stand-in"}
+    panel.plot(times, recorded, color=GREY, **dots)
     for name, curve in curves.items():
         colour, dashes = STYLES[name]
-        panel.plot(
-            times_of(run),
-            curve,
-            color=colour,
-            linestyle=dashes,
-            linewidth=1.4,
-            label=CONTENDERS[name].label,
-        )
+        line: Any = {"linestyle": dashes, "linewidth": 1.4, "label": CONTENDERS[name].label}
+        panel.plot(times, curve, color=colour, **line)
     # Without air a link goes far beyond the others.
     shown = np.concatenate([recorded, curves["with_air"], curves["own"]])
     low, high = float(np.min(shown)), float(np.max(shown))
@@ -435,8 +397,6 @@ def _draw(panel: Axes, run: Run, channel: str, curves: dict[str, np.ndarray]) ->
     panel.axhline(0, color=INK, linewidth=0.6)
     panel.set_xlim(0, WINDOW[1])
 
-
-# Table 3: how well models with and without air follow the experiment.
 
 PRINTED = {"with_air": (77, 94, 51, 62, 71), "without_air": (78, 32, -99, -190, -45)}
 """The paper's table, %: links 2, 6, 12, 20, and their average."""
@@ -457,11 +417,7 @@ _PLACES = (*(f"link {link}" for link in LINKS), "average")
 
 
 def table3(fits: Fits) -> Reproduced:
-    """Table 3 over all runs of the stand-in, beside the numbers that the paper prints.
-
-    Arguments:
-        fits: of the stand-in's runs.
-    """
+    """Table 3 over all runs of the stand-in, beside the numbers that the paper prints."""
     rates = {name: np.empty((len(fits.runs), len(LINKS))) for name in CONTENDERS}
     errors = {name: np.empty_like(rates[name]) for name in CONTENDERS}
     for number, run in enumerate(fits.runs):
@@ -499,49 +455,34 @@ def _rows(
     ]
     for measure, values in (("concordance", rates), ("RMS error", errors)):
         for name, contender in CONTENDERS.items():
-            cells = (_range(column) for column in 100 * with_average(values[name]).T)
+            percent = 100 * with_average(values[name]).T
+            cells = (f"{np.median(of):.0f} ({of.min():.0f} .. {of.max():.0f})" for of in percent)
             rows.append((contender.label, measure, *cells))
     return tuple(rows)
-
-
-def _range(column: np.ndarray) -> str:
-    return f"{np.median(column):.0f} ({column.min():.0f} .. {column.max():.0f})"
 
 
 def _columns(
     fits: Fits, rates: dict[str, np.ndarray], errors: dict[str, np.ndarray]
 ) -> dict[str, list[object]]:
-    columns: dict[str, list[object]] = {
-        name: [] for name in ("run", "model", "link", "concordance", "rms_error")
-    }
-    for name in CONTENDERS:
-        for number, run in enumerate(fits.runs):
-            for place, link in enumerate(LINKS):
-                cells = (run.name, name, link, rates[name][number, place])
-                error = errors[name][number, place]
-                for column, cell in zip(columns.values(), (*cells, error), strict=True):
-                    column.append(cell)
-    return columns
+    rows = [
+        (run.name, name, link, rates[name][number, place], errors[name][number, place])
+        for name in CONTENDERS
+        for number, run in enumerate(fits.runs)
+        for place, link in enumerate(LINKS)
+    ]
+    return columns_of(("run", "model", "link", "concordance", "rms_error"), rows)
 
 
 def _table3_drawn(rates: dict[str, np.ndarray], errors: dict[str, np.ndarray]) -> Figure:
-    figure = new_figure(
-        11, 5.2, f"Table 3: {len(rates['own'])} runs of a stand-in that MuJoCo simulated"
-    )
+    title = f"Table 3: {len(rates['own'])} runs of a stand-in that MuJoCo simulated"
+    figure = new_figure(11, 5.2, title)
     left, right = figure.subplots(1, 2)
     _dots(left, rates)
     for name, numbers in PRINTED.items():
-        left.plot(
-            np.arange(len(_PLACES)) + _offset(name),
-            numbers,
-            color=INK,
-            marker="D",
-            markersize=5,
-            markerfacecolor=COLOURS[name],
-            linewidth=0,
-            label="printed in the paper" if name == "with_air" else None,
-            zorder=4,
-        )
+        diamonds: Any = {"marker": "D", "markersize": 5, "markerfacecolor": COLOURS[name]}
+        label = "printed in the paper" if name == "with_air" else None
+        at = np.arange(len(_PLACES)) + _offset(name)
+        left.plot(at, numbers, color=INK, linewidth=0, zorder=4, label=label, **diamonds)
     left.set_yscale("symlog", linthresh=100)
     left.set_ylim(top=130)
     left.yaxis.set_major_formatter("{x:g}")
@@ -565,22 +506,10 @@ def _dots(panel: Axes, values: dict[str, np.ndarray]) -> None:
     for name, each in values.items():
         percent = 100 * with_average(each)
         for place, column in enumerate(percent.T):
-            at = place + _offset(name)
-            panel.plot(
-                np.full(len(column), at),
-                column,
-                color=COLOURS[name],
-                marker="o",
-                markersize=3,
-                markeredgewidth=0,
-                alpha=0.5,
-                linewidth=0,
-            )
-            panel.plot(
-                [at - 0.07, at + 0.07],
-                [np.median(column)] * 2,
-                color=COLOURS[name],
-                linewidth=2,
-                label=CONTENDERS[name].label if place == 0 else None,
-            )
+            at, colour = place + _offset(name), COLOURS[name]
+            dots: Any = {"marker": "o", "markersize": 3, "markeredgewidth": 0, "linewidth": 0}
+            panel.plot(np.full(len(column), at), column, color=colour, alpha=0.5, **dots)
+            bar = [at - 0.07, at + 0.07], [np.median(column)] * 2
+            label = CONTENDERS[name].label if place == 0 else None
+            panel.plot(*bar, color=colour, linewidth=2, label=label)
     panel.set_xticks(range(len(_PLACES)), _PLACES)

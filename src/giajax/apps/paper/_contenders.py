@@ -18,8 +18,6 @@ from ...runtime.arrays import Float
 from ...runtime.text import InputError
 from ...schema.parameters import replace
 
-# A figure or a table of the paper, made again: what all of them give.
-
 # Letters of the small print that fit on an inch.
 _LETTERS = 18
 
@@ -40,11 +38,8 @@ class Sources:
 
     def by_word(self) -> dict[str, str]:
         """The sentences by the word that they stand under."""
-        return {
-            "Printed in the paper": self.printed,
-            "Assumed": self.assumed,
-            "Reconstructed": self.reconstructed,
-        }
+        words = ("Printed in the paper", "Assumed", "Reconstructed")
+        return dict(zip(words, (self.printed, self.assumed, self.reconstructed), strict=True))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,11 +47,8 @@ class Reproduced:
     """A figure or a table of the paper, made again.
 
     Attributes:
-        title: what it shows.
         sources: what of it is printed in the paper, assumed, or reconstructed.
         figure: the picture, with the sources below it.
-        headings: of the table.
-        rows: of the table, words and numbers.
         columns: the numbers of the picture, by a name with its unit, in columns of equal length.
         facts: further numbers by name, as JSON can hold them.
     """
@@ -81,8 +73,6 @@ class Reproduced:
         )
 
 
-# How well a model follows a recording, as the paper's table 3 has it, and as it is usual.
-
 WINDOW = (10.0, 25.0)
 """First and last time that table 3 compares, s."""
 
@@ -91,19 +81,8 @@ STEP = 0.1
 
 
 def compared(times: Float[np.ndarray, " sample"]) -> np.ndarray:
-    """Rows of a recording that table 3 compares: every 0.1 s from 10 to 25 s.
-
-    Arguments:
-        times: of the samples, s.
-
-    Returns:
-        Their positions.
-
-    Raises:
-        InputError: one of those times was not sampled.
-    """
-    count = round((WINDOW[1] - WINDOW[0]) / STEP)
-    every = np.linspace(*WINDOW, count + 1)
+    """Positions of the samples (s) that table 3 compares: every 0.1 s from 10 to 25 s."""
+    every = np.linspace(*WINDOW, round((WINDOW[1] - WINDOW[0]) / STEP) + 1)
     rows = np.abs(np.asarray(times)[:, None] - every[None]).argmin(axis=0)
     off = np.abs(times[rows] - every)
     if off.max() > 1e-6:
@@ -120,14 +99,8 @@ def concordance(
     """The paper's concordance rate: the mean of 1 - |Xm - Xe| / |Xe|.
 
     It is 1 where model and experiment agree, and has no lower end: where the experiment passes
-    zero a term is as large as you like. Samples at which it is exactly zero have no term.
-
-    Arguments:
-        model: displacements Xm of a link in the model, m, shape (sample,).
-        experiment: displacements Xe of it in the experiment, m; NaN where not measured.
-
-    Returns:
-        The rate.
+    zero a term is as large as you like. Samples at which it is exactly zero, or not measured (NaN),
+    have no term. Displacements are in m.
     """
     counts = np.isfinite(experiment) & (experiment != 0)
     model, experiment = model[counts], experiment[counts]
@@ -137,14 +110,7 @@ def concordance(
 def relative_error(
     model: Float[np.ndarray, " sample"], experiment: Float[np.ndarray, " sample"]
 ) -> float:
-    """Root mean square of Xm - Xe over that of Xe: 0 where they agree, 1 for a model at rest.
-
-    Arguments:
-        model, experiment: as of `concordance`.
-
-    Returns:
-        The ratio.
-    """
+    """Root mean square of Xm - Xe over that of Xe: 0 where they agree, 1 for a model at rest."""
     counts = np.isfinite(experiment)
     difference = (model - experiment)[counts]
     return float(np.sqrt(np.mean(difference**2) / np.mean(experiment[counts] ** 2)))
@@ -175,13 +141,10 @@ class Contender:
     """A model that follows a recording.
 
     Attributes:
-        label: what it is called in tables.
         start: makes the model that its fit starts from.
-        free: parameters that are fitted.
         afterwards: parameters that are changed when the fit is done.
         as_fitted: name of the contender whose fit it shares; "" for one of its own.
         on_another: whether it is fitted to another run than the one that it is compared with.
-        iterations: of its fit at most.
     """
 
     label: str
@@ -198,15 +161,10 @@ def _papers() -> ArmModel:
     return ArmModel(takeichi_20m())
 
 
-def _without_air() -> ArmModel:
-    return replace(_papers(), _NO_AIR)
-
-
 def _own() -> ArmModel:
+    known = {**_KNOWN, **_MEMORY}
     return ArmModel(
-        takeichi_20m(
-            drag="strip", trim=True, gravity=STANDARD_GRAVITY, parameters={**_KNOWN, **_MEMORY}
-        )
+        takeichi_20m(drag="strip", trim=True, gravity=STANDARD_GRAVITY, parameters=known)
     )
 
 
@@ -215,7 +173,9 @@ CONTENDERS: dict[str, Contender] = {
     "without_air": Contender(
         "the same with C_D = 0", _papers, PAPERS, afterwards=_NO_AIR, as_fitted="with_air"
     ),
-    "refitted": Contender("without air, fitted again", _without_air, PAPERS[1:]),
+    "refitted": Contender(
+        "without air, fitted again", lambda: replace(_papers(), _NO_AIR), PAPERS[1:]
+    ),
     "own": Contender(
         "giajax's own, fitted to another run",
         _own,
@@ -228,17 +188,10 @@ CONTENDERS: dict[str, Contender] = {
 
 
 def stand_in(folder: Path) -> list[Run]:
-    """The runs that stand in for the paper's recordings.
+    """The runs that stand in for the paper's recordings, from `data/paper` of the examples.
 
-    Arguments:
-        folder: `data/paper` of the examples.
-
-    Returns:
-        All of them, of which only the heights of the paper's links count. The last one is there to
-        be fitted, by models that are compared with the others.
-
-    Raises:
-        InputError: there are not two of them.
+    Only the heights of the paper's links count. The last run is there to be fitted, by models that
+    are compared with the others.
     """
     runs = [observing(read_run(path), HEIGHTS) for path in sorted(folder.glob("stand_in_*.csv"))]
     if len(runs) < 2:
@@ -254,12 +207,7 @@ def times_of(run: Run) -> np.ndarray:
 
 
 class Fits:
-    """Fits of the contenders to runs, each made once.
-
-    Arguments:
-        runs: those that are compared with, and the one that is only fitted; at least two.
-        say: called with what is being done.
-    """
+    """Fits of the contenders to runs, each made once; the last run is only fitted."""
 
     def __init__(self, runs: Sequence[Run], say: Callable[[str], None]) -> None:
         self.runs = tuple(runs[:-1])
@@ -268,11 +216,7 @@ class Fits:
         self._results: dict[tuple[str, str], FitResult] = {}
 
     def result(self, name: str, run: Run) -> FitResult:
-        """The fit of a contender that is to be compared with a run.
-
-        Raises:
-            KeyboardInterrupt: after Ctrl-C, where a fit alone keeps the best so far.
-        """
+        """The fit of a contender that is to be compared with a run; Ctrl-C ends all of them."""
         contender = CONTENDERS[name]
         used = self._other if contender.on_another else run
         # With air and without it, the paper's model is fitted once.

@@ -3,22 +3,18 @@
 import functools
 import html
 import json
-import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
-
-import numpy as np
+from typing import Any, cast
 
 from ...report import to_csv, to_png
 from ...runtime.page_policy import with_policy
+from ...runtime.records import plain_data
 from ...runtime.text import InputError, __version__
 from ._arm_figures import fig05, fig19, table3
 from ._contenders import Fits, Reproduced, stand_in
 from ._inverse import table3_inverse
 from ._joint_figures import fig06, fig09, fig10, fig12
-
-# The figures and tables by name.
 
 Say = Callable[[str], None]
 
@@ -38,15 +34,9 @@ FIGURES: dict[str, Callable[[Say, Callable[[], Fits]], Reproduced]] = {
 def reproduce(
     names: Sequence[str], recordings: Path, *, progress: Say | None = None
 ) -> Iterator[tuple[str, Reproduced]]:
-    """Make figures and tables of the paper again.
+    """Make figures and tables of the paper again, by the names of `FIGURES`.
 
-    Arguments:
-        names: of `FIGURES`.
-        recordings: folder of the runs that stand in for the paper's, `data/paper` of a checkout.
-        progress: called with what is being done.
-
-    Returns:
-        Each name with what it shows, one after the other, as they are made.
+    The runs that stand in for the paper's recordings are in a folder, `data/paper` of a checkout.
 
     Raises:
         InputError: a name that there is not, or a folder without those runs.
@@ -102,20 +92,11 @@ def reproduced_record(name: str, shown: Reproduced) -> dict[str, Any]:
         "columns": {heading: list(column) for heading, column in shown.columns.items()},
         **shown.facts,
     }
-    plain: dict[str, Any] = _plain(record)
-    return plain
+    return cast("dict[str, Any]", _rounded(plain_data(record)))
 
 
 def reproduced_files(name: str, shown: Reproduced) -> dict[str, bytes]:
-    """The picture (PNG) and the numbers (CSV, JSON) of a figure.
-
-    Arguments:
-        name: of the figure, such as "fig5".
-        shown: the figure.
-
-    Returns:
-        Contents by name of the file.
-    """
+    """The picture (PNG) and the numbers (CSV, JSON) of a figure, by name of the file."""
     record = reproduced_record(name, shown)
     text = json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False)
     contents = to_png(shown.figure), to_csv(shown.columns), f"{text}\n".encode()
@@ -123,14 +104,9 @@ def reproduced_files(name: str, shown: Reproduced) -> dict[str, bytes]:
 
 
 def stored_record(folder: Path, name: str) -> dict[str, Any] | None:
-    """What the JSON file of a figure that is there holds.
+    """What the JSON file of a figure in a folder holds.
 
-    Arguments:
-        folder: where figures are written.
-        name: of the figure.
-
-    Returns:
-        The record; None where one of its files is missing, none of this version's, or not whole.
+    None where one of its files is missing, none of this version's, or not whole.
     """
     picture, table, record = (folder / file for file in reproduced_names(name))
     try:
@@ -144,14 +120,7 @@ def stored_record(folder: Path, name: str) -> dict[str, Any] | None:
 
 
 def reproduction_page(records: Iterable[Mapping[str, Any]]) -> bytes:
-    """A page (HTML) of figures whose files lie beside it.
-
-    Arguments:
-        records: of the figures, as `reproduced_record` and `stored_record` give them.
-
-    Returns:
-        The content of the file.
-    """
+    """A page (HTML) of figures whose files lie beside it, from their records."""
     parts = []
     for shown in records:
         name, title = shown["name"], html.escape(shown["title"])
@@ -187,25 +156,17 @@ def is_reproduction_page(path: Path) -> bool:
 
 def _table(table: Mapping[str, Any]) -> str:
     heads = "".join(f"<th>{html.escape(heading)}</th>" for heading in table["headings"])
-    rows = "".join(
-        "<tr>" + "".join(f"<td>{html.escape(_cell(cell))}</td>" for cell in row) + "</tr>\n"
-        for row in table["rows"]
-    )
+    rows = ""
+    for row in table["rows"]:
+        cells = (f"{cell:.4g}" if isinstance(cell, float) else str(cell) for cell in row)
+        rows += "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in cells) + "</tr>\n"
     return f"<table><tr>{heads}</tr>\n{rows}</table>"
 
 
-def _cell(value: Any) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def _plain(value: Any) -> Any:
-    """What JSON holds: numbers with nine digits, and nothing where there is none."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(each) for key, each in value.items()}
-    if isinstance(value, list | tuple | np.ndarray):
-        return [_plain(each) for each in value]
-    if isinstance(value, np.generic) or hasattr(value, "__array__"):
-        return _plain(np.asarray(value).tolist())
-    if isinstance(value, float):
-        return float(f"{value + 0.0:.9g}") if math.isfinite(value) else None
-    return value
+def _rounded(data: Any) -> Any:
+    """Plain data whose numbers have nine digits."""
+    if isinstance(data, dict):
+        return {key: _rounded(each) for key, each in data.items()}
+    if isinstance(data, list):
+        return [_rounded(each) for each in data]
+    return float(f"{data + 0.0:.9g}") if isinstance(data, float) else data

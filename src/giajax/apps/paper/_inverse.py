@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 
 from ...fitting import Marquardt
 from ...report import BLUE, GREY, INK, VERMILLION, new_figure, plain
-from ...runtime.arrays import Float
 from ...runtime.parallel import Tell, run_in_threads
 from ...runtime.process import cores
 from ._arm_figures import (
@@ -27,8 +26,6 @@ from ._arm_figures import (
     linearised,
 )
 from ._contenders import LINKS, Reproduced, Sources
-
-# Arms for which table 3 would be as it is printed, looked for from several starts.
 
 Say = Callable[[str], None]
 
@@ -47,16 +44,12 @@ _SOLVER = Marquardt(largest_step=0.5, rtol=0.0, atol=1e-3, distance=1e-4)
 
 @dataclasses.dataclass(frozen=True)
 class SearchEnd:
-    """How the search from one start ended.
+    """How the search from one start (numbered from 1) ended.
 
     Attributes:
-        reading: name of the reading.
-        number: of the start, from 1.
         why: "reached", "minimum" (converged beside the printed cells), "stuck" (no minimum, but no
             step along these slopes helps), "iterations", "failed" or "interrupted".
-        iterations: steps that were tried.
-        start: values of `UNKNOWNS` there, SI, shape (unknown,).
-        end: likewise.
+        start, end: values of `UNKNOWNS` there, SI, shape (unknown,).
         out: what comes out at the end; all NaN where nothing was evaluated, as what follows.
         jacobian: of the cells by the logarithms of what is free, % a unit, shape (8, free).
         checked: the same by differences of the cells.
@@ -97,27 +90,21 @@ def search(
     seed: int = SEED,
     say: Say = lambda text: None,
 ) -> list[SearchEnd]:
-    """Look for arms from the best of some random ones.
+    """Look for arms from the best of some random ones; how each search ended that had begun.
+
+    Ctrl-C ends it; before any search had begun it is passed on.
 
     Arguments:
         reading: of `READINGS`.
-        starts: how many.
         pool: from among how many random arms, evenly spread in the logarithms of their ranges.
         iterations: steps of a search at most.
-        seed: of the pool.
-        say: called with what is being done.
-
-    Returns:
-        How each search ended; after Ctrl-C those that had begun.
-
-    Raises:
-        KeyboardInterrupt: stopped at the random arms, before any search had begun.
     """
     taken = READINGS[reading]
     random = np.random.default_rng(seed)
     say(f"{taken.label}: {pool} random arms")
     drawn = [random.uniform(*taken.box()) for _ in range(pool)]
-    off = [_size(evaluated(taken.all(each)).cells) for each in drawn]
+    cells = [np.asarray(evaluated(taken.all(each)).cells) for each in drawn]
+    off = np.nan_to_num(np.sum((np.stack(cells) - CELLS) ** 2, axis=1), nan=np.inf)
     chosen = [drawn[at] for at in np.argsort(off)[:starts]]
     jobs = [
         functools.partial(_descend, reading, number, start, iterations, say)
@@ -135,7 +122,10 @@ def _descend(
     options = dict(zip(("lower", "upper"), map(jnp.asarray, taken.box()), strict=True))
     at, why, tried = jnp.asarray(start), "iterations", 1
     state: Any = None
-    out, slopes, checked = _nothing(taken)
+    # What comes out, and its derivatives in both ways, where nothing is evaluated.
+    slopes: Any = np.full((len(CELLS), len(taken.free)), np.nan)
+    four, checked = slopes[:LINKS_COMPARED, 0], slopes
+    out = Compared(slopes[:, 0], four, four > 0)
     blank = jnp.zeros(max(len(CELLS), len(taken.free))), out
     steps = _SOLVER.trials(at, lambda y: _weighed(taken, np.asarray(y)), options, blank)
     try:
@@ -170,13 +160,6 @@ def _descend(
     )
 
 
-def _nothing(taken: Reading) -> tuple[Compared, np.ndarray, np.ndarray]:
-    """What comes out, and its derivatives in both ways, where nothing was evaluated."""
-    slopes: Any = np.full((len(CELLS), len(taken.free)), np.nan)
-    four = slopes[:LINKS_COMPARED, 0]
-    return Compared(slopes[:, 0], four, four > 0), slopes, slopes
-
-
 def _weighed(taken: Reading, at: np.ndarray) -> tuple[Any, ...]:
     """Residual, Jacobian, R, Q^T r and what came out, as the solver wants them."""
     out, slopes = linearised(taken.all(at))
@@ -192,20 +175,11 @@ def _weighed(taken: Reading, at: np.ndarray) -> tuple[Any, ...]:
 def _differences(taken: Reading, at: np.ndarray, step: float = 3e-3) -> np.ndarray:
     """The Jacobian once more, by central differences."""
     columns = []
-    for direction in np.eye(len(at)):
-        ahead, behind = (
-            np.asarray(evaluated(taken.all(at + sign * step * direction)).cells) for sign in (1, -1)
-        )
-        columns.append((ahead - behind) / (2 * step))
+    for change in step * np.eye(len(at)):
+        ahead, behind = (evaluated(taken.all(at + sign * change)).cells for sign in (1, -1))
+        columns.append((np.asarray(ahead) - np.asarray(behind)) / (2 * step))
     return np.stack(columns, axis=1)
 
-
-def _size(cells: Float[Any, " cell"]) -> float:
-    off = float(np.sum((np.asarray(cells) - CELLS) ** 2))
-    return off if np.isfinite(off) else float("inf")
-
-
-# What the eight cells of table 3 say of an arm, and what they leave open, in a picture.
 
 _COLOURS = {"memory": BLUE, "own": VERMILLION}
 
@@ -215,8 +189,7 @@ _WORTH = 0.25
 
 def nearest(ends: Sequence[SearchEnd]) -> SearchEnd:
     """The search that ended nearest to the printed cells."""
-    sizes = [rms(end) if np.isfinite(rms(end)) else np.inf for end in ends]
-    return ends[int(np.argmin(sizes))]
+    return min(ends, key=lambda end: np.nan_to_num(rms(end), nan=np.inf))
 
 
 def rms(end: SearchEnd) -> float:
@@ -225,17 +198,12 @@ def rms(end: SearchEnd) -> float:
 
 
 def directions(end: SearchEnd) -> tuple[np.ndarray, np.ndarray]:
-    """Singular values and right singular vectors of the Jacobian.
+    """Singular values and right singular vectors of the Jacobian at the end of a search.
 
     Where joints remember, derivatives may be no slopes of the cells: columns that are far
-    from differences are replaced by these.
-
-    Arguments:
-        end: of a search.
-
-    Returns:
-        Percentage points a unit of the logarithms, shape (8,), and a row of shares for each
-        direction, shape (free, free): of those beyond the eighth nothing is known.
+    from differences are replaced by these. Values are percentage points a unit of the logarithms,
+    shape (8,); rows of shares, shape (free, free), are the directions, of which nothing is known
+    beyond the eighth.
     """
     jacobian = np.where(rough(end), end.checked, end.jacobian)
     if not np.all(np.isfinite(jacobian)):
@@ -263,29 +231,16 @@ def drawn(ends: Sequence[SearchEnd], title: str) -> Figure:
     figure = new_figure(11, 5.4, title)
     left, right = figure.subplots(1, 2)
     for end in ends:
-        left.plot(
-            np.arange(1, len(CELLS) + 1),
-            directions(end)[0],
-            color=_COLOURS[end.reading],
-            marker="o",
-            markersize=3.5,
-            linewidth=0.8,
-            alpha=0.8,
-            label=READINGS[end.reading].label if end.number == 1 else None,
-        )
+        label = READINGS[end.reading].label if end.number == 1 else None
+        small: Any = {"marker": "o", "markersize": 3.5, "linewidth": 0.8, "alpha": 0.8}
+        at = np.arange(1, len(CELLS) + 1)
+        left.plot(at, directions(end)[0], color=_COLOURS[end.reading], label=label, **small)
+    beside: Any = {"textcoords": "offset points", "fontsize": 7, "color": GREY}
     for share in (0.1, 1.0):
         left.axhline(ROUNDING / share, color=GREY, linewidth=0.8, linestyle=(0, (4, 2)))
-        left.annotate(
-            f"half a point is {share:.0%}",
-            (1, ROUNDING / share),
-            xytext=(0, 3),
-            textcoords="offset points",
-            fontsize=7,
-            color=GREY,
-        )
+        left.annotate(f"half a point is {share:.0%}", (1, ROUNDING / share), (0, 3), **beside)
     left.set_yscale("log")
-    left.set_xlabel("direction")
-    plain(left, "singular values (percentage points a factor of e)")
+    plain(left, "singular values (percentage points a factor of e)", "direction")
     left.legend(fontsize=8, frameon=False)
     best = nearest(ends)
     free = READINGS[best.reading].free
@@ -297,12 +252,8 @@ def drawn(ends: Sequence[SearchEnd], title: str) -> Figure:
         if abs(share) >= _WORTH:
             ink = "white" if abs(share) > 0.6 else INK
             right.text(column, at, f"{share:.1f}", ha="center", va="center", fontsize=6, color=ink)
-    right.set_title(
-        f"directions of the nearest ({best.reading} {best.number})",
-        fontsize=9,
-        loc="left",
-        color=INK,
-    )
+    title = f"directions of the nearest ({best.reading} {best.number})"
+    right.set_title(title, fontsize=9, loc="left", color=INK)
     right.set_ylabel("direction", fontsize=8)
     return figure
 
@@ -323,14 +274,7 @@ _PLACES = tuple(f"link {link}, {air} air, %" for air in ("with", "without") for 
 def table3_inverse(say: Say = lambda text: None) -> Reproduced:
     """Arms for which table 3 would be as it is printed, and what its cells say of them.
 
-    Arguments:
-        say: called with what is being done.
-
-    Returns:
-        The table and the picture; after Ctrl-C those of the searches that had begun.
-
-    Raises:
-        KeyboardInterrupt: stopped before any search had begun.
+    After Ctrl-C the searches that had begun are shown; before any it is passed on.
     """
     ends: list[SearchEnd] = []
     for reading in READINGS:
@@ -346,14 +290,7 @@ def table3_inverse(say: Say = lambda text: None) -> Reproduced:
 
 
 def shown(ends: Sequence[SearchEnd]) -> Reproduced:
-    """How searches ended, as a table and a picture.
-
-    Arguments:
-        ends: of them; at least one.
-
-    Raises:
-        KeyboardInterrupt: there are none, because they were stopped before any had begun.
-    """
+    """How searches ended, as a table and a picture; none was stopped before any had begun."""
     if not ends:
         raise KeyboardInterrupt
     reached = sum(end.why == "reached" for end in ends)
@@ -374,16 +311,19 @@ def shown(ends: Sequence[SearchEnd]) -> Reproduced:
 
 
 def _rows(ends: Sequence[SearchEnd]) -> tuple[tuple[Any, ...], ...]:
-    rows: list[tuple[Any, ...]] = []
-    for at, place in enumerate(_PLACES):
-        rows.append((place, f"{CELLS[at]:g}", *(f"{end.out.cells[at]:.1f}" for end in ends)))
-    rows.append(("error, root mean square", "", *(f"{rms(end):.1f}" for end in ends)))
-    rows.append(("ended", "", *(end.why for end in ends)))
-    rows.append(("steps", "", *(end.iterations for end in ends)))
-    for at, link in enumerate(LINKS):
-        rows.append(
-            (f"link {link}: smallest |Xe|, m", "", *(f"{end.out.nearest[at]:.2g}" for end in ends))
-        )
+    rows: list[tuple[Any, ...]] = [
+        *(
+            (place, f"{CELLS[at]:g}", *(f"{end.out.cells[at]:.1f}" for end in ends))
+            for at, place in enumerate(_PLACES)
+        ),
+        ("error, root mean square", "", *(f"{rms(end):.1f}" for end in ends)),
+        ("ended", "", *(end.why for end in ends)),
+        ("steps", "", *(end.iterations for end in ends)),
+    ]
+    rows += [
+        (f"link {link}: smallest |Xe|, m", "", *(f"{end.out.nearest[at]:.2g}" for end in ends))
+        for at, link in enumerate(LINKS)
+    ]
     for at, (name, unknown) in enumerate(UNKNOWNS.items()):
         cells = [
             f"{end.end[at] / unknown.unit:.3g}{'*' if name in end.at_bounds() else ''}"

@@ -12,7 +12,10 @@ from ._gusts import (
 )
 from ._recording import (
     RecordingErrors as RecordingErrors,
+    command_columns as command_columns,
     drifting as drifting,
+    driven_run as driven_run,
+    logged_motion as logged_motion,
     recorded_again as recorded_again,
     synthesise as synthesise,
     with_errors as with_errors,

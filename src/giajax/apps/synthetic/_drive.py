@@ -19,13 +19,9 @@ _MOST_ROWS = 1_000_000
 
 
 class Move(NamedTuple):
-    """One commanded movement of one joint.
+    """One commanded movement of one joint, to an angle (rad) within some time (s); 0 for a step.
 
-    Attributes:
-        joint: number of the joint; 1 is the base joint.
-        angle: commanded angle afterwards, rad.
-        start: when it begins, s.
-        duration: s; 0 for a step.
+    Joints are counted from 1, the base joint. It starts at a time, s.
     """
 
     joint: int
@@ -70,7 +66,6 @@ def joint_moves(moves: Sequence[Move], *, joints: int, end: float) -> Drive:
 
     Arguments:
         moves: steps only, or ramps only; at least one.
-        joints: number of joints of the arm.
         end: of the run, s.
 
     Raises:
@@ -85,8 +80,23 @@ def joint_moves(moves: Sequence[Move], *, joints: int, end: float) -> Drive:
         )
     by_joint: dict[int, list[Move]] = {}
     for move in sorted(moves):
-        _check_move(move, joints, end)
-        by_joint.setdefault(move.joint, []).append(move)
+        joint, angle, start, duration = move
+        if not 1 <= joint <= joints:
+            raise InputError(
+                f"joint {joint} is commanded, but the arm has joints 1 to {joints}: "
+                "correct the number, or simulate a longer arm"
+            )
+        if not (np.isfinite(angle) and np.isfinite(duration) and duration >= 0):
+            raise InputError(
+                f"the movement of joint {joint} at {start:g} s must have a finite angle and a "
+                "positive duration: correct it"
+            )
+        if not 0 <= start < end:
+            raise InputError(
+                f"a movement of joint {joint} starts at {start:g} s, outside the run from 0 to "
+                f"{end:g} s: start it earlier or make the run longer"
+            )
+        by_joint.setdefault(joint, []).append(move)
     knots = {joint: _knots(sorted(of, key=lambda m: m.start)) for joint, of in by_joint.items()}
     times = np.unique(np.concatenate([[0.0], *(times for times, _ in knots.values())]))
     interpolation = "zoh" if steps else "linear"
@@ -95,24 +105,6 @@ def joint_moves(moves: Sequence[Move], *, joints: int, end: float) -> Drive:
         name = f"joint{joint:02d}_command"
         values[name] = Drive(own, {name: angles}, interpolation).at(times)[name]
     return Drive(times, values, interpolation)
-
-
-def _check_move(move: Move, joints: int, end: float) -> None:
-    if not 1 <= move.joint <= joints:
-        raise InputError(
-            f"joint {move.joint} is commanded, but the arm has joints 1 to {joints}: "
-            "correct the number, or simulate a longer arm"
-        )
-    if not (np.isfinite(move.angle) and np.isfinite(move.duration) and move.duration >= 0):
-        raise InputError(
-            f"the movement of joint {move.joint} at {move.start:g} s must have a finite angle and "
-            "a positive duration: correct it"
-        )
-    if not 0 <= move.start < end:
-        raise InputError(
-            f"a movement of joint {move.joint} starts at {move.start:g} s, outside the run from 0 "
-            f"to {end:g} s: start it earlier or make the run longer"
-        )
 
 
 def _knots(moves: Sequence[Move]) -> tuple[Times, Times]:
@@ -141,16 +133,13 @@ def sampled(
 ) -> tuple[Times, dict[str, np.ndarray]]:
     """Rows of a run: its samples, and one more at each corner that no sample falls on.
 
-    With a row at every corner, what is read back from the rows is the same signal.
+    They are times (s) and the values of all drives at them, SI. With a row at every corner, what is
+    read back from the rows is the same signal.
 
     Arguments:
-        drives: commands and wind.
         start: first time, s.
         duration: s; a whole number of sampling intervals.
         rate: samples per second.
-
-    Returns:
-        Times, shape (row,), s, and the values of all drives at them, SI.
 
     Raises:
         InputError: a duration that is not a whole number of intervals, or far too many samples.

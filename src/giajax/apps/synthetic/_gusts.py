@@ -35,8 +35,6 @@ from ...runtime.arrays import Float
 from ...runtime.text import InputError
 from ._drive import Drive
 
-# Spectra and coherence of gusts; `_gusts` has the formulae and where they come from.
-
 RESOLVED = 0.5
 """Of the frequency that rows resolve at all: gusts quicker than four rows are left out."""
 
@@ -50,22 +48,16 @@ _LAMBDA = 2 * np.pi * 1.339
 
 
 def gusts_left_out(speed: float, *, length_scale: float, interval: float) -> tuple[float, float]:
-    """How much of the variance of gusts is quicker than their rows can say, and left out.
+    """Shares of the variance of gusts that are quicker than their rows can say, and left out.
 
-    Arguments:
-        speed: of the mean flow, m/s.
-        length_scale: longitudinal length scale, m.
-        interval: between two rows, s.
-
-    Returns:
-        Shares of the variance, along the mean flow and across it. At the other end of the
-        spectrum about 1 % is left out, too.
+    One is along the mean flow (m/s) and one across it; the length scale is in m, the interval
+    between two rows in s. At the other end of the spectrum about 1 % is left out, too.
     """
     highest = RESOLVED / (2 * interval)
     frequencies = np.geomspace(highest, 1e4 * max(highest, speed / length_scale), 4001)
+    carried = {"speed": speed, "length_scale": length_scale}
     along, across = (
-        gust_spectrum(frequencies, speed=speed, deviation=1.0, length_scale=length_scale, along=so)
-        for so in (True, False)
+        gust_spectrum(frequencies, deviation=1.0, along=so, **carried) for so in (True, False)
     )
     # Beyond that the spectra fall by the power -5/3.
     beyond = 1.5 * frequencies[-1]
@@ -83,17 +75,15 @@ def gust_spectrum(
     length_scale: float,
     along: bool,
 ) -> Float[np.ndarray, " frequency"]:
-    """Von Karman's one-sided spectrum of one component of isotropic turbulence.
+    """Von Karman's one-sided spectrum of one component of isotropic turbulence, m^2/s^2 per Hz.
+
+    Its integral from 0 is the variance.
 
     Arguments:
         frequencies: Hz.
-        speed: of the mean flow, m/s.
-        deviation: standard deviation of the component, m/s.
+        speed, deviation: of the mean flow, and standard deviation of the component, m/s.
         length_scale: longitudinal length scale, m.
         along: of the component along the mean flow, or of one across it.
-
-    Returns:
-        Its density, m^2/s^2 per Hz; its integral from 0 is the variance.
     """
     lasting = length_scale / speed
     square = (_LAMBDA * lasting * frequencies) ** 2
@@ -111,18 +101,10 @@ def gust_coherence(
     length_scale: float,
     decay: float = DECAY,
 ) -> Float[np.ndarray, "place place"]:
-    """How much of a gust two places have in common, but for its lag along the mean flow.
+    """Root coherences of gusts at places (m) and a frequency (Hz); 1 on the diagonal.
 
-    Arguments:
-        places: m.
-        frequency: Hz.
-        along: direction of the mean flow, of length 1.
-        speed: of the mean flow, m/s.
-        length_scale: longitudinal length scale, m.
-        decay: over distances across the mean flow.
-
-    Returns:
-        Root coherences, 1 on the diagonal.
+    The lag along the mean flow, a direction of length 1, is left out. Speed is in m/s, the length
+    scale in m; the decay is over distances across the mean flow.
     """
     apart = places[:, None] - places[None]
     across = np.linalg.norm(apart - (apart @ along)[..., None] * along, axis=-1)
@@ -204,11 +186,8 @@ def gusts(
             f"the intensity of gusts is {np.array2string(parts)}: give one number or three, none "
             "of them negative and not all of them 0"
         )
-    for name, value in {
-        "length_scale": length_scale,
-        "duration": duration,
-        "interval": interval,
-    }.items():
+    given = {"length_scale": length_scale, "duration": duration, "interval": interval}
+    for name, value in given.items():
         if not 0 < value < np.inf:
             raise InputError(f"the {name} of gusts is {value:g}: give a positive number")
     speed = float(np.linalg.norm(mean))
@@ -217,21 +196,26 @@ def gusts(
     highest = RESOLVED * rows / (2 * duration)
     edges = np.geomspace(min(_LOWEST * speed / length_scale, highest / 10), highest, lines + 1)
     frequencies = np.sqrt(edges[1:] * edges[:-1])
-    where = None if places is None else _checked(places, decay)
+    where = None if places is None else np.asarray(places, dtype=float)
+    if where is not None:
+        if where.ndim != 2 or where.shape[1:] != (3,) or not np.all(np.isfinite(where)):
+            raise InputError(
+                f"the places of gusts have the shape {where.shape}: give x, y and z of each link "
+                "in m"
+            )
+        if not 0 <= decay < np.inf:
+            raise InputError(f"the decay of gusts is {decay:g}: give a number of at least 0")
     count = 1 if where is None else len(where)
     velocity = np.tile(mean, (len(times), count, 1))
     deviations = speed * np.broadcast_to(parts, 3)
     along = mean / speed
-    for component, axis in enumerate(wind_frame(along)):
-        if deviations[component] == 0:
+    carried = {"speed": speed, "length_scale": length_scale}
+    for component, (axis, deviation) in enumerate(
+        zip(wind_frame(along), deviations.tolist(), strict=True)
+    ):
+        if deviation == 0:
             continue
-        spectrum = gust_spectrum(
-            frequencies,
-            speed=speed,
-            deviation=float(deviations[component]),
-            length_scale=length_scale,
-            along=component == 0,
-        )
+        spectrum = gust_spectrum(frequencies, deviation=deviation, along=component == 0, **carried)
         sizes = np.sqrt(2 * spectrum * np.diff(edges))
         phases = 2 * np.pi * np.random.default_rng([seed, component]).uniform(size=(lines, count))
         gust = np.zeros((len(times), count))
@@ -241,22 +225,12 @@ def gusts(
             if where is None:
                 gust += size * np.cos(turned[:, None] + phase)
                 continue
-            root = np.linalg.cholesky(
-                gust_coherence(
-                    where,
-                    frequency,
-                    along=along,
-                    speed=speed,
-                    length_scale=length_scale,
-                    decay=decay,
-                )
-                # Places that are one have the same wind.
-                + 1e-9 * np.eye(count)
-            )
+            coherence = gust_coherence(where, frequency, along=along, decay=decay, **carried)
+            # Places that are one have the same wind.
+            root = np.linalg.cholesky(coherence + 1e-9 * np.eye(count))
             late = np.exp(-2j * np.pi * frequency * (where @ along) / speed)
-            gust += size * np.real(
-                np.exp(1j * turned)[:, None] * (root @ np.exp(1j * phase) * late)
-            )
+            here = root @ np.exp(1j * phase) * late
+            gust += size * np.real(np.exp(1j * turned)[:, None] * here)
         velocity += gust[:, :, None] * axis
     columns = {
         f"{'' if where is None else f'link{link + 1:02d}_'}wind_{axis}": velocity[:, link, at]
@@ -264,15 +238,3 @@ def gusts(
         for at, axis in enumerate("xyz")
     }
     return Drive(times, columns, "linear")
-
-
-def _checked(places: npt.ArrayLike, decay: float) -> np.ndarray:
-    """The places as they are, if they are some."""
-    where = np.asarray(places, dtype=float)
-    if where.ndim != 2 or where.shape[1:] != (3,) or not np.all(np.isfinite(where)):
-        raise InputError(
-            f"the places of gusts have the shape {where.shape}: give x, y and z of each link in m"
-        )
-    if not 0 <= decay < np.inf:
-        raise InputError(f"the decay of gusts is {decay:g}: give a number of at least 0")
-    return where

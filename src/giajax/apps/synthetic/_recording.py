@@ -4,9 +4,11 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 
+from ...mechanics.arm import Arm
 from ...models import AbstractModel, Channels, capabilities
 from ...recordings import Definition, Run
 from ...runtime.arrays import Array, Bool, Float
@@ -14,7 +16,7 @@ from ...runtime.programs import program
 from ...runtime.text import InputError
 from ...schema import InitialSection
 from ...schema.parameters import default_free, get
-from ...simulation import SimulationError
+from ...simulation import RESULTS, SimulationError, Trajectory, logged
 
 
 @dataclasses.dataclass(frozen=True)
@@ -181,8 +183,9 @@ def synthesise(
     or held as `definition` says: predicting the returned run with the same model gives the same
     channels without noise.
 
-    The noise is white and normal. Each channel has a random stream of its own, made from the
-    seed and its name, so that recording more channels does not change the others.
+    The noise is white and normal; where a cell is empty it is NaN. Each channel has a random stream
+    of its own, made from the seed and its name, so that recording more channels does not change
+    the others.
 
     Arguments:
         model: the truth.
@@ -197,10 +200,6 @@ def synthesise(
         definition: what a sidecar would say of the run; the model's constants are added.
         constants: the model whose constants are added instead, such as one that knows nothing of a
             turned camera.
-        name: of the run.
-
-    Returns:
-        The run, SI, NaN where a cell is empty.
 
     Raises:
         InputError: a channel that the model cannot predict, or `missing` outside [0, 1).
@@ -231,62 +230,52 @@ def synthesise(
         {**inputs, **blank},
         name=name,
         noise=noise,
-        definition=definition.merged_with(_constants(constants or model)),
+        definition=definition.merged_with(
+            Definition.parse(_constants(constants or model), "model")
+        ),
     )
     unknown = [channel for channel in channels if channel not in plan.observations]
     if unknown:
         raise InputError(
             f"'{unknown[0]}' drives the model, which does not predict it: record another channel"
         )
-    prepared = model.prepare(plan)
-    predicted, successful = predict_prepared(model, prepared, tuple(channels))
-    if not successful:
-        raise SimulationError(capabilities.failure(model, prepared))
-    hidden = capabilities.unseen(model, prepared, tuple(channels))
-    recorded = {
-        channel: _record(
-            blanked(predicted[channel], hidden.get(channel)),
-            plan.noise(channel),
-            missing,
-            seed,
-            channel,
-        )
-        for channel in channels
-    }
+    predicted, _ = _predicted(model, plan, tuple(channels))
+    recorded: dict[str, Any] = {}
+    for channel in channels:
+        random, exact = np.random.default_rng([seed, *channel.encode()]), predicted[channel]
+        deviation = plan.noise(channel) or 0.0
+        recorded[channel] = exact + deviation * random.standard_normal(len(exact))
+        # An exact number, rounded down: a channel is never left without a value.
+        recorded[channel][_some(len(exact), missing, random)] = np.nan
     return Run.from_arrays(times, {**inputs, **recorded}, name=name, definition=plan.definition)
 
 
-def _constants(model: AbstractModel) -> Definition:
+def _predicted(
+    model: AbstractModel, run: Run, channels: tuple[str, ...]
+) -> tuple[dict[str, npt.NDArray[np.float64]], Any]:
+    """Channels of a run, NaN where no experiment could record them, and the prepared run."""
+    prepared = model.prepare(run)
+    predicted, successful = _compiled(model, prepared, channels)
+    if not successful:
+        raise SimulationError(capabilities.failure(model, prepared))
+    shown = {channel: np.array(predicted[channel], dtype=float) for channel in channels}
+    for channel, hidden in capabilities.unseen(model, prepared, channels).items():
+        if channel in shown:
+            shown[channel][hidden] = np.nan
+    return shown, prepared
+
+
+def _constants(model: AbstractModel) -> dict[str, Any]:
     """What the model knows of itself that a sidecar can state."""
-    constants = model.definition()
-    known = {key: constants[key] for key in constants if key in Definition.model_fields}
-    return Definition.parse({"model": model.kind, **known}, "model")
+    known = {key: one for key, one in model.definition().items() if key in Definition.model_fields}
+    return {**known, "model": model.kind}
 
 
 @program
-def predict_prepared(
+def _compiled(
     model: AbstractModel, inputs: Any, channels: tuple[str, ...]
 ) -> tuple[Channels, Bool[Array, ""]]:
-    """What a model predicts for a prepared run, compiled, and whether that succeeded."""
     return model.predict(inputs, channels)
-
-
-def blanked(values: npt.ArrayLike, hidden: npt.NDArray[np.bool_] | None) -> npt.NDArray[np.float64]:
-    """What a model predicts of a channel, NaN where no experiment could record it."""
-    shown = np.array(values, dtype=float)
-    if hidden is not None:
-        shown[hidden] = np.nan
-    return shown
-
-
-def _record(
-    values: np.ndarray, deviation: float | None, missing: float, seed: int, channel: str
-) -> np.ndarray:
-    random = np.random.default_rng([seed, *channel.encode()])
-    recorded = values + (deviation or 0.0) * random.standard_normal(len(values))
-    # An exact number, rounded down: a channel is never left without a value.
-    recorded[random.permutation(len(values))[: int(missing * len(values))]] = np.nan
-    return recorded
 
 
 # What a sidecar says of one recording, and not of what was recorded.
@@ -316,7 +305,6 @@ def recorded_again(
         channels: to record, without unit; those of `run` by default.
         seed: of all errors. Each kind and channel has a random stream of its own.
         truth: paths of parameters to state in `[truth]`, beside those that a fit frees.
-        name: of the new run.
 
     Raises:
         InputError: nothing to record, a channel that the model cannot predict, or errors that
@@ -327,11 +315,7 @@ def recorded_again(
     names = tuple(run.observations if channels is None else channels)
     if not names:
         raise InputError(f"'{run.name}' has no measured channel: give the channels to record")
-    prepared = model.prepare(run)
-    predicted, successful = predict_prepared(model, prepared, names)
-    if not successful:
-        raise SimulationError(capabilities.failure(model, prepared))
-    hidden = capabilities.unseen(model, prepared, names)
+    predicted, prepared = _predicted(model, run, names)
     known = [path for path in default_free(model) if path not in truth]
     sidecar = run.definition.contents()
     sections = {key: sidecar[key] for key in sidecar if key not in _OF_THE_FILE}
@@ -344,8 +328,56 @@ def recorded_again(
         sections["initial"] = {**kept, **capabilities.initial_section(model, prepared)}
     exact = Run.from_arrays(
         run.times,
-        {**run.commands, **run.winds, **{n: blanked(predicted[n], hidden.get(n)) for n in names}},
+        {**run.commands, **run.winds, **predicted},
         name=name,
         definition=Definition.parse({"model": model.kind, **sections, "truth": facts}, name),
     )
     return with_errors(exact, errors, seed=seed)
+
+
+def logged_motion(
+    arm: Arm,
+    times: Float[np.ndarray, " row"],
+    angles: Float[np.ndarray, "row joint"],
+    rates: Float[np.ndarray, "row joint"],
+    commands: Float[np.ndarray, "row joint"],
+    wind: Float[np.ndarray, "row width"],
+) -> Trajectory:
+    """The motion of an arm that went through some rows, SI, without what only its steps know."""
+    return Trajectory(
+        times=jnp.asarray(times),
+        angles=jnp.asarray(angles),
+        rates=jnp.asarray(rates),
+        memory=None,
+        pressures=None,
+        skin=None,
+        arm=arm,
+        command=logged(times, commands),
+        wind=logged(times, wind),
+        result=RESULTS.successful,  # type: ignore[arg-type]
+        steps=jnp.zeros(2, dtype=int),
+    )
+
+
+def command_columns(commands: Float[np.ndarray, "row joint"]) -> dict[str, np.ndarray]:
+    """Commanded angles by channel, of the joints that are moved."""
+    named = {f"joint{joint:02d}_command": row for joint, row in enumerate(commands.T, start=1)}
+    return {name: row for name, row in named.items() if np.any(row)}
+
+
+def driven_run(
+    model: AbstractModel,
+    times: Float[np.ndarray, " row"],
+    values: Mapping[str, npt.ArrayLike],
+    *,
+    name: str,
+    noise: Mapping[str, float] | None = None,
+    origin: str = "",
+) -> Run:
+    """A run of channels (SI) between whose rows commands, and wind if there is one, are linear."""
+    facts = {**_constants(model), "command": {"interpolation": "linear"}}
+    if any("wind" in channel for channel in values):
+        facts["wind"] = {"interpolation": "linear"}
+    facts |= {"noise": dict(noise)} if noise else {}
+    facts |= {"origin": origin} if origin else {}
+    return Run.from_arrays(times, values, name=name, definition=Definition.parse(facts, name))

@@ -4,8 +4,7 @@ import dataclasses
 import threading
 import time
 from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,10 +12,7 @@ from ...models import Scene
 from ...runtime.page_policy import VISER, with_policy
 from ._gate import LOOPBACK, Gate
 from ._show import Posable, Show, frames, span
-from ._stage import Backend, offsets, stages
-
-if TYPE_CHECKING:
-    from ._stage import Stage
+from ._stage import LAYERS, Backend, Stage, offsets, stages
 
 SPEEDS = ("1/4", "1/2", "1", "2", "4", "8", "16")
 """How much faster than real time a motion is played."""
@@ -24,13 +20,11 @@ SPEEDS = ("1/4", "1/2", "1", "2", "4", "8", "16")
 
 @dataclasses.dataclass
 class Player:
-    """A time that runs while it is played.
+    """A time that runs while it is played, by a factor of real time.
 
     Attributes:
         first, last: times between which it runs, s.
         time: that is shown, s.
-        playing: whether it runs.
-        speed: how much faster than real time.
         again: whether it starts again at its end.
     """
 
@@ -45,14 +39,7 @@ class Player:
         self.time = self.first
 
     def tick(self, elapsed: float) -> bool:
-        """Let time pass.
-
-        Arguments:
-            elapsed: real time since the last tick, s.
-
-        Returns:
-            Whether another time is shown than before.
-        """
+        """Let real time pass (s); whether another time is shown than before."""
         if not self.playing or self.last <= self.first:
             return False
         before = self.time
@@ -83,27 +70,17 @@ def factor(speed: str) -> float:
     return float(above) / float(below or 1)
 
 
-# The page of a live viewer: time bar, layers, legend, and the joints of an arm without a motion.
-
 # Poses a second at most: smooth, and no more than two cores can draw.
 _RATE = 30.0
-
-_TITLES = {
-    "balloons": "balloons",
-    "muscles": "muscles, by pressure",
-    "markers": "markers of the model",
-    "recorded": "recorded markers",
-    "air": "drag of the air",
-    "contact": "contact",
-    "surroundings": "surroundings",
-}
 
 # Of an arm without a motion: as far as a joint of the paper's goes.
 _LARGEST = 60.0
 
 
 class Viewer:
-    """A page on which shows are played, behind an address with a token.
+    """A page on which shows are played, behind an address with a token; whoever has it, sees it.
+
+    `address` is where a browser finds it, `is_open` whether other machines can reach it.
 
     Arguments:
         shown: motions on one clock, or one arm without a motion.
@@ -131,33 +108,20 @@ class Viewer:
         ]
         self.player = Player(*span(self.shows))
         self._backend = Backend()
-        self._server = self._backend.server
+        # Of viser, for whoever adds something to the page, too.
+        self.server = self._backend.server
         try:
             self._gate = Gate({"": self._backend.socket}, host=host, port=port)
         except BaseException:
             self._backend.close()
             raise
+        self.address, self.is_open = self._gate.address, self._gate.is_open
         self._overlay = overlay
-        self.stages: list[Stage] = stages(self._server, self.shows, overlay=overlay)
+        self.stages: list[Stage] = stages(self.server, self.shows, overlay=overlay)
         self._ended = threading.Event()
         self._build()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
-
-    @property
-    def address(self) -> str:
-        """Where a browser finds the page; whoever has it, sees it."""
-        return self._gate.address
-
-    @property
-    def is_open(self) -> bool:
-        """Whether other machines can reach the page."""
-        return self._gate.is_open
-
-    @property
-    def server(self) -> Any:
-        """Of viser, for whoever adds something to the page."""
-        return self._server
 
     def close(self) -> None:
         """End the page."""
@@ -168,7 +132,7 @@ class Viewer:
 
     def draw(self) -> None:
         """Show the time of the player."""
-        with self._lock, self._server.atomic():
+        with self._lock, self.server.atomic():
             for stage in self.stages:
                 stage.draw(stage.show.sample_at(self.player.time))
             self._say()
@@ -176,7 +140,7 @@ class Viewer:
     def pose(self, angles: Any) -> None:
         """Set the joints of an arm without a motion, rad, shape (joint,)."""
         assert self._posable is not None
-        with self._lock, self._server.atomic():
+        with self._lock, self.server.atomic():
             stage = self.stages[0]
             stage.show = self._posable.show(np.asarray(angles))
             stage.draw(0)
@@ -189,11 +153,12 @@ class Viewer:
             now = time.monotonic()
             if self.player.tick(now - before):
                 self.draw()
-                self._place_slider()
+                self._bar.value = self.player.time
+                self._label()
             before = now
 
     def _build(self) -> None:
-        gui = self._server.gui
+        gui = self.server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(0, 90, 140))
         gui.main_panel.dock_right()
         gui.set_panel_label("giajax")
@@ -204,7 +169,7 @@ class Viewer:
             self._clock()
         with gui.add_folder("Show"):
             there = {layer for stage in self.stages for layer in stage.layers()}
-            for layer, title in _TITLES.items():
+            for layer, title in LAYERS.items():
                 if layer in there:
                     self._layer(layer, title)
             if len(self.stages) > 1:
@@ -214,7 +179,7 @@ class Viewer:
 
     def _clock(self) -> None:
         """Time bar, play, speed."""
-        gui, player = self._server.gui, self.player
+        gui, player = self.server.gui, self.player
         with gui.add_folder("Time"):
             step = max((player.last - player.first) / 2000, 1e-3)
             bar = gui.add_slider("time (s)", player.first, player.last, step, player.first)
@@ -252,14 +217,10 @@ class Viewer:
     def _label(self) -> None:
         self._play.label = "pause" if self.player.playing else "play"
 
-    def _place_slider(self) -> None:
-        self._bar.value = self.player.time
-        self._label()
-
     def _joints(self) -> None:
         """A slider for each joint, in degrees."""
         assert self._posable is not None
-        gui, count = self._server.gui, self._posable.arm.count
+        gui, count = self.server.gui, self._posable.arm.count
         sliders: list[Any] = []
 
         def moved(_: Any) -> None:
@@ -278,7 +239,7 @@ class Viewer:
                 slider.value = 0.0
 
     def _layer(self, layer: str, title: str) -> None:
-        box = self._server.gui.add_checkbox(title, True)
+        box = self.server.gui.add_checkbox(title, True)
 
         @box.on_update
         def _(_: Any) -> None:
@@ -297,26 +258,15 @@ class Viewer:
 
 
 class LiveStage:
-    """A page of viser with an arm that somebody else moves.
-
-    Arguments:
-        scene: of one sample.
-
-    Raises:
-        InputError: viser is not installed.
-    """
+    """A page of viser with an arm that somebody else moves; the scene is of one sample."""
 
     def __init__(self, scene: Scene) -> None:
         self._backend = Backend()
+        self.socket = self._backend.socket
         self._server = self._backend.server
         (self._stage,) = stages(self._server, [Show("arm", scene)])
         self._server.gui.configure_theme(show_logo=False, show_share_button=False)
         self._server.gui.main_panel.minimize()
-
-    @property
-    def socket(self) -> Path:
-        """Where it listens."""
-        return self._backend.socket
 
     @property
     def watched(self) -> bool:
@@ -334,8 +284,6 @@ class LiveStage:
         self._backend.close()
 
 
-# A page that plays without a server: one file.
-
 RATE = 30.0
 """Most frames in a second of the motion."""
 
@@ -346,13 +294,13 @@ MOST_FRAMES = 1500
 def recording(shows: Sequence[Show], *, overlay: bool = False, dark: bool = False) -> bytes:
     """A page for a browser in which shows are played, with a time bar and a choice of speeds.
 
+    It is HTML in UTF-8, and needs nothing else.
+
     Arguments:
         shows: at least one, on one clock.
         overlay: all in one place instead of side by side.
         dark: light on dark.
 
-    Returns:
-        HTML that needs nothing else, in UTF-8.
     """
     backend = Backend()
     server = backend.server

@@ -34,7 +34,6 @@ class Show:
 
     Attributes:
         name: what a legend says.
-        scene: of a model.
         recorded: recorded points by the names of the scene's markers, m, shape (sample, 3).
         notes: what is not shown, and why.
     """
@@ -85,13 +84,7 @@ def span(shows: Sequence[Show]) -> tuple[float, float]:
 
 
 def frames(shows: Sequence[Show], rate: float, most: int) -> Float[np.ndarray, " frame"]:
-    """Times at which to draw, s: every sample, but no more than a rate and a number.
-
-    Arguments:
-        shows: at least one.
-        rate: most frames in a second.
-        most: most frames.
-    """
+    """Times at which to draw, s: every sample, but at most a rate (Hz) and a number of frames."""
     first, last = span(shows)
     finest = min(float(np.min(np.diff(show.clock), initial=np.inf)) for show in shows)
     count = int(np.ceil((last - first) / max(finest, 1 / rate) - 1e-9)) + 1 if last > first else 1
@@ -99,12 +92,7 @@ def frames(shows: Sequence[Show], rate: float, most: int) -> Float[np.ndarray, "
 
 
 class Posable:
-    """An arm whose joints are set by hand: no motion, only where links are.
-
-    Arguments:
-        model: of the arm.
-        name: what a legend says.
-    """
+    """An arm whose joints are set by hand: no motion, only where links are."""
 
     def __init__(self, model: ArmModel, name: str) -> None:
         self.model = model
@@ -129,7 +117,7 @@ def shown(
     run: str | None = None,
     name: str | None = None,
 ) -> Show | Posable:
-    """What there is to see of a file.
+    """What there is to see of a file: a motion with recorded markers, or an arm without a motion.
 
     Arguments:
         path: a recorded or simulated run (`RUN.csv`), the folder of a fit or its `result.json`, or
@@ -138,9 +126,6 @@ def shown(
         rename: a run's column name -> the name it has in the column table.
         run: name of the run of a fit; the first one by default.
         name: what a legend says; of the file by default.
-
-    Returns:
-        A motion with its recorded markers; of a TOML file an arm without a motion.
 
     Raises:
         InputError: there is no such file or run, or nothing is seen of its model.
@@ -152,7 +137,11 @@ def shown(
         chosen = _chosen(fitted_runs(result, data, rename=rename), run, path)
         return _followed(result.model_of(chosen), chosen, name or folder.name)
     if path.suffix == ".toml":
-        return _posable(path, name or path.stem)
+        definition = Definition.load(path)
+        if definition.model not in (None, ArmModel.kind):
+            raise InputError(f"{path} describes a {definition.model}: give the TOML file of an arm")
+        arm, sensors = arm_from_definition(definition), sensors_from_definition(definition)
+        return Posable(ArmModel(arm, sensors=sensors), name or path.stem)
     chosen = read_run(path, rename=rename)
     return _followed(model_for([chosen]), chosen, name or chosen.name)
 
@@ -170,14 +159,6 @@ def _chosen(runs: list[Run], name: str | None, path: Path) -> Run:
     return known[name]
 
 
-def _posable(path: Path, name: str) -> Posable:
-    definition = Definition.load(path)
-    if definition.model not in (None, ArmModel.kind):
-        raise InputError(f"{path} describes a {definition.model}: give the TOML file of an arm")
-    arm, sensors = arm_from_definition(definition), sensors_from_definition(definition)
-    return Posable(ArmModel(arm, sensors=sensors), name)
-
-
 def _followed(model: AbstractModel, run: Run, name: str) -> Show:
     """A model along a run, and what was recorded of it."""
     try:
@@ -189,31 +170,17 @@ def _followed(model: AbstractModel, run: Run, name: str) -> Show:
             f"'{run.name}' is of a {run.model}, of which nothing is seen: give an arm's"
         )
     recorded = recorded_markers(scene, run, predict(model, run))
-    notes = []
-    if recorded is None:
-        notes.append("recorded markers are not shown: the axes of their camera are others")
-    return Show(name, _finite(scene, run), recorded or {}, tuple(notes))
-
-
-def _finite(scene: Scene, run: Run) -> Scene:
     if not all(np.all(np.isfinite(line.points)) for line in scene.lines):
         raise InputError(f"the motion of '{run.name}' is not finite: check its parameters")
-    return scene
+    unknown = ("recorded markers are not shown: the axes of their camera are others",)
+    return Show(name, scene, recorded or {}, unknown if recorded is None else ())
 
-
-# What is seen, in words.
 
 _FORCES = {"air": "largest drag on a link", "contact": "largest force of a contact"}
 
 
 def words(show: Show, sample: int, colour: str) -> str:
-    """What a show has at a sample, as Markdown.
-
-    Arguments:
-        show: the show.
-        sample: the sample.
-        colour: of its bodies.
-    """
+    """What a show, whose bodies have a colour, has at a sample, as Markdown."""
     # Whoever named the file may have written Markdown or HTML, which the page would show as such.
     name = re.sub(r"([!-/:-@\[-`{-~])", r"\\\1", " ".join(show.name.split()))
     said = [f"**{name}** ({colour})"]
@@ -222,7 +189,8 @@ def words(show: Show, sample: int, colour: str) -> str:
     if (tip := show.scene.markers.get("tip")) is not None and np.all(np.isfinite(tip[sample])):
         said.append("tip at " + ", ".join(f"{part:.3f}" for part in tip[sample]) + " m")
     if (off := show.marker_error(sample)) is not None:
-        said.append(f"recorded markers off by {_length(off)} (RMS)")
+        length = f"{off:.2f} m" if off >= 1 else f"{1e3 * off:.1f} mm"
+        said.append(f"recorded markers off by {length} (RMS)")
     for arrows in show.scene.arrows:
         force = float(np.max(np.linalg.norm(arrows.vectors[sample], axis=-1), initial=0.0))
         if np.any(arrows.vectors):
@@ -231,7 +199,3 @@ def words(show: Show, sample: int, colour: str) -> str:
     if pressures:
         said.append(f"pressures up to {max(pressures) / 1e5:.2f} bar")
     return "  \n".join([*said, *(f"*{note}*" for note in show.notes)])
-
-
-def _length(metres: float) -> str:
-    return f"{metres:.2f} m" if metres >= 1 else f"{1e3 * metres:.1f} mm"

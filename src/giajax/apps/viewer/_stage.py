@@ -25,11 +25,7 @@ _STARTING = threading.Lock()
 
 
 def check_viser() -> None:
-    """Refuse to go on where the library is missing.
-
-    Raises:
-        InputError: it is not installed.
-    """
+    """Refuse to go on where viser is not installed."""
     try:
         import viser  # noqa: F401
     except ImportError:
@@ -39,15 +35,7 @@ def check_viser() -> None:
 
 
 class Backend:
-    """A server for one page, on a Unix socket that only this account can reach.
-
-    Attributes:
-        server: of viser.
-        socket: where it listens.
-
-    Raises:
-        InputError: viser is not installed, or it is one that listens elsewhere.
-    """
+    """A server for one page, on a Unix socket that only this account can reach."""
 
     def __init__(self) -> None:
         check_viser()
@@ -122,20 +110,8 @@ BODIES: dict[str, Colour] = {
 _EMPTY, _FULL = np.array([70.0, 90.0, 160.0]), np.array([215.0, 48.0, 39.0])
 
 
-def darker(colour: Colour) -> Colour:
-    """A colour for dots within bodies of this colour."""
-    red, green, blue = (int(0.45 * part) for part in colour)
-    return red, green, blue
-
-
 def thread_colours(scene: Scene, sample: int, highest: float) -> Int[np.ndarray, "piece 3"]:
-    """The colour of each piece of each thread of a scene: by its pressure, where it has one.
-
-    Arguments:
-        scene: the scene.
-        sample: which sample.
-        highest: pressure that is the brightest, Pa.
-    """
+    """The colour of each piece of each thread: by its pressure over the highest, Pa."""
     colours = []
     for line in scene.lines:
         if np.any(line.radii > 0):
@@ -148,18 +124,11 @@ def thread_colours(scene: Scene, sample: int, highest: float) -> Int[np.ndarray,
     return np.array(colours).reshape(-1, 3).astype(np.uint8)
 
 
-# Triangles and turns of the few shapes that a scene is drawn with.
-
 _ROUND = 24
 
 
 class Mesh(NamedTuple):
-    """A triangle mesh.
-
-    Attributes:
-        vertices: shape (vertex, 3).
-        faces: indices of vertices, counterclockwise from outside, shape (face, 3).
-    """
+    """Vertices, and faces as indices of them, counterclockwise from outside."""
 
     vertices: Float[np.ndarray, "vertex 3"]
     faces: Int[np.ndarray, "face 3"]
@@ -212,8 +181,7 @@ def _turned(outline: list[tuple[float, float]]) -> Mesh:
 def turns_to(directions: Float[np.ndarray, "row 3"]) -> Float[np.ndarray, "row 4"]:
     """Unit quaternions (w, x, y, z) of the shortest turns from the x axis to directions.
 
-    Arguments:
-        directions: of any length but 0; where it is 0 nothing is turned.
+    Directions have any length; where it is 0 nothing is turned.
     """
     lengths = np.linalg.norm(directions, axis=1, keepdims=True)
     ahead = np.where(lengths > 0, directions / np.where(lengths > 0, lengths, 1), [1.0, 0.0, 0.0])
@@ -224,8 +192,6 @@ def turns_to(directions: Float[np.ndarray, "row 3"]) -> Float[np.ndarray, "row 4
     turns /= np.linalg.norm(turns, axis=1, keepdims=True)
     return turns
 
-
-# What scenes are drawn of: their sizes, and the pieces of their lines.
 
 # Of a box without an end so much is drawn beyond the scene, and below its surface, in extents.
 _GROUND, _PLATE = 0.6, 0.02
@@ -269,14 +235,9 @@ def bounds(shows: Sequence[Show]) -> Float[np.ndarray, "2 3"]:
 
 
 def cut(centre: Any, size: Any, axes: Any, low: Any, high: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Of a box that is far larger than a scene, the part about it.
+    """Of a box that is far larger than a scene, centre and size of the part about it, m.
 
-    Arguments:
-        centre, size, axes: of the box, as of a `Block`.
-        low, high: least and greatest coordinates of the scene, m.
-
-    Returns:
-        Centre and size of that part, m.
+    The box is as a `Block` has it; the scene has its least and greatest coordinates, m.
     """
     extent = float(np.max(high - low))
     middle = axes.T @ ((low + high) / 2 - centre)
@@ -321,32 +282,31 @@ def joints(scene: Scene, sample: int) -> tuple[np.ndarray, np.ndarray]:
     return points, np.array([line.radii[0] for line in links])
 
 
-LAYERS = ("balloons", "muscles", "markers", "recorded", "air", "contact", "surroundings")
-"""What can be hidden: a folder of each show's scene."""
+LAYERS = {
+    "balloons": "balloons",
+    "muscles": "muscles, by pressure",
+    "markers": "markers of the model",
+    "recorded": "recorded markers",
+    "air": "drag of the air",
+    "contact": "contact",
+    "surroundings": "surroundings",
+}
+"""What can be hidden, a folder of each show's scene, and what it is called."""
+
+_BATCHED = ("batched_positions", "batched_wxyzs", "batched_scales", "batched_colors")
 
 # Of the largest extent.
 _THREAD, _DOT, _LONGEST_ARROW = 0.002, 0.004, 0.15
 
 
 class Stage:
-    """One show on a page.
+    """One show on a page, with its base at the offset (m).
 
-    Arguments:
-        api: of viser, where it is drawn.
-        show: what is drawn.
-        scale: of all shows on the page.
-        index: which show of the page this is, from 0 on: it has colours of its own.
-        offset: where its base is, m, shape (3,).
+    Its index among the shows of the page, from 0 on, says its colours.
     """
 
     def __init__(
-        self,
-        api: "SceneApi",
-        show: Show,
-        scale: Scale,
-        *,
-        index: int = 0,
-        offset: Float[np.ndarray, "3"] | None = None,
+        self, api: "SceneApi", show: Show, scale: Scale, index: int, offset: Float[np.ndarray, "3"]
     ) -> None:
         self.show = show
         self.scale = scale
@@ -354,9 +314,7 @@ class Stage:
         self._root = f"/{index + 1} {show.name.replace('/', '_')}"
         self._name = list(BODIES)[index % len(BODIES)]
         self._colour = BODIES[self._name]
-        self._base = api.add_frame(
-            self._root, show_axes=False, position=np.zeros(3) if offset is None else offset
-        )
+        self._base = api.add_frame(self._root, show_axes=False, position=offset)
         self._layers = {
             layer: api.add_frame(f"{self._root}/{layer}", show_axes=False)
             for layer in self.layers()
@@ -401,7 +359,9 @@ class Stage:
         threads = segments(scene, sample, bodies=False)
         threads[2][:] = _THREAD * self.scale.extent
         self._tubes("muscles/threads", threads, thread_colours(scene, sample, self.scale.pressure))
-        self._points("markers/points", scene.markers, sample, darker(self._colour))
+        # Dots within bodies are darker than these.
+        dark = [int(0.45 * part) for part in self._colour]
+        self._points("markers/points", scene.markers, sample, dark)
         self._points("recorded/points", self.show.recorded, sample, RECORDED)
         for arrows in scene.arrows:
             if arrows.name in self._layers:
@@ -412,27 +372,16 @@ class Stage:
         starts, ends, radii = pieces
         if not len(starts):
             return
-        lengths = np.linalg.norm(ends - starts, axis=1)
-        moved = {
-            "batched_positions": (starts + ends) / 2,
-            "batched_wxyzs": turns_to(ends - starts),
-            "batched_scales": np.stack([lengths, radii, radii], axis=1),
-            "batched_colors": np.asarray(colour, dtype=np.uint8),
-        }
-        self._batch(name, tube(), moved, opacity)
+        scales = np.stack([np.linalg.norm(ends - starts, axis=1), radii, radii], axis=1)
+        placed = (starts + ends) / 2, turns_to(ends - starts), scales
+        self._batch(name, tube(), placed, colour, opacity)
 
-    def _balls(self, name: str, centres: np.ndarray, radii: np.ndarray, colour: Colour) -> None:
-        if not len(centres):
-            return
-        moved = {
-            "batched_positions": centres,
-            "batched_wxyzs": np.tile([1.0, 0.0, 0.0, 0.0], (len(centres), 1)),
-            "batched_scales": np.stack([radii] * 3, axis=1),
-            "batched_colors": np.array(colour, dtype=np.uint8),
-        }
-        self._batch(name, ball(), moved, None)
+    def _balls(self, name: str, centres: np.ndarray, radii: np.ndarray, colour: Any) -> None:
+        if len(centres):
+            turns = np.tile([1.0, 0.0, 0.0, 0.0], (len(centres), 1))
+            self._batch(name, ball(), (centres, turns, np.stack([radii] * 3, axis=1)), colour)
 
-    def _points(self, name: str, markers: Any, sample: int, colour: Colour) -> None:
+    def _points(self, name: str, markers: Any, sample: int, colour: Any) -> None:
         if not markers:
             return
         points = np.stack([each[sample] for each in markers.values()])
@@ -441,14 +390,19 @@ class Stage:
         radii = np.where(there, _DOT * self.scale.extent, 1e-9)
         self._balls(name, np.where(there[:, None], points, 0.0), radii, colour)
 
-    def _batch(self, name: str, mesh: Any, moved: dict[str, Any], opacity: float | None) -> None:
+    def _batch(
+        self, name: str, mesh: Mesh, placed: Any, colour: Any, opacity: float | None = None
+    ) -> None:
+        """Copies of a mesh, placed by their positions, turns and scales."""
+        arrays = (*placed, np.array(colour, dtype=np.uint8))
+        moved = dict(zip(_BATCHED, arrays, strict=True))
         known = self._handles.get(name)
         if known is None:
             handle = self._api.add_batched_meshes_simple(
                 f"{self._root}/{name}", *mesh, lod="off", cast_shadow=False, receive_shadow=False,
                 opacity=opacity, **moved,
             )  # fmt: skip
-            self._handles[name] = (handle, dict(moved))
+            self._handles[name] = (handle, moved)
             return
         handle, before = known
         for key, value in moved.items():
@@ -477,11 +431,8 @@ class Stage:
             known.points = points.astype(np.float32)
 
     def _surroundings(self) -> None:
-        blocks = self.show.scene.blocks
-        if not blocks:
-            return
         low, high = self.show.scene.extent()
-        for number, block in enumerate(blocks):
+        for number, block in enumerate(self.show.scene.blocks):
             centre, size = cut(block.centre, block.size, block.axes, low, high)
             vertices = brick().vertices * size @ block.axes.T + centre
             self._api.add_mesh_simple(
@@ -490,8 +441,6 @@ class Stage:
                 cast_shadow=False, receive_shadow=False,
             )  # fmt: skip
 
-
-# Several shows on one page: where each stands, and where one looks from.
 
 # Between two shows, in extents of the widest; and how far off one looks from.
 _GAP, _DISTANCE = 0.25, 1.0
@@ -513,44 +462,29 @@ def offsets(shows: Sequence[Show], *, overlay: bool) -> Float[np.ndarray, "show 
 
 
 def stages(server: "ViserServer", shows: Sequence[Show], *, overlay: bool = False) -> list[Stage]:
-    """Draw shows, with a grid below them, and look at them from the side.
-
-    Arguments:
-        server: of viser.
-        shows: at least one.
-        overlay: all in one place instead of side by side.
-    """
+    """Draw shows side by side, or all in one place, over a grid, and look at them from the side."""
     scale = scale_of(shows)
     places = offsets(shows, overlay=overlay)
     drawn = [
-        Stage(server.scene, show, scale, index=index, offset=place)
+        Stage(server.scene, show, scale, index, place)
         for index, (show, place) in enumerate(zip(shows, places, strict=True))
     ]
     low, high = bounds(shows)
     low, high = low + places.min(axis=0), high + places.max(axis=0)
     _grid(server, low, high)
-    look_from_the_side(server.initial_camera, *_with_building(shows, low, high))
-    return drawn
-
-
-def _with_building(
-    shows: Sequence[Show], low: np.ndarray, high: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """A box about what moves, and about what stands around and has an end."""
+    # About what moves, and what stands around and has an end: from the right, a little from above.
     extent = float(np.max(high - low))
     blocks = [ends(block, extent) for show in shows for block in show.scene.blocks]
     corners = np.concatenate([[low, high], *(each for each in blocks if each is not None)])
-    return np.min(corners, axis=0), np.max(corners, axis=0)
-
-
-def look_from_the_side(camera: Any, low: np.ndarray, high: np.ndarray) -> None:
-    """Put a camera of viser where it sees a box from the right, a little from above."""
+    low, high = np.min(corners, axis=0), np.max(corners, axis=0)
     middle, size = (low + high) / 2, float(np.linalg.norm(high - low)) or 1.0
     ahead = np.array([0.25, -1.0, 0.3])
+    camera: Any = server.initial_camera
     camera.look_at = tuple(middle)
     camera.position = tuple(middle + ahead / np.linalg.norm(ahead) * size * _DISTANCE)
     camera.up = (0.0, 0.0, 1.0)
     camera.fov = _FIELD
+    return drawn
 
 
 def _grid(server: "ViserServer", low: np.ndarray, high: np.ndarray) -> None:

@@ -30,8 +30,6 @@ from ._model import (
 from ._record import Resting, resting, tapered
 from ._response import Turbulence
 
-# What the recording cannot tell of a wind, in words.
-
 # Standard error of a logarithm beyond which nothing is known: a factor of e.
 OPEN = 1.0
 _TOGETHER = 0.9
@@ -39,92 +37,6 @@ _OFF = 5.0
 _ASIDE = 3.0
 _SWINGS = 0.3
 _GUSTS = 30
-
-
-def wind_notes(
-    wind: Turbulence,
-    *,
-    names: tuple[str, ...],
-    covariance: np.ndarray,
-    converged: bool,
-    misfit: tuple[float, float],
-    means: np.ndarray,
-    left_out: tuple[str, ...],
-    swing: float,
-    lasts: float,
-    filled: float,
-    followed: bool,
-) -> tuple[str, ...]:
-    """Sentences on a fit.
-
-    Arguments:
-        wind: at its end.
-        names: of the free numbers.
-        covariance: of their logarithms, and of angles.
-        converged: whether it ended at a maximum.
-        misfit: of the spectra, and its standard error.
-        means: recorded, fitted and standard error, shape (3, channel).
-        left_out: channels.
-        swing: largest deviation of a joint, rad.
-        lasts: the record, s.
-        filled: share of empty cells.
-        followed: whether the means counted.
-    """
-    notes = []
-    errors = np.sqrt(np.diag(covariance))
-    if not converged:
-        notes.append(
-            "the fit did not end at a maximum, and its standard errors mean little: begin nearer "
-            "to the truth, or hold more"
-        )
-    for name, error in zip(names, errors, strict=True):
-        if error > OPEN:
-            notes.append(f"{name} is not determined: hold it, or record longer or more links")
-    for one, other in itertools.combinations(range(len(names)), 2):
-        together = covariance[one, other] / (errors[one] * errors[other])
-        if abs(together) > _TOGETHER:
-            sign = np.sign(together)
-            left = covariance[one, one] + covariance[other, other]
-            known = np.sqrt(max(left - 2 * sign * covariance[one, other], 0.0))
-            what = "ratio" if sign > 0 else "product"
-            notes.append(
-                f"{names[one]} and {names[other]} trade off (correlation {together:.2f}): their "
-                f"{what} is known to {known:.1%}"
-            )
-    if abs(misfit[0] - 1) > _OFF * misfit[1]:
-        much = "larger" if misfit[0] > 1 else "smaller"
-        notes.append(
-            f"the spectra are {misfit[0]:.2f} times what is expected, {much} than chance: another "
-            "arm, noise or wind than assumed, and standard errors that do not know of it"
-        )
-    if followed:
-        off = np.abs(means[0] - means[1]) / means[2]
-        if np.max(off) > _ASIDE:
-            notes.append(
-                f"the mean of a channel is {np.max(off):.0f} standard errors off: the wind comes "
-                "from elsewhere, or the arm rests elsewhere without it than its model; free the "
-                "direction, or leave the means out"
-            )
-    else:
-        notes.append(
-            "the resting position was not used, so that the mean flow is known from how quickly "
-            "gusts pass alone"
-        )
-    gusts = lasts * wind.speed / wind.length_scale
-    if gusts < _GUSTS:
-        notes.append(
-            f"the record is {gusts:.0f} times as long as a gust, and standard errors are rough "
-            f"with less than {_GUSTS}"
-        )
-    if swing > _SWINGS:
-        notes.append(
-            f"a joint swings by {np.rad2deg(swing):.0f} deg, and its response is not linear"
-        )
-    if left_out:
-        notes.append(f"left out because they bend more than they move: {', '.join(left_out)}")
-    if filled:
-        notes.append(f"{filled:.1%} of the cells were empty and are filled by straight lines")
-    return tuple(notes)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -147,11 +59,9 @@ class WindFit:
             over the speed, s.
         wind: the same as an object that has spectra.
         correlation: between the free numbers (logarithms, but for angles), shape (free, free).
-        free: their names.
         converged: whether the optimiser ended at a maximum.
         log_likelihood: at the end, but for a constant.
         misfit: square of the transforms over what is expected, with its standard error; 1 is good.
-        channels: what was fitted.
         left_out: channels that bend more than they move, and were left out.
         frequencies: middles of the bands, Hz.
         measured, fitted: one-sided spectra of each channel, SI^2/Hz, shape (band, channel).
@@ -175,7 +85,66 @@ class WindFit:
     fitted: np.ndarray
     means: np.ndarray
     swing: float
-    notes: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+
+
+def _notes(found: WindFit, covariance: np.ndarray, expects: WindModel) -> tuple[str, ...]:
+    """Sentences on a fit, by the covariance of logarithms and of angles."""
+    notes = []
+    errors = np.sqrt(np.diag(covariance))
+    if not found.converged:
+        notes.append(
+            "the fit did not end at a maximum, and its standard errors mean little: begin nearer "
+            "to the truth, or hold more"
+        )
+    for name, error in zip(found.free, errors, strict=True):
+        if error > OPEN:
+            notes.append(f"{name} is not determined: hold it, or record longer or more links")
+    for one, other in itertools.combinations(range(len(found.free)), 2):
+        together = covariance[one, other] / (errors[one] * errors[other])
+        if abs(together) > _TOGETHER:
+            sign = np.sign(together)
+            left = covariance[one, one] + covariance[other, other]
+            known = np.sqrt(max(left - 2 * sign * covariance[one, other], 0.0))
+            what = "ratio" if sign > 0 else "product"
+            notes.append(
+                f"{found.free[one]} and {found.free[other]} trade off (correlation "
+                f"{together:.2f}): their {what} is known to {known:.1%}"
+            )
+    if abs(found.misfit[0] - 1) > _OFF * found.misfit[1]:
+        much = "larger" if found.misfit[0] > 1 else "smaller"
+        notes.append(
+            f"the spectra are {found.misfit[0]:.2f} times what is expected, {much} than chance: "
+            "another arm, noise or wind than assumed, and standard errors that do not know of it"
+        )
+    if expects.use_mean:
+        off = np.abs(found.means[0] - found.means[1]) / found.means[2]
+        if np.max(off) > _ASIDE:
+            notes.append(
+                f"the mean of a channel is {np.max(off):.0f} standard errors off: the wind comes "
+                "from elsewhere, or the arm rests elsewhere without it than its model; free the "
+                "direction, or leave the means out"
+            )
+    else:
+        notes.append(
+            "the resting position was not used, so that the mean flow is known from how quickly "
+            "gusts pass alone"
+        )
+    gusts = expects.lasts * found.wind.speed / found.wind.length_scale
+    if gusts < _GUSTS:
+        notes.append(
+            f"the record is {gusts:.0f} times as long as a gust, and standard errors are rough "
+            f"with less than {_GUSTS}"
+        )
+    if found.swing > _SWINGS:
+        notes.append(
+            f"a joint swings by {np.rad2deg(found.swing):.0f} deg, and its response is not linear"
+        )
+    if found.left_out:
+        notes.append(f"left out because they bend more than they move: {', '.join(found.left_out)}")
+    if filled := expects.record.filled:
+        notes.append(f"{filled:.1%} of the cells were empty and are filled by straight lines")
+    return tuple(notes)
 
 
 def wind_result(
@@ -188,51 +157,32 @@ def wind_result(
     """The result of an optimiser's end."""
     wind, white = numbers.at(found.x)
     expected = expects.expected(wind, white)
-    covariance = _covariance(np.asarray(found.hess))
+    # Directions without any information get a large variance, not infinity.
+    values, vectors = np.linalg.eigh(np.asarray(found.hess))
+    covariance = (vectors / np.maximum(values, 1e-6)) @ vectors.T
     errors = np.sqrt(np.diag(covariance))
-    converged = bool(found.success)
     whites = np.abs(whitened(expected, recorded)) ** 2
-    misfit = (float(whites.mean()), float(whites.size**-0.5))
     covariances = expects.about(wind)[1]
-    swing = float(np.sqrt(np.max(np.diag(covariances))))
     means = np.full((3, len(expects.record.names)), np.nan)
     if expected.mean is not None and expected.covariance is not None:
         means = np.stack([recorded.mean, expected.mean, np.sqrt(np.diag(expected.covariance))])
-    return WindFit(
+    result = WindFit(
         numbers=_numbers(numbers, wind, white, covariance),
         wind=wind,
         correlation=covariance / np.outer(errors, errors),
         free=numbers.names,
-        converged=converged,
+        converged=bool(found.success),
         log_likelihood=-float(found.fun),
-        misfit=misfit,
+        misfit=(float(whites.mean()), float(whites.size**-0.5)),
         channels=expects.record.names,
         left_out=left_out,
         frequencies=expects.bands.middles,
         measured=np.mean(np.abs(recorded.transforms) ** 2, axis=1),
         fitted=np.diagonal(expected.spectra, axis1=1, axis2=2).real,
         means=means,
-        swing=swing,
-        notes=wind_notes(
-            wind,
-            names=numbers.names,
-            covariance=covariance,
-            converged=converged,
-            misfit=misfit,
-            means=means,
-            left_out=left_out,
-            swing=swing,
-            lasts=expects.lasts,
-            filled=expects.record.filled,
-            followed=expects.use_mean,
-        ),
+        swing=float(np.sqrt(np.max(np.diag(covariances)))),
     )
-
-
-def _covariance(information: np.ndarray) -> np.ndarray:
-    """Inverse of the information; directions without any get a large variance, not infinity."""
-    values, vectors = np.linalg.eigh(information)
-    return (vectors / np.maximum(values, 1e-6)) @ vectors.T
+    return dataclasses.replace(result, notes=_notes(result, covariance, expects))
 
 
 def _numbers(
@@ -290,7 +240,8 @@ def fit_wind(
 
     The arm is linearised statistically about its rest in the wind, gusts have von Karman's
     spectra and the coherence of `giajax.gusts`, and Whittle's likelihood of sine-tapered spectra
-    is maximised. Recorded winds of the run are not used.
+    is maximised. Standard errors are from Fisher's information. Recorded winds of the run are not
+    used.
 
     Arguments:
         model: the arm and its sensors, all of whose parameters are held.
@@ -305,9 +256,6 @@ def fit_wind(
             without wind is right.
         skip: what is left out at the beginning, s.
         highest: frequency to look up to, Hz; by default half of what rows resolve.
-
-    Returns:
-        The wind with standard errors from Fisher's information.
 
     Raises:
         InputError: a run that moves, is uneven or too short, an arm with friction or memory, no

@@ -12,8 +12,6 @@ from ...runtime.text import InputError
 from ._record import TAPERS, Resting, bands
 from ._response import Linear, Turbulence, at_rest, channel_spectra, motion_covariances
 
-# A wind as numbers that may be fitted: logarithms, and turns of the mean flow.
-
 NUMBERS = ("speed", "deviation", "length_scale", "decay", "heading", "climb")
 """What a wind has, in the order of a result."""
 
@@ -24,12 +22,9 @@ TURNS = ("heading", "climb")
 
 
 class Numbers:
-    """The free numbers of a wind and of noise, as coordinates of a fit.
+    """The free numbers of a wind and of noise, as coordinates of a fit that begins at the wind.
 
-    Arguments:
-        wind: what is held, and where a fit begins.
-        free: of `NUMBERS`.
-        record: whose noise is free by quantity where none is stated.
+    Noise is free by quantity where the record states none.
     """
 
     def __init__(self, wind: Turbulence, free: Sequence[str], record: Resting) -> None:
@@ -37,29 +32,17 @@ class Numbers:
         self.free = tuple(name for name in NUMBERS if name in free)
         stated = record.noise
         self.white = np.array([0.0 if one is None else one[0] for one in stated])
-        open_noise = [
-            quantity for quantity, one in zip(record.quantities, stated, strict=True) if one is None
-        ]
-        self.open = tuple(dict.fromkeys(open_noise))
-        self.which = [
-            np.array(
-                [
-                    one is None and quantity == name
-                    for quantity, one in zip(record.quantities, stated, strict=True)
-                ]
-            )
-            for name in self.open
-        ]
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Of the coordinates."""
-        return self.free + tuple(f"noise of {quantity.replace('_', ' ')}" for quantity in self.open)
+        pairs = zip(record.quantities, stated, strict=True)
+        unstated = [quantity if one is None else "" for quantity, one in pairs]
+        self.open = tuple(dict.fromkeys(filter(None, unstated)))
+        self.which = [np.array([each == name for each in unstated]) for name in self.open]
+        # Of the coordinates.
+        self.names = (*self.free, *(f"noise of {name.replace('_', ' ')}" for name in self.open))
 
     def start(self, deviations: np.ndarray) -> np.ndarray:
         """Coordinates of the beginning, with such deviations of each channel's noise, SI."""
         turns = dict(zip(TURNS, _turns(self.wind.mean), strict=True))
-        wind = [turns[n] if n in TURNS else np.log(self._held(n)) for n in self.free]
+        wind = [turns[n] if n in TURNS else np.log(getattr(self.wind, n)) for n in self.free]
         return np.array(wind + [np.log(np.median(deviations[which])) for which in self.which])
 
     def at(self, coordinates: np.ndarray) -> tuple[Turbulence, np.ndarray]:
@@ -71,32 +54,21 @@ class Numbers:
         )
         flat = np.cos(climb)
         along = np.array([flat * np.cos(heading), flat * np.sin(heading), np.sin(climb)])
-        positive = {
-            name: float(np.exp(value[name])) if name in value else self._held(name)
+        speed, deviation, length_scale, decay = (
+            float(np.exp(value[name])) if name in value else float(getattr(self.wind, name))
             for name in ("speed", "deviation", "length_scale", "decay")
-        }
+        )
         white = self.white.copy()
         for which, level in zip(self.which, coordinates[split:], strict=True):
             white[which] = np.exp(level)
-        return (
-            Turbulence(
-                along * positive["speed"],
-                positive["deviation"],
-                positive["length_scale"],
-                positive["decay"],
-                self.wind.shares,
-            ),
-            white,
-        )
+        wind = Turbulence(along * speed, deviation, length_scale, decay, self.wind.shares)
+        return wind, white
 
     def value(self, name: str, wind: Turbulence) -> float:
         """A number of a wind."""
         if name in TURNS:
             return float(_turns(wind.mean)[TURNS.index(name)])
         return float(getattr(wind, name))
-
-    def _held(self, name: str) -> float:
-        return float(getattr(self.wind, name))
 
 
 def first_guess(
@@ -105,11 +77,7 @@ def first_guess(
     length_scale: float,
     decay: float,
 ) -> Turbulence:
-    """The wind that a fit begins with.
-
-    Raises:
-        InputError: no mean flow, or numbers that are not positive.
-    """
+    """The wind that a fit begins with."""
     flow = np.zeros(3) if mean is None else np.asarray(mean, float)
     if flow.shape != (3,) or not np.all(np.isfinite(flow)) or not np.any(flow):
         raise InputError(
@@ -128,14 +96,9 @@ def first_guess(
             f"the length scale to begin with is {length_scale:g} m and the decay {decay:g}: give "
             "a positive one, and one of at least 0"
         )
-    shares = np.broadcast_to(parts / parts.flat[0], 3)
-    return Turbulence(
-        flow,
-        float(parts.flat[0] * np.linalg.norm(flow)),
-        length_scale,
-        decay,
-        (float(shares[0]), float(shares[1]), float(shares[2])),
-    )
+    along, level, up = np.broadcast_to(parts / parts.flat[0], 3).tolist()
+    deviation = float(parts.flat[0] * np.linalg.norm(flow))
+    return Turbulence(flow, deviation, length_scale, decay, (along, level, up))
 
 
 def _turns(mean: np.ndarray) -> tuple[float, float]:
@@ -176,7 +139,7 @@ Model = Callable[[np.ndarray], Expected]
 
 # In logarithms and radians.
 _STEP = 1e-3
-_FARTHEST = 0.7
+_OPTIONS = {"initial_trust_radius": 0.3, "max_trust_radius": 0.7, "gtol": 0.1, "maxiter": 40}
 
 
 def log_likelihood(expected: Expected, recorded: Recorded) -> float:
@@ -214,13 +177,7 @@ def slopes(model: Model, at: np.ndarray) -> list[Expected]:
 def gradient_and_information(
     expected: Expected, by: list[Expected], recorded: Recorded
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Gradient of the log-likelihood, and Fisher's information.
-
-    Arguments:
-        expected: what the model says.
-        by: its derivatives by each number.
-        recorded: the record.
-    """
+    """Gradient of the log-likelihood, and Fisher's information, by derivatives of the expected."""
     count = len(by)
     inverse = np.linalg.inv(expected.spectra)
     shares = [inverse @ part.spectra for part in by]
@@ -254,13 +211,8 @@ def gradient_and_information(
 def most_likely(model: Model, start: np.ndarray, recorded: Recorded) -> OptimizeResult:
     """The numbers that make a record most likely, by SciPy's exact trust region.
 
-    Fisher's information stands for the second derivatives.
-
-    Returns:
-        Of SciPy; `x` are the numbers, `fun` is minus the log-likelihood, `hess` the information.
-
-    Raises:
-        InputError: the model says nothing at the start.
+    Fisher's information stands for the second derivatives. Of the result `x` are the numbers,
+    `fun` is minus the log-likelihood, `hess` the information.
     """
     model(start)
     known: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
@@ -284,12 +236,7 @@ def most_likely(model: Model, start: np.ndarray, recorded: Recorded) -> Optimize
         jac=lambda at: -slopes_at(at)[0],
         hess=lambda at: slopes_at(at)[1],
         method="trust-exact",
-        options={
-            "initial_trust_radius": 0.3,
-            "max_trust_radius": _FARTHEST,
-            "gtol": 0.1,
-            "maxiter": 40,
-        },
+        options=_OPTIONS,
     )
 
 
@@ -321,11 +268,7 @@ class WindModel:
         self.lasts = samples * self.record.interval
 
     def about(self, wind: Turbulence) -> tuple[Linear, np.ndarray, np.ndarray]:
-        """The arm about its rest, the covariance of its angles and its places in the wind.
-
-        Raises:
-            InputError: it has no rest.
-        """
+        """The arm about its rest, the covariance of its angles and its places in the wind."""
         spread = self._spread
         if spread is None:
             spread = np.tile(np.linalg.cholesky(wind.covariance()), (self.model.arm.count, 1, 1))
@@ -347,12 +290,7 @@ class WindModel:
         return here, covariance, places
 
     def expected(self, wind: Turbulence, noise: np.ndarray) -> Expected:
-        """Spectra as tapers see them, and the mean.
-
-        Arguments:
-            wind: the wind.
-            noise: deviation of white noise of each channel, SI.
-        """
+        """Spectra as tapers see them, and the mean; with white noise of such deviations, SI."""
         here, covariance, places = self.about(wind)
 
         def spectra(frequencies: np.ndarray) -> np.ndarray:

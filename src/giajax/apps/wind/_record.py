@@ -18,13 +18,6 @@ from ...runtime.arrays import Float
 from ...runtime.text import InputError
 from ..synthetic import RESOLVED
 
-# Spectra of a record by sine tapers, in bands that share no frequency.
-#
-# The tapers are Riedel and Sidorenko's (Minimum bias multiple taper spectral estimation, IEEE
-# Transactions on Signal Processing 43, 1995, p. 188). The k-th is a window at half a bin's
-# distance k / 2T on either side, so that K of them see a band of (K + 1) / T, and that far apart
-# bands are all but independent of each other.
-
 TAPERS = 5
 
 # Bands of a long record that are quick compared with its length: a choice of them says as much of
@@ -47,13 +40,7 @@ class Bands(NamedTuple):
 
 
 def bands(samples: int, interval: float, highest: float) -> Bands:
-    """The bands of a record from just above zero up to a frequency.
-
-    Arguments:
-        samples: number of them.
-        interval: between two, s.
-        highest: Hz.
-    """
+    """The bands of a record from just above zero up to a frequency (Hz); its interval is in s."""
     half = 1 / (2 * (samples + 1) * interval)
     apart = 2 * (TAPERS + 1)
     # The mean is taken off, which empties the first bin.
@@ -69,15 +56,10 @@ def bands(samples: int, interval: float, highest: float) -> Bands:
 def tapered(
     values: Float[np.ndarray, "sample channel"], interval: float, middles: np.ndarray
 ) -> np.ndarray:
-    """Transforms of a record through each taper, whose products are one-sided spectra.
+    """Transforms of evenly sampled values through each taper, whose products are one-sided spectra.
 
-    Arguments:
-        values: evenly sampled; their mean is taken off.
-        interval: between two samples, s.
-        middles: of bands, Hz; multiples of half a bin.
-
-    Returns:
-        Complex, shape (band, taper, channel), in units per root of Hz.
+    The interval is in s; the middles of bands are multiples of half a bin, Hz. The mean is taken
+    off. Complex, shape (band, taper, channel), in units per root of Hz.
     """
     samples = len(values)
     about = values - values.mean(axis=0)
@@ -91,8 +73,6 @@ def tapered(
     return np.sqrt(2 * interval) * transformed[at]
 
 
-# A record of an arm at rest in a wind: what of a run is one, and refused otherwise.
-
 # Fewer bands know no three numbers.
 _FEWEST = 8
 _MISSING = 0.05
@@ -103,14 +83,12 @@ _STILL = 1e-6
 
 @dataclasses.dataclass(frozen=True)
 class Resting:
-    """Evenly sampled channels of an arm whose commands rest.
+    """Evenly sampled channels (SI) of an arm whose commands rest.
 
     Attributes:
-        names: of the channels.
-        values: SI, shape (sample, channel).
         interval: between two samples, s.
         highest: frequency that is looked at, Hz.
-        command: of the joints, rad, shape (joint,).
+        command: of the joints, rad.
         delays: of each channel's clock, s.
         quantities: of each channel, whose noise is alike where it is not stated.
         noise: for each channel the deviation of its white noise, and that of its noise with a
@@ -143,11 +121,9 @@ class Resting:
 def resting(
     model: ArmModel, run: Run, *, skip: float = 0.0, highest: float | None = None
 ) -> Resting:
-    """The record of a run.
+    """The record of a run of the arm.
 
     Arguments:
-        model: the arm.
-        run: of it.
         skip: what is left out at the beginning, s.
         highest: frequency to look up to, Hz; by default half of what rows resolve.
 

@@ -1,5 +1,6 @@
 """A fitted wind as a picture and as plain data."""
 
+import dataclasses
 import json
 from typing import Any
 
@@ -16,15 +17,7 @@ _ACROSS = 3
 
 
 def wind_figure(found: WindFit, title: str = "") -> Figure:
-    """Measured and fitted spectra of the channels; of many those that move most.
-
-    Arguments:
-        found: the wind.
-        title: of the whole.
-
-    Returns:
-        The picture.
-    """
+    """Measured and fitted spectra of the channels; of many those that move most."""
     moves = np.sum(found.fitted, axis=0)
     drawn = np.sort(np.argsort(-moves, kind="stable")[:_MOST])
     across = min(_ACROSS, len(drawn))
@@ -32,40 +25,25 @@ def wind_figure(found: WindFit, title: str = "") -> Figure:
     figure = new_figure(3.4 * across + 0.4, 2.4 * down + 0.5, title or "Spectra at rest in a wind")
     for place, index in enumerate(drawn):
         axes = figure.add_subplot(down, across, place + 1)
-        axes.loglog(
-            found.frequencies, found.measured[:, index], ".", color=GREY, ms=3, label="measured"
-        )
-        axes.loglog(found.frequencies, found.fitted[:, index], color=BLUE, label="fitted")
-        plain(axes, found.channels[index])
+        measured, fitted = found.measured[:, index], found.fitted[:, index]
+        axes.loglog(found.frequencies, measured, ".", color=GREY, ms=3, label="measured")
+        axes.loglog(found.frequencies, fitted, color=BLUE, label="fitted")
         unit = Channel.named(found.channels[index]).si_unit
         # A rate's unit is a fraction.
-        axes.set_ylabel(f"({unit})$^2$/Hz" if "/" in unit else f"{unit}$^2$/Hz")
+        density = f"({unit})$^2$/Hz" if "/" in unit else f"{unit}$^2$/Hz"
+        plain(axes, found.channels[index], "frequency (Hz)", density)
         axes.tick_params(which="both", labelsize=8)
-        axes.set_xlabel("frequency (Hz)")
         if place == 0:
             axes.legend(fontsize=8, frameon=False)
     return figure
 
 
 def wind_json(found: WindFit, run: Run) -> str:
-    """A wind as JSON text, without its spectra.
-
-    Arguments:
-        found: the wind.
-        run: that it was fitted to.
-    """
+    """A wind as JSON text, without its spectra, and the run that it was fitted to."""
     facts: dict[str, Any] = {
         "run": run.name,
         "sha256": run.sha256,
-        "numbers": {
-            name: {
-                "value": one.value,
-                "standard_error": one.standard_error,
-                "unit": one.unit,
-                "free": one.free,
-            }
-            for name, one in found.numbers.items()
-        },
+        "numbers": {name: dataclasses.asdict(one) for name, one in found.numbers.items()},
         "mean_m_per_s": found.wind.mean.tolist(),
         "free": list(found.free),
         "correlation": found.correlation.tolist(),

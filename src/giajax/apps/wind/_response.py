@@ -73,13 +73,10 @@ def linear(
     mean: Float[Array, "3"],
     spread: Float[Array, "link 3 3"],
 ) -> Linear:
-    """Linearise about a pose.
+    """Linearise about a pose of an arm, without the clocks of its sensors.
 
     Arguments:
-        model: the arm and its sensors, whose clocks are left out.
-        names: of the recorded channels.
-        command: commanded angles, rad.
-        angles: of the pose, rad.
+        command, angles: commanded, and of the pose, rad.
         mean: of the wind, m/s.
         spread: root of the covariance of each link's velocity relative to the air, m/s.
     """
@@ -97,9 +94,8 @@ def linear(
 
     def shown(angles: Array, rates: Array) -> Array:
         motion: Any = _Still(angles[None], rates[None], True)
-        seen, _ = recorded_channels(
-            arm, model.sensors, lambda times, end: motion, jnp.zeros(1), names
-        )
+        given = (arm, model.sensors, lambda times, end: motion, jnp.zeros(1), names)
+        seen, _ = recorded_channels(*given)
         return jnp.stack([seen[name][0] for name in names])
 
     def centres(angles: Array) -> Array:
@@ -132,10 +128,7 @@ def at_rest(
     mean: np.ndarray,
     spread: np.ndarray,
 ) -> tuple[np.ndarray, Linear]:
-    """The pose in which the arm rests in a wind, and the arm about it.
-
-    Arguments:
-        begin: angles to look from, rad; the others are those of `linear`.
+    """The pose in which the arm rests in a wind, and the arm about it; looked for from some angles.
 
     Raises:
         InputError: no rest is found, or one that the arm does not stay in.
@@ -204,24 +197,14 @@ class Turbulence:
     def roots(
         self, places: np.ndarray, frequencies: np.ndarray
     ) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Directions of the gusts, and roots of their spectra at places.
+        """Of each component the direction, and roots of its spectra at places (m), by Hz.
 
-        Arguments:
-            places: m, shape (place, 3).
-            frequencies: Hz, shape (frequency,).
-
-        Returns:
-            For each component its direction, and R with R R^H its one-sided spectra, shape
-            (frequency, place, place).
+        A root R, of shape (frequency, place, place), has R R^H for the one-sided spectra.
         """
         along = self.mean / self.speed
         carried = {"speed": self.speed, "length_scale": self.length_scale}
-        coherence = np.stack(
-            [
-                gust_coherence(places, float(f), along=along, decay=self.decay, **carried)
-                for f in frequencies
-            ]
-        )
+        about: Any = {"along": along, "decay": self.decay, **carried}
+        coherence = np.stack([gust_coherence(places, float(f), **about) for f in frequencies])
         # Places that are one have the same wind.
         root = np.linalg.cholesky(coherence + 1e-9 * np.eye(len(places)))
         late = np.exp(-2j * np.pi * frequencies[:, None] * (places @ along) / self.speed)
@@ -238,14 +221,9 @@ class Turbulence:
 
 
 def joint_responses(here: Linear, frequencies: np.ndarray) -> np.ndarray:
-    """Angles of the joints by the wind of each link.
+    """Complex angles of the joints by the wind of each link, rad per m/s; frequencies in Hz.
 
-    Arguments:
-        here: the arm about its rest.
-        frequencies: Hz.
-
-    Returns:
-        Complex amplitudes, rad per m/s, shape (frequency, joint, link, 3).
+    Their shape is (frequency, joint, link, 3).
     """
     turn = 2j * np.pi * frequencies[:, None, None]
     joints = len(here.by_angle)
@@ -256,14 +234,7 @@ def joint_responses(here: Linear, frequencies: np.ndarray) -> np.ndarray:
 
 
 def channel_responses(here: Linear, frequencies: np.ndarray, delays: np.ndarray) -> np.ndarray:
-    """Channels by the angles of the joints.
-
-    Arguments:
-        delays: of each channel, s; the others are those of `joint_responses`.
-
-    Returns:
-        Shape (frequency, channel, joint).
-    """
+    """Channels, delayed (s), by the angles of the joints; shape (frequency, channel, joint)."""
     turn = 2j * np.pi * frequencies[:, None, None]
     late = np.exp(-turn * delays[None, :, None])
     return late * (here.shows_angle + turn * here.shows_rate)
@@ -272,17 +243,12 @@ def channel_responses(here: Linear, frequencies: np.ndarray, delays: np.ndarray)
 def channel_spectra(
     here: Linear, wind: Turbulence, places: np.ndarray, frequencies: np.ndarray, delays: np.ndarray
 ) -> np.ndarray:
-    """One-sided spectra of the channels without noise, SI^2/Hz.
+    """One-sided spectra of the channels without noise, SI^2/Hz, (frequency, channel, channel).
 
-    Arguments:
-        places: where the links are to the wind, m, shape (link, 3).
-
-    Returns:
-        Shape (frequency, channel, channel).
+    The places, m, are those where the links are to the wind.
     """
-    shown = channel_responses(here, frequencies, delays) @ joint_responses(
-        here, frequencies
-    ).reshape(len(frequencies), len(here.by_angle), -1)
+    turned = joint_responses(here, frequencies).reshape(len(frequencies), len(here.by_angle), -1)
+    shown = channel_responses(here, frequencies, delays) @ turned
     shown = shown.reshape(len(frequencies), -1, len(places), 3)
     total = np.zeros((len(frequencies), shown.shape[1], shown.shape[1]), complex)
     for axis, square_root in wind.roots(places, frequencies):
@@ -296,8 +262,7 @@ def motion_covariances(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Covariance of the angles, rad^2, and of each link's velocity relative to the air, m^2/s^2.
 
-    Returns:
-        Shapes (joint, joint) and (link, 3, 3).
+    Their shapes are (joint, joint) and (link, 3, 3).
     """
     # From a thousand times what a gust lasts to a hundredth of it.
     frequencies = np.geomspace(1e-3, 1e2, 141) * wind.speed / wind.length_scale
@@ -313,14 +278,8 @@ def motion_covariances(
         relative += np.real(apart @ apart.conj().swapaxes(2, 3))
     of_links = np.asarray(np.trapezoid(relative, frequencies, axis=0))
     # What is slower and quicker than the grid is as it is for an arm that does not follow.
-    known = np.trapezoid(
-        sum(
-            np.abs(square_root[:, 0, 0]) ** 2
-            for _, square_root in wind.roots(places[:1], frequencies)
-        ),
-        frequencies,
-    )
+    powers = [np.abs(each[:, 0, 0]) ** 2 for _, each in wind.roots(places[:1], frequencies)]
+    known = np.trapezoid(sum(powers), frequencies)
     beyond = 1 - known / np.trace(wind.covariance())
-    return np.asarray(
-        np.trapezoid(angles, frequencies, axis=0)
-    ), of_links + beyond * wind.covariance()
+    of_joints = np.asarray(np.trapezoid(angles, frequencies, axis=0))
+    return of_joints, of_links + beyond * wind.covariance()
